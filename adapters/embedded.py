@@ -9,30 +9,54 @@ from __future__ import annotations
 import asyncio
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Container, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
+from typing import NamedTuple
 
 from rosld.adapters.base import AdapterOptions, Capabilities, Published, Recording, Sink, Subscription, Watch
 from rosld.adapters.local_topics import LocalTopics
 from rosld.adapters.model import (
+    Action,
     ActionSchema,
     Encoding,
+    Endpoint,
     GoalEvent,
     GoalId,
+    GoalStatus,
     Graph,
+    Kind,
     Message,
     MessageSchema,
+    Node,
     NotFound,
+    Operation,
+    Parameter,
+    Ref,
     Refused,
     Sample,
     Schema,
+    Service,
     ServiceSchema,
     TimedOut,
+    Topic,
     TypeRef,
     Unreachable,
+    freeze,
     without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.parameter import ParameterValue
+
+ROSLD = "/rosld"
+"""The node that rosld appears as while it advertises a topic."""
+
+
+class Interface(NamedTuple):
+    """The type of a topic, service or action of an embedded robot, and its node."""
+
+    type: str
+    node: str
+    latched: bool = False
 
 
 class NoWatch:
@@ -45,32 +69,35 @@ class NoWatch:
 class EmbeddedRobot(ABC):
     """The part of an `Adapter` that is the same for all embedded robots.
 
-    `types` are those of all topics, services and actions by name, `topics` the names of topics among them, of which the
-    robot subscribes to those in `heard`. `own_node` is the name of rosld.
+    A subclass says what the robot publishes, subscribes to and serves, by name, and overrides what it can do; by
+    default it has no parameters and pursues no goals.
     """
-
-    _graph: Graph
 
     def __init__(
         self,
         capabilities: Capabilities,
         options: AdapterOptions,
-        types: Mapping[str, str],
-        topics: Collection[str],
-        heard: Container[str],
-        own_node: str,
+        *,
+        published: Mapping[str, Interface],
+        subscribed: Mapping[str, Interface] = MappingProxyType({}),
+        services: Mapping[str, Interface] = MappingProxyType({}),
+        actions: Mapping[str, Interface] = MappingProxyType({}),
     ) -> None:
         self._capabilities = capabilities
         self._library = TypeLibrary(
             ros_version=1 if capabilities.encoding is Encoding.ROS1 else 2, folders=options.types
         )
-        self._types = {name: self._library.find(TypeRef(type)).ref for name, type in types.items()}
-        own = {topic: self._types[topic] for topic in topics}
+        self._published, self._subscribed, self._services, self._actions = published, subscribed, services, actions
+        interfaces = {**published, **subscribed, **services, **actions}
+        self._nodes = dict.fromkeys(each.node for each in interfaces.values())
+        self._types = {name: self._library.find(TypeRef(each.type)).ref for name, each in interfaces.items()}
+        own = {topic: self._types[topic] for topic in (*published, *subscribed)}
         self._topics = LocalTopics(
-            own, heard, capabilities.encoding, own_node, lambda ref: self._message(ref).ref, self._revise
+            own, subscribed, capabilities.encoding, ROSLD, lambda ref: self._message(ref).ref, self._revise
         )
         self._sink: Sink | None = None
         self._timer: asyncio.TimerHandle | None = None
+        self._graph = self._describe(1)
 
     @property
     def capabilities(self) -> Capabilities:
@@ -87,6 +114,12 @@ class EmbeddedRobot(ABC):
         """None."""
         return MappingProxyType({})
 
+    async def open(self, sink: Sink, *, deadline: float) -> None:
+        """Start the robot. Idempotent."""
+        if self._sink is None:
+            self._sink = sink
+            self._start()
+
     async def close(self) -> None:
         """Stop, with nothing left advertised. Idempotent."""
         if self._timer is not None:
@@ -95,6 +128,16 @@ class EmbeddedRobot(ABC):
         for topic in tuple(self._topics.advertised):
             self._topics.unadvertise(topic)
         self._sink = None
+
+    def allows(self, ref: Ref) -> frozenset[Operation]:
+        """Return the operations on a thing. Any topic can be published to."""
+        if ref.kind is Kind.TOPIC:
+            return frozenset({Operation.PUBLISH, *([Operation.SUBSCRIBE] if ref.name in self._graph.topics else [])})
+        if ref.kind is Kind.SERVICE:
+            return frozenset({Operation.CALL} if ref.name in self._services else ())
+        if ref.kind is Kind.ACTION:
+            return frozenset({Operation.SEND_GOAL} if ref.name in self._actions else ())
+        return self._parameter_operations(ref.name) if ref.kind is Kind.PARAMETER else frozenset()
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
         """Return the schema of a type that is shipped or in the folders of `--types`."""
@@ -127,6 +170,28 @@ class EmbeddedRobot(ABC):
         """Stop advertising, and drop the messages that rosld published."""
         self._topics.unadvertise(topic)
 
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """Call a service of the robot. Raises Refused for another type, and for bytes that are no request."""
+        self._require_reachable(deadline)
+        schema = self._service(service, type)
+        return self._encode(schema.response, self._answer(service, self._decode(schema.request, request, service)))
+
+    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
+        """Send a goal to the robot. Raises Refused where the robot rejects it, and for another type."""
+        self._require_reachable(deadline)
+        decoded = self._decode(self._action(action, type).goal, goal, action)
+        id = self._accept(action, decoded)
+        self._announce(action, id, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
+        return GoalId(action, id)
+
+    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
+        """Cancel a goal. Raises NotFound for any other than the current one."""
+        self._require_reachable(deadline)
+        self._action(goal.action)
+        if not self._cancel(goal.id):
+            raise NotFound(f"the {self._capabilities.system} does not pursue the goal {goal.id}")
+        self._announce(goal.action, goal.id, GoalEvent(time.time_ns(), GoalStatus.CANCELING, own=True))
+
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
         """Cancel the goal that the robot pursues, if any."""
         self._require_reachable(deadline)
@@ -135,26 +200,92 @@ class EmbeddedRobot(ABC):
         if current is not None:
             await self.cancel_goal(GoalId(action, current), deadline=deadline)
 
-    @abstractmethod
-    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """Cancel a goal. Raises NotFound for any other than the current one."""
-
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """Return a watch without effect: all goals are announced in any case."""
         self._action(action)
         return NoWatch()
+
+    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        """Return the values of those names that exist."""
+        self._require_reachable(deadline)
+        return {}
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        """Set all of them or, when one is refused, none."""
+        self._require_reachable(deadline)
+        raise Refused(f"the {self._capabilities.system} has no parameters")
+
+    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
+        """Delete all of them or, when one is not there, none."""
+        self._require_reachable(deadline)
+        raise Refused(f"the {self._capabilities.system} has no parameters")
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """Raise Refused: the nodes have no lifecycles; NotFound for an unknown node."""
         raise without_lifecycle(self._graph.nodes, node)
 
     @abstractmethod
-    def _describe(self, revision: int) -> Graph:
-        """Return the current computation graph."""
+    def _start(self) -> None:
+        """Start publishing, on the running loop."""
 
-    @abstractmethod
+    def _answer(self, service: str, request: Message) -> Mapping[str, object]:
+        """Return the fields of the response to a request."""
+        raise NotImplementedError
+
+    def _accept(self, action: str, goal: Message) -> str:
+        """Pursue a goal and return its id. Raises Refused."""
+        raise NotImplementedError
+
+    def _cancel(self, id: str) -> bool:
+        """Cancel the current goal if it has this id; whether it has."""
+        raise NotImplementedError
+
     def _current_goal(self) -> str | None:
         """Return the id of the goal that the robot pursues."""
+        return None
+
+    def _parameters_of_graph(self) -> Mapping[str, Parameter]:
+        """Return the parameters of the computation graph."""
+        return {}
+
+    def _parameter_operations(self, name: str) -> frozenset[Operation]:
+        """Return the operations on a parameter."""
+        return frozenset()
+
+    def _describe(self, revision: int) -> Graph:
+        """Return the current computation graph."""
+        topics = dict.fromkeys((*self._published, *self._subscribed, *sorted(self._topics.advertised)))
+        return Graph(
+            revision,
+            own_node=ROSLD,
+            nodes=freeze({name: Node(name) for name in (*self._nodes, *([ROSLD] if self._topics.advertised else []))}),
+            topics=freeze({name: self._topic(name) for name in topics}),
+            services=freeze(
+                {name: Service(name, self._types[name], (each.node,)) for name, each in self._services.items()}
+            ),
+            actions=freeze(
+                {name: Action(name, self._types[name], (each.node,)) for name, each in self._actions.items()}
+            ),
+            parameters=freeze(self._parameters_of_graph()),
+        )
+
+    def _topic(self, name: str) -> Topic:
+        own = self._topics.advertised.get(name)
+        type = own.type if own else self._types[name]
+        publishers = [
+            *_endpoints(self._published.get(name), type),
+            *([Endpoint(ROSLD, type, latched=own.latched)] if own else []),
+        ]
+        return Topic(name, (type,), tuple(publishers), tuple(_endpoints(self._subscribed.get(name), type)))
+
+    def _publish(self, topic: str, fields: Mapping[str, object]) -> None:
+        """Publish a message of the robot on a topic of its own."""
+        interface = self._published[topic]
+        data = self._encode(self._message(self._types[topic]), fields)
+        self._topics.say(topic, interface.node, data, latched=interface.latched)
+
+    def _encode(self, schema: MessageSchema, fields: Mapping[str, object]) -> bytes:
+        return schema.codec.encode(schema.codec.build(schema.ref.name, fields), self._capabilities.encoding)
 
     def _require_reachable(self, deadline: float) -> None:
         """Raise Unreachable if the adapter is closed, TimedOut if the deadline (loop time) has passed."""
@@ -206,3 +337,8 @@ class EmbeddedRobot(ABC):
 def _require_type(name: str, kind: str, ref: TypeRef, asked: TypeRef) -> None:
     if asked.name != ref.name or asked.hash not in (None, ref.hash):
         raise Refused(f"the {kind} {name} is a {ref.name}, not this {asked.name}")
+
+
+def _endpoints(interface: Interface | None, type: TypeRef) -> Iterable[Endpoint]:
+    if interface is not None:
+        yield Endpoint(interface.node, type, latched=interface.latched)

@@ -13,29 +13,15 @@ from pathlib import Path
 from rosld.adapters import parameters
 from rosld.adapters.aircraft.flight import ACTION, Declined, Flight, FlyGoal, accept, cancel, end_of
 from rosld.adapters.aircraft.flight import TYPE as FLY
-from rosld.adapters.aircraft.graph import AIRCRAFT, DISPLAY, ROSLD, SERVICES, SPEED, aircraft_graph
-from rosld.adapters.base import AdapterOptions, Capabilities, Sink
-from rosld.adapters.embedded import EmbeddedRobot
-from rosld.adapters.model import (
-    Encoding,
-    GoalEvent,
-    GoalId,
-    GoalStatus,
-    Graph,
-    Kind,
-    MessageSchema,
-    NotFound,
-    Operation,
-    Ref,
-    Refused,
-    TypeRef,
-)
+from rosld.adapters.aircraft.graph import AIRCRAFT, COCKPIT, DISPLAY, SERVICES, SPEED
+from rosld.adapters.base import AdapterOptions, Capabilities
+from rosld.adapters.embedded import EmbeddedRobot, Interface
+from rosld.adapters.model import Encoding, GoalEvent, GoalStatus, Message, Operation, Parameter, Refused
 from rosld.adapters.model.parameter import ParameterValue
 
 PERIOD = 0.1
 """Seconds between two messages of the speed."""
 
-_TOPIC_TYPES = {SPEED: "std_msgs/msg/Float64", DISPLAY: "std_msgs/msg/String"}
 _CAPABILITIES = Capabilities(
     system="aircraft",
     encoding=Encoding.ROS1,
@@ -45,7 +31,6 @@ _CAPABILITIES = Capabilities(
     mapping=Path(__file__).with_name("mapping.ttl"),
     limits=Path(__file__).with_name("limits.ttl"),
 )
-_KNOWN_TOPIC = frozenset({Operation.SUBSCRIBE, Operation.PUBLISH})
 _KNOWN_PARAMETER = frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER, Operation.DELETE_PARAMETER})
 
 
@@ -65,19 +50,20 @@ class Aircraft(EmbeddedRobot):
     """The aircraft of the paper's Listing 1 as an `Adapter`."""
 
     def __init__(self, options: AdapterOptions) -> None:
-        types = {**_TOPIC_TYPES, **{name: service.type for name, service in SERVICES.items()}, ACTION: FLY}
-        super().__init__(_CAPABILITIES, options, types, _TOPIC_TYPES, {DISPLAY}, ROSLD)
-        self._speed = self._message(self._types[SPEED])
         self._parameters = initial_parameters()
         self._flight = Flight()
         self._fly: FlyGoal | None = None
-        self._graph = self._describe(1)
+        super().__init__(
+            _CAPABILITIES,
+            options,
+            published={SPEED: Interface("std_msgs/msg/Float64", AIRCRAFT)},
+            subscribed={DISPLAY: Interface("std_msgs/msg/String", COCKPIT)},
+            services={name: Interface(service.type, AIRCRAFT) for name, service in SERVICES.items()},
+            actions={ACTION: Interface(FLY, AIRCRAFT)},
+        )
 
-    async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Bring the aircraft to life: off, at rest. Nothing happens when it lives already."""
-        if self._sink is not None:
-            return
-        self._sink = sink
+    def _start(self) -> None:
+        """Bring the aircraft to life: off, at rest."""
         self._flight = Flight(since_ns=time.monotonic_ns())
         self._tick(asyncio.get_running_loop().time(), 0)
 
@@ -89,48 +75,24 @@ class Aircraft(EmbeddedRobot):
             self._fly = None
         await super().close()
 
-    def allows(self, ref: Ref) -> frozenset[Operation]:
-        """Return the operations of ROS 1 on a thing."""
-        if ref.kind is Kind.TOPIC:
-            return _KNOWN_TOPIC if ref.name in self._graph.topics else frozenset({Operation.PUBLISH})
-        if ref.kind is Kind.SERVICE:
-            return frozenset({Operation.CALL}) if ref.name in self._graph.services else frozenset()
-        if ref.kind is Kind.ACTION:
-            return frozenset({Operation.SEND_GOAL}) if ref.name in self._graph.actions else frozenset()
-        if ref.kind is Kind.PARAMETER:
-            known = parameters.read_name(self._parameters, ref.name) is not None
-            deletable = _KNOWN_PARAMETER if ref.name != "/" else _KNOWN_PARAMETER - {Operation.DELETE_PARAMETER}
-            return deletable if known else frozenset({Operation.SET_PARAMETER})
-        return frozenset()
+    def _answer(self, service: str, request: Message) -> Mapping[str, object]:
+        self._flight, values = SERVICES[service].answer(self._flight, request, time.monotonic_ns())
+        return values
 
-    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Call a service of the aircraft. Raises Refused for another type, and for bytes that are no request."""
-        self._require_reachable(deadline)
-        schema = self._service(service, type)
-        asked = self._decode(schema.request, request, service)
-        self._flight, values = SERVICES[service].answer(self._flight, asked, time.monotonic_ns())
-        return _encode(schema.response, values)
-
-    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """Let the aircraft fly. Raises Refused while it is off or flies already, and for another type."""
-        self._require_reachable(deadline)
-        asked = self._decode(self._action(action, type).goal, goal, action)
-        distance = float(getattr(asked, "distance", math.nan))
+    def _accept(self, action: str, goal: Message) -> str:
+        """Fly. Raises Refused while the aircraft is off or flies already."""
+        distance = float(getattr(goal, "distance", math.nan))
         try:
             self._fly = accept(self._flight, self._fly, secrets.token_hex(16), distance, time.monotonic_ns())
         except Declined as declined:
             raise Refused(f"{action} rejected the goal", words=str(declined)) from declined
-        self._announce(action, self._fly.id, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
-        return GoalId(action, self._fly.id)
+        return self._fly.id
 
-    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """Cancel the flight. Raises NotFound for a goal that the aircraft does not pursue."""
-        self._require_reachable(deadline)
-        self._action(goal.action)
-        if self._fly is None or self._fly.id != goal.id:
-            raise NotFound(f"the aircraft does not pursue the goal {goal.id}")
+    def _cancel(self, id: str) -> bool:
+        if self._fly is None or self._fly.id != id:
+            return False
         self._fly = cancel(self._fly)
-        self._announce(goal.action, goal.id, GoalEvent(time.time_ns(), GoalStatus.CANCELING, own=True))
+        return True
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """Return the values of those names that exist."""
@@ -173,26 +135,27 @@ class Aircraft(EmbeddedRobot):
             return
         schema = self._action(ACTION)
         flown, end = fly.flown_at(now_ns), end_of(fly, self._flight, now_ns)
-        feedback = _encode(schema.feedback, {"flown": flown})
+        feedback = self._encode(schema.feedback, {"flown": flown})
         event = GoalEvent(time.time_ns(), GoalStatus.EXECUTING, feedback=feedback, own=True)
         if end is not None:
             self._fly = None
-            result = _encode(schema.result, {"message": end.message, "flown": flown})
+            result = self._encode(schema.result, {"message": end.message, "flown": flown})
             event = replace(event, status=end.status, result=result)
         self._announce(ACTION, fly.id, event)
 
-    def _describe(self, revision: int) -> Graph:
-        return aircraft_graph(revision, self._types, self._topics.advertised, parameters.leaves(self._parameters))
+    def _parameters_of_graph(self) -> Mapping[str, Parameter]:
+        return {name: Parameter(name) for name in sorted(parameters.leaves(self._parameters))}
+
+    def _parameter_operations(self, name: str) -> frozenset[Operation]:
+        if parameters.read_name(self._parameters, name) is None:
+            return frozenset({Operation.SET_PARAMETER})
+        return _KNOWN_PARAMETER if name != "/" else _KNOWN_PARAMETER - {Operation.DELETE_PARAMETER}
 
     def _tick(self, began: float, turn: int) -> None:
         """Publish the speed, and again at the next whole period; periods that a busy loop missed are left out."""
         loop = asyncio.get_running_loop()
         speed = self._flight.speed_at(time.monotonic_ns())
-        self._topics.say(SPEED, AIRCRAFT, _encode(self._speed, {"data": speed}))
+        self._publish(SPEED, {"data": speed})
         self._fly_on(time.monotonic_ns())
         following = max(turn, int((loop.time() - began) / PERIOD)) + 1
         self._timer = loop.call_at(began + following * PERIOD, self._tick, began, following)
-
-
-def _encode(schema: MessageSchema, values: Mapping[str, object]) -> bytes:
-    return schema.codec.encode(schema.codec.build(schema.ref.name, values), Encoding.ROS1)

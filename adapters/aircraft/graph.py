@@ -1,14 +1,13 @@
-"""The computation graph of the aircraft, and its services as pure functions of the flight and the request."""
+"""Names of the aircraft, and its services as pure functions of the flight and the request."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple, Protocol, TypeAlias, cast
 
-from rosld.adapters.aircraft.flight import ACTION, Declined, Flight, set_heading, set_power, set_speed, start, stop
-from rosld.adapters.local_topics import AdvertisedTopic
-from rosld.adapters.model import Action, Endpoint, Graph, Message, Node, Parameter, Service, Topic, TypeRef, freeze
+from rosld.adapters.aircraft.flight import Declined, Flight, set_heading, set_power, set_speed, start, stop
+from rosld.adapters.model import Message
 
 Values: TypeAlias = Mapping[str, object]
 Answer: TypeAlias = "tuple[Flight, Values]"
@@ -84,35 +83,5 @@ SERVICES: Mapping[str, AircraftService] = MappingProxyType(
 
 AIRCRAFT = "/aircraft"
 COCKPIT = "/cockpit"
-ROSLD = "/rosld"
 SPEED = "/aircraft/engine/speed"
 DISPLAY = "/cockpit/display"
-
-
-def aircraft_graph(
-    revision: int,
-    types: Mapping[str, TypeRef],
-    advertised: Mapping[str, AdvertisedTopic],
-    parameters: Iterable[str],
-) -> Graph:
-    """The graph: `types` holds the types of the aircraft's own topics, services and action by the names of these."""
-    nodes = [AIRCRAFT, COCKPIT, *([ROSLD] if advertised else [])]
-    return Graph(
-        revision,
-        own_node=ROSLD,
-        nodes=freeze({name: Node(name) for name in nodes}),
-        topics=freeze({name: _topic(name, types, advertised) for name in (SPEED, DISPLAY, *sorted(advertised))}),
-        services=freeze({name: Service(name, types[name], (AIRCRAFT,)) for name in SERVICES}),
-        actions=freeze({ACTION: Action(ACTION, types[ACTION], (AIRCRAFT,))}),
-        parameters=freeze({name: Parameter(name) for name in sorted(parameters)}),
-    )
-
-
-def _topic(name: str, types: Mapping[str, TypeRef], advertised: Mapping[str, AdvertisedTopic]) -> Topic:
-    own = advertised.get(name)
-    kind = own.type if own else types[name]
-    publishers = [Endpoint(AIRCRAFT, kind)] if name == SPEED else []
-    if own:
-        publishers.append(Endpoint(ROSLD, kind, latched=own.latched))
-    subscribers = (Endpoint(COCKPIT, kind),) if name == DISPLAY else ()
-    return Topic(name, (kind,), tuple(publishers), subscribers)

@@ -12,18 +12,16 @@ import time
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-from rosld.adapters.base import AdapterOptions, Capabilities, Published, Sink, Subscription
-from rosld.adapters.embedded import EmbeddedRobot
+from rosld.adapters.base import AdapterOptions, Capabilities, Published, Subscription
+from rosld.adapters.embedded import EmbeddedRobot, Interface
 from rosld.adapters.model import (
     GoalEvent,
     GoalId,
     GoalStatus,
-    Graph,
-    Kind,
     Message,
-    NotFound,
+    MessageSchema,
     Operation,
-    Ref,
+    Parameter,
     Refused,
     TypeRef,
 )
@@ -31,11 +29,11 @@ from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.rover.graph import (
     ACTIONS,
     CMD_VEL,
+    GRAPH_PARAMETERS,
     LATCHED,
     LIGHTS,
     NAVIGATE_TO,
     PERIODIC,
-    ROSLD,
     ROSOUT,
     SERVICES,
     SET_LIGHTS,
@@ -43,13 +41,12 @@ from rosld.adapters.rover.graph import (
     operations_on,
     read,
     refuse_deletion,
-    rover_graph,
     with_values,
 )
-from rosld.adapters.rover.messages import ENCODING, Fields, View, encode, log, navigation_feedback, navigation_result
+from rosld.adapters.rover.messages import ENCODING, View, encode, log, navigation_feedback, navigation_result
 from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome, goal_of, switch_of, velocity_of
 from rosld.adapters.rover.settings import DEFAULTS, NODE
-from rosld.adapters.rover.simulation import Answer, Simulation, Start
+from rosld.adapters.rover.simulation import Simulation, Start
 
 PERIOD = 0.05
 """Seconds between two looks at what is due."""
@@ -68,20 +65,24 @@ class Rover(EmbeddedRobot):
     """The rover as an `Adapter`."""
 
     def __init__(self, start: Start, options: AdapterOptions) -> None:
-        super().__init__(_CAPABILITIES, options, {**TOPICS, **SERVICES, **ACTIONS}, TOPICS, {CMD_VEL}, ROSLD)
-        self._start = start
+        super().__init__(
+            _CAPABILITIES,
+            options,
+            published={
+                name: Interface(type, NODE, latched=name in LATCHED) for name, type in TOPICS.items() if name != CMD_VEL
+            },
+            subscribed={CMD_VEL: Interface(TOPICS[CMD_VEL], NODE)},
+            services={name: Interface(type, NODE) for name, type in SERVICES.items()},
+            actions={name: Interface(type, NODE) for name, type in ACTIONS.items()},
+        )
+        self._start_state = start
         self._simulation = Simulation(start, time.monotonic())
         self._parameters = DEFAULTS
         self._due: dict[str, float] = {}
-        self._graph = self._describe(1)
 
-    async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Begin, at the start. Nothing happens when it has begun already."""
-        if self._sink is not None:
-            return
-        self._sink = sink
+    def _start(self) -> None:
         self._parameters = DEFAULTS
-        self._simulation = Simulation(self._start, time.monotonic())
+        self._simulation = Simulation(self._start_state, time.monotonic())
         for topic in LATCHED:
             self._say(topic)
         self._tick()
@@ -93,17 +94,6 @@ class Rover(EmbeddedRobot):
             event = GoalEvent(time.time_ns(), GoalStatus.LOST, "the rover is no longer there", own=True)
             self._announce(NAVIGATE_TO, goal, event)
         await super().close()
-
-    def allows(self, ref: Ref) -> frozenset[Operation]:
-        """Return the operations of ROS 2 on a thing."""
-        if ref.kind is Kind.TOPIC:
-            known = ref.name in self._graph.topics
-            return frozenset({Operation.PUBLISH, *([Operation.SUBSCRIBE] if known else [])})
-        if ref.kind is Kind.SERVICE:
-            return frozenset({Operation.CALL} if ref.name in SERVICES else ())
-        if ref.kind is Kind.ACTION:
-            return frozenset({Operation.SEND_GOAL} if ref.name in ACTIONS else ())
-        return operations_on(ref.name) if ref.kind is Kind.PARAMETER else frozenset()
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
         """Subscribe to a topic; the first subscription has what the rover publishes there now."""
@@ -131,33 +121,11 @@ class Rover(EmbeddedRobot):
         self._simulation.command(velocity, time.monotonic())
         return published
 
-    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Call a service of the rover. Raises Refused for another type, and for bytes that are no request."""
-        self._require_reachable(deadline)
-        schema = self._service(service, type)
-        answer = self._serve(service, self._decode(schema.request, request, service))
-        return encode(schema.response, answer._asdict())
-
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         """Let the rover drive somewhere. Raises Refused for an invalid pose, and for another type."""
-        self._require_reachable(deadline)
-        try:
-            pose = goal_of(self._decode(self._action(action, type).goal, goal, action))
-        except Declined as declined:
-            raise Refused(f"{action} rejected the goal", words=str(declined)) from declined
-        id = secrets.token_hex(16)
-        self._simulation.navigate(id, pose, time.monotonic())
-        self._announce(action, id, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
+        sent = await super().send_goal(action, type, goal, deadline=deadline)
         self._tell_feedback(time.monotonic())
-        return GoalId(action, id)
-
-    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """Cancel the journey. Raises NotFound for a goal that the rover does not pursue."""
-        self._require_reachable(deadline)
-        self._action(goal.action)
-        if not self._simulation.cancel(goal.id, time.monotonic()):
-            raise NotFound(f"the rover does not pursue the goal {goal.id}")
-        self._announce(goal.action, goal.id, GoalEvent(time.time_ns(), GoalStatus.CANCELING, own=True))
+        return sent
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """Return the values of those names that exist."""
@@ -179,16 +147,33 @@ class Rover(EmbeddedRobot):
         self._require_reachable(deadline)
         refuse_deletion(names)
 
-    def _serve(self, service: str, request: Message) -> Answer:
+    def _answer(self, service: str, request: Message) -> Mapping[str, object]:
         now = time.monotonic()
         if service != SET_LIGHTS:
-            return self._simulation.dock(now)
+            return self._simulation.dock(now)._asdict()
         answer = self._simulation.switch_lights(switch_of(request), now)
         self._say(LIGHTS)
-        return answer
+        return answer._asdict()
 
-    def _describe(self, revision: int) -> Graph:
-        return rover_graph(revision, self._types, self._topics.advertised)
+    def _accept(self, action: str, goal: Message) -> str:
+        id = secrets.token_hex(16)
+        try:
+            self._simulation.navigate(id, goal_of(goal), time.monotonic())
+        except Declined as declined:
+            raise Refused(f"{action} rejected the goal", words=str(declined)) from declined
+        return id
+
+    def _cancel(self, id: str) -> bool:
+        return self._simulation.cancel(id, time.monotonic())
+
+    def _parameters_of_graph(self) -> Mapping[str, Parameter]:
+        return GRAPH_PARAMETERS
+
+    def _parameter_operations(self, name: str) -> frozenset[Operation]:
+        return operations_on(name)
+
+    def _encode(self, schema: MessageSchema, fields: Mapping[str, object]) -> bytes:
+        return encode(schema, fields)  # arrays are not copied
 
     def _current_goal(self) -> str | None:
         journey = self._simulation.state.journey
@@ -204,7 +189,7 @@ class Rover(EmbeddedRobot):
                 self._due[topic] = _next(self._due.get(topic, now), self._period(topic), now)
         self._tell_of_goals(now)
         for line in self._simulation.take_log():
-            self._put(ROSOUT, log(line, time.time_ns()))
+            self._publish(ROSOUT, log(line, time.time_ns()))
         self._timer = asyncio.get_running_loop().call_later(PERIOD, self._tick)
 
     def _period(self, topic: str) -> float:
@@ -213,11 +198,7 @@ class Rover(EmbeddedRobot):
     def _say(self, topic: str) -> None:
         view = View(self._simulation.state, self._simulation.settings, self._simulation.world, time.time_ns())
         said = PERIODIC.get(topic) or LATCHED[topic]
-        self._put(topic, said.say(view))
-
-    def _put(self, topic: str, fields: Fields) -> None:
-        data = encode(self._message(self._types[topic]), fields)
-        self._topics.say(topic, NODE, data, latched=topic in LATCHED)
+        self._publish(topic, said.say(view))
 
     def _tell_of_goals(self, now: float) -> None:
         """Announce ended goals and, periodically, the progress of the rover."""

@@ -6,14 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple, cast
 
-from rosld.adapters.local_topics import AdvertisedTopic
 from rosld.adapters.model import (
-    Action,
     Choice,
     Descriptor,
-    Endpoint,
-    Graph,
-    Node,
     NotFound,
     Operation,
     Parameter,
@@ -22,9 +17,6 @@ from rosld.adapters.model import (
     Range,
     Refused,
     Sent,
-    Service,
-    Topic,
-    TypeRef,
     coerce,
     freeze,
 )
@@ -109,7 +101,6 @@ LATCHED: Mapping[str, Latched] = MappingProxyType(
 )
 
 
-ROSLD = "/rosld"
 TOPICS: Mapping[str, str] = {
     CMD_VEL: CMD_VEL_TYPE,
     ROSOUT: ROSOUT_TYPE,
@@ -125,29 +116,6 @@ _TYPES: Mapping[type, ParameterType] = {
     float: ParameterType.DOUBLE,
     str: ParameterType.STRING,
 }
-
-
-def rover_graph(revision: int, types: Mapping[str, TypeRef], advertised: Mapping[str, AdvertisedTopic]) -> Graph:
-    """Return the graph: `types` holds the types of the rover's topics, services and action by the names of these."""
-    return Graph(
-        revision,
-        own_node=ROSLD,
-        nodes=freeze({name: Node(name) for name in (NODE, *([ROSLD] if advertised else []))}),
-        topics=freeze({name: _topic(name, types, advertised) for name in (*TOPICS, *sorted(advertised))}),
-        services=freeze({name: Service(name, types[name], (NODE,)) for name in SERVICES}),
-        actions=freeze({name: Action(name, types[name], (NODE,)) for name in ACTIONS}),
-        parameters=GRAPH_PARAMETERS,
-    )
-
-
-def _topic(name: str, types: Mapping[str, TypeRef], advertised: Mapping[str, AdvertisedTopic]) -> Topic:
-    own = advertised.get(name)
-    kind = own.type if own else types[name]
-    publishers = [Endpoint(NODE, kind, latched=name in LATCHED)] if name in TOPICS and name != CMD_VEL else []
-    if own:
-        publishers.append(Endpoint(ROSLD, kind, latched=own.latched))
-    subscribers = (Endpoint(NODE, kind),) if name == CMD_VEL else ()
-    return Topic(name, (kind,), tuple(publishers), subscribers)
 
 
 def _descriptor(declared: Declaration) -> Descriptor:

@@ -1,4 +1,4 @@
-"""Analysis of a query before it is evaluated: whether it may be parsed, its form, its needs. Pure."""
+"""Static analysis of a query before its evaluation: whether it is allowed, its form and its needs. Pure."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from rosld.server.sparql.syntax.tree import TYPE, Group, Iri, Pattern, Query, Va
 
 _KEPT = 512
 _OFFERS = (td.iri, hctl.iri, htv.iri)
-"""The vocabularies of affordances and forms."""
+"""Namespaces of affordances and forms."""
 
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """A query that may be evaluated: `text` is what goes to the store.
+    """An accepted query; `text` is what is sent to the store.
 
-    `form` is SELECT, ASK, CONSTRUCT or DESCRIBE. `needs` are over all graphs, its FROM and FROM NAMED being
-    `default_graphs` and `named_graphs`. `prefixes`: those of the server that its names use. `is_enclosed` are the
-    graphs that all its patterns stand in (GRAPH), None where one may match in others. `asks_age`: it calls ros:age, as
-    far as is known. `functions` are those that it calls by IRI. `past` is what it asks of recorded messages.
-    `finds_offers`: its patterns may match affordances and forms.
+    `form` is SELECT, ASK, CONSTRUCT or DESCRIBE. `needs` cover all graphs; FROM and FROM NAMED are in `default_graphs`
+    and `named_graphs`. `prefixes` are the server's prefixes that the query uses. `is_enclosed` holds the graphs named
+    by GRAPH if every pattern is inside one, else None. `asks_age`: the query calls ros:age, or may do so. `functions`
+    are the functions it calls by IRI. `past` describes the recorded messages it reads. `finds_offers`: its patterns may
+    match affordances and forms.
     """
 
     text: str
@@ -56,9 +56,9 @@ class Analysis:
 
 
 class Analyser:
-    """Analyses queries for one server: `base` resolves their relative IRIs, `types` is the namespace of message types.
+    """Query analyser of one server: `base` resolves relative IRIs, `types` is the namespace of message types.
 
-    `prefixes` hold where a query does not declare them itself; `reach` is where SERVICE may lead.
+    `prefixes` apply where a query does not declare them; `reach` lists the endpoints that SERVICE may call.
     """
 
     def __init__(
@@ -74,12 +74,12 @@ class Analyser:
         self._types = types
         self._reach = reach
         self.analyse = lru_cache(maxsize=_KEPT)(self.analyse_once)
-        """Analyse a query as `analyse_once` does, remembering the last ones."""
+        """Cached `analyse_once`."""
 
     def analyse_once(self, text: str) -> Analysis:
-        """The analysis of a query, in any thread.
+        """Return the analysis of a query (thread-safe).
 
-        Raises Problems: those of `check_text` and `parse_query`, and 400 for an update.
+        Raises the Problems of `check_text` and `parse_query`, and Problem 400 for an update.
         """
         checked = check_text(text, reach=self._reach)
         if keyword := update_keyword(checked.tokens):
@@ -101,26 +101,26 @@ class Analyser:
         )
 
     def _used_prefixes(self, checked: CheckedText) -> Mapping[str, str]:
-        """Only what a query uses: the store's parser copies all that it is given."""
+        """Return only the prefixes that a query uses, because the store's parser copies every prefix passed to it."""
         names = {token.text.partition(":")[0] for token in checked.tokens if token.kind is Kind.NAME}
         return {name: self.prefixes[name] for name in names & self.prefixes.keys()}
 
 
 def _enclose(query: Query) -> frozenset[str] | None:
-    """The graphs that it can look at, where all that it looks at stands in GRAPH; None where it may be any."""
+    """Return the graphs a query can read if all its patterns are inside GRAPH, else None."""
     if query.form == "DESCRIBE" or _names_any(query.where):
         return None
     return graphs_around(query.where) or None
 
 
 def _names_any(group: Group) -> bool:
-    """Whether there is a GRAPH with a variable, which may stand for any graph even with no pattern in it."""
+    """Whether a GRAPH has a variable, which may match any graph even if it contains no pattern."""
     inner = (*group.children, *group.filters)
     return isinstance(group.graph, Variable) or any(map(_names_any, inner))
 
 
 def _finds_offers(group: Group) -> bool:
-    """Whether a pattern may match what says of a resource that something may be done with it."""
+    """Whether a pattern may match an affordance or a form."""
     return any(map(_is_of_offers, group.patterns)) or any(map(_finds_offers, (*group.children, *group.filters)))
 
 
@@ -132,9 +132,9 @@ def _is_of_offers(pattern: Pattern) -> bool:
 
 
 def parse_problem(error: QueryError, text: str) -> Problem:
-    """Why the store does not take a query that was read without an error; `text` is what it was given.
+    """Return the problem of a query that only the store's parser rejects; `text` is the parsed text.
 
-    Its parser's list of what it would have gone on with says nothing to people.
+    The parser's list of expected tokens is left out: it does not help users.
     """
     where = _PLACE.match(str(error))
     if where is None:

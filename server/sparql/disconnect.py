@@ -1,4 +1,4 @@
-"""Noticing that a client has hung up."""
+"""Detection of client disconnects."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import TypeAlias
 from starlette.types import Receive
 
 Disconnected: TypeAlias = Callable[[], Awaitable[None]]
-"""Returns when the client has hung up."""
+"""Coroutine function that returns when the client has disconnected."""
 
 
 def disconnection_of(receive: Receive) -> Disconnected:
-    """The hang-up of a request whose body was read, or will not be: what is left of it is thrown away."""
+    """Return the disconnect waiter of a request whose remaining body is not needed: it is discarded."""
 
     async def disconnected() -> None:
         while (await receive())["type"] != "http.disconnect":

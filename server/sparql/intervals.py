@@ -1,7 +1,7 @@
-"""What FILTER, BIND and VALUES tell of the variables of a group: when a time can be, which terms there can be. Pure.
+"""Constraints that FILTER, BIND and VALUES put on the variables of a group: time intervals and sets of terms. Pure.
 
-What is told holds of every solution for which all tests hold; where an expression is not understood nothing is told.
-Times are compared as linear sums: of at most one variable on either side, constants, NOW() and durations.
+A constraint holds in every solution that passes all filters; an expression that is not understood adds none. Times are
+compared as linear sums of at most one variable on either side, constants, NOW() and durations.
 """
 
 from __future__ import annotations
@@ -30,31 +30,31 @@ from rosld.server.sparql.syntax.tree import (
 )
 
 FOR_EVER = 1 << 80
-"""A time in ns that none is after, either side of the epoch."""
+"""Bound in nanoseconds, beyond any representable time on either side of the epoch."""
 _STAMP, _DAY_TIME, _DURATION_TYPE = (
     NamedNode(xsd.iri + name) for name in ("dateTimeStamp", "dayTimeDuration", "duration")
 )
 _ROUNDS = 3
-"""Times that the tests of a group are gone through: each may learn from what others tell."""
+"""Maximum number of passes over the filters; each pass may use results of the previous one."""
 _TURNED = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "=": "="}
 
 
 class Interval(NamedTuple):
-    """Times, or durations, in ns, from `low` to `high`, both included."""
+    """Closed interval of times or durations, in nanoseconds."""
 
     low: int = -FOR_EVER
     high: int = FOR_EVER
 
     def meet(self, other: Interval) -> Interval:
-        """What is in both."""
+        """Return the intersection of both intervals."""
         return Interval(max(self.low, other.low), min(self.high, other.high))
 
     def hull(self, other: Interval) -> Interval:
-        """All between what is in either."""
+        """Return the smallest interval that contains both."""
         return Interval(min(self.low, other.low), max(self.high, other.high))
 
     def shift(self, other: Interval, sign: int = 1) -> Interval:
-        """The sums, or differences, of both."""
+        """Return the interval of the sums (or differences, if `sign` is negative) of both."""
         low, high = (other.low, other.high) if sign > 0 else (-other.high, -other.low)
         return Interval(max(-FOR_EVER, self.low + low), min(FOR_EVER, self.high + high))
 
@@ -64,33 +64,33 @@ ANY_TIME = Interval()
 
 @dataclass(frozen=True, slots=True)
 class Knowledge:
-    """What is known of variables: when they can be (as far as they are times), and which terms they can be."""
+    """Constraints on variables: their time intervals (as far as they are times) and their possible terms."""
 
     times: Mapping[str, Interval] = field(default_factory=dict)
     terms: Mapping[str, frozenset[Iri | Value]] = field(default_factory=dict)
 
     def of_time(self, variable: str) -> Interval:
-        """When a variable can be."""
+        """Return the time interval of a variable."""
         return self.times.get(variable, ANY_TIME)
 
     def restrict(self, variables: frozenset[str]) -> Knowledge:
-        """The same of these variables alone."""
+        """Return only the constraints on these variables."""
         return Knowledge(
             {name: each for name, each in self.times.items() if name in variables},
             {name: each for name, each in self.terms.items() if name in variables},
         )
 
     def with_time(self, variable: str, time: Interval) -> Knowledge:
-        """The same, a variable being within an interval."""
+        """Return these constraints with a variable further limited to an interval."""
         return Knowledge({**self.times, variable: self.of_time(variable).meet(time)}, self.terms)
 
     def with_terms(self, variable: str, terms: frozenset[Iri | Value]) -> Knowledge:
-        """The same, a variable being one of these terms."""
+        """Return these constraints with a variable further limited to these terms."""
         known = self.terms.get(variable)
         return Knowledge(self.times, {**self.terms, variable: terms if known is None else known & terms})
 
     def join(self, other: Knowledge) -> Knowledge:
-        """What holds where either does."""
+        """Return the constraints that hold if either set of constraints does."""
         return Knowledge(
             {name: each.hull(other.times[name]) for name, each in self.times.items() if name in other.times},
             {name: each | other.terms[name] for name, each in self.terms.items() if name in other.terms},
@@ -98,7 +98,7 @@ class Knowledge:
 
 
 class _Sum(NamedTuple):
-    """A variable, less another, and a constant: a time (`is_time`) or a duration."""
+    """A variable minus another plus a constant: a time (`is_time`) or a duration."""
 
     plus: str | None
     minus: str | None
@@ -107,7 +107,7 @@ class _Sum(NamedTuple):
 
 
 def knowledge_of(group: Group, outer: Knowledge, now: Interval) -> Knowledge:
-    """What is known of the variables in the solutions of a group; `outer` holds of them, too. NOW() is within `now`."""
+    """Return the constraints on the variables of a group, given those that `outer` puts on them; NOW() is in `now`."""
     known = outer
     for name, values in group.data:
         if values is not None:
@@ -126,9 +126,9 @@ def knowledge_of(group: Group, outer: Knowledge, now: Interval) -> Knowledge:
 
 
 def date_time_interval(value: Value) -> Interval | None:
-    """When an xsd:dateTime is, None for any other literal. One without a time zone counts as UTC.
+    """Return the interval of an xsd:dateTime, None for any other literal; without a time zone it counts as UTC.
 
-    A comparison with such a one only holds where it holds for every zone, so for UTC.
+    A comparison with a time without a zone is only true if it is true in every zone, and so in UTC.
     """
     if value.literal.datatype not in (xsd.dateTime, _STAMP):
         return None
@@ -152,7 +152,7 @@ _DURATION = re.compile(
     r"(-?)P(?:0+Y)?(?:0+M)?(?:([0-9]{1,9})D)?"
     r"(?:T(?:([0-9]{1,9})H)?(?:([0-9]{1,9})M)?(?:([0-9]{1,12}(?:\.[0-9]{1,30})?)S)?)?"
 )
-"""One without years and months, whose lengths depend on the date."""
+"""A duration without years and months, because their lengths depend on the date."""
 
 
 def _days(year: int, month: int, day: int) -> int:
@@ -181,7 +181,7 @@ def _duration(text: str) -> Interval | None:
 
 
 def _with_values(known: Knowledge, name: str, values: frozenset[Iri | Value]) -> Knowledge:
-    """VALUES, IN or =: a variable is one of these."""
+    """Limit a variable to the terms of VALUES, IN or =."""
     times = [date_time_interval(each) if isinstance(each, Value) else None for each in values]
     moments = [each for each in times if each is not None]
     if moments and len(moments) == len(times):
@@ -195,7 +195,7 @@ def _with_values(known: Knowledge, name: str, values: frozenset[Iri | Value]) ->
 
 
 def _is_text(value: Value) -> bool:
-    """Whether it equals nothing but itself."""
+    """Whether a literal equals only itself."""
     return value.literal.datatype == xsd.string
 
 
@@ -203,7 +203,7 @@ def _is_text(value: Value) -> bool:
 
 
 def _narrow(test: Operand, known: Knowledge, now: Interval) -> Knowledge:
-    """What is known where a test holds."""
+    """Return the constraints where a test holds."""
     test = strip_brackets(test)
     if not isinstance(test, Expression):
         return known
@@ -236,7 +236,6 @@ def _split(parts: Sequence[Part], operator: str) -> Iterator[Sequence[Part]]:
 
 
 def _compare(parts: Sequence[Part], known: Knowledge, now: Interval) -> Knowledge:
-    """A comparison."""
     if "!" in parts:
         return known
     if len(parts) == 3 and parts[1] == "IN" and isinstance(parts[2], Choices):
@@ -274,7 +273,7 @@ def _operand(part: Part) -> Operand | None:
 
 
 def _at_most(left: _Sum, right: _Sum, known: Knowledge) -> Knowledge:
-    """What is known where one sum is at most another."""
+    """Return the constraints where one sum is at most another."""
     above = [name for name in (left.plus, right.minus) if name is not None]
     below = [name for name in (left.minus, right.plus) if name is not None]
     for name in [each for each in above if each in below]:
@@ -282,7 +281,7 @@ def _at_most(left: _Sum, right: _Sum, known: Knowledge) -> Knowledge:
         below.remove(name)
     if len(above) > 1 or len(below) > 1:
         return known
-    least = left.offset.shift(right.offset, -1).low  # what is above, less what is below, is at most the opposite
+    least = left.offset.shift(right.offset, -1).low  # what is above minus what is below is at most the opposite
     if above and below:
         (upper,), (lower,) = above, below
         was_upper, was_lower = known.of_time(upper), known.of_time(lower)
@@ -305,7 +304,7 @@ def _range_of(found: _Sum, known: Knowledge) -> Interval:
 
 
 def _sum(parts: Sequence[Part], now: Interval) -> _Sum | None:
-    """What operands with + and - between them come to; None for what is not understood."""
+    """Return the sum of operands with + and - between them; None for anything not understood."""
     total: _Sum | None = None
     sign = 1
     is_operator_next = False
@@ -355,7 +354,7 @@ def _constant(term: Iri | Value) -> _Sum | None:
 
 
 def _cast(call: Call, now: Interval) -> _Sum | None:
-    """xsd:dateTime(...) and the like, of a string or of what is one already."""
+    """Return the sum of a cast such as xsd:dateTime(…) of a string or of a value that already has the type."""
     argument = strip_brackets(call.arguments[0])
     text = _text_of(argument)
     if text is not None:
@@ -364,7 +363,7 @@ def _cast(call: Call, now: Interval) -> _Sum | None:
 
 
 def _text_of(operand: Operand) -> str | None:
-    """The string that is written out, with STR and CONCAT; None for what is computed otherwise."""
+    """Return the string constant that an operand (with STR and CONCAT) evaluates to, None for anything else."""
     operand = strip_brackets(operand)
     if isinstance(operand, Constant):
         is_text = isinstance(operand.term, Value) and _is_text(operand.term)
@@ -383,12 +382,12 @@ def _text_of(operand: Operand) -> str | None:
 
 
 def _is_whole(value: Value) -> bool:
-    """Whether it is an integer that STR writes as it is written here."""
+    """Whether a literal is an integer in the form that STR writes."""
     return value.literal.datatype == xsd.integer and str(int(value.literal.value or 0)) == value.literal.value
 
 
 def _apply_sign(found: _Sum, sign: int) -> _Sum | None:
-    """A duration may be negative; a time with a sign is an error."""
+    """Apply a sign: durations may be negative; a time with a sign is an error."""
     if sign > 0:
         return found
     return None if found.is_time else _Sum(found.minus, found.plus, Interval(0, 0).shift(found.offset, -1), False)
@@ -398,9 +397,9 @@ def _add(total: _Sum, found: _Sum, sign: int) -> _Sum | None:
     if sign < 0:
         found = _Sum(found.minus, found.plus, Interval(0, 0).shift(found.offset, -1), found.is_time)
     if total.is_time and found.is_time and sign < 0:
-        is_time = False  # a time less a time
+        is_time = False  # a time minus a time
     elif found.is_time:
-        return None  # the sum of two times, or a duration with a time
+        return None  # the sum of two times, or a duration minus a time
     else:
         is_time = total.is_time
     pluses = [name for name in (total.plus, found.plus) if name is not None]

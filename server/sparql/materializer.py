@@ -1,7 +1,7 @@
-"""The materializer: brings the graphs that a query needs into the query process before the query.
+"""The materializer, which loads the graphs that a query needs into the query process before the query runs.
 
-Every graph has a token: one whose token is as before is left alone, the others are rendered and replaced in one
-transaction, so that no query sees a graph missing. What clients keep is brought by `StoredSync`.
+Graphs with an unchanged token are skipped; the others are rendered and replaced in one transaction, so that no query
+misses a graph. `StoredSync` loads the graphs that clients store.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rosld.server.sparql.stored_sync import (
 
 
 class GraphEntry(NamedTuple):
-    """A named graph as its source has it: `token` changes whenever `ntriples()` would (called in any thread)."""
+    """A named graph of the source: `token` changes whenever the result of `ntriples()` (thread-safe) would."""
 
     iri: str
     token: Hashable
@@ -41,8 +41,8 @@ class GraphEntry(NamedTuple):
 class LiveDocument(NamedTuple):
     """A document whose values a query can match.
 
-    `is_named` by its IRI, its type or a predicate: then its values are of now. Unless it `subscribes`, it has those
-    values alone that are at hand. `members` are the properties of a complex resource that are read, None for all.
+    `is_named`: the query names its IRI, type or a predicate, so its values must be current. Without `subscribes`, only
+    values at hand are included. `members` are the properties to read of a complex resource, None for all.
     """
 
     url: str
@@ -54,23 +54,23 @@ class LiveDocument(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LiveGraphs:
-    """Documents with their values, by URL, None for those that are not there; and why others could not be read."""
+    """Documents with their values, by URL (None for missing ones), and the reasons why others could not be read."""
 
     entries: dict[str, GraphEntry | None]
     unread: dict[str, str]
 
 
 class GraphSource(Protocol):
-    """Where the graphs of the dataset come from. Called on the loop."""
+    """Source of the graphs of the dataset. Called on the loop."""
 
     @property
     def revision(self) -> Hashable:
-        """Of the set of description graphs: while it is the same, none of them has changed."""
+        """Revision of the set of description graphs: while it is unchanged, so are they."""
         ...
 
     @property
     def writes(self) -> int:
-        """A number that rises with each write that the server carries out on the robot, before it is answered."""
+        """Number that increases with each write that the server sends to the robot, before the write is answered."""
         ...
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
@@ -78,34 +78,34 @@ class GraphSource(Protocol):
         ...
 
     async def prepare(self, needs: Needs) -> None:
-        """Have everything described that the needs name."""
+        """Make the descriptions of everything that the needs name available."""
         ...
 
     def wanted(self, needs: Needs, permissions: Permissions) -> Sequence[LiveDocument]:
-        """Return the documents whose values the needs can match, as far as they may be read."""
+        """Return the documents whose values the needs can match and the permissions allow to read."""
         ...
 
     async def read(self, documents: Sequence[LiveDocument], *, deadline: float) -> LiveGraphs:
-        """Return documents with their values as of now, waiting for first ones until `deadline` (loop time) at most."""
+        """Return documents with their current values, waiting until `deadline` (loop time) at most for first values."""
         ...
 
 
 _WILDCARD_SECONDS = 0.2
-"""Seconds for which values are good enough for the next query that does not name their document.
+"""Seconds for which values may be reused by queries that do not name their document.
 
-They count for what the robot did by itself: after a write through the server everything is read again.
+This covers changes that the robot makes by itself: after a write through the server all values are read again.
 """
 
 
 class SeenVersions(NamedTuple):
-    """The tokens of the graphs with live values, and the version of what clients keep, that a query sees."""
+    """Versions that a query sees: the tokens of graphs with live values, and the version of the stored graphs."""
 
     tokens: Mapping[str, Hashable]
     stored: int
 
 
 class _Change(NamedTuple):
-    """The change of one graph: `entry` is None where it goes. `size` is the number of characters it had.
+    """Change of one graph: `entry` is None for a removal. `size` is the number of characters before the change.
 
     `description` is the token of its description at that time, None for a graph without one.
     """
@@ -117,14 +117,14 @@ class _Change(NamedTuple):
 
 
 class _Reading(NamedTuple):
-    """What was read for a query. `number` orders readings; of two the later one is right."""
+    """Values read for a query. `number` orders readings; the later one is right."""
 
     number: int
     graphs: LiveGraphs
 
 
 class _Recent(NamedTuple):
-    """The documents that were read last without being named; in which generation, after how many writes, and when."""
+    """Documents of the last unnamed reading, with the generation, the number of writes and the time of that reading."""
 
     urls: frozenset[str]
     version: tuple[int, int]
@@ -135,7 +135,7 @@ _NEVER = _Recent(frozenset(), (-1, -1), 0.0)
 
 
 class Materializer:
-    """Keeps a dataset in step with a source, as far as queries need it. Belongs to one loop."""
+    """Synchronisation of a dataset with a source, as far as queries need it. Belongs to one loop."""
 
     def __init__(
         self,
@@ -146,7 +146,7 @@ class Materializer:
         self._target = target
         self._state = TargetState(target, len(sources))
         self.stored = StoredSync(target, self._state, sources)
-        """What brings what clients keep."""
+        """Synchronisation of the graphs that clients store."""
         self._source = source
         self._numbers = count(1)
         self._pinned: Counter[str] = Counter()
@@ -155,7 +155,7 @@ class Materializer:
 
     @property
     def source_graphs(self) -> Sequence[str]:
-        """The graphs in the dataset that come from the source: all but those that clients keep."""
+        """Return the graphs in the dataset whose source is the `GraphSource`, without those that clients store."""
         return list(self._state.held)
 
     @asynccontextmanager
@@ -167,10 +167,10 @@ class Materializer:
         deadline: float,
         scope: frozenset[str] | None = None,
     ) -> AsyncIterator[Mapping[str, str]]:
-        """Within it the dataset holds what the needs ask for: send the query there, at once.
+        """Within the context the dataset holds what the needs require; the query must be sent at once.
 
-        It is given the reasons why documents could not be read, by their URLs. `scope` are the only graphs that are
-        looked at, None for all. Raises what the source raises, and Problem 503 where too much is to be brought first.
+        Yields the reasons why documents could not be read, by URL. `scope` limits the graphs that are examined, None
+        for all. Raises what the source raises, and Problem 503 if too much must be loaded first.
         """
         self._state.follow_restart()
         await self._source.prepare(needs)
@@ -185,7 +185,7 @@ class Materializer:
                 self._pinned = +self._pinned
 
     def versions_of(self, graphs: frozenset[str] | None) -> SeenVersions:
-        """Return what the dataset holds now of values (None: of all), and of what clients keep."""
+        """Return the versions of the live values (None: of all graphs) and of the stored graphs in the dataset."""
         live = self._state.live if graphs is None else self._state.live & graphs
         wanted = self.stored.wanted_of_clients
         kept = wanted[0] if self.stored.is_current(graphs, wanted) else self._state.versions[0]
@@ -203,23 +203,23 @@ class Materializer:
         if not self.stored.is_current(scope, wanted):
             await self.stored.catch_up(scope, wanted, deadline)
         reading = _Reading(number, graphs)
-        if not self._send_small(reading):  # it goes on even where the query is given up
+        if not self._send_small(reading):  # the update must finish even if the query is cancelled
             await asyncio.shield(asyncio.ensure_future(self._apply(reading)))
         self._state.require(self._state.generation)
         return graphs.unread
 
     def _due(self, documents: Sequence[LiveDocument]) -> Sequence[LiveDocument]:
-        """Return the documents to be read: without those that were read just now and are not named."""
+        """Return the documents to be read, without unnamed ones that were read just now."""
         urls, version, ended = self._recent
         now = self._state.generation, self._source.writes
         if version != now or time.monotonic() - ended >= _WILDCARD_SECONDS:
             return documents
         if any(not one.is_named and one.url not in urls for one in documents):
-            return documents  # all are of one moment
+            return documents  # all values must be of the same moment
         return [one for one in documents if one.is_named]
 
     def _send_small(self, reading: _Reading) -> bool:
-        """Make small changes here and now. False, with nothing changed, where they are not or others are being made."""
+        """Apply small changes at once; return False, changing nothing, for large ones or while others are applied."""
         if self._applying.locked():
             return False
         revision, changes = self._find_changes(reading)
@@ -229,7 +229,7 @@ class Materializer:
         return True
 
     async def _apply(self, reading: _Reading) -> None:
-        """One change at a time; what another query has brought meanwhile is not brought again."""
+        """Apply changes one reading at a time; those that another query has applied meanwhile are skipped."""
         async with self._applying:
             revision, changes = self._find_changes(reading)
             generation = self._state.generation
@@ -239,7 +239,7 @@ class Materializer:
             self._send(reading, revision, kept, {iri: texts[iri] for iri in kept})
 
     def _find_changes(self, reading: _Reading) -> tuple[Hashable, dict[str, _Change]]:
-        """Return what the target must be sent, after the revision of the descriptions. Nothing newer is touched."""
+        """Return the changes for the target and the revision of the descriptions; newer graphs are left alone."""
         revision = self._source.revision
         described = self._source.descriptions()
         changes: dict[str, _Change] = {}
@@ -291,14 +291,14 @@ class Materializer:
             if change.has_values:
                 state.live.add(iri)
             elif iri in self._recent.urls and iri not in reading.graphs.entries:
-                self._recent = _NEVER  # its values went as it was described anew
+                self._recent = _NEVER  # the new description replaced its values
             if _is_recorded_message(iri):
                 state.transient.add(iri)
         state.descriptions = revision
 
 
 def _is_recorded_message(iri: str) -> bool:
-    """Whether a graph is of a single recorded message: it is there for the queries that name it alone."""
+    """Whether a graph is a single recorded message, which is present only for queries that name it."""
     return "/bags/" in iri and "/messages/" in iri
 
 

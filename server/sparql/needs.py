@@ -1,9 +1,9 @@
-"""What a query needs: the constants by which its triple patterns can match live values. Pure.
+"""Needs of a query: the constants by which its triple patterns can match live values. Pure.
 
-Everything that takes no reading of the robot is always in the dataset. Values (the latest messages, the values of
-parameters and of properties) are read before a query that has a triple pattern which can match one of their triples.
-Each pattern is judged by its own constants alone, whatever joins and filters make of its matches: so adding a pattern
-to a query can only add to what it needs.
+Everything that does not require reading the robot is always in the dataset. Values (latest messages, parameter values
+and properties) are read before a query with a triple pattern that can match one of their triples. Each pattern is
+judged by its own constants alone, whatever joins and filters do with its matches, so adding a pattern to a query can
+only add needs.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _TYPE = frozenset({rdf.type.value})
 
 
 class Constants(NamedTuple):
-    """The constants of a triple pattern; None for anything.
+    """Constants of a triple pattern; None matches anything.
 
-    `graph` is that of the GRAPH around it, `document` the one that its subject is a node of. `type` is the class,
-    where that is asked for.
+    `graph` is the graph of the enclosing GRAPH, `document` the document of the subject. `type` is the class that the
+    pattern requires.
     """
 
     graph: str | None = None
@@ -33,7 +33,7 @@ class Constants(NamedTuple):
 
 
 class StatedTerms(NamedTuple):
-    """The predicates of the value triples of a document, and the classes of its nodes; None for any."""
+    """Predicates of the value triples of a document and the classes of its nodes; None for any."""
 
     predicates: frozenset[str] | None = None
     classes: frozenset[str] | None = None
@@ -50,8 +50,8 @@ def _union(one: frozenset[str] | None, other: frozenset[str] | None) -> frozense
 class Needs:
     """The values that a query can match: those that fit any of its `patterns`.
 
-    `documents` are the IRIs, without fragment, that it names anywhere. `dataset` are the only graphs that it sees (FROM
-    and FROM NAMED); None for all. `asks_graphs`: a GRAPH without patterns matches the names of graphs.
+    `documents` are all IRIs, without fragment, in the query. `dataset` are the only graphs that it sees (FROM and FROM
+    NAMED), None for all. `asks_graphs`: a GRAPH without patterns matches the names of graphs.
     """
 
     patterns: frozenset[Constants] = frozenset()
@@ -60,19 +60,19 @@ class Needs:
     asks_graphs: bool = False
 
     def restrict_to(self, graphs: Collection[str]) -> Needs:
-        """Return the needs of the same query over these graphs alone, which it thereby names."""
+        """Return the needs of the same query over these graphs alone, which thereby count as named."""
         return replace(self, documents=self.documents.union(graphs), dataset=frozenset(graphs))
 
     def may_match(self, document: str, terms: StatedTerms) -> bool:
         """Whether a pattern can match value triples of a document with these terms."""
         if self.dataset is not None and document not in self.dataset:
             return False
-        if self.asks_graphs and terms.predicates is None:  # what is there may depend on values
+        if self.asks_graphs and terms.predicates is None:  # the existence of the graph may depend on values
             return True
         return any(_may_match(pattern, document, terms) for pattern in self.patterns)
 
     def may_match_below(self, place: str, terms: StatedTerms) -> bool:
-        """Whether a pattern can match triples of these terms, about whatever, in graphs whose names begin so."""
+        """Whether a pattern can match triples with these terms in graphs whose names start with `place`."""
         if self.dataset is not None and not any(graph.startswith(place) for graph in self.dataset):
             return False
         graphs = (one for one in self.patterns if one.graph is None or one.graph.startswith(place))
@@ -85,13 +85,13 @@ class Needs:
 
 
 def needs_of_documents(documents: Iterable[str]) -> Needs:
-    """Return the needs of all that documents say."""
+    """Return the needs of reading documents in full."""
     named = frozenset(documents)
     return Needs(frozenset(Constants(graph=document) for document in named), named, named)
 
 
 def needs_of(query: Query, base: str) -> Needs:
-    """Return the needs of a query, its FROM aside; `base` begins the IRIs of this server's documents."""
+    """Return the needs of a query, without its FROM; `base` is the prefix of the IRIs of this server's documents."""
     groups = [*groups_within(query.where)]
     terms = [group.graph for group in groups]
     terms += (term for group in groups for each in group.patterns for term in (each.subject, each.object))
@@ -105,12 +105,12 @@ def needs_of(query: Query, base: str) -> Needs:
 
 
 def document_of(iri: str) -> str:
-    """Return the document an IRI points into: the IRI without its fragment."""
+    """Return the IRI of the document that contains an IRI: the IRI without its fragment."""
     return iri.partition("#")[0]
 
 
 def groups_within(group: Group) -> Iterator[Group]:
-    """Yield a group and all groups within it. Groups of filters match in the graph around them."""
+    """Yield a group and all groups within it; groups in filters match in the graph around them."""
     yield group
     for child in group.children:
         yield from groups_within(child)
@@ -123,7 +123,7 @@ def _constants(pattern: Pattern, group: Group) -> Constants:
     graph = group.graph.value if isinstance(group.graph, Iri) else None
     if matches_any_node(pattern, group.patterns):
         return Constants(graph)
-    if pattern.repeated:  # the steps after the first are about other nodes
+    if pattern.repeated:  # later steps of the path match other nodes
         return Constants(graph, predicates=pattern.predicates)
     document = document_of(pattern.subject.value) if isinstance(pattern.subject, Iri) else None
     type = pattern.object.value if pattern.predicates == _TYPE and isinstance(pattern.object, Iri) else None

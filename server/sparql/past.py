@@ -1,15 +1,15 @@
-"""What a query asks of the past: which recorded messages may take part in a match, and what is told of them. Pure.
+"""Recorded messages that a query can match, and the predicates it uses on them. Pure.
 
-`?topic ros:past ?message` brings recorded messages to the default graph. The query sees all messages of the recordings
-that it is about, as if they were all there; which of them are read is narrowed here, group by group, and only by what
-every solution that counts must fulfil:
+`?topic ros:past ?message` adds recorded messages to the default graph. A query behaves as if all messages of the
+recordings it names were present; the analysis narrows, group by group, the messages that are read, using only
+constraints that every relevant solution must satisfy:
 
-- a ros:past pattern matches messages of the topics, types and times that its own group tells (patterns, FILTER, BIND,
-  VALUES), or that groups around it tell of variables that are bound before;
-- any other pattern that can match a recorded message must be about one that such a pattern has: of its own group, of
-  one that it is joined with, or of one around it and before it (OPTIONAL, MINUS, EXISTS). Else everything is read.
+- a ros:past pattern matches messages of the topics, types and times that its own group specifies (patterns, FILTER,
+  BIND, VALUES), or that enclosing groups specify for variables bound earlier;
+- any other pattern that can match a recorded message must concern a message of such a pattern: in its own group, in a
+  group it is joined with, or in an enclosing one before it (OPTIONAL, MINUS, EXISTS). Otherwise everything is read.
 
-Patterns in GRAPH match nothing of it: what is brought has no graph of its own.
+Patterns in GRAPH do not match recorded messages, which have no graph of their own.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _LINK, _RECEIVED, _NAME, _TYPE, _OF_RECORD = (
 )
 _NOTHING = frozenset[str]()
 _WITHIN = frozenset(each.value for each in (rdf.first, rdf.rest, ros.latest, ros.latestFrom, ros.recordedMessage))
-"""Predicates that lead from a node to one of the same message, beside the fields of types."""
+"""Predicates from a node to another node of the same message, in addition to the fields of types."""
 _CLASS = frozenset({rdf.type.value})
 _CLASSES = frozenset(each.value for each in (ros.Record, ros.Elided, ldp.Resource, ldp.RDFSource))
 PREDICATES = frozenset(
@@ -54,31 +54,31 @@ PREDICATES = frozenset(
         rdf.first, rdf.rest,
     )
 )  # fmt: skip
-"""What is said of recorded messages and of their topics, beside the fields of their types."""
+"""Predicates of recorded messages and of their topics, in addition to the fields of their types."""
 MAX_TEXT = 256 * 1024 * 1024
-"""Characters of N-Triples that one query may have of them."""
+"""Maximum number of characters of N-Triples about recorded messages per query."""
 _MOST_ROWS = 10_000
-"""Rows of an answer, those that OFFSET leaves out included, up to which less than all is read for them."""
+"""Maximum number of rows (including those skipped by OFFSET) for which only part of the messages is read."""
 
 
 @dataclass(frozen=True, slots=True)
 class MessageTerms:
-    """The terms of messages. `types` is the namespace of message types, `base` begins the IRIs of this server."""
+    """Terms of messages. `types` is the namespace of message types, `base` is the prefix of this server's IRIs."""
 
     types: str
     base: str
 
     def type_named(self, iri: str) -> str | None:
-        """Return the message type (`geometry_msgs/msg/Twist`) that an IRI is the class, or a property, of."""
+        """Return the message type (`geometry_msgs/msg/Twist`) whose class or property an IRI is."""
         return unquote(document_of(iri[len(self.types) :])) if iri.startswith(self.types) else None
 
     def stays_in_message(self, pattern: Pattern) -> bool:
-        """Whether a match leads to a node of the same message, if it leads to a node that has triples."""
+        """Whether every match leads to a node of the same message or to a node without triples."""
         predicates = pattern.predicates
         return predicates is not None and all(one in _WITHIN or one.startswith(self.types) for one in predicates)
 
     def types_of(self, pattern: Pattern) -> frozenset[str]:
-        """Return the message type that the subject of a pattern must be of, or within; nothing if that is open."""
+        """Return the message type that the subject of a pattern must have or be part of; nothing if that is open."""
         named: set[str | None] = set()
         if not pattern.empty and pattern.predicates:
             named = {self.type_named(one) for one in pattern.predicates}
@@ -90,9 +90,9 @@ class MessageTerms:
 
 @dataclass(frozen=True, slots=True)
 class PastSelection:
-    """Messages that were received at a `time`, of types that use all of `types`.
+    """Selection of messages received within `time`, of types that use all of `types`.
 
-    Their topics have one of these `urls` and one of these `names` (None: any), and now all of `topic_types`.
+    Their topics have one of these `urls` and one of these `names` (None: any), and currently all of `topic_types`.
     """
 
     urls: frozenset[str] | None = None
@@ -103,11 +103,10 @@ class PastSelection:
 
 
 class PastEnd(NamedTuple):
-    """The newest, or the oldest, of the selected messages, which the first solutions of a query are about.
+    """Newest or oldest of the selected messages, which the first solutions of a query are about.
 
-    While all that were received at a time, or on that side of it, are read, each solution with one of these is found
-    and comes before those with any other. Once there are `rows` of them, nothing more need be read. At least `messages`
-    are needed.
+    If all messages up to, or from, some time are read, every solution with one of them is found and sorts before all
+    others. Once there are `rows` of them, no more messages need be read. At least `messages` are needed.
     """
 
     is_newest: bool
@@ -117,14 +116,14 @@ class PastEnd(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Context:
-    """What holds around a group: of variables, of the topics that they are, and those that stand for messages."""
+    """Context of a group: constraints on variables, the topics they stand for, and the variables of known messages."""
 
     known: Knowledge = field(default_factory=Knowledge)
     topics: Mapping[str, PastSelection] = field(default_factory=dict)
     covered: frozenset[str] = frozenset()
 
     def restrict(self, variables: frozenset[str]) -> _Context:
-        """The same of these variables alone."""
+        """Return the context of these variables alone."""
         topics = {name: each for name, each in self.topics.items() if name in variables}
         return _Context(self.known.restrict(variables), topics, self.covered & variables)
 
@@ -132,9 +131,9 @@ class _Context:
 class PastQuery:
     """A query about the past.
 
-    `predicates` are those of recorded messages that it can match, None for all. `is_linked`: it matches nodes within
-    messages only where these predicates lead to them from the messages. `recordings` are the URLs of the recordings
-    that it names, itself or by their messages.
+    `predicates` are the predicates of recorded messages that it can match, None for all. `is_linked`: it reaches nodes
+    within messages only through these predicates from the messages. `recordings` are the URLs of the recordings that it
+    names, directly or by their messages.
     """
 
     def __init__(self, query: Query, terms: MessageTerms) -> None:
@@ -145,19 +144,19 @@ class PastQuery:
         self.recordings = frozenset(_recordings(query, terms.base))
         self.is_linked = True
         self.covered: Mapping[int, frozenset[str]] = self._message_variables_by_group()
-        """The variables that stand for recorded messages or nodes in them, by the `id` of the group they are in."""
+        """Variables that stand for recorded messages or nodes in them, by the `id` of their group."""
         self.end = self._end(query.slice)
 
     def selections(self, now: Interval) -> Sequence[PastSelection]:
-        """The messages that may take part in a match, where NOW() is within an interval."""
+        """Return the selections of messages that may take part in a match, for NOW() within an interval."""
         return list(dict.fromkeys(self._of(self._where, _Context(), now)))
 
     def _end(self, slice: Slice | None) -> PastEnd | None:
-        """The messages that the first solutions are about, None where they may be about any.
+        """Return the messages that the first solutions are about, None if they may be about any.
 
-        Where one pattern alone selects messages, and in every solution, and all other patterns match only what is said
-        of that message, the messages that are not read have no part in a solution with one that is: not even in what
-        OPTIONAL, MINUS and EXISTS find for it.
+        If exactly one pattern selects messages, in every solution, and all other patterns match only triples of that
+        message, then unread messages cannot take part in a solution with a read one, not even through OPTIONAL, MINUS
+        and EXISTS.
         """
         own = [each for each in self._where.patterns if _is_past(each)]
         if slice is None or not 1 <= slice.limit + slice.offset <= _MOST_ROWS or slice.limit == 0 or len(own) != 1:
@@ -166,7 +165,7 @@ class PastQuery:
         if not isinstance(pattern.object, Variable) or len([*self._of(self._where, _Context(), ANY_TIME)]) != 1:
             return None
         found = PastEnd(slice.is_descending or slice.first is None, slice.limit, slice.limit + slice.offset)
-        if slice.first is None:  # any solutions will do, but those of the next page must be others
+        if slice.first is None:  # any solutions will do, but the next page must have others
             return found if slice.offset == 0 else None
         key = strip_brackets(slice.first)
         if not isinstance(key, Reference):
@@ -204,7 +203,7 @@ class PastQuery:
             if pattern not in own and not self._is_about(pattern, covered) and self._may_match(pattern, group):
                 self.is_linked = False
                 yield PastSelection(urls=_topic_of(pattern))
-        around = _Context(known, topics, below)  # not what children say: two of them might rely on each other
+        around = _Context(known, topics, below)  # not the constraints of children: two of them might rely on each other
         for child in group.children:
             if child.scoped:
                 inner = _Context()
@@ -217,7 +216,7 @@ class PastQuery:
         for child in group.filters:
             yield from self._of(child, _Context(known, topics, covered).restrict(bound), now, seen)
 
-    # --- what a pattern selects
+    # --- selections
 
     def _selection(
         self, pattern: Pattern, group: Group, known: Knowledge, topics: Mapping[str, PastSelection]
@@ -241,7 +240,7 @@ class PastQuery:
     def _topics(
         self, group: Group, known: Knowledge, outer: Mapping[str, PastSelection]
     ) -> Mapping[str, PastSelection]:
-        """What the patterns of a group tell of its variables, as far as they are topics."""
+        """Return the topics that the patterns of a group say its variables are."""
         found: dict[str, PastSelection] = {}
         for name in sorted({each.subject.name for each in group.patterns if isinstance(each.subject, Variable)}):
             one = outer.get(name, PastSelection())
@@ -258,10 +257,10 @@ class PastQuery:
             found[name] = one
         return found
 
-    # --- what is about a recorded message
+    # --- patterns about recorded messages
 
     def _may_match(self, pattern: Pattern, group: Group) -> bool:
-        """Whether it can match what is said of a recorded message, or that a topic has one."""
+        """Whether a pattern can match a triple of a recorded message, or a ros:past triple of a topic."""
         if matches_any_node(pattern, group.patterns):
             return True
         predicates = pattern.predicates
@@ -277,7 +276,7 @@ class PastQuery:
         return is_said and (is_topic or place.startswith("bags/"))
 
     def _is_about(self, pattern: Pattern, covered: frozenset[str]) -> bool:
-        """Whether it matches only what is said of a node of a covered message."""
+        """Whether a pattern matches only triples of nodes of a covered message."""
         if pattern.repeated or pattern.empty:
             stays = self._terms.stays_in_message(pattern)
             ends = [each.name for each in (pattern.subject, pattern.object) if isinstance(each, Variable)]
@@ -288,7 +287,7 @@ class PastQuery:
         return is_of_record and isinstance(pattern.object, Variable) and pattern.object.name in covered
 
     def _spread(self, group: Group, covered: frozenset[str]) -> frozenset[str]:
-        """With the variables that patterns of a group lead to within the same messages, and to their records."""
+        """Add the variables that patterns of a group reach within the same messages, and their records."""
         while True:
             found = covered
             for each in group.patterns:
@@ -304,7 +303,7 @@ class PastQuery:
             covered = found
 
     def _certain(self, group: Group) -> frozenset[str]:
-        """The variables that stand for recorded messages in every solution of a group that is joined."""
+        """Return the variables that stand for recorded messages in every solution of a joined group."""
         if group.graph is not None:
             return _NOTHING
         own = (each.object.name for each in group.patterns if _is_past(each) and isinstance(each.object, Variable))
@@ -317,7 +316,7 @@ class PastQuery:
 
 
 def past_query(query: Query, terms: MessageTerms) -> PastQuery | None:
-    """What a query asks of the past, None where it does not. Raises Problem 400 for a ros:past in GRAPH."""
+    """Return the past query within a query, None if there is none. Raises Problem 400 for a ros:past in GRAPH."""
     groups = list(groups_within(query.where))
     asking = [group for group in groups if any(_PAST in (each.predicates or ()) for each in group.patterns)]
     if not asking:
@@ -332,7 +331,7 @@ def past_query(query: Query, terms: MessageTerms) -> PastQuery | None:
 
 
 def _groups_of_default_graph(group: Group) -> Iterator[Group]:
-    """The groups whose patterns are matched in the default graph."""
+    """Return the groups whose patterns are matched in the default graph."""
     return (each for each in groups_within(group) if each.graph is None)
 
 
@@ -341,7 +340,7 @@ def _is_past(pattern: Pattern) -> bool:
 
 
 def _topic_of(pattern: Pattern) -> frozenset[str] | None:
-    """The only topic whose messages a pattern with any predicate can match, None where it may be of others."""
+    """Return the only topic whose messages a pattern with any predicate can match, None if there may be others."""
     is_of_one = isinstance(pattern.subject, Iri) and "/bags/" not in pattern.subject.value and not pattern.repeated
     return frozenset({pattern.subject.value}) if is_of_one and isinstance(pattern.subject, Iri) else None
 
@@ -358,7 +357,7 @@ def _time_of(term: Term, known: Knowledge) -> Interval:
 
 
 def _texts(term: Term, known: Knowledge) -> frozenset[str] | None:
-    """The strings that a term can be, None for any."""
+    """Return the strings that a term can be, None for any."""
     if isinstance(term, Value):
         return frozenset({term.literal.value})
     terms = known.terms.get(term.name) if isinstance(term, Variable) else frozenset()
@@ -376,7 +375,7 @@ def _meet(one: frozenset[str] | None, other: frozenset[str] | None) -> frozenset
 
 
 def _recordings(query: Query, base: str) -> Iterator[str]:
-    """The URLs of recordings that a query names, itself or by what is in them."""
+    """Yield the URLs of recordings that a query names directly or by their contents."""
     below = f"{base}bags/"
     terms = (
         term for group in groups_within(query.where) for each in group.patterns for term in (each.subject, each.object)
@@ -388,14 +387,14 @@ def _recordings(query: Query, base: str) -> Iterator[str]:
 
 
 class PastText(NamedTuple):
-    """What is said of recorded messages, as N-Triples; `is_whole`: of all that were asked for."""
+    """N-Triples about recorded messages; `is_whole`: all requested messages are included."""
 
     text: bytes
     is_whole: bool = True
 
 
 class PastSource(Protocol):
-    """Reads recorded messages. Called on the loop."""
+    """Reader of recorded messages. Called on the loop."""
 
     async def read(
         self,
@@ -406,11 +405,10 @@ class PastSource(Protocol):
         until: float,
         most: int | None = None,
     ) -> PastText:
-        """What is said of the messages that a query asks for, as far as they may be read.
+        """Return the triples of the messages that a query selects, as far as they may be read.
 
-        Of about `most` messages where that is a number: those at the query's `end`, all that were received at a time,
-        or on that side of it. `graphs` are those that the default graph is made of, none for all. NOW() will be within
-        `now`; `until` is when the time is over (monotonic). Raises Problems: 400 where there is no past to be read, 503
-        for too much.
+        With a number `most`, about that many messages are read: those at the query's `end`, and always all on one side
+        of some time. `graphs` make up the default graph (empty for all). NOW() will be within `now`; `until` is the
+        deadline (monotonic). Raises Problem 400 if there is no past to be read, and 503 for too much.
         """
         ...

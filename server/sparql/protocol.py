@@ -27,12 +27,11 @@ _LONGEST_CACHED = 4096
 
 @dataclass(frozen=True, slots=True)
 class QueryRequest:
-    """A query and its dataset: the graphs to merge into the default graph, and those to be named graphs.
+    """A query and its dataset: the graphs to merge into the default graph, and the named graphs.
 
-    Without either the dataset is all there is: every graph under its name, and their union as the default graph.
-    `timeout` in seconds, where the client wants to wait no longer (`?timeout=`). `quads`: its solutions are a graph, a
-    subject, a predicate and an object each, to be told as a dataset. `partial`: the client takes the answer without
-    values that cannot be read.
+    Without either, the dataset is complete: every graph under its name, and their union as the default graph. `timeout`
+    is the client's limit in seconds (`?timeout=`). `quads`: solutions of graph, subject, predicate and object are
+    written as a dataset. `partial`: the client accepts an answer without values that cannot be read.
     """
 
     text: str
@@ -47,7 +46,7 @@ class QueryRequest:
 class UpdateRequest:
     """An update and the dataset of its WHERE: the graphs to merge into the default graph, and the named graphs.
 
-    Without either an operation's own USING holds, and else the dataset of a query that names none.
+    Without either, the USING clauses of each operation apply, or else the dataset of a query that names none.
     """
 
     text: str
@@ -56,10 +55,10 @@ class UpdateRequest:
 
 
 def query_request(method: str, query_string: bytes, content_type: str | None = None, body: bytes = b"") -> QueryRequest:
-    """The query that a request asks for; parameters that the protocol does not know are passed over.
+    """Return the query of a request; parameters unknown to the protocol are ignored.
 
-    `query_string` is as it stands in the URL, percent-encoded. Raises Problems: 400 for no query, several, an update,
-    text that is not UTF-8 or graph names that are no IRIs; 415 for bodies of other media types.
+    `query_string` is percent-encoded, as in the URL. Raises Problem 400 for no query, several, an update, text that is
+    not UTF-8 or invalid graph names; 415 for bodies of other media types.
     """
     if method in ("GET", "HEAD"):
         return _remembered(query_string) if len(query_string) <= _LONGEST_CACHED else _from_url(query_string)
@@ -70,10 +69,10 @@ def query_request(method: str, query_string: bytes, content_type: str | None = N
 
 
 def posted_request(query_string: bytes, content_type: str | None, body: bytes) -> QueryRequest | UpdateRequest:
-    """The query or the update that a POST asks for (SPARQL 1.1 Protocol 2.1, 2.2).
+    """Return the query or the update of a POST (SPARQL 1.1 Protocol 2.1, 2.2).
 
-    Raises Problems as `query_request` does: 400 for none, several, text that is not UTF-8, graph names that are no
-    IRIs, and graphs named beside an update that names its own (USING, WITH); 415 for bodies of other media types.
+    Raises Problems as `query_request` does: 400 for none, several, text that is not UTF-8, invalid graph names, and for
+    graphs in parameters of an update that names its own (USING, WITH); 415 for bodies of other media types.
     """
     in_url = _parameters(query_string, "query string")
     if any(name == "update" for name, _ in in_url):
@@ -103,7 +102,7 @@ def _from_url(query_string: bytes) -> QueryRequest:
     return _request(_parameters(query_string, "query string"))
 
 
-# Dashboards ask the same again and again.
+# Dashboards repeat the same queries.
 _remembered = lru_cache(maxsize=256)(_from_url)
 
 _ACCEPTED = {"Accept-Post": ACCEPT_POST}
@@ -158,7 +157,7 @@ def _request(parameters: list[tuple[str, str]]) -> QueryRequest:
 
 
 def requested_timeout(parameters: Iterable[tuple[str, str]]) -> float | None:
-    """The seconds of `?timeout=`, None where it is not given. Raises a 400 Problem for what is no such number."""
+    """Return the seconds of `?timeout=`, None if absent. Raises a 400 Problem for an invalid number."""
     given = [value for name, value in parameters if name == "timeout"]
     if not given:
         return None
@@ -169,7 +168,7 @@ def requested_timeout(parameters: Iterable[tuple[str, str]]) -> float | None:
 
 
 def requested_partial(parameters: Iterable[tuple[str, str]]) -> bool:
-    """Return `?partial=`, False where it is not given. Raises a 400 Problem for what is neither true nor false."""
+    """Return `?partial=`, False if absent. Raises a 400 Problem for a value other than true and false."""
     given = [value for name, value in parameters if name == "partial"]
     if given not in ([], ["true"], ["false"]):
         raise Problem(400, f"partial={given[0]} must be true or false, given once.")
@@ -199,7 +198,7 @@ def _refuse(parameters: list[tuple[str, str]], names: tuple[str, str], why: str)
 
 
 def _refuse_own_dataset(text: str) -> None:
-    """Raise a 400 Problem for an update that says itself which graphs it reads (SPARQL 1.1 Protocol 2.2.3)."""
+    """Raise a 400 Problem for an update that names the graphs it reads itself (SPARQL 1.1 Protocol 2.2.3)."""
     for token in tokens(text):
         if token.is_word("WITH") or (token.kind is Kind.WORD and token.text.upper().startswith("USING")):
             where = line_and_column(text, token.start)

@@ -1,4 +1,4 @@
-"""Limits of a query, and the problems that tell which one it exceeded."""
+"""Limits of queries, and the problems of queries that exceed them."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from rosld.server.http.problem import Problem
 
 _MIB = 1024 * 1024
 MAX_PAST = 250_000
-"""Recorded messages that one query may read: an hour of 50 Hz, and more."""
+"""Maximum number of recorded messages per query: more than an hour at 50 Hz."""
 _RETRY_AFTER = {"Retry-After": "1"}
 _MAX_NAMED = 5
-"""Documents that a problem names in its sentence."""
+"""Maximum number of documents that a problem lists."""
 
 
 class Limits(NamedTuple):
     """Limits of queries.
 
-    `seconds` for a whole answer, `memory` in bytes beyond the dataset, `rows` of an answer (triples of a graph);
-    `concurrency` queries are answered at a time, and `queue` more may wait.
+    `seconds` for a complete answer, `memory` in bytes beyond the dataset, `rows` of an answer (triples of a graph);
+    `concurrency` queries run at a time, and `queue` more may wait.
     """
 
     seconds: float = 10.0
@@ -38,7 +38,7 @@ DEFAULT_LIMITS = Limits()
 
 
 def describe_limits(service: NamedNode, limits: Limits) -> tuple[Triple, ...]:
-    """The limits as the description of the service tells them."""
+    """Return the limits as triples for the service description."""
     return (
         Triple(service, ros.timeLimit, Literal(str(limits.seconds), datatype=xsd.double)),
         *(
@@ -55,7 +55,7 @@ def describe_limits(service: NamedNode, limits: Limits) -> tuple[Triple, ...]:
 
 
 class StopReason(Enum):
-    """Why a query was stopped: the member `reason` of its problem details."""
+    """Reason for stopping a query: the member `reason` of its problem details."""
 
     TIME = "time"
     MEMORY = "memory"
@@ -64,14 +64,14 @@ class StopReason(Enum):
 
 
 def out_of_time(seconds: float) -> Problem:
-    """The query was at it for longer than it may be."""
+    """Return the problem of a query that exceeded its time limit."""
     return _stop_problem(
         StopReason.TIME, f"The query took longer than {seconds:g} s, which is its limit here: ask for less at a time."
     )
 
 
 def out_of_memory(memory: int) -> Problem:
-    """The query wanted more memory than it may have."""
+    """Return the problem of a query that exceeded its memory limit."""
     mebibytes = memory // _MIB
     return _stop_problem(
         StopReason.MEMORY, f"The query needed more than {mebibytes} MiB of memory, this server's limit: ask for less."
@@ -79,12 +79,12 @@ def out_of_memory(memory: int) -> Problem:
 
 
 def too_many_rows(rows: int) -> Problem:
-    """The answer has more rows than one may have."""
+    """Return the problem of an answer that exceeds the row limit."""
     return _stop_problem(StopReason.ROWS, f"The answer has more than {rows} rows, this server's limit: ask with LIMIT.")
 
 
 def too_much_past(words: str) -> Problem:
-    """More of the past would have to be read than one query may read."""
+    """Return the problem of a query that would have to read too many recorded messages."""
     return _stop_problem(
         StopReason.PAST,
         f"{words} Ask for less: name in the group of each ros:past a topic (or its ros:name, or a field of one message "
@@ -94,7 +94,7 @@ def too_much_past(words: str) -> Problem:
 
 
 def too_many_queries() -> Problem:
-    """As many queries as may be are being answered, and as many as may wait do: come again."""
+    """Return the problem of a query that finds all workers busy and the queue full."""
     return Problem(
         503,
         "All workers for queries are busy, and enough queries wait; try again in a moment.",
@@ -115,12 +115,12 @@ def incomplete(unread: Mapping[str, str]) -> Problem:
 
 
 def process_crashed(how: str) -> Problem:
-    """The process that answered the query is gone."""
+    """Return the problem of a query whose process crashed."""
     return Problem(500, f"The process that answered the query ended before it was done ({how}); the server goes on.")
 
 
 def process_restarting(seconds: int, progress: str = "") -> Problem:
-    """The query process has to be started and filled again; `progress` is a sentence on how far that is."""
+    """Return the problem of a query while its process restarts; `progress` is a sentence on the state of loading."""
     words = "The process that answers queries is being started: try again in a moment."
     if progress:
         words = f"{progress} Try again then."
@@ -128,7 +128,7 @@ def process_restarting(seconds: int, progress: str = "") -> Problem:
 
 
 def dataset_behind() -> Problem:
-    """The query process is still making changes that are to be seen by the query."""
+    """Return the problem of a query that must see a change still being loaded."""
     words = "A large change is being read into the dataset, and the query is to see it: try again in a moment."
     return Problem(503, words, headers=_RETRY_AFTER, extra={"reason": "starting"})
 

@@ -1,4 +1,4 @@
-"""The endpoint: a query from its text to the bytes of its results, live values included."""
+"""The query service: from the text of a query to the bytes of its results, live values included."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from rosld.server.sparql.results import ResultRows
 class QueryAnswer(NamedTuple):
     """Results in one media type; `content_type` adds its charset. A `body` that is an iterator may raise Aborted.
 
-    `unread` tells why documents could not be read that it could match, by their URLs: it is partial.
+    `unread` holds the reasons why documents it could match could not be read, by URL: then it is partial.
     """
 
     media_type: str
@@ -40,19 +40,19 @@ class QueryAnswer(NamedTuple):
 
     @property
     def content_type(self) -> str:
-        """For the header of that name."""
+        """Value of the Content-Type header."""
         return results.content_type(self.media_type)
 
 
 _SECOND = 1_000_000_000
 _GROWTH = 8
-"""How many times more messages are read where those at an end were too few: in all a seventh more than needed."""
+"""Factor by which more messages are read if those at an end were too few: in all a seventh more than needed."""
 _LONG = 8 * 1024
-"""Characters of a query that is not read on the loop."""
+"""Minimum number of characters of a query that is analysed off the loop."""
 
 
 class _Run(NamedTuple):
-    """A request that is being answered; `until` is its deadline (monotonic)."""
+    """A request being answered; `until` is its deadline (monotonic)."""
 
     request: QueryRequest
     analysis: Analysis
@@ -63,9 +63,9 @@ class _Run(NamedTuple):
 
 
 class QueryService:
-    """Answers queries over a dataset that is materialized before each. Belongs to one loop.
+    """Query evaluation over a dataset that is materialized before each query. Belongs to one loop.
 
-    `ages` tells how many seconds ago the newest message of each topic that has one was received, by the topics' URLs.
+    `ages` returns the seconds since the newest message of each topic that has one, by topic URL.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class QueryService:
         self._long = 0
 
     async def keep_materialized(self) -> None:
-        """Have the dataset ready for queries, until this is cancelled: a query then has little to wait for."""
+        """Load changes into the dataset in the background until cancelled, to shorten the wait of queries."""
         await self._materializer.stored.run()
 
     async def answer(
@@ -99,10 +99,10 @@ class QueryService:
         disconnected: Disconnected | None = None,
         permissions: Permissions = ALLOW_ALL,
     ) -> QueryAnswer:
-        """Return the results in the preferred media type, over what the agent may read.
+        """Return the results in the preferred media type, limited to what the agent may read.
 
-        Raises Problems: 400 for a malformed or forbidden query, 406, 413, 503 if the query reaches a limit (`reason` is
-        time, memory or rows), too many queries wait or the dataset is not ready, 500 if it crashed its worker.
+        Raises Problem 400 for a malformed or forbidden query, 406, 413, 503 if the query reaches a limit (`reason` is
+        time, memory or rows), too many queries wait or the dataset is not ready, and 500 if it crashed its worker.
         """
         limits, until = self._limits_of(request)
         analysis = await self._analyse(request.text, limits, until)
@@ -134,9 +134,9 @@ class QueryService:
     async def run_on_snapshot(
         self, needs: Needs, graphs: frozenset[str] | None, prepare: Callable[[], Awaitable[Work]]
     ) -> tuple[bytes, SeenVersions]:
-        """Run work over a dataset that has what the needs ask for; return its result and the versions that it saw.
+        """Run work over a dataset that satisfies the needs; return its result and the versions that it saw.
 
-        `graphs` are the only ones that are looked at, None for all. `prepare` makes the work once the dataset is there.
+        `graphs` are the only graphs that are read, None for all. `prepare` creates the work once the dataset is ready.
         Raises as `answer` does.
         """
         limits, until = self.limits, time.monotonic() + self.limits.seconds
@@ -152,23 +152,25 @@ class QueryService:
                 raise Problem(400, f"A WHERE cannot be answered: {error}.") from error
 
     def check(self, text: str) -> Analysis:
-        """The analysis of a query that is not asked now. Raises Problem 400; syntax is left to the store's parser."""
+        """Return the analysis of a query that is not run now; the store's parser checks its syntax later. Raises
+        Problem 400.
+        """
         return self._analyser.analyse(text)
 
     def prepare(self, text: str, default_graphs: tuple[str, ...] = (), named_graphs: tuple[str, ...] = ()) -> QueryWork:
-        """A query as the process takes it now: the ages of topics are of this moment. Raises Problem 400."""
+        """Return a query as the process takes it, with the current ages of topics. Raises Problem 400."""
         request = QueryRequest(text, default_graphs, named_graphs)
         return self._query(self._analyser.analyse(text), request, ALLOW_ALL)
 
     def _limits_of(self, request: QueryRequest) -> tuple[Limits, float]:
-        """The limits of a request, and when its time is over."""
+        """Return the limits of a request and its deadline."""
         limits = self.limits
         if request.timeout is not None:
             limits = limits._replace(seconds=min(limits.seconds, request.timeout))
         return limits, time.monotonic() + limits.seconds
 
     async def _analyse(self, text: str, limits: Limits, until: float) -> Analysis:
-        """The analysis of a query: of a long one off the loop, one at a time, as it takes seconds."""
+        """Return the analysis of a query; long queries take seconds and are analysed one at a time off the loop."""
         if len(text) <= _LONG:
             return self._analyser.analyse(text)
         if self._long >= limits.queue:
@@ -185,7 +187,7 @@ class QueryService:
     async def _evaluate(
         self, run: _Run, make_work: Callable[[QueryWork, int, Mapping[str, str]], Work], is_counted: bool
     ) -> tuple[bytes | AsyncIterator[bytes], Mapping[str, str]]:
-        """Return what the work writes, and the documents that could not be read with the reasons.
+        """Return the output of the work, and the reasons why documents could not be read, by URL.
 
         Raises Problem 503 for such documents unless the client accepts a partial answer.
         """
@@ -217,7 +219,7 @@ class QueryService:
         return await self._restricted.dataset_for(permissions, run.limits, run.until)
 
     async def _read_past(self, run: _Run, is_counted: bool) -> AsyncIterator[tuple[bytes | None, int]]:
-        """Yield N-Triples about the recorded messages that a query asks for, None if it asks for none. Raises Problems.
+        """Yield N-Triples about the recorded messages that a query selects, None if it selects none. Raises Problems.
 
         If only the newest or oldest matter and rows can be counted (`is_counted`), each text has more messages than the
         one before, with the number of rows that makes it sufficient; the last text is complete, with 0 rows.
@@ -260,7 +262,6 @@ class QueryService:
 
 
 async def _whole(body: bytes | AsyncIterator[bytes]) -> bytes:
-    """A body in one piece."""
     return body if isinstance(body, bytes) else b"".join([chunk async for chunk in body])
 
 
@@ -276,13 +277,13 @@ def _needs(analysis: Analysis, request: QueryRequest) -> Needs:
 
 
 def _scope(analysis: Analysis, request: QueryRequest) -> frozenset[str] | None:
-    """The only graphs that the query can look at; None for all."""
+    """Return the only graphs that the query can read, None for all."""
     default, named = _dataset(analysis, request)
     return frozenset(default + named) if default or named else analysis.is_enclosed
 
 
 def _dataset(analysis: Analysis, request: QueryRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The default and the named graphs: those of the request go before the query's own (SPARQL 1.1 Protocol 2.1.4)."""
+    """Return the default and named graphs: the request's override the query's own (SPARQL 1.1 Protocol 2.1.4)."""
     if request.default_graphs or request.named_graphs:
         return request.default_graphs, request.named_graphs
     return analysis.default_graphs, analysis.named_graphs

@@ -1,4 +1,4 @@
-"""Receipts as named graphs: those that came and went since a version, and the container that lists them."""
+"""Receipts as named graphs: the receipts added and removed since a version, and the container that lists them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from rosld.server.sparql.stored_sync import Changes
 
 TITLE = "Activity"
 _PAGE = 200
-"""Receipts told before the loop gets its turn."""
+"""Maximum number of receipts per part, after which the loop may run."""
 _SIZE = 2500
-"""About how many characters one comes to."""
+"""Approximate number of characters per receipt."""
 
 
 class ReceiptGraphs:
-    """The graphs of a journal: a `ChangeSource`. Of those that went only what was told before is told."""
+    """Graphs of a journal: a `ChangeSource`. A removal is only reported if the receipt was reported before."""
 
     def __init__(self, journal: Journal, space: Space) -> None:
         self._journal = journal
@@ -37,19 +37,19 @@ class ReceiptGraphs:
 
     @property
     def version(self) -> int:
-        """Rises with each change."""
+        """Number that increases with each change."""
         return self._journal.version
 
     def may_match(self, needs: Needs) -> bool:
-        """Whether a query can match what receipts say."""
+        """Whether a query can match triples of receipts."""
         return needs.asks_graphs or needs.may_match_below(self._container, self._terms)
 
     def last_change(self, graph: str) -> int:
-        """When what this graph says last changed, at the latest."""
+        """Return an upper bound of the version of the last change of a graph."""
         return self.version if graph.startswith(self._container) else 0
 
     def changes(self, after: int) -> Iterator[Changes]:
-        """What changed after a version, in parts."""
+        """Yield the changes after a version, in parts."""
         self._gone = [(version, id) for version, id in self._gone if version > after]
         if after == 0:
             head = serialize(container_document(self._container, (), TITLE), Syntax.N_TRIPLES).decode()
@@ -78,7 +78,7 @@ class ReceiptGraphs:
 
 
 def _terms(space: Space) -> StatedTerms:
-    """Return the terms of a receipt that says all that one can say, and of the container."""
+    """Return the terms of a receipt that has every property, and of the container."""
     container = container_document(space.container("activity"), [space.activity("0")], TITLE)
     made = (space.base, space.call("0"))
     documents = (container, *(activity_document(_EVERYTHING._replace(made=one), space) for one in made))

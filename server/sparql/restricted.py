@@ -1,9 +1,9 @@
-"""Restricted datasets, for agents that may not read or do everything: one a set of rights, updated when it is queried.
+"""Restricted datasets for agents that may not read or do everything: one per set of rights, updated when queried.
 
-An explicit dataset of the graphs that may be read would hide these graphs, but not what other graphs say of them, and
-costs every query anew. A restricted dataset costs a copy of what changed, once for all agents of the same rights, and
-is then asked as the whole one is: its default graph is the plain union of its graphs. It lies in the query process;
-what its agents may see is judged here, where it is known what has which type.
+Listing the readable graphs in FROM would hide the other graphs, but not what readable graphs say about them, and would
+slow down every query. A restricted dataset costs one copy of the changes for all agents with the same rights, and is
+then queried like the complete one: its default graph is the union of its graphs. The query process stores it; the
+filtering happens here, where the types of all resources are known.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from rosld.server.sparql.process.work import DumpGraphs, ListGraphs
 from rosld.server.sparql.query_limits import Limits
 
 _MAX_DATASETS = 8
-"""Restricted datasets at a time; the one that was asked longest ago goes first."""
+"""Maximum number of restricted datasets; the least recently queried one is dropped first."""
 _PART = 64
-"""Graphs that are asked for and judged at a time."""
+"""Number of graphs fetched and filtered at a time."""
 
 
 class RestrictedDatasets:
-    """The restricted datasets of one query process. Belongs to one loop.
+    """Restricted datasets of one query process. Belongs to one loop.
 
-    `revision` changes whenever the types of resources may have.
+    `revision` changes whenever the types of resources may have changed.
     """
 
     def __init__(self, process: QueryProcess, revision: Callable[[], Hashable]) -> None:
@@ -43,7 +43,7 @@ class RestrictedDatasets:
         process.on_change(self._note_changes)
 
     async def dataset_for(self, permissions: Permissions, limits: Limits, until: float) -> int:
-        """The number of the dataset as an agent of these permissions may see it now, to be asked at once.
+        """Return the number of the dataset that agents with these permissions may see now; query it at once.
 
         Raises Problems.
         """
@@ -72,7 +72,7 @@ class RestrictedDatasets:
 
 
 class _Restricted:
-    """The dataset as one set of rights lets it be seen."""
+    """The dataset as seen with one set of rights."""
 
     def __init__(
         self, process: QueryProcess, permissions: Permissions, revision: Hashable, names: Sequence[str]
@@ -86,7 +86,7 @@ class _Restricted:
         self._permissions = permissions
 
     async def catch_up(self, limits: Limits, until: float) -> None:
-        """Bring here what has changed. What changes by then is brought, too: so it ends with all of one moment."""
+        """Copy all changes, including those that happen meanwhile, so that the result is of a single moment."""
         while self.behind:
             part = tuple(islice(self.behind, _PART))
             for graph in part:
@@ -110,7 +110,7 @@ class _Restricted:
 
 
 def _redact_graph(graph: str, text: str, permissions: Permissions) -> str:
-    """The N-Triples of a graph as they may be read."""
+    """Return the N-Triples of a graph without what may not be read."""
     triples = tuple(quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES))
     left = redact_document(Document(graph, triples), permissions).triples
     if len(left) == len(triples):

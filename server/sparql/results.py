@@ -1,4 +1,4 @@
-"""Results in the formats people ask for: SELECT and ASK as JSON, XML, CSV, TSV, graphs in every RDF syntax."""
+"""Query results: SELECT and ASK as JSON, XML, CSV and TSV, graphs in every RDF syntax."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SOLUTIONS: Mapping[str, QueryResultsFormat] = {
     "application/xml": QueryResultsFormat.XML,
     "text/xml": QueryResultsFormat.XML,
 }
-"""The media types of SELECT and ASK, the favourite first."""
+"""Media types of SELECT and ASK, the preferred one first."""
 _RDF_XML = "application/rdf+xml"
 GRAPHS: Mapping[str, RdfFormat] = {
     "text/turtle": RdfFormat.TURTLE,
@@ -54,15 +54,15 @@ GRAPHS: Mapping[str, RdfFormat] = {
     "application/trig": RdfFormat.TRIG,
     "application/json": RdfFormat.JSON_LD,
 }
-"""The media types of CONSTRUCT and DESCRIBE, the favourite first."""
+"""Media types of CONSTRUCT and DESCRIBE, the preferred one first."""
 DATASETS: Mapping[str, RdfFormat] = {
     "application/n-quads": RdfFormat.N_QUADS,
     "application/trig": RdfFormat.TRIG,
     "application/ld+json": RdfFormat.JSON_LD,
 }
-"""The media types of graphs with their names, the favourite first."""
+"""Media types of graphs with their names, the preferred one first."""
 QUADS = "QUADS"
-"""The form of a query whose solutions are told as a dataset."""
+"""Form of a query whose solutions are written as a dataset."""
 _CHARSET = frozenset({"text/csv", "text/tab-separated-values", "text/turtle", "text/n3", "text/xml"})
 _PREFIXED = frozenset({RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3})
 _PREFIXES = dict(PREFIXES)
@@ -73,7 +73,7 @@ XML_REASON = {"reason": "xml"}
 
 
 def choose_media_type(form: str | None, accept: str | None) -> str:
-    """The media type of the answer to a query of this form; Problem 406 where none is acceptable."""
+    """Return the media type of the answer to a query of this form; raise Problem 406 if none is acceptable."""
     offers = media_types_of(form)
     chosen = choose_offer(accept, offers)
     if chosen is None:
@@ -83,7 +83,7 @@ def choose_media_type(form: str | None, accept: str | None) -> str:
 
 
 def media_types_of(form: str | None) -> tuple[str, ...]:
-    """The media types that the answer to a query of this form can be had in, the favourite first."""
+    """Return the media types for the answer to a query of this form, the preferred one first."""
     if form == QUADS:
         return _DATASETS
     return _GRAPHS if form in ("CONSTRUCT", "DESCRIBE") else _SOLUTIONS
@@ -93,22 +93,22 @@ _SOLUTIONS, _GRAPHS, _DATASETS = tuple(SOLUTIONS), tuple(GRAPHS), tuple(DATASETS
 
 
 def without_xml(form: str | None, accept: str | None) -> str | None:
-    """The media type of the answer to a query of this form that is not XML, None where none is acceptable."""
+    """Return the acceptable media type other than XML for a query of this form, None if there is none."""
     return choose_offer(accept, tuple(offer for offer in media_types_of(form) if not offer.endswith("xml")))
 
 
 def content_type(media_type: str) -> str:
-    """The Content-Type of a media type of results: all text is UTF-8."""
+    """Return the Content-Type of a media type of results: all text is UTF-8."""
     return f"{media_type}; charset=utf-8" if media_type in _CHARSET else media_type
 
 
 def write_results(
     results: Results, media_type: str, output: BinaryIO, limit: float, base: str, links: Sequence[str] = ()
 ) -> None:
-    """Write results as they come. Raises what `output` raises, and Problem 406 for what XML cannot carry.
+    """Write results incrementally. Raises what `output` raises, and Problem 406 for what XML cannot represent.
 
-    Raises Problem 503 for more than `limit` quads, or triples in a syntax that is not written by the store itself.
-    The head of JSON and XML results refers to `links` (SPARQL 1.1 Query Results JSON Format 3.1.2, XML 2.2).
+    Raises Problem 503 for more than `limit` quads, or triples in a syntax that the store does not write itself. The
+    head of JSON and XML results refers to `links` (SPARQL 1.1 Query Results JSON Format 3.1.2, XML 2.2).
     """
     if isinstance(results, QueryTriples):
         _write_graph(results, GRAPHS[media_type], output, limit, base)
@@ -175,7 +175,7 @@ _BOOLEANS: Mapping[str, bytes] = {
     "text/csv": b"_askResult\r\n%s\r\n",
     "text/tab-separated-values": b"?_askResult\n%s\n",
 }
-"""ASK in the formats that have no booleans: a table with the column that Jena reads and writes."""
+"""ASK in formats without booleans: a table with the column that Jena reads and writes."""
 
 
 def _write_graph(results: QueryTriples, syntax: RdfFormat, output: BinaryIO, limit: float, base: str) -> None:
@@ -191,7 +191,7 @@ def _write_graph(results: QueryTriples, syntax: RdfFormat, output: BinaryIO, lim
 
 
 def _write_prefixed(statements: Iterator[Triple] | Iterator[Quad], output: BinaryIO, syntax: RdfFormat) -> None:
-    """Declare the prefixes that the first triples use, if the syntax has any; later ones are written with these."""
+    """Write statements, declaring the prefixes that the first triples use if the syntax has prefixes."""
     if syntax not in _PREFIXED:
         serialize(statements, output, syntax)
         return
@@ -217,7 +217,7 @@ def _write_xml(triples: Iterable[Triple], output: BinaryIO, base: str) -> None:
 
 
 def _quads(solutions: QuerySolutions) -> Iterator[Quad]:
-    """Yield solutions, each of a graph, a subject, a predicate and an object, as quads."""
+    """Yield solutions of graph, subject, predicate and object as quads."""
     for graph, subject, predicate, object in solutions:
         triple = decode_triple(Triple(subject, predicate, object))
         yield Quad(triple.subject, triple.predicate, triple.object, graph)
@@ -231,9 +231,9 @@ def _at_most(limit: float, statements: Iterable[_T]) -> Iterator[_T]:
 
 
 class ResultRows(NamedTuple):
-    """The first rows of results, for a page: of a graph, subject, predicate and object; `boolean` is ASK's answer.
+    """First rows of results, for a page; graphs as subject, predicate and object; `boolean` is the result of ASK.
 
-    `unread` tells why documents could not be read that the query could match, by their URLs.
+    `unread` holds the reasons why documents the query could match could not be read, by URL.
     """
 
     variables: tuple[str, ...] = ()

@@ -1,9 +1,9 @@
-"""Rewrite queries for a dataset that stores some literals under private datatypes (`server/dataset/encoding.py`).
+"""Rewriting of queries for a dataset that stores some literals under private datatypes (`server/dataset/encoding.py`).
 
-Constants in patterns, templates and inline data become the terms that are stored. In expressions each place takes
-either a term as it is stored, where it is only passed on (BIND, sameTerm, STR, a branch of IF), or a value that is
-computed with. Only there a variable is decoded, in SPARQL itself: that takes half the time of a Python function. ORDER
-BY, MIN and MAX compare sort keys (`server/dataset/sort_keys.py`). SERVICE is sent what was written.
+Constants in patterns, templates and inline data become the stored terms. In expressions each position takes either a
+stored term that is only passed on (BIND, sameTerm, STR, a branch of IF) or a value that is computed with. Only in the
+latter is a variable decoded, in SPARQL itself, which takes half the time of a Python function. ORDER BY, MIN and MAX
+compare sort keys (`server/dataset/sort_keys.py`). SERVICE receives the original text.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ _NAMES = (
     "GROUP_CONCAT"
 )
 _AS_STORED = frozenset(_NAMES.split())
-"""Functions that take terms as they are stored: they want text, which is never encoded, or look at no value."""
+"""Functions that accept stored terms: they take text, which is never encoded, or ignore the value."""
 _TOTAL = frozenset(
     ("STR", "LCASE", "UCASE", "CONCAT", "REPLACE", "STRBEFORE", "STRAFTER", "SUBSTR", "LANG", "STRLEN", "COUNT", "YEAR")
 )
-"""Functions whose results have a total order in the dataset."""
+"""Functions whose results are totally ordered in the dataset."""
 _PASSING = frozenset(("COALESCE", "SAMPLE"))
-"""Functions whose result is one of their arguments."""
+"""Functions that return one of their arguments."""
 _MAX_INLINE = 32
-"""Variables that are decoded in SPARQL itself; more would make the text long, and are decoded by a function."""
+"""Maximum number of variables decoded in SPARQL itself; a function decodes the others, to keep the text short."""
 
 
 class _Use(Enum):
-    """What an operand is for."""
+    """Purpose of an operand."""
 
     TERM = "a term as it is stored"
     VALUE = "a value to compute with"
@@ -56,7 +56,7 @@ class _Use(Enum):
 
 
 class _Edit(NamedTuple):
-    """What takes the place of the text between two positions."""
+    """Replacement of the text between two positions."""
 
     start: int
     end: int
@@ -64,7 +64,7 @@ class _Edit(NamedTuple):
 
 
 def rewrite(text: str, literals: Iterable[Constant], expressions: Iterable[EvaluatedExpression]) -> str:
-    """Return a text for the dataset: its literals in patterns and data, and the places of its expressions, changed."""
+    """Return a query text for the dataset, with rewritten literals in patterns and data and rewritten expressions."""
     rewriter = _Rewriter(text)
     for literal in literals:
         rewriter.literal(literal)
@@ -74,7 +74,7 @@ def rewrite(text: str, literals: Iterable[Constant], expressions: Iterable[Evalu
 
 
 class _Rewriter:
-    """Collects what is to be changed in a text: no edit holds another."""
+    """Collected edits of a text; they do not overlap."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -82,7 +82,7 @@ class _Rewriter:
         self._inline = 0
 
     def rewritten(self) -> str:
-        """The text with its edits; of those at one position the first comes first."""
+        """Return the text with its edits; edits at the same position apply in order."""
         if not self._edits:
             return self._text
         pieces: list[str] = []
@@ -99,25 +99,25 @@ class _Rewriter:
         self._edits.append(_Edit(at, at, text))
 
     def literal(self, constant: Constant) -> None:
-        """Change a literal to what it is stored as, where that is another term."""
+        """Replace a literal by its stored term, if that differs."""
         if not isinstance(constant.term, Value):
             return
         literal = constant.term.literal
         stored = encode_literal(literal)
         if constant.kind is Kind.WORD:
-            self._replace(constant.start, constant.end, literal.value)  # the store does not know TRUE
+            self._replace(constant.start, constant.end, literal.value)  # the store's parser rejects TRUE in capitals
         elif stored is not literal:
             self._replace(constant.start, constant.end, str(stored))
 
     def place(self, place: EvaluatedExpression) -> None:
-        """Change an expression for what it is evaluated for."""
+        """Rewrite an expression according to its purpose."""
         if place.purpose is ExpressionPurpose.ORDER:
             self._order(place)
         else:
             self._change(place.operand, _Use.TEST if place.purpose is ExpressionPurpose.TEST else _Use.TERM)
 
     def _order(self, place: EvaluatedExpression) -> None:
-        """A condition of ORDER BY: what is compared has a total order."""
+        """Rewrite a condition of ORDER BY to compare totally ordered keys."""
         operand, within = place.operand, strip_brackets(place.operand)
         if isinstance(within, Reference):
             conditions = (f" {place.direction}({each.replace('?', within.name)})" for each in _ORDERED)
@@ -146,7 +146,7 @@ class _Rewriter:
             self._call(operand, use)
 
     def _decode(self, variable: str) -> str:
-        """A variable as a value to compute with."""
+        """Return the expression of a variable's value."""
         self._inline += 1
         if self._inline > _MAX_INLINE:
             return f"<{VALUE}>({variable})"
@@ -178,7 +178,7 @@ class _Rewriter:
             self._change(argument, of_argument)
 
     def _extreme(self, call: Call, use: _Use) -> None:
-        """MIN or MAX, whose result is one of the terms: the dataset compares numbers, and keys of other terms."""
+        """Rewrite MIN or MAX: the dataset compares numbers, and sort keys of other terms."""
         [argument] = call.arguments
         before, after = self._text[call.start : argument.start], self._text[argument.end : call.end]
         opened, closed = ("", "") if use is _Use.TERM else (f"<{VALUE}>(", ")")
@@ -207,7 +207,7 @@ _DECODED = (
     f'IF(STRSTARTS(STR(DATATYPE(?)),"{NAMESPACE}"),'
     f'STRDT(STR(?),IRI(CONCAT("{xsd.iri}",SUBSTR(STR(DATATYPE(?)),{len(OTHER) + 1})))),?))),?))'
 )
-"""The value of the variable `?`."""
+"""Expression of the value of the variable `?`."""
 
 
 _TEXTUAL = f"DATATYPE(?) IN(<{xsd.string.value}>,<{rdf.langString.value}>)"
@@ -222,11 +222,11 @@ _ORDERED = (
     f"IF(isNumeric(?)||{_IS_NUMERIC},IF(STRLEN(STR(?))>15&&DATATYPE(?)!=<{xsd.double.value}>"
     f'&&DATATYPE(?)!=<{DOUBLE}double>,<{KEY}>(?),""),LANG(?))',
 )
-"""What the variable `?` is ordered by: its kind, its value, and what tells values apart that are one double."""
+"""Sort keys of the variable `?`: its kind, its value, and a key to tell values apart that round to one double."""
 
 
 def _passes(operand: Operand) -> bool:
-    """Whether its result may be a term that is stored, and not only one that is computed."""
+    """Whether the result may be a stored term and not only a computed one."""
     within = strip_brackets(operand)
     if isinstance(within, Call):
         return within.name in _PASSING or within.name in ("IF", "MIN", "MAX", "STRDT")
@@ -234,7 +234,7 @@ def _passes(operand: Operand) -> bool:
 
 
 def _uses(parts: Sequence[Part], use: _Use) -> Iterator[tuple[Operand, _Use]]:
-    """The operands of an expression, and what each is for."""
+    """Yield the operands of an expression with their uses."""
     if len(parts) == 1:
         [operand] = parts
         assert not isinstance(operand, str)
@@ -251,7 +251,7 @@ def _uses(parts: Sequence[Part], use: _Use) -> Iterator[tuple[Operand, _Use]]:
 
 
 def _comparisons(parts: Sequence[Part]) -> Iterator[Sequence[Part]]:
-    """What stands between the operators && and ||."""
+    """Yield the parts between the operators && and ||."""
     begin = 0
     for at, part in enumerate(parts):
         if part in ("&&", "||"):
@@ -261,9 +261,9 @@ def _comparisons(parts: Sequence[Part]) -> Iterator[Sequence[Part]]:
 
 
 def _is_plain(comparison: Sequence[Part], use: _Use) -> bool:
-    """Whether it comes to the same for a number or a time and for the private literal that stands for it.
+    """Whether a comparison gives the same result for a number or time and for its private literal.
 
-    An IRI equals neither, and compares with neither. Text equals neither; with the private literal it is an error.
+    An IRI equals neither and is comparable with neither. Text equals neither; with the private literal it is an error.
     """
     if len(comparison) != 3:
         return False

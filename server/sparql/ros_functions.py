@@ -1,4 +1,4 @@
-"""The SPARQL functions under `ros:`. What they cannot answer is SPARQL's type error, never an exception."""
+"""The SPARQL functions under `ros:`. Invalid arguments give SPARQL's type error, never an exception."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _LONGEST_CACHED = 64 * 1024
 
 
 class _NoAnswer(Exception):
-    """The arguments are not what the function is about."""
+    """Arguments outside of the domain of a function."""
 
 
 def functions(seconds_since: Callable[[str], float | None]) -> Mapping[str, Function]:
-    """The functions of one query, by IRI: within it a topic has one age, as there is one NOW() (SPARQL 1.1, 17.4.5.1).
+    """Return the functions of one query, by IRI; a topic has one age per query, like NOW() (SPARQL 1.1, 17.4.5.1).
 
-    `seconds_since`, called in any thread, tells how long ago the newest message of the topic at a URL was received,
-    None where none was.
+    `seconds_since` (thread-safe) returns the seconds since the newest message of the topic at a URL was received, None
+    if there was none.
     """
     told: dict[str, float | None] = {}
 
@@ -45,17 +45,17 @@ def functions(seconds_since: Callable[[str], float | None]) -> Mapping[str, Func
 
 
 def unknown_functions(iris: Iterable[str]) -> Mapping[str, Function]:
-    """What stands for the functions that neither the store knows nor `functions`: calling one is an error (17.2)."""
+    """Return functions that raise SPARQL's error (17.2) for those that neither the store nor `functions` implements."""
     return {iri: _error for iri in iris if not _is_known(iri)}
 
 
 def _error(*arguments: Term) -> None:
-    """No answer."""
+    """Return no term, which is an error in SPARQL."""
 
 
 @lru_cache(maxsize=1024)
 def _is_known(iri: str) -> bool:
-    """Whether it is a function of ours or the store's, which tells that only when it is to call it."""
+    """Whether a function is ours or the store's, which only reports unknown functions when it evaluates a call."""
     if iri in _LASTING or iri == AGE:
         return True
     try:
@@ -74,7 +74,7 @@ def element_at(array: Term, index: Term) -> Term:
 
 
 def length(array: Term) -> Term:
-    """`ros:length(?array)`: how many elements there are."""
+    """`ros:length(?array)`: the number of elements."""
     return Literal(len(_array(array)))
 
 
@@ -93,7 +93,7 @@ def mean(array: Term) -> Term:
     numbers = _numbers(array)
     try:
         return Literal(math.fsum(numbers) / len(numbers) if numbers else math.nan)
-    except (OverflowError, ValueError):  # infinities of both signs; integers beyond doubles
+    except (OverflowError, ValueError):  # infinities of both signs, or integers beyond the range of doubles
         return Literal(math.nan)
 
 
@@ -102,7 +102,7 @@ def _guard(function: Callable[..., Term]) -> Function:
     def guarded(*terms: Term) -> Term | None:
         try:
             return function(*terms)
-        except (_NoAnswer, TypeError, ValueError):  # TypeError: another number of arguments
+        except (_NoAnswer, TypeError, ValueError):  # TypeError: wrong number of arguments
             return None
 
     return guarded
@@ -132,7 +132,7 @@ def _index(term: Term) -> int:
 
 
 def _numbers(term: Term) -> list[Number]:
-    """The numbers of an array that holds nothing else, NaN left out."""
+    """Return the numbers of a purely numeric array, without NaN."""
     elements = _array(term)
     if not _is_numeric(elements):
         raise _NoAnswer
@@ -149,7 +149,7 @@ def _is_numeric(elements: Sequence[object]) -> bool:
 
 
 def _is_special(text: str) -> bool:
-    """Whether it is a number that JSON cannot carry exactly, which is a string there."""
+    """Whether a string stands for a number that JSON cannot represent exactly."""
     if text in _SPECIAL:
         return True
     digits = text.removeprefix("-")

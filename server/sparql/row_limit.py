@@ -1,7 +1,7 @@
-"""Counting the rows of an answer as its bytes go by, for a limit on them.
+"""Row counters for the bytes of an answer, to enforce a row limit.
 
-The store's own writers are many times faster than any loop over the rows here, and they tell nothing of rows: so these
-are counted in what they write, by marks that can stand nowhere else, or outside of quoted text only.
+The store's own writers are many times faster than a loop over rows in Python, but do not report rows: the rows are
+counted in their output, by marks that can only occur between values, or outside of quoted text.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import BinaryIO, cast
 from rosld.server.sparql.query_limits import too_many_rows
 
 _UNSEEN = 4 * 1024 * 1024
-"""Bytes that are kept for being counted later."""
+"""Number of bytes held for counting later."""
 
 
 def limit_rows(output: BinaryIO, media_type: str, graph: bool, limit: int) -> BinaryIO:
-    """An output that raises Problem 503 (rows) for more than `limit` rows, or triples of a `graph`.
+    """Return an output that raises Problem 503 (rows) for more than `limit` rows, or triples of a `graph`.
 
     Returns `output` itself for a media type whose rows cannot be counted in its bytes.
     """
@@ -36,13 +36,13 @@ def has_counter(media_type: str) -> bool:
 
 
 def count_rows(whole: bytes, media_type: str) -> int:
-    """The rows of solutions that are written whole in a media type that has a counter."""
+    """Return the number of rows of a complete result in a media type that has a counter."""
     make, _ = _COUNTERS[media_type]
     return make()(whole)
 
 
 class _Limited(io.RawIOBase):
-    """Counts nothing as long as even the shortest rows would be few enough: most answers are never looked at."""
+    """Output that starts counting only when rows of minimum length could exceed the limit; most answers never do."""
 
     def __init__(self, output: BinaryIO, rows: Callable[[bytes], int], limit: int, harmless: int) -> None:
         super().__init__()
@@ -58,7 +58,7 @@ class _Limited(io.RawIOBase):
         return True
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
-        """Pass bytes on, unless a row too many begins in them."""
+        """Pass bytes on, unless a row beyond the limit begins in them."""
         if self._unseen is None:
             self._count(data)
         else:
@@ -76,7 +76,7 @@ class _Limited(io.RawIOBase):
 
 
 class _Marks:
-    """Counts a mark that is never part of a value. It may be cut in two by a border of chunks."""
+    """Counter of a mark that never occurs in a value. Handles marks split between chunks."""
 
     def __init__(self, mark: bytes, before: int = 0) -> None:
         self._mark = mark
@@ -93,7 +93,7 @@ class _Marks:
 
 
 class _CsvRows:
-    """Counts the ends of lines outside of quotes; a quote within a field is doubled, which changes nothing here."""
+    """Counter of line ends outside of quotes; a doubled quote within a field does not affect it."""
 
     def __init__(self) -> None:
         self._quoted = False
@@ -112,11 +112,11 @@ class _CsvRows:
 
 
 class _JsonRows:
-    r"""Counts the commas between the objects of `bindings`, and one for the first.
+    r"""Counter of the commas between the objects of `bindings`, plus one for the first object.
 
-    `,{"` stands between rows; within text every quote has a backslash before it, so that else it can only be the end of
-    a text that ends in `,{`: then `}` or `,` comes next. A row without values is `{}`, which text may hold as well:
-    only where it occurs text is told from what is not (and one cut in two by a border of chunks is not seen).
+    `,{"` separates rows. Within text every quote is escaped, so elsewhere this sequence can only be the end of a text
+    that ends in `,{`: then `}` or `,` follows. A row without values is `{}`, which may also occur in text: only where
+    it occurs is quoted text tracked (a `{}` split between chunks is missed).
     """
 
     def __init__(self) -> None:
@@ -157,4 +157,4 @@ _COUNTERS: Mapping[str, tuple[Callable[[], Callable[[bytes], int]], int]] = {
     "application/n-triples": (lambda: _Marks(b"\n"), 1),
     "application/n-quads": (lambda: _Marks(b"\n"), 1),
 }
-"""What counts the rows of a media type, and the bytes of its shortest row."""
+"""Row counter of each media type, and the bytes of its shortest row."""

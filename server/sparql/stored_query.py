@@ -1,8 +1,8 @@
-"""Stored queries: SPARQL with a purpose and parameters, told in the comments a text begins with (`queries/`).
+"""Stored queries: SPARQL with a purpose and parameters, declared in the leading comments of the text (`queries/`).
 
-A parameter is bound as a term: wherever its variable is a token of the text, the term stands in its place, written out
-so that no reading can take it for anything else. So it holds everywhere, in subqueries and in HAVING too, and what a
-query needs (`narrowing.py`) is seen from the constants.
+A parameter is bound as a term: wherever its variable is a token of the text, the term replaces it, escaped so that it
+cannot be read as anything else. So parameters work everywhere, in subqueries and in HAVING too, and the needs of the
+query (`needs.py`) follow from the constants.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ OTHER_SETTINGS = {
     "partial": "whether a partial answer is taken",
     "timeout": "how long the query may take",
 }
-"""What else the query of a URL says, whatever the parameters are."""
+"""Other parameters in the URL of a query, whatever parameters it declares."""
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _INT64 = range(-(2**63), 2**63)
 _LONGEST_TOLD = 200
 _MAX_PARAMETERS = 50
 _MAX_BOUND = 4 * 1024 * 1024
-"""Characters of a query with its parameters bound, one of which may stand in many places."""
+"""Maximum number of characters of a query with its parameters bound (one may occur in many places)."""
 _LINE_END = re.compile(r"\r\n?|\n")
 _PLACE = re.compile(r" at (\d+):\d+")
 
 
 class ParameterType(Enum):
-    """What a parameter can be."""
+    """Type of a parameter."""
 
     IRI = "iri"
     STRING = "string"
@@ -64,7 +64,7 @@ class ParameterType(Enum):
 
 @dataclass(frozen=True, slots=True)
 class QueryParameterDeclaration:
-    """A parameter: the variable it binds, without its mark; `default` as it would be given, None where it must be."""
+    """A parameter; `name` is that of its variable, without the mark; `default` is text, None if it is required."""
 
     name: str
     type: ParameterType
@@ -74,7 +74,7 @@ class QueryParameterDeclaration:
 
 @dataclass(frozen=True, slots=True)
 class StoredQuery:
-    """A query as it is stored: `text` is all of it, comments included."""
+    """A stored query; `text` includes the comments."""
 
     name: str
     purpose: str
@@ -86,7 +86,7 @@ class StoredQuery:
 
 
 def shipped_queries() -> Mapping[str, StoredQuery]:
-    """The queries that come with rosld, by name in order. They were looked at when they were made."""
+    """Return the queries that rosld ships, by name in order; their SPARQL is not checked here."""
     found = (file for file in files("rosld.queries").iterdir() if file.name.endswith(_SUFFIX))
     ordered = sorted(found, key=lambda file: file.name)
     texts = {file.name.removesuffix(_SUFFIX): file.read_text("utf-8") for file in ordered}
@@ -94,9 +94,9 @@ def shipped_queries() -> Mapping[str, StoredQuery]:
 
 
 def read_stored_query(name: str, text: str) -> StoredQuery:
-    """The stored query that a text is.
+    """Return the stored query in a text.
 
-    Raises ValueError naming the query and the line (or the parameter) that is not as it should be.
+    Raises ValueError naming the query and the offending line or parameter.
     """
     query, lines = _outline(name, text)
     _check(query, lines)
@@ -104,12 +104,12 @@ def read_stored_query(name: str, text: str) -> StoredQuery:
 
 
 def outline(name: str, text: str) -> StoredQuery:
-    """What the comments say that a text begins with; the query below them is not looked at. Raises ValueError."""
+    """Return the query that the leading comments declare, without checking the SPARQL below. Raises ValueError."""
     return _outline(name, text)[0]
 
 
 def _outline(name: str, text: str) -> tuple[StoredQuery, Mapping[str, int]]:
-    """The query, and the line in which each parameter is told of."""
+    """Return the query, and the line of each parameter's declaration."""
     purpose: list[str] = []
     parameters: list[QueryParameterDeclaration] = []
     lines: dict[str, int] = {}
@@ -132,7 +132,7 @@ def _outline(name: str, text: str) -> tuple[StoredQuery, Mapping[str, int]]:
 
 
 def _comments(text: str) -> Iterable[str]:
-    """The comment lines that the text begins with, without their marks."""
+    """Yield the leading comment lines of the text, without their marks."""
     for line in _LINE_END.split(text):
         if not line.startswith("#"):
             return
@@ -156,7 +156,7 @@ def _parameter(line: str, where: str) -> QueryParameterDeclaration:
 
 
 def _check(query: StoredQuery, lines: Mapping[str, int]) -> None:
-    """That the parameters fit their types and stand where terms may stand, and that it is a query then."""
+    """Check that defaults fit their types and that the query parses with parameters bound where terms may occur."""
     name = query.name
     for parameter in query.parameters:
         try:
@@ -187,9 +187,9 @@ def _check(query: StoredQuery, lines: Mapping[str, int]) -> None:
 
 
 def _parse(text: str, nobodys: str) -> None:
-    """Hold that a text is a query, in which there is no variable of that name. Raises Problem 400."""
+    """Parse a query without evaluating it; `nobodys` is a variable name that it does not use. Raises Problem 400."""
     analysis = Analyser(_ANYWHERE, TYPES).analyse(text)
-    # A value for a variable that is not there is refused after the text was parsed, and before it is evaluated.
+    # A substitution for an unknown variable is rejected after the text was parsed, and before it is evaluated.
     values: dict[Variable, NamedNode | BlankNode | Literal | Triple] = {Variable(nobodys): Literal("")}
     try:
         Store().query(analysis.text, base_iri=_ANYWHERE, prefixes=dict(analysis.prefixes), substitutions=values)
@@ -203,11 +203,11 @@ def _parse(text: str, nobodys: str) -> None:
 
 
 def bind_parameters(query: StoredQuery, given: Mapping[str, str], base: str) -> str:
-    """The text of the query with its parameters bound to what is given, or by default.
+    """Return the text of the query with its parameters bound to the given values or their defaults.
 
-    `base` is the server's base URL (with its slash at the end): an `iri` may be given as a path below it (`/topics/x`).
-    For all but strings, the empty text (a field of a form left empty) counts as not given. Raises Problem 400 for
-    parameters that are unknown, missing or no value of their type; it names them all and says what there is.
+    `base` is the server's base URL (with its final slash): an `iri` may be given as a path below it (`/topics/x`). For
+    all types but string, empty text (an empty form field) counts as absent. Raises Problem 400 for parameters that are
+    unknown, missing or invalid; it names them all and lists the parameters.
     """
     known = {parameter.name for parameter in query.parameters}
     wrong = [f"there is no parameter {_brief(name)}" for name in given if name not in known]
@@ -225,7 +225,7 @@ def bind_parameters(query: StoredQuery, given: Mapping[str, str], base: str) -> 
 def _with_terms(query: StoredQuery, terms: Mapping[str, str]) -> Iterator[str]:
     size = 0
     for token in tokens(query.text):
-        # A blank on either side: a term never joins with what it stands next to.
+        # Blanks on either side separate the term from its neighbours.
         is_bound = token.kind is Kind.VARIABLE and token.text[1:] in terms
         text = f" {terms[token.text[1:]]} " if is_bound else token.text
         size += len(text)
@@ -235,7 +235,7 @@ def _with_terms(query: StoredQuery, terms: Mapping[str, str]) -> Iterator[str]:
 
 
 def _bound(parameter: QueryParameterDeclaration, given: str | None, base: str) -> str:
-    """The term a parameter stands for, as SPARQL. Raises ValueError (a Misfit, or with words of its own)."""
+    """Return the SPARQL term of a parameter. Raises ValueError (a Misfit, or with its own message)."""
     if given is None or (not given and parameter.type is not ParameterType.STRING):
         given = parameter.default
     if given is None:
@@ -272,10 +272,10 @@ def _brief(value: str) -> str:
 
 
 def _string(value: str, base: str = "") -> str:
-    r"""A string literal that reads the same whenever codepoint escapes are replaced (SPARQL 1.1, 19.2).
+    r"""Return a string literal that is safe whenever codepoint escapes are replaced (SPARQL 1.1, 19.2).
 
-    A backslash that would begin one if they are replaced before parsing is followed by the escape of its `u`.
-    r"""
+    A backslash that would begin an escape if escapes are replaced before parsing is followed by the escape of its `u`.
+    """
     return f'"{_SPECIAL.sub(lambda match: _ESCAPES[match[0]], value)}"'
 
 
@@ -314,7 +314,7 @@ def _iri(value: str, base: str) -> str:
 
 
 def _url(path: str, base: str) -> str:
-    """The URL of a path on this server, its segments encoded as they are in all its URLs."""
+    """Return the URL of a path on this server, with its segments encoded as in all its URLs."""
     match = re.fullmatch(r"([^?#]*)(.*)", path, re.DOTALL)
     assert match is not None
     location = locate(match[1])

@@ -31,7 +31,7 @@ Renderings: TypeAlias = Mapping[str, Callable[[], str] | None]
 """Functions that render graphs, by IRI; None for a graph that is removed."""
 
 _MUCH = 1000
-"""Number of changes that are sent before a query asks for them."""
+"""Number of changes that are sent without waiting for a query."""
 _POLL_SECONDS = 1.0
 """Maximum number of seconds between checks for changes."""
 _BATCH_SECONDS = 0.01
@@ -58,7 +58,7 @@ class Changes(NamedTuple):
 
 
 class ChangeSource(Protocol):
-    """Stored graphs: possibly very many, of which few change at a time. Called on the loop."""
+    """Stored graphs: possibly very many, but few change at a time. Called on the loop."""
 
     @property
     def version(self) -> int:
@@ -232,11 +232,11 @@ class StoredSync:
                 pause = _SHORT_OF_MEMORY
             except Problem:  # the process is being started
                 pass
-            except Exception:  # the next query, or the next time, may have more luck
+            except Exception:  # the next attempt or query may succeed
                 _log.exception("what clients keep cannot be brought to the dataset now")
 
     def _soon_wanted(self) -> Sequence[int]:
-        """Return the versions that the next query is likely to want, 0 for those that none has wanted lately."""
+        """Return the versions that the next query is likely to need, 0 for sources that no query needed lately."""
         since = time.monotonic() - _ASKED_SECONDS
         pairs = zip(self._sources, self._asked, strict=True)
         return [source.version if asked > since else 0 for source, asked in pairs]
@@ -260,11 +260,11 @@ class StoredSync:
 
     @property
     def wanted_of_clients(self) -> Sequence[int]:
-        """The version of what clients keep, and 0 for the other sources."""
+        """The version of the graphs that clients store, and 0 for the other sources."""
         return [source.version if place == 0 else 0 for place, source in enumerate(self._sources)]
 
     def _due(self, wanted: Sequence[int]) -> Sequence[int]:
-        """Return the places of the sources that are not as wanted."""
+        """Return the indexes of the sources that are behind the wanted versions."""
         versions = [0] * len(self._sources) if self._state.is_outdated else self._state.versions
         return [place for place, least in enumerate(wanted) if versions[place] < least]
 
@@ -281,7 +281,7 @@ class StoredSync:
     async def catch_up(self, scope: frozenset[str] | None, wanted: Sequence[int], deadline: float) -> None:
         """Wait until these graphs (None: all) are current.
 
-        Raises Problem 503 with the progress where that takes longer than until `deadline` (loop time).
+        Raises Problem 503 with the progress if they are not by `deadline` (loop time).
         """
         if self._transfer is None and self._send_little(wanted):
             return
@@ -297,7 +297,7 @@ class StoredSync:
                     raise process_restarting(min(_LONGEST_RETRY, 1 + int(transfer.seconds_left)), str(transfer))
             if transfer.task.done():
                 transfer.task.result()
-                await asyncio.sleep(0)  # it is put away by a callback, which may not have had its turn
+                await asyncio.sleep(0)  # a callback, which may not have run yet, removes the transfer
 
     def _send_little(self, wanted: Sequence[int]) -> bool:
         """Send the wanted changes if they are small, else return False without sending any."""
@@ -318,7 +318,7 @@ class StoredSync:
         return True
 
     def _start(self, wanted: Sequence[int]) -> _Transfer:
-        """Begin to send the wanted versions."""
+        """Start to send the wanted versions."""
         due = self._due(wanted)
         transfer = self._transfer = _Transfer(sum(wanted[place] - self._state.versions[place] for place in due))
         task = asyncio.ensure_future(self._send(due, transfer))
@@ -329,10 +329,10 @@ class StoredSync:
     def _end(self, task: asyncio.Future[None]) -> None:
         self._transfer = None
         if not task.cancelled():
-            task.exception()  # whoever waits for it sees it too
+            task.exception()  # everyone who awaits the task gets the exception too
 
     async def _send(self, places: Sequence[int], transfer: _Transfer) -> None:
-        """Send the changes of the sources at these places, part by part."""
+        """Send the changes of the sources at these indexes, part by part."""
         generation, done = self._state.generation, 0
         for place in places:
             source = self._sources[place]
@@ -343,7 +343,7 @@ class StoredSync:
                     await self._send_part(part, now, generation)
                     version = max(version, part.reached)
                     transfer.done = done + max(0, part.reached - before)
-                    now = source.version  # of before the search for the next part
+                    now = source.version  # read before the search for the next part
                     await asyncio.sleep(0)
             self._state.require(generation)
             done += version - before

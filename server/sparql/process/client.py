@@ -180,7 +180,7 @@ class QueryProcess:
         return coming.result(seconds + 1)
 
     async def wait_drained(self) -> None:
-        """Wait until the process has received most of what was sent, or is gone."""
+        """Wait until the process has received most of what was sent, or has ended."""
         if self._child is not None:
             await self._child.wait_drained()
 

@@ -122,7 +122,7 @@ class Connection:
         self._tell_taken()
 
     async def wait_drained(self) -> None:
-        """Wait until the other side has received most of what was sent, or is gone."""
+        """Wait until the other side has received most of what was sent, or has closed the connection."""
         while sum(len(view) for view, _ in self._output) > _AHEAD:
             self._taken = self._taken or self._loop.create_future()
             await asyncio.shield(self._taken)

@@ -73,7 +73,7 @@ class Refused(NamedTuple):
 
 
 class ExitStatus(NamedTuple):
-    """How a worker ended: its status from `os.waitpid`, and its last output on stderr."""
+    """Exit of a worker: its status from `os.waitpid`, and its last output on stderr."""
 
     status: int
     words: str

@@ -67,7 +67,7 @@ def live(connection: int, stores: Mapping[int, MemoryStore], parent: int) -> NoR
         thread = threading.Thread(target=lambda: codes.append(worker.run()))
         thread.start()
         thread.join()
-    except (MemoryError, RuntimeError):  # there can be no thread
+    except (MemoryError, RuntimeError):  # no thread can be started
         codes.append(OUT_OF_MEMORY)
     finally:
         os._exit(codes[0] if codes else 1)
@@ -204,7 +204,7 @@ class QueryProcessMain:
         self._descriptors: deque[int] = deque()
 
     def run(self) -> None:
-        """Handle messages until the server is gone."""
+        """Handle messages until the server closes the connection."""
         woken, waking = os.pipe()
         os.set_blocking(woken, False)
         os.set_blocking(waking, False)

@@ -44,7 +44,7 @@ class Work(Protocol):
     """Function that writes its result to `output`. Raises QueryError, Problems, and what `output` raises."""
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
-        """Do it."""
+        """Run the work."""
         ...
 
 

@@ -1,1 +1,1 @@
-"""Reading SPARQL: tokens, then one parser, whose tree says what a query needs, costs and is rewritten to."""
+"""Parsing of SPARQL: tokens, and one parser whose tree serves analysis, limits and rewriting."""

@@ -1,4 +1,4 @@
-"""A cursor over the tokens of a text, which knows its prefixes and its base, and says in words what does not fit."""
+"""A cursor over the tokens of a text, which resolves prefixed names and IRIs and reports syntax errors."""
 
 from __future__ import annotations
 
@@ -18,23 +18,24 @@ _MAX_QUOTED = 40
 
 
 class Span(Protocol):
-    """A piece of the text, from `start` to before `end`."""
+    """A piece of the text, from `start` up to and excluding `end`."""
 
     @property
     def start(self) -> int:
-        """The position of its first character."""
+        """Position of its first character."""
         ...
 
     @property
     def end(self) -> int:
-        """The position after its last character."""
+        """Position after its last character."""
         ...
 
 
 class Cursor:
-    """Takes tokens one by one. `token` is the next one, `key` its mark, or its keyword in capitals ("" for others).
+    """Reader of tokens, one by one. `token` is the next one, `key` its mark or capitalized keyword ("" for others).
 
-    Its methods raise a Problem 400 for what does not fit: one sentence with the token, its place and what was expected.
+    Its methods raise a Problem 400 for unexpected tokens: one sentence with the token, its position and what was
+    expected.
     """
 
     def __init__(self, checked: CheckedText, prefixes: Mapping[str, str], base: str) -> None:
@@ -51,7 +52,7 @@ class Cursor:
         self.advance()
 
     def advance(self) -> Token:
-        """Take the next token, which is not the end."""
+        """Take the next token, which must not be the end."""
         taken = self.token
         self._at += 1
         self.token = token = self._tokens[self._at]
@@ -61,16 +62,16 @@ class Cursor:
 
     @property
     def is_at_end(self) -> bool:
-        """Whether there is no more token."""
+        """Whether no token is left."""
         return self.token.kind is Kind.END
 
     @property
     def position(self) -> int:
-        """The number of tokens that have been taken."""
+        """Number of tokens taken."""
         return self._at
 
     def taken_since(self, position: int) -> tuple[Token, ...]:
-        """The tokens that have been taken since a position."""
+        """Return the tokens taken since a position."""
         return self._tokens[position : self._at]
 
     @property
@@ -80,18 +81,18 @@ class Cursor:
 
     @property
     def end(self) -> int:
-        """Where the token ends that was taken last."""
+        """End of the last token taken."""
         return self._tokens[self._at - 1].end
 
     def take(self, *keys: str) -> bool:
-        """Take the next token if it is one of these marks or keywords."""
+        """Take the next token if it is one of these marks or keywords; return whether it was."""
         if self.key in keys and self.key:
             self.advance()
             return True
         return False
 
     def expect(self, key: str, why: str = "") -> Token:
-        """Take this mark or keyword; `why` says what it is for."""
+        """Take this mark or keyword; `why` states its purpose in the error message."""
         if self.key != key:
             self.fail_expecting(f"{key} {why}".rstrip())
         return self.advance()
@@ -126,7 +127,7 @@ class Cursor:
         return self.iri(self.advance())
 
     def expect_iri(self, expected: str = "an IRI") -> str:
-        """Take an IRI or a prefixed name."""
+        """Take an IRI or a prefixed name and return the IRI."""
         if self.token.kind is not Kind.IRI and self.token.kind is not Kind.NAME:
             self.fail_expecting(expected)
         iri = self.iri(self.token)
@@ -134,7 +135,9 @@ class Cursor:
         return iri
 
     def iri(self, token: Token) -> str:
-        """The IRI that a token stands for. Raises a Problem 413 if the IRIs are too long in all, for their text."""
+        """Return the IRI of a token. Raises a Problem 413 if all IRIs are too long in total for the size of the
+        text.
+        """
         iri = self._resolve(token) if token.kind is Kind.IRI else self._expand(token)
         self._left -= len(iri)
         if self._left < 0:
@@ -152,7 +155,7 @@ class Cursor:
         return namespace + (_unslash(local) if "\\" in local else local)
 
     def _resolve(self, token: Token) -> str:
-        """The IRI as the store will have it: whatever is not plainly absolute is resolved by its own parser."""
+        """Return the IRI as the store will resolve it; its own parser resolves IRIs that are not plainly absolute."""
         iri = token.text[1:-1]
         if "\\" in iri:
             iri = unescape_codepoints(iri)
@@ -168,11 +171,11 @@ class Cursor:
     # --- words
 
     def fail_at(self, span: Span, words: str) -> NoReturn:
-        """Raise what is wrong with a piece of the text."""
+        """Raise a Problem about a piece of the text."""
         raise Problem(400, f"{self._where_is(span)} {words}.")
 
     def fail_expecting(self, expected: str) -> NoReturn:
-        """Raise that the next token is not what was expected."""
+        """Raise a Problem: the next token is not what was expected."""
         token = self.token
         if token.kind is Kind.END:
             words = f"The {self._what} ends where {expected} is expected"
@@ -187,7 +190,7 @@ class Cursor:
         self.fail_at(token, f"stands where {expected} is expected")
 
     def fail_unknown(self, expected: str) -> NoReturn:
-        """Raise that the next token, where a term was expected, is none."""
+        """Raise a Problem: the next token is not a term."""
         if self.token.kind is Kind.WORD and self.key not in KEYWORDS:
             hint = "put it in quotes, or write it as a variable (?) or with a prefix"
             self.fail_at(self.token, f"is no term{did_you_mean(self.key, KEYWORDS)}: {hint}")
@@ -207,7 +210,7 @@ class Cursor:
 
 
 def did_you_mean(text: str, known: Collection[str], mark: str = "") -> str:
-    """A guess at what was meant, in brackets after a blank; nothing where none is near."""
+    """Return a suggestion in brackets after a blank, or an empty string if no known text is similar."""
     found = get_close_matches(text, sorted(known), 1, 0.8) if len(text) <= _MAX_QUOTED else []
     return f" ({found[0]}{mark}?)" if found else ""
 
@@ -223,6 +226,6 @@ def _is_plain(iri: str) -> bool:
 
 
 def _unslash(local: str) -> str:
-    """A local name without the backslashes that protect its punctuation."""
+    """Remove the backslashes that escape punctuation in a local name."""
     parts = iter(local)
     return "".join(next(parts, "") if character == "\\" else character for character in parts)

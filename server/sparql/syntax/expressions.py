@@ -1,4 +1,4 @@
-"""Reading expressions, to trees that keep their places in the text (SPARQL 1.1, 19.8, rules 107 to 128)."""
+"""Parsing of expressions to trees that keep their positions in the text (SPARQL 1.1, 19.8, rules 107 to 128)."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ CONSTRAINT = "an expression in brackets, EXISTS, NOT EXISTS or the call of a fun
 
 
 class ExpressionParser(TripleParser):
-    """Reads expressions. `expressions` are those that are evaluated, `functions` those called, `constants` are IRIs.
+    """Parser of expressions; collects the evaluated `expressions`, the called `functions` and the IRIs in `constants`.
 
-    `age` is the IRI of the function whose argument's values must be known: a call of it is a pattern about that.
+    `age` is the IRI of the function that needs live values of its argument: a call of it counts as a pattern on that.
     """
 
     def __init__(
@@ -54,14 +54,14 @@ class ExpressionParser(TripleParser):
 
     @abstractmethod
     def group(self, graph: Term | None) -> Group:
-        """Read a group, in braces."""
+        """Parse a group in braces."""
 
     def constraint(self, group: Group, expected: str = CONSTRAINT) -> Operand:
-        """An expression in brackets, EXISTS, or the call of a function; `group` takes the groups of EXISTS."""
+        """Parse an expression in brackets, EXISTS or a function call; `group` collects the groups of EXISTS."""
         return self.bracketed(group, expected) if self.key == "(" else self.call(group, expected)
 
     def bracketed(self, group: Group, expected: str = _EXPRESSION) -> Expression:
-        """An expression in brackets."""
+        """Parse an expression in brackets."""
         if self.key != "(":
             self.fail_expecting(f"( and {expected}")
         start = self.advance().start
@@ -70,7 +70,7 @@ class ExpressionParser(TripleParser):
         return Expression(start, self.end, (inner,))
 
     def call(self, group: Group, expected: str) -> Operand:
-        """EXISTS, or the call of a function."""
+        """Parse EXISTS or a function call."""
         token = self.token
         if token.kind is Kind.IRI or token.kind is Kind.NAME:
             return self._call_by_iri(token, self.expect_iri(), group)
@@ -79,7 +79,7 @@ class ExpressionParser(TripleParser):
         return self._builtin_call(group)
 
     def expression(self, group: Group) -> Expression:
-        """Operands and the operators between them."""
+        """Parse operands and the operators between them."""
         start = self.token.start
         parts: list[Part] = []
         self._operand(group, parts)
@@ -107,7 +107,7 @@ class ExpressionParser(TripleParser):
                 self._operand(group, parts)
 
     def _fail_ambiguous(self) -> None:
-        """The store's parser reads `<` as "less than" wherever an operator may stand."""
+        """Raise a Problem for a `<` that the store's parser would read as "less than"."""
         where = line_and_column(self.text, self.token.start)
         words = f"{self.token.text} at {where} can be read as an IRI or as comparisons: put a blank after the <."
         raise Problem(400, words)
@@ -118,7 +118,7 @@ class ExpressionParser(TripleParser):
         return Choices(start, self.end, items)
 
     def _operand(self, group: Group, parts: list[Part]) -> None:
-        """Add an operand, and the operators before it."""
+        """Parse an operand and the operators before it."""
         while self.key in _SIGNS and not self._is_at_number:
             parts.append(self.advance().text)
         token = self.token
@@ -152,7 +152,7 @@ class ExpressionParser(TripleParser):
     # --- calls
 
     def _builtin_call(self, group: Group) -> Operand:
-        """EXISTS, an aggregate or a function that has a name of its own."""
+        """Parse EXISTS, an aggregate or a built-in function."""
         token, name = self.token, self.key
         if name in ("EXISTS", "NOT"):
             self.advance()
@@ -225,19 +225,19 @@ class ExpressionParser(TripleParser):
     def add_expression(
         self, operand: Operand, purpose: ExpressionPurpose, start: int = 0, direction: str = "ASC"
     ) -> None:
-        """Note an expression that is evaluated."""
+        """Record an evaluated expression."""
         self.expressions.append(EvaluatedExpression(operand, purpose, start, direction))
 
 
 def has_aggregate(operand: Operand) -> bool:
-    """Whether an expression has an aggregate."""
+    """Whether an expression contains an aggregate."""
     if isinstance(operand, Call) and operand.name in AGGREGATES:
         return True
     return any(map(has_aggregate, _parts(operand)))
 
 
 def ungrouped(operand: Operand) -> Iterator[Reference]:
-    """The variables of an expression that stand in none of its aggregates, nor in an EXISTS."""
+    """Yield the variables of an expression outside of its aggregates and EXISTS."""
     if isinstance(operand, Reference):
         yield operand
     elif not (isinstance(operand, Call) and operand.name in AGGREGATES):

@@ -1,12 +1,12 @@
-"""SPARQL's tokens, in time linear in the text, and what is refused before a parser sees it (SPARQL 1.1, 19.8).
+"""Lexer of SPARQL, linear in the size of the text, and the checks before the text reaches a parser (SPARQL 1.1, 19.8).
 
-The store's parser is a native library: deep nesting and long chains overflow its stack and end the whole process,
-large joins keep its optimiser busy for minutes, and SERVICE and LOAD really call out. None of this can be switched
-off or stopped there, so it is refused here, on tokens, before.
+The store's parser is a native library: deep nesting and long chains overflow its stack and end the whole process, large
+joins occupy its optimiser for minutes, and SERVICE and LOAD really send requests. None of this can be disabled or
+stopped there, so it is rejected here, on tokens.
 
-That parser asks for no blank between keywords (`SERVICESILENT` is two of them to it) and reads `<` as "less than"
-wherever an operator may stand. So the checks hold for every way to cut the text, not for one; comments are blanked
-before the text goes on, as the one place where two readings could hide something from each other.
+That parser needs no blank between keywords (it reads `SERVICESILENT` as two) and reads `<` as "less than" wherever an
+operator may occur. So the checks hold for every way to split the text, not for one; comments are blanked before the
+text is passed on, because there two readings could hide something from each other.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from rosld.server.sparql.syntax.token import Kind, Token
 
 @dataclass(frozen=True, slots=True)
 class QueryBounds:
-    """What a query or an update may be at most.
+    """Upper bounds for a query or an update.
 
-    `size` is in characters; `depth` counts open brackets; `steps` are keywords, operators and brackets (each can be
-    one more frame on the parser's stack: it overflows near 2,000); `joins` are triple patterns, which is what the
-    optimiser's time grows with (its cube: 64 patterns on one variable take 0.1 s, 200 take 10 s).
+    `size` is in characters; `depth` counts open brackets; `steps` are keywords, operators and brackets (each can add a
+    frame to the parser's stack, which overflows near 2,000); `joins` are triple patterns, whose cube determines the
+    optimiser's time (64 patterns on one variable take 0.1 s, 200 take 10 s).
     """
 
     size: int = 256 * 1024
@@ -41,7 +41,7 @@ DEFAULT_BOUNDS = QueryBounds()
 
 @dataclass(frozen=True, slots=True)
 class ServiceAllowlist:
-    """Where a text may have the server send requests to: URLs that SERVICE may name, letter by letter."""
+    """Endpoints that a text may make the server call: URLs that SERVICE may name, compared as strings."""
 
     services: frozenset[str] = frozenset()
 
@@ -88,15 +88,17 @@ _NO_STEPS = frozenset({".", ",", ";", "^^"})
 
 
 def tokens(text: str, at: int = 0, *, spaces: bool = True) -> Iterator[Token]:
-    """All tokens from `at` on, comments included: with `spaces` their texts, joined, are the text, whatever it is."""
+    """Yield the tokens from `at`, comments included; with `spaces`, their texts joined are the text, even if
+    invalid.
+    """
     seen = 0
     while at < len(text):
         if not spaces and (space := _SPACE.match(text, at)):
             at = space.end()
             continue
         if word := _WORD.match(text, at):
-            # A prefix may hold dots, so a run must be read to its end to know whether a colon follows. A run that is
-            # none is not read again from its middle, or `a.a.a.a` would cost the square of its length.
+            # A prefix may contain dots, so a run must be read to its end to see whether a colon follows. A run without
+            # one is not read again from its middle, or `a.a.a.a` would take quadratic time.
             run = word if at < seen else _RUN.match(text, at) or word
             colon = text.startswith(":", run.end())
             token = Token(Kind.NAME, _name(text, at, run.end()), at) if colon else Token(Kind.WORD, word[0], at)
@@ -110,7 +112,7 @@ def tokens(text: str, at: int = 0, *, spaces: bool = True) -> Iterator[Token]:
 
 
 def _name(text: str, at: int, colon: int) -> str:
-    """The prefixed name that begins at `at`; a dot at its end is a full stop."""
+    """Return the prefixed name that starts at `at`; a final dot is a full stop."""
     local = _LOCAL.match(text, colon + 1)
     end = colon + 1 if local is None else local.end()
     while end > colon + 1 and text[end - 1] == "." and text[end - 2] != "\\":
@@ -120,13 +122,13 @@ def _name(text: str, at: int, colon: int) -> str:
 
 def _other(text: str, at: int) -> Token:
     match = _TOKEN.match(text, at)
-    if match is None:  # a string without an end leaves nothing to be cut after it
+    if match is None:  # an unterminated string extends to the end of the text
         return Token(Kind.ERROR, text[at:] if text[at] in "\"'" else text[at], at)
     return Token(_KINDS[match.lastgroup or ""], match[0], at)
 
 
 def unescape_codepoints(text: str) -> str:
-    """Text with its codepoint escapes (SPARQL 1.1, 19.2) replaced. Raises Problem 400 for one that is no character."""
+    """Replace codepoint escapes (SPARQL 1.1, 19.2). Raises Problem 400 for one that is not a character."""
     return _ESCAPE.sub(_character, text)
 
 
@@ -138,9 +140,9 @@ def _character(match: re.Match[str]) -> str:
 
 
 class CheckedText(NamedTuple):
-    """A text fit to be parsed: comments are blanked, positions as they were. `tokens` are those that mean something.
+    """A text that may be parsed: comments are blanked, positions unchanged. `tokens` exclude spaces and comments.
 
-    `written` is the text as it came, `what` it is called in words for people.
+    `written` is the original text, `what` its kind in error messages.
     """
 
     text: str
@@ -152,11 +154,11 @@ class CheckedText(NamedTuple):
 def check_text(
     text: str, bounds: QueryBounds = DEFAULT_BOUNDS, *, what: str = "query", reach: ServiceAllowlist = NO_SERVICES
 ) -> CheckedText:
-    """The text, if it may be shown to the store's parser at all.
+    """Return the text if the store's parser may read it.
 
-    Escapes in names are replaced, and prefixes in which that parser might find SERVICE have other names. Raises
-    Problems: 413 too long, 400 for characters that cannot be there, nesting or length beyond the bounds, triple terms,
-    and SERVICE beyond the reach.
+    Escapes in names are replaced, and prefixes in which that parser might find SERVICE are renamed. Raises Problem 413
+    for a text that is too long, and 400 for invalid characters, nesting or length beyond the bounds, triple terms, and
+    SERVICE calls that `reach` does not allow.
     """
     if len(text) > bounds.size:
         raise Problem(413, f"The {what} has {len(text)} characters; at most {bounds.size} are read.")
@@ -175,7 +177,7 @@ def check_text(
 
 
 def _blank(text: str, comments: Sequence[Token]) -> str:
-    """The text with spaces in place of its comments."""
+    """Return the text with comments replaced by spaces."""
     pieces: list[str] = []
     at = 0
     for comment in comments:
@@ -185,7 +187,7 @@ def _blank(text: str, comments: Sequence[Token]) -> str:
 
 
 def unescape_names(text: str) -> str:
-    """The text without the escapes that stand outside of strings and IRIs (19.2), where characters of names may."""
+    """Replace the escapes (19.2) of name characters outside of strings and IRIs."""
     pieces: list[str] = []
     at = 0
     while at < len(text):
@@ -201,7 +203,7 @@ def unescape_names(text: str) -> str:
 
 
 def _blot(name: str, keywords: re.Pattern[str], letter: str) -> Iterator[str]:
-    """The name with a letter in place of each of the keywords'."""
+    """Yield the pieces of a name with every letter of the keywords in it replaced by `letter`."""
     at = 0
     for match in keywords.finditer(name):
         yield name[at : match.start()] + letter * len(match[0])
@@ -210,7 +212,7 @@ def _blot(name: str, keywords: re.Pattern[str], letter: str) -> Iterator[str]:
 
 
 def _rename(checked: CheckedText, keywords: re.Pattern[str]) -> CheckedText:
-    """The same, with other names of the same length for prefixes that hold a keyword: it might be cut from them."""
+    """Rename, at the same length, prefixes that contain a keyword, which another parser might split off."""
     if not keywords.search(checked.text):
         return checked
     used = {token.text.partition(":")[0] for token in checked.tokens if token.kind is Kind.NAME}
@@ -234,7 +236,7 @@ def _rename(checked: CheckedText, keywords: re.Pattern[str]) -> CheckedText:
 
 
 def _check_targets(found: tuple[Token, ...], text: str, keyword: str, allowed: frozenset[str]) -> None:
-    """Hold that what follows the keyword (and SILENT) is one of these URLs, written in full."""
+    """Check that the keyword (and SILENT) is followed by one of these URLs, written in full."""
     for at, token in enumerate(found):
         if token.is_word(keyword):
             following = found[at + 1 : at + 3]
@@ -272,7 +274,7 @@ def _check_services(found: tuple[Token, ...], text: str, reach: ServiceAllowlist
 
 
 def lexical_error(token: Token, text: str) -> str | None:
-    """One sentence that says why a piece of the text is no token of SPARQL, None for one that is."""
+    """Return a sentence on why a piece of the text is not a SPARQL token, None for a valid token."""
     wrong: str | None = None
     if token.kind is Kind.ERROR:
         wrong = _unread(token.text)
@@ -307,7 +309,7 @@ def _wrong_iri(iri: str) -> str | None:
 
 
 def _check_shape(found: tuple[Token, ...], text: str, bounds: QueryBounds, what: str) -> None:
-    """Check the bounds on depth and steps. Data may be long: what stands in a block after VALUES or DATA is no step."""
+    """Check the bounds on depth and steps. Data may be long: the blocks after VALUES and DATA do not count as steps."""
     depth = steps = 0
     data: int | None = None
     for token in found:
@@ -333,16 +335,16 @@ def _check_shape(found: tuple[Token, ...], text: str, bounds: QueryBounds, what:
 
 
 def line_and_column(text: str, at: int) -> str:
-    """A position as the store's parser tells it: line:column, both from 1."""
+    """Format a position like the store's parser: line:column, both from 1."""
     before = text[:at]
     return f"{before.count(chr(10)) + 1}:{at - (before.rfind(chr(10)) + 1) + 1}"
 
 
 def check_update_of_one_graph(text: str, bounds: QueryBounds = DEFAULT_BOUNDS) -> CheckedText:
-    """The text, fit to be carried out, of a SPARQL Update of its default graph and nothing else.
+    """Return the checked text of a SPARQL Update that is limited to its default graph.
 
-    Raises Problems: as `check_text`, and 422 for what reaches beyond: GRAPH, WITH, USING, LOAD, FROM, and operations on
-    whole graphs. The check is on letters, wherever a keyword could be cut from them.
+    Raises Problems as `check_text` does, and 422 for GRAPH, WITH, USING, LOAD, FROM and operations on whole graphs. The
+    check works on letters, wherever a keyword could be split off.
     """
     checked = _rename(check_text(text, bounds, what="update"), _KEYWORDS_BEYOND)
     for token in checked.tokens:
@@ -361,7 +363,7 @@ _KEYWORDS_BEYOND = re.compile("|".join(_BEYOND), re.IGNORECASE)
 
 
 def update_keyword(found: tuple[Token, ...]) -> str | None:
-    """The keyword of the first operation if these tokens are an update, None for anything else."""
+    """Return the keyword of the first operation if these tokens are an update, else None."""
     skipping = 0
     for token in found:
         if skipping:

@@ -1,7 +1,7 @@
-"""Reading queries: groups, sub-queries and solution modifiers (SPARQL 1.1, 19.8, rules 1 to 67).
+"""Parsing of queries: groups, sub-queries and solution modifiers (SPARQL 1.1, 19.8, rules 1 to 67).
 
-A recursive descent over the whole grammar, with its notes on labels, scope and groups; its depth is bounded by the
-lexer's. The one reading of a query tells what is wrong with it, what it needs, and where it is rewritten.
+A recursive descent over the whole grammar, with its notes on labels, scope and groups; the lexer bounds its depth. A
+single pass yields the errors of a query, its needs, and the positions to rewrite.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ _STARTS_OF_CONDITIONS = frozenset({Kind.VARIABLE, Kind.IRI, Kind.NAME, Kind.WORD
 
 
 def parse_query(query: CheckedText, prefixes: Mapping[str, str], base: str, age: str) -> Query:
-    """Read a query; `prefixes` need not be declared. `age` is the IRI of ros:age.
+    """Parse a query; `prefixes` need not be declared. `age` is the IRI of ros:age.
 
-    Raises Problem 400 for what is no query, saying where and what was expected, and for more joins than the bounds
+    Raises Problem 400 for syntax errors, with the position and what was expected, and for more joins than the bounds
     allow.
     """
     try:
@@ -49,14 +49,14 @@ def parse_query(query: CheckedText, prefixes: Mapping[str, str], base: str, age:
 
 
 class _Selection(NamedTuple):
-    """What a SELECT tells: variables, or operands with the variables that they are given to. None for `*`."""
+    """The projection of a SELECT: variables, with operands for expressions. `items` is None for `*`."""
 
     select: Token
     items: tuple[tuple[Token, Operand | None], ...] | None
 
 
 class _Solutions(NamedTuple):
-    """What GROUP BY, HAVING, ORDER BY and LIMIT say: variables that are grouped by (None: there is no GROUP BY)."""
+    """Solution modifiers: the variables of GROUP BY (None without it), the operands of all modifiers, and the slice."""
 
     grouped: frozenset[str] | None
     operands: tuple[Operand, ...]
@@ -64,10 +64,10 @@ class _Solutions(NamedTuple):
 
 
 class QueryParser(ExpressionParser):
-    """Reads a query from its beginning to its end."""
+    """Parser of a complete query."""
 
     def query(self) -> Query:
-        """Parse the whole text as one query. Raises a 400 Problem that names the place and what is expected there."""
+        """Parse the whole text as one query. Raises a 400 Problem with the position and what was expected there."""
         self.prologue()
         form, name = self.token, self.key
         if self.is_at_end:
@@ -138,7 +138,7 @@ class QueryParser(ExpressionParser):
                 return described
 
     def _template(self, what: str, group: Group, *, is_matched: bool = False) -> None:
-        """Triples in braces. What is constructed is joined with nothing."""
+        """Parse triples in braces. A constructed template does not count as a join."""
         if self.key != "{":
             self.fail_expecting(_GROUP)
         self.advance()
@@ -176,7 +176,7 @@ class QueryParser(ExpressionParser):
                 self.fail_expecting("what to select (variables, expressions as (... AS ?x), or *)")
 
     def _solve(self, selection: _Selection, asked: Group, graph: Term | None) -> tuple[Group, Slice | None]:
-        """The group of a SELECT, with what it tells as its visible variables, and which solutions of it are told."""
+        """Parse the group of a SELECT and its modifiers; return the group with the projection as visible variables."""
         self.take("WHERE")
         group = self.group(graph)
         solutions = self._modifiers(asked)
@@ -187,7 +187,7 @@ class QueryParser(ExpressionParser):
         return group, None if is_grouped else solutions.slice
 
     def _selected_variables(self, selection: _Selection, visible: set[str], solutions: _Solutions) -> set[str]:
-        """The variables that a SELECT tells, its rules on scope and groups being kept (18.2.1, 18.2.4.1, 19.8)."""
+        """Return the variables that a SELECT projects, after checks of scope and grouping (18.2.1, 18.2.4.1, 19.8)."""
         items, grouped = selection.items, solutions.grouped
         operands = (*solutions.operands, *(operand for _, operand in items or () if operand is not None))
         if grouped is None and any(map(has_aggregate, operands)):
@@ -255,7 +255,7 @@ class QueryParser(ExpressionParser):
         return _Solutions(None if grouped is None else frozenset(grouped), tuple(operands), slice)
 
     def _group_variables(self, asked: Group) -> list[str | None]:
-        """The variables of GROUP BY, None for what has no name."""
+        """Parse the variables of GROUP BY, None for expressions without a name."""
         names: list[str | None] = []
         while True:
             if self.token.kind is Kind.VARIABLE:
@@ -294,7 +294,7 @@ class QueryParser(ExpressionParser):
     # --- groups
 
     def group(self, graph: Term | None) -> Group:
-        """A group in braces, or a sub-query."""
+        """Parse a group in braces, or a sub-query."""
         if self.key != "{":
             self.fail_expecting(_GROUP)
         self.advance()
@@ -339,7 +339,7 @@ class QueryParser(ExpressionParser):
             self.advance()
             group.tests.append(self.constraint(group))
             self.add_expression(group.tests[-1], ExpressionPurpose.TEST)
-            return  # triples around it are one block
+            return  # triples on both sides form one block
         else:
             self.advance()
             if key == "BIND":
@@ -360,7 +360,7 @@ class QueryParser(ExpressionParser):
         self.block += 1
 
     def _union(self, group: Group) -> None:
-        """One group or several alternatives, of which the largest counts."""
+        """Parse one group or several alternatives; the largest alternative counts as joins."""
         before, limit = self.joins, 0
         alternatives: list[Group] = []
         while True:
@@ -385,7 +385,7 @@ class QueryParser(ExpressionParser):
         return Iri(self.expect_iri(expected))
 
     def _service(self, group: Group) -> None:
-        """What another endpoint is asked concerns nothing that is here, and is sent as it is written."""
+        """Parse SERVICE, which concerns no local graphs and is sent unchanged."""
         self.take("SILENT")
         self._graph(group, "an IRI")
         self.count_join()
@@ -439,7 +439,7 @@ class QueryParser(ExpressionParser):
         return found
 
     def _datum(self, expected: str) -> Iri | Value | None:
-        """A value of VALUES, None for UNDEF."""
+        """Parse a value of VALUES, None for UNDEF."""
         token = self.token
         if token.kind is Kind.VARIABLE:
             self.fail_at(token, "stands among the values of VALUES, which are IRIs, literals or UNDEF")
@@ -455,11 +455,11 @@ class QueryParser(ExpressionParser):
 
 
 def _bound(group: Group) -> frozenset[str]:
-    """The variables that the patterns of a group bind, as far as it is read."""
+    """Return the variables bound by the patterns of a group parsed so far."""
     return frozenset(
         term.name for each in group.patterns for term in (each.subject, each.object) if isinstance(term, Variable)
     )
 
 
 def _ignore(*_: object) -> None:
-    """Take triples of a template, which match nothing."""
+    """Ignore the triples of a template, which match nothing."""

@@ -1,4 +1,4 @@
-"""Tokens and keywords of SPARQL. Apart from the lexer: its patterns take 50 ms to compile, which trees do not need."""
+"""Tokens and keywords of SPARQL, separate from the lexer, whose patterns take 50 ms to compile."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Kind(Enum):
-    """The kinds of token; `SPACE` and `COMMENT` mean nothing, `ERROR` begins no token, `END` follows the last."""
+    """Kind of a token; `SPACE` and `COMMENT` are ignored, `ERROR` is not a valid token, `END` follows the last one."""
 
     IRI = "iri"
     NAME = "prefixed name"
@@ -25,7 +25,7 @@ class Kind(Enum):
 
 
 class Token(NamedTuple):
-    """A piece of the text as it stands there, and where it begins."""
+    """A piece of the text with its position."""
 
     kind: Kind
     text: str
@@ -33,15 +33,15 @@ class Token(NamedTuple):
 
     @property
     def end(self) -> int:
-        """Where the next token begins."""
+        """Position after the last character."""
         return self.start + len(self.text)
 
     def is_mark(self, *marks: str) -> bool:
-        """Whether it is one of these punctuation marks."""
+        """Whether the token is one of these punctuation marks."""
         return self.kind is Kind.MARK and self.text in marks
 
     def is_word(self, *words: str) -> bool:
-        """Whether it is one of these keywords, given in capitals."""
+        """Whether the token is one of these keywords, given in capitals."""
         return self.kind is Kind.WORD and self.text.upper() in words
 
 
@@ -51,7 +51,7 @@ def _split(text: str) -> tuple[str, ...]:
 
 FORMS = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 MEMBERS = ("OPTIONAL", "MINUS", "GRAPH", "SERVICE", "FILTER", "BIND", "VALUES", "LATERAL")
-"""The keywords that begin something of a group that is no triple. LATERAL is the store's own."""
+"""Keywords that start a member of a group other than triples. LATERAL is an extension of the store."""
 MODIFIERS = ("GROUP", "HAVING", "ORDER", "LIMIT", "OFFSET", "VALUES")
 AGGREGATES = frozenset(_split("COUNT SUM MIN MAX AVG SAMPLE GROUP_CONCAT"))
 ANY_NUMBER = (0, 1000)
@@ -70,12 +70,12 @@ ARGUMENTS = {
     "BNODE": (0, 1),
     "IF": (3, 3),
     "REPLACE": (3, 4),
-    # of SPARQL 1.2: the store may know them
+    # of SPARQL 1.2, which the store may support
     **dict.fromkeys(
         _split("TRIPLE SUBJECT PREDICATE OBJECT ISTRIPLE LANGDIR HASLANG HASLANGDIR STRLANGDIR ADJUST"), ANY_NUMBER
     ),
 }
-"""The least and the most arguments of each function that has a name of its own."""
+"""Minimum and maximum number of arguments of each built-in function."""
 KEYWORDS = frozenset(
     (
         *(*FORMS, *MEMBERS, *MODIFIERS, *AGGREGATES, *ARGUMENTS),

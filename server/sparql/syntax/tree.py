@@ -1,4 +1,4 @@
-"""A query as values: triple patterns in the groups they stand in, paths, and expressions with their places."""
+"""Syntax tree of a query: triple patterns in their groups, paths, and expressions with their positions."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ TYPE = rdf.type.value
 
 
 class Iri(NamedTuple):
-    """A constant IRI, absolute."""
+    """An absolute IRI."""
 
     value: str
 
 
 class Variable(NamedTuple):
-    """A variable, or a blank node (`_:label`, or `[n]` for one without a label), which is a variable in a pattern."""
+    """A variable, or a blank node (`_:label`, or `[n]` without a label), which acts as a variable in a pattern."""
 
     name: str
 
@@ -35,8 +35,6 @@ class Variable(NamedTuple):
 
 
 class Value(NamedTuple):
-    """A literal."""
-
     literal: Literal
 
 
@@ -46,7 +44,7 @@ Term: TypeAlias = Iri | Variable | Value
 class Pattern(NamedTuple):
     """A triple pattern. `predicates` are those that may match, None for any.
 
-    `repeated`: it may match along several triples in a row, or in either direction; `empty`: along none at all.
+    `repeated`: it may match along several consecutive triples, or in either direction; `empty`: along none at all.
     """
 
     subject: Term
@@ -58,16 +56,16 @@ class Pattern(NamedTuple):
 
 @dataclass(eq=False, slots=True)
 class Group:
-    """What must hold together.
+    """A group graph pattern.
 
-    `graph` is the GRAPH it stands in; `scoped` says that nothing of what is around it narrows it (a subquery),
-    `assigned` that it has a BIND, and `mixed` that patterns follow one or that it is of a constant: the store may join
-    these in an order of its own. `filters` are groups of EXISTS, `visible` the variables in scope after it (18.2.1).
+    `graph` is the enclosing GRAPH; `scoped`: nothing outside narrows it (a subquery); `assigned`: it has a BIND;
+    `mixed`: patterns follow a BIND, or the BIND is of a constant: the store may join these in its own order. `filters`
+    are groups of EXISTS, `visible` the variables in scope after the group (18.2.1).
 
-    `tests` are the expressions of its FILTERs, `bindings` those of its BINDs, `data` what a variable may be by VALUES
-    (None: anything). `joined`: its solutions are joined with those around it, where it is an `alternative` (UNION)
-    together with those of the others; of OPTIONAL and MINUS it is neither. `given` are the variables that patterns
-    before it bind.
+    `tests` are the expressions of its FILTERs, `bindings` those of its BINDs, `data` the possible values of variables
+    by VALUES (None: any). `joined`: its solutions are joined with those around it; an `alternative` (UNION) is joined
+    together with the other alternatives; OPTIONAL and MINUS are neither. `given` are the variables bound by patterns
+    before it.
     """
 
     graph: Term | None = None
@@ -87,7 +85,7 @@ class Group:
 
 
 def graphs_around(group: Group) -> frozenset[str] | None:
-    """The graphs that all patterns stand in, by their names; None where one stands in any other or in none."""
+    """Return the names of the graphs around all patterns, None if a pattern is in a variable graph or in none."""
     inner = group.children + group.filters
     found = [graphs_around(each) for each in inner]
     if group.patterns:
@@ -119,7 +117,7 @@ class Chain(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """`path | path`; no parts: a negated set, which is any predicate."""
+    """`path | path`; without parts a negated property set, which may match any predicate."""
 
     parts: tuple[Path, ...]
 
@@ -135,7 +133,7 @@ Path: TypeAlias = "PathStep | Inverse | Chain | Choice | Repeat"
 
 
 def path_predicates(path: Path) -> frozenset[str] | None:
-    """All predicates of a path, None where it may be any."""
+    """Return all predicates of a path, None if it may match any."""
     if isinstance(path, PathStep):
         return frozenset({path.iri})
     if isinstance(path, Inverse | Repeat):
@@ -147,7 +145,7 @@ def path_predicates(path: Path) -> frozenset[str] | None:
 
 
 def may_be_empty(path: Path) -> bool:
-    """Whether it leads from a node to itself."""
+    """Whether a path may have length zero."""
     if isinstance(path, Repeat):
         return path.empty or may_be_empty(path.path)
     if isinstance(path, Chain):
@@ -157,11 +155,11 @@ def may_be_empty(path: Path) -> bool:
     return isinstance(path, Inverse) and may_be_empty(path.path)
 
 
-# --- expressions, each with the positions in the text between which it stands
+# --- expressions, each with its start and end in the text
 
 
 class Reference(NamedTuple):
-    """A variable in an expression; `name` with its mark, as written."""
+    """A variable in an expression; `name` includes its mark."""
 
     start: int
     end: int
@@ -169,7 +167,7 @@ class Reference(NamedTuple):
 
 
 class Constant(NamedTuple):
-    """An IRI or a literal. `kind`: that of its first token, NUMBER also for a string with a datatype."""
+    """An IRI or a literal. `kind` is the kind of its first token, NUMBER also for a string with a datatype."""
 
     start: int
     end: int
@@ -178,7 +176,7 @@ class Constant(NamedTuple):
 
 
 class Expression(NamedTuple):
-    """What stands between brackets or commas: operands, and the operators before and between them."""
+    """The content of brackets or of an argument: operands, and the operators before and between them."""
 
     start: int
     end: int
@@ -186,7 +184,7 @@ class Expression(NamedTuple):
 
 
 class Call(NamedTuple):
-    """A call of a function: of a keyword, in capitals, or of an `iri` (""), which ends at `name_end`."""
+    """A function call, by keyword (`name`, in capitals) or by `iri` (else ""); its name ends at `name_end`."""
 
     start: int
     end: int
@@ -205,7 +203,7 @@ class Choices(NamedTuple):
 
 
 class Exists(NamedTuple):
-    """EXISTS or NOT EXISTS with its group, which stands in `filters` of the group around it."""
+    """EXISTS or NOT EXISTS; its group is in `filters` of the enclosing group."""
 
     start: int
     end: int
@@ -216,7 +214,7 @@ Part: TypeAlias = "Operand | str"
 
 
 class ExpressionPurpose(Enum):
-    """What an expression is for."""
+    """Purpose of an expression."""
 
     TERM = "a term, which is passed on"
     TEST = "whether it holds: an error is as good as false"
@@ -224,7 +222,7 @@ class ExpressionPurpose(Enum):
 
 
 class EvaluatedExpression(NamedTuple):
-    """An expression that is evaluated for solutions; one of ORDER BY begins at `start`, with its `direction`."""
+    """An expression evaluated for solutions; one of ORDER BY begins at `start`, with its `direction`."""
 
     operand: Operand
     purpose: ExpressionPurpose
@@ -233,19 +231,19 @@ class EvaluatedExpression(NamedTuple):
 
 
 def strip_brackets(operand: Operand) -> Operand:
-    """What stands within brackets that hold nothing else."""
+    """Return the content of brackets that contain a single operand."""
     while isinstance(operand, Expression) and len(operand.parts) == 1 and not isinstance(operand.parts[0], str):
         operand = operand.parts[0]
     return operand
 
 
-# --- the whole
+# --- queries
 
 
 class Slice(NamedTuple):
-    """The first solutions that a SELECT tells: `limit` of them after `offset`, in an order.
+    """The solutions that LIMIT and OFFSET select: `limit` of them after `offset`.
 
-    `first` is the first expression that they are ordered by, None where there is no order.
+    `first` is the first expression of ORDER BY, None without one.
     """
 
     limit: int
@@ -256,11 +254,10 @@ class Slice(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """A query: its form, the group of its WHERE, its FROM (`default`) and FROM NAMED, the functions it calls.
+    """A query: its form, the group of its WHERE, its FROM (`default`) and FROM NAMED, and the functions it calls.
 
-    `constants` are the IRIs in VALUES and expressions. `literals` stand in patterns, templates and VALUES;
-    they and the `expressions` are of all that is not in SERVICE. `slice` is of a SELECT with LIMIT that groups nothing
-    and has no aggregates, None of any other query.
+    `constants` are the IRIs in VALUES and expressions. `literals` are those in patterns, templates and VALUES; they and
+    `expressions` exclude SERVICE. `slice` is set for a SELECT with LIMIT that has no grouping and no aggregates.
     """
 
     form: str

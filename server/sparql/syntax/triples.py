@@ -1,4 +1,4 @@
-"""Reading triples: terms, property lists, collections and paths (SPARQL 1.1, 19.8, rules 52 to 106)."""
+"""Parsing of triples: terms, property lists, collections and paths (SPARQL 1.1, 19.8, rules 52 to 106)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from rosld.server.sparql.syntax.tree import (
 
 Verb: TypeAlias = "Path | Variable"
 AddPattern: TypeAlias = "Callable[[Term, Verb, Term], object]"
-"""What takes triples as they are read."""
+"""Callback for parsed triples."""
 
 _TERMS = frozenset({Kind.VARIABLE, Kind.IRI, Kind.NAME, Kind.BLANK, Kind.STRING, Kind.NUMBER})
 _MARKS = frozenset({"[", "(", "+", "-", "TRUE", "FALSE"})
@@ -50,7 +50,7 @@ _CHARACTERS = {"t": "\t", "n": "\n", "r": "\r", "b": "\b", "f": "\f"}
 
 
 class TripleParser(Cursor):
-    """Reads triples, and counts the patterns that the store will have to join.
+    """Parser of triples, which counts the patterns that the store will have to join.
 
     `literals` are those of patterns, templates and data.
     """
@@ -60,18 +60,18 @@ class TripleParser(Cursor):
         self.joins = 0
         self.literals: list[Constant] = []
         self.block = 0
-        """The basic graph pattern that is read: a label of a blank node holds within one (5.1.1)."""
+        """Number of the current basic graph pattern: blank node labels are scoped to one (5.1.1)."""
         self._max_joins = max_joins
         self._fresh = 0
         self._labels: dict[str, int] = {}
 
     def new_blank_node(self) -> Variable:
-        """A blank node without a label."""
+        """Return a blank node without a label."""
         self._fresh += 1
         return Variable(f"[{self._fresh}]")
 
     def count_join(self) -> None:
-        """Count one more to join; Problem 400 where it is one too many."""
+        """Count one more join. Raises Problem 400 beyond the limit."""
         self.joins += 1
         if self.joins > self._max_joins:
             raise Problem(400, f"The query joins more than {self._max_joins} patterns: ask it in parts.")
@@ -84,14 +84,14 @@ class TripleParser(Cursor):
     # --- triples
 
     def triples(self, add: AddPattern, *, is_pattern: bool) -> None:
-        """Triples of one subject; in a pattern there may be paths, and labels hold for one block."""
+        """Parse the triples of one subject; patterns may have paths, and their labels are scoped to one block."""
         is_bare = self.key in ("[", "(") and not self.following.is_mark("]", ")")
         subject = self._node(add, "a subject", is_pattern)
         if not (is_bare and (self.key in (".", "}") or self.is_at_end)):
             self._properties(subject, add, is_pattern)
 
     def triples_to_brace(self, add: AddPattern, what: str) -> None:
-        """Triples and nothing else, up to the closing brace of a template, which stays."""
+        """Parse the triples of a template, up to but excluding the closing brace."""
         while self.key != "}":
             if self.key == "{" or self.key in MEMBERS:
                 self.fail_at(self.token, f"cannot stand in {what}: there are triples only")
@@ -155,7 +155,7 @@ class TripleParser(Cursor):
         return head
 
     def term(self, expected: str) -> Term:
-        """A variable, an IRI, a blank node with a label or a literal."""
+        """Parse a variable, an IRI, a blank node with a label or a literal."""
         token = self.token
         if token.kind is Kind.VARIABLE:
             return Variable(self.advance().text[1:])
@@ -172,7 +172,7 @@ class TripleParser(Cursor):
     # --- literals
 
     def literal(self) -> Constant | None:
-        """Take a literal, with the sign that stands at it, if one is next."""
+        """Parse a literal, with its sign, if one is next."""
         token = self.token
         if token.kind is Kind.STRING:
             return self._string(self.advance())
@@ -241,7 +241,7 @@ class TripleParser(Cursor):
         return PathStep(self._type_or_iri(_PREDICATE))
 
     def _negated_property_set(self) -> None:
-        """A negated property set, whose members say nothing of what may match."""
+        """Parse a negated property set, whose members do not constrain the possible predicates."""
         if not self.take("("):
             self._negated_one()
             return
@@ -263,7 +263,7 @@ class TripleParser(Cursor):
     # --- patterns
 
     def add_path(self, group: Group, subject: Term, path: Verb, object: Term) -> None:
-        """Add the patterns of `subject path object` to a group: a chain is one a step, with fresh variables between."""
+        """Add the patterns of `subject path object` to a group: one per step of a chain, joined by fresh variables."""
         if isinstance(path, Variable):
             self._add(group, path, Pattern(subject, None, object))
         elif isinstance(path, PathStep):
@@ -295,7 +295,7 @@ def _number(start: int, text: str) -> Constant:
 
 
 def _lexical(text: str) -> str:
-    """What stands between the quotes, without escapes."""
+    """Return the text between the quotes, with escapes replaced."""
     length = 3 if text[:3] in ('"""', "'''") and len(text) >= 6 else 1
     inside = text[length:-length]
     return _ESCAPE.sub(_character, inside) if "\\" in inside else inside

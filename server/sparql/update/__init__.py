@@ -1,1 +1,1 @@
-"""SPARQL Update: a write of whatever the graphs it names are, planned whole before anything is done."""
+"""SPARQL Update: writes to the graphs that an update names, planned completely before any is carried out."""

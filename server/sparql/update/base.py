@@ -1,4 +1,4 @@
-"""The contract between the endpoint and what carries updates out."""
+"""Interface between the endpoint and the execution of updates."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from rosld.server.sparql.update.operations import Operation
 
 
 class UpdateRunner(Protocol):
-    """Carries out updates."""
+    """Executor of updates."""
 
     async def answer(
         self, request: UpdateRequest, *, accept: str | None, permissions: Permissions = ALLOW_ALL
     ) -> Response:
-        """Carry an update out; `accept` is the request's Accept field.
+        """Execute an update; `accept` is the request's Accept field.
 
-        Raises Problems; then nothing was done, unless the problem lists what was.
+        Raises Problems; then nothing was changed, unless the problem lists what was.
         """
         ...
 
     async def carry_out(self, operations: Sequence[Operation], *, permissions: Permissions = ALLOW_ALL) -> Response:
-        """Carry out operations, as `answer` does those of an update."""
+        """Execute operations, as `answer` does those of an update."""
         ...
 
     def is_stored(self, graph: str) -> bool:
-        """Whether clients keep the graph of this name, or may."""
+        """Whether the graph of this name is, or may be, stored for clients."""
         ...

@@ -1,4 +1,4 @@
-"""What COPY, MOVE and ADD take from a graph: what its clients said, and not what the server says of the resource."""
+"""The triples that COPY, MOVE and ADD take from a graph: those of its clients, without the server-managed ones."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from rosld.server.storage.record_documents import META, remove_managed
 
 
 def unmanaged_triples(graph: str, triples: Sequence[Triple]) -> list[Triple]:
-    """Return the triples of a graph that are not the server's to say of the resource whose graph it is (LDP 4.2.4.3).
+    """Return the triples of a graph without those that the server manages for its resource (LDP 4.2.4.3).
 
-    In another graph they would be wrong: of when the source was made, and of what it contains.
+    In another graph these would be wrong: they state when the source was created, and what it contains.
     """
     subject = NamedNode(graph.removesuffix(META))
     own = [each for each in triples if each.subject == subject]
@@ -23,18 +23,18 @@ def unmanaged_triples(graph: str, triples: Sequence[Triple]) -> list[Triple]:
 
 
 def _model(own: Sequence[Triple]) -> Model:
-    """The interaction model of a resource, by the classes that it states; an RDF source where these say nothing."""
+    """Return the interaction model of a resource by its stated classes; an RDF source if they determine none."""
     classes = {each.object for each in own if each.predicate == rdf.type}
     fitting = [model for model in Model if classes >= set(rdf_types(model))]
     return max(fitting, key=lambda model: len(rdf_types(model)), default=Model.RDF_SOURCE)
 
 
 def _membership_triples(own: Sequence[Triple], triples: Sequence[Triple]) -> Iterator[Triple]:
-    """The membership triples of a Direct or an Indirect container (LDP 5.2.1.4)."""
+    """Yield the membership triples of a Direct or an Indirect container (LDP 5.2.1.4)."""
     said = {each.predicate: each.object for each in own}
     constant = said.get(ldp.membershipResource)
     content = said.get(ldp.insertedContentRelation, ldp.MemberSubject)
-    members = None  # what stands for members of an Indirect container is not known here: anything may
+    members = None  # the members of an Indirect container are unknown here: any object may be one
     if content == ldp.MemberSubject:
         members = {each.object for each in own if each.predicate == ldp.contains}
     for each in triples:

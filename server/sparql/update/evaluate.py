@@ -1,6 +1,6 @@
-"""Evaluation of an update over copies of the graphs that it changes; the dataset stays as it is.
+"""Evaluation of an update over copies of the graphs that it changes; the dataset is unchanged.
 
-Each operation sees what those before it have done; what comes out is the net effect, one change a graph.
+Each operation sees the effects of the previous ones; the result is the net effect, one change per graph.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from rosld.server.sparql.update.operations import (
 )
 
 MAX_ROWS = 100_000
-"""Solutions that one WHERE may have."""
+"""Maximum number of solutions of a WHERE."""
 
 Row: TypeAlias = "tuple[Term | None, ...]"
 WhereEvaluator: TypeAlias = Callable[[Where], Iterable[Row]]
-"""The solutions of a WHERE, its holes in their order; for one without holes a row of nothing, if it holds."""
+"""Function that returns the solutions of a WHERE; without variables, one empty row if it holds."""
 
 
 class GraphChange(NamedTuple):
-    """The change of a graph, which may not have existed before; `after` None: it no longer exists.
+    """The change of a graph, which may not have existed before; `after` is None if it no longer exists.
 
-    Of a large graph `after` may be what changes, rather than all that it says afterwards.
+    For a large graph `after` may be the difference, rather than the complete new content.
     """
 
     graph: str
@@ -46,15 +46,15 @@ class GraphChange(NamedTuple):
 
 
 class Graphs(Protocol):
-    """The graphs as they are before all operations."""
+    """The graphs as they were before all operations."""
 
     def triples(self, graph: str) -> Sequence[Triple] | None:
-        """The triples of a graph, None where there is no such graph."""
+        """Return the triples of a graph, None if it does not exist."""
         ...
 
 
 class _LargeGraph:
-    """What changes of a large graph that is there, whatever it says: what is removed goes first."""
+    """The difference of a large existing graph: removals apply before additions."""
 
     def __init__(self) -> None:
         self.removed: dict[Triple, None] = {}
@@ -70,7 +70,7 @@ class _LargeGraph:
 
 
 class ScratchDataset(Protocol):
-    """A dataset that is thrown away after an update."""
+    """A dataset that is discarded after an update."""
 
     def add(self, quad: Quad) -> None:
         """Add a quad."""
@@ -82,9 +82,9 @@ class ScratchDataset(Protocol):
 
 
 class StagingDataset:
-    """Graphs being changed, as copies; and with them those of a `dataset` that is thrown away afterwards, if given.
+    """Copies of graphs being changed; a temporary `dataset`, if given, receives the same changes.
 
-    Of graphs that are `large` only what changes is held, unless all of it is needed.
+    For graphs that are `large` only the difference is stored, unless the complete content is needed.
     """
 
     def __init__(
@@ -101,11 +101,11 @@ class StagingDataset:
         self._now: dict[str, dict[Triple, None] | None] = {}
 
     def is_there(self, graph: str) -> bool:
-        """Whether there is such a graph by now."""
+        """Whether the graph exists after the changes so far."""
         return self._triples_of(graph) is not None
 
     def remove(self, quads: Iterable[Quad]) -> None:
-        """Take quads away, as far as they are there."""
+        """Remove quads, ignoring those that do not exist."""
         for quad in quads:
             if (large := self._as_large(_name(quad))) is not None:
                 large.remove(quad.triple)
@@ -115,7 +115,7 @@ class StagingDataset:
                 self._dataset.remove(_encode_object(quad))
 
     def insert(self, quads: Iterable[Quad]) -> None:
-        """Add quads, and with them graphs that were not there."""
+        """Add quads, creating missing graphs."""
         for quad in quads:
             if (large := self._as_large(_name(quad))) is not None:
                 large.insert(quad.triple)
@@ -125,24 +125,24 @@ class StagingDataset:
                 self._dataset.add(_encode_object(quad))
 
     def quads(self, graph: str) -> list[Quad]:
-        """The quads of a graph as it is by now."""
+        """Return the quads of a graph after the changes so far."""
         name = NamedNode(graph)
         return [Quad(each.subject, each.predicate, each.object, name) for each in self._triples_of(graph) or ()]
 
     def create(self, graph: str) -> dict[Triple, None]:
-        """The triples of a graph, which is there from now on."""
+        """Return the triples of a graph, creating it if missing."""
         triples = self._triples_of(graph)
         if triples is None:
             triples = self._now[graph] = {}
         return triples
 
     def drop(self, graph: str) -> None:
-        """No such graph any more."""
+        """Remove a graph."""
         self.remove(self.quads(graph))
         self._now[graph] = None
 
     def changes(self) -> tuple[GraphChange, ...]:
-        """The graphs that are others than they were, in the order in which they were touched."""
+        """Return the changed graphs, in the order in which they were first touched."""
         found = [
             GraphChange(graph, True, TripleChanges((*large.removed,), (*large.added,)))
             for graph, large in self._large.items()
@@ -157,7 +157,7 @@ class StagingDataset:
         return tuple(found)
 
     def _as_large(self, graph: str) -> _LargeGraph | None:
-        """A graph as what changes of it; None for one that is held whole."""
+        """Return the difference of a graph, None for one that is stored completely."""
         large = self._large.get(graph)
         if large is None and graph not in self._before and self._dataset is None and self._is_large(graph):
             large = self._large[graph] = _LargeGraph()
@@ -176,7 +176,7 @@ class StagingDataset:
 
 
 def _encode_object(quad: Quad) -> Quad:
-    """The quad with its object as a dataset stores it."""
+    """Return the quad with its object as a dataset stores it."""
     if not isinstance(quad.object, Literal):
         return quad
     return Quad(quad.subject, quad.predicate, encode_literal(quad.object), quad.graph_name)
@@ -188,10 +188,10 @@ def _name(quad: Quad) -> str:
 
 
 def evaluate(operations: Sequence[Operation], staging: StagingDataset, ask: WhereEvaluator) -> None:
-    """Carry operations out on staged graphs. Raises Problems for what cannot be done as they say, whatever the graphs.
+    """Apply operations to staged graphs. Raises Problems for operations that cannot be carried out.
 
-    `ask` answers a WHERE over the dataset as it was before the first operation, unless the changes are staged in the
-    dataset, too: then as it is by then (`has_dependent_where`).
+    `ask` evaluates a WHERE over the dataset before the first operation or, if the changes are staged in the dataset too
+    (`has_dependent_where`), over its current state.
     """
     for operation in operations:
         match operation:
@@ -207,7 +207,7 @@ def evaluate(operations: Sequence[Operation], staging: StagingDataset, ask: Wher
 
 
 def has_dependent_where(operations: Sequence[Operation]) -> bool:
-    """Whether a WHERE comes after another operation, so that it must see what that has done."""
+    """Whether a WHERE follows another operation, so that it must see the effects of that."""
     return any(isinstance(each, Modify) for each in operations[1:])
 
 
@@ -217,7 +217,7 @@ def has_where(operations: Sequence[Operation]) -> bool:
 
 
 def named_graphs(operations: Sequence[Operation]) -> frozenset[str]:
-    """The graphs that operations change, or take triples from, by their names."""
+    """Return the names of the graphs that operations change or copy from."""
     return frozenset(_named_graphs(operations))
 
 
@@ -255,7 +255,7 @@ def _limit_rows(rows: Iterable[Row]) -> Iterator[Row]:
 
 
 def fill_templates(quads: Sequence[QuadTemplate], values: Mapping[str, Term | None]) -> Iterator[Quad]:
-    """The quads of one solution; those with something unbound, or that cannot be, are left out (3.1.3)."""
+    """Yield the quads of one solution, without those that have unbound variables or would be invalid (3.1.3)."""
     blank: dict[BlankNode, BlankNode] = {}
 
     def filled(slot: object) -> object:
@@ -301,7 +301,7 @@ def _manage(operation: ManageGraph, staging: StagingDataset) -> None:
 
 
 def _copy(verb: GraphVerb, source: str, target: str, staging: StagingDataset) -> None:
-    # What it needs has threads of its own, which the process that workers are forked from must not have.
+    # Its dependencies start threads, which the process that workers are forked from must not have.
     from rosld.server.sparql.update.copying import unmanaged_triples
 
     triples = unmanaged_triples(source, [quad.triple for quad in staging.quads(source)])

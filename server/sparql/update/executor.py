@@ -1,4 +1,4 @@
-"""Update evaluator: has updates evaluated in the query process, over a dataset materialized as for a query."""
+"""Evaluation of updates in the query process, over a dataset materialized as for a query."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from rosld.server.sparql.update.evaluate import GraphChange, named_graphs
 from rosld.server.sparql.update.operations import Modify, Operation, Where
 
 _INLINE = 1000
-"""Quads of an update that are packed on the loop."""
+"""Maximum number of quads of an update that are packed on the loop."""
 _INLINE_BYTES = 128 * 1024
-"""Bytes of what an update comes to that are read on the loop."""
+"""Maximum number of bytes of an update's result that are parsed on the loop."""
 
 
 class Delta(NamedTuple):
     """The changes that operations make.
 
-    It holds for as long as the graphs with live values in `seen` have these tokens, and what clients keep of the graphs
-    that change is not of a later version than `stored`. `named` are the graphs that the operations name.
+    They are valid while the graphs with live values in `seen` have these tokens, and the stored content of the changed
+    graphs is not newer than version `stored`. `named` are the graphs that the operations name.
     """
 
     changes: tuple[GraphChange, ...]
@@ -36,7 +36,7 @@ class Delta(NamedTuple):
 
 
 class _Asked(NamedTuple):
-    """A WHERE: what it needs, and the only graphs that it can look at, None for all."""
+    """A WHERE with its needs, and the only graphs that it can read (None for all)."""
 
     where: Where
     analysis: Analysis
@@ -45,7 +45,7 @@ class _Asked(NamedTuple):
 
 
 class UpdateEvaluator:
-    """Evaluates updates. Belongs to one loop."""
+    """Evaluator of updates. Belongs to one loop."""
 
     def __init__(self, service: QueryService, analyser: Analyser) -> None:
         self._service = service
@@ -54,10 +54,10 @@ class UpdateEvaluator:
     async def evaluate(
         self, operations: Sequence[Operation], more: frozenset[str] = frozenset(), documents: str | None = None
     ) -> Delta:
-        """The changes that operations make now; `more` are graphs whose values they need beside those that they name.
+        """Return the changes that operations would make now; `more` are graphs whose values they also need.
 
-        Of large graphs whose names begin with `documents` only what changes is told. Raises Problems as a query does,
-        and those of `evaluate.evaluate`.
+        For large graphs whose names begin with `documents` the changes are differences. Raises Problems as a query
+        does, and those of `evaluate.evaluate`.
         """
         asked = [self._ask_where(each) for each in _wheres(operations)]
         graphs = named_graphs(operations) | more
@@ -97,7 +97,7 @@ def _wheres(operations: Sequence[Operation]) -> Iterator[Where]:
 
 
 def _scope(asked: Sequence[_Asked], graphs: frozenset[str]) -> frozenset[str] | None:
-    """The only graphs that an update can look at; None for all."""
+    """Return the only graphs that an update can read, None for all."""
     scopes = [one.scope for one in asked]
     return None if None in scopes else graphs.union(*(scope for scope in scopes if scope is not None))
 
@@ -107,7 +107,7 @@ def _together(asked: Sequence[_Asked], graphs: frozenset[str]) -> Needs:
 
 
 def _read(needs: Needs, seen: SeenVersions) -> Mapping[str, Hashable]:
-    """The tokens of the graphs that may have been read."""
+    """Return the tokens of the graphs that may have been read."""
     named = [one.graph or one.document for one in needs.patterns]
     if None in named:
         return seen.tokens

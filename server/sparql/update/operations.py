@@ -1,4 +1,4 @@
-"""An update as values: its operations in their order (SPARQL 1.1 Update, 3)."""
+"""Operations of an update, in order (SPARQL 1.1 Update, 3)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Quad
 
 
 class TemplateVariable(NamedTuple):
-    """A variable of a template, without its mark: each solution puts a term in its place."""
+    """A variable of a template, without its mark, which each solution replaces by a term."""
 
     name: str
 
@@ -20,7 +20,7 @@ TemplateTerm: TypeAlias = "NamedNode | BlankNode | Literal | TemplateVariable"
 
 
 class QuadTemplate(NamedTuple):
-    """A quad with holes; `graph` is None for the default graph, where no document stands for it."""
+    """A quad that may have variables; `graph` is None for a default graph that is not a document."""
 
     subject: TemplateTerm
     predicate: TemplateTerm
@@ -29,17 +29,17 @@ class QuadTemplate(NamedTuple):
 
 
 def variables_of(quads: Sequence[QuadTemplate]) -> tuple[str, ...]:
-    """The names of the holes, each once."""
+    """Return the names of the variables, each once."""
     return tuple(dict.fromkeys(slot.name for quad in quads for slot in quad if isinstance(slot, TemplateVariable)))
 
 
 def has_blank_nodes(quads: Sequence[QuadTemplate]) -> bool:
-    """Whether a blank node stands in them."""
+    """Whether a quad has a blank node."""
     return any(isinstance(slot, BlankNode) for quad in quads for slot in quad)
 
 
 class WithGraph(NamedTuple):
-    """The graph of WITH, and the query over a dataset whose default graph it is."""
+    """The graph of WITH, and the query over a dataset with this graph as its default graph."""
 
     graph: str
     query: str
@@ -47,10 +47,10 @@ class WithGraph(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """What a template's holes are filled with: the solutions of a SELECT, or, with no holes, whether an ASK holds.
+    """The WHERE of a template: a SELECT for its variables or, without variables, an ASK.
 
-    `default_graphs` and `named_graphs` are its dataset (USING); neither: all there is. Of WITH the query is about the
-    one graph (GRAPH), which has no solutions where there is no such graph: `with_graph` is evaluated then.
+    `default_graphs` and `named_graphs` are its dataset (USING); without either it is complete. With WITH the query
+    names the graph (GRAPH), and so has no solutions if the graph does not exist: then `with_graph` is evaluated.
     """
 
     query: str
@@ -62,7 +62,7 @@ class Where:
 
 @dataclass(frozen=True, slots=True)
 class ChangeData:
-    """INSERT DATA and DELETE DATA, and the result of a LOAD, `silent` as that.
+    """INSERT DATA, DELETE DATA, or the result of a LOAD, which may be `silent`.
 
     Quads in the default graph belong to the one graph that the update is about.
     """
@@ -83,7 +83,7 @@ class Modify:
 
 
 class GraphVerb(Enum):
-    """What is done with whole graphs."""
+    """Operation on whole graphs."""
 
     CLEAR = "CLEAR"
     DROP = "DROP"
@@ -94,7 +94,7 @@ class GraphVerb(Enum):
 
 
 class GraphGroup(Enum):
-    """Graphs that are meant without their names."""
+    """Keyword for a set of graphs."""
 
     DEFAULT = "DEFAULT"
     NAMED = "NAMED"
@@ -103,9 +103,9 @@ class GraphGroup(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ManageGraph:
-    """Something done with the graph `target`; `source` is what ADD, MOVE and COPY take it from.
+    """Operation on the graph `target`; `source` is the source of ADD, MOVE and COPY.
 
-    `default` is the document that stands for the default graph, which is there even where the document is not.
+    `default` is the document that acts as the default graph, which exists even if the document does not.
     """
 
     verb: GraphVerb
@@ -117,7 +117,7 @@ class ManageGraph:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """LOAD: what a document on the web says, to be put `into` a graph (None: the default graph)."""
+    """LOAD: a document on the web, to be inserted `into` a graph (None: the default graph)."""
 
     document: str
     into: str | None

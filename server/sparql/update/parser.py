@@ -1,4 +1,4 @@
-"""Reading an update: from its text to its operations (the grammar of SPARQL 1.1, 19.8). Pure."""
+"""Parsing of updates to their operations (SPARQL 1.1, 19.8). Pure."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from rosld.server.sparql.update.operations import (
 )
 
 _UNBOUND = f"unbound_{secrets.token_hex(8)}"
-"""A variable that no WHERE binds: projected alone, it has the solutions counted."""
+"""A variable that no WHERE binds: projected alone, it makes the solutions countable."""
 _OPERATION = "an operation (INSERT, DELETE, WITH, LOAD, CLEAR, DROP, CREATE, ADD, MOVE or COPY)"
 _BLOCK = "{ and quads"
 
@@ -45,11 +45,11 @@ _BLOCK = "{ and quads"
 def read_update(
     request: UpdateRequest, prefixes: Mapping[str, str], base: str, bounds: QueryBounds, default: str
 ) -> tuple[Operation, ...]:
-    """Return the operations of an update; `prefixes` hold where the text does not declare them itself.
+    """Return the operations of an update; `prefixes` apply where the text does not declare them.
 
-    Triples without a graph are in the document `default`. A graph of the request (`using-graph-uri`) is the dataset of
-    each WHERE. Raises Problems: those of `check_text`, and 400 for a text that is no update, or that names a dataset
-    which the request names, too.
+    Triples without a graph belong to the document `default`. Graphs of the request (`using-graph-uri`) are the dataset
+    of each WHERE. Raises the Problems of `check_text`, and 400 for a text that is not an update, or names a dataset
+    although the request does.
     """
     data = _read_data(request.text, prefixes, base, bounds, NamedNode(default))
     if data is not None:
@@ -66,16 +66,16 @@ _DATA = re.compile(
     (?P<verb>INSERT|DELETE)\s+DATA\s*\{\s*(?P<graph>GRAPH\s*(?:<[^<>]*>|(?!_:)[^\s<>{}:]*:[^\s<>{}]*)\s*\{)?""",
     re.IGNORECASE | re.VERBOSE,
 )
-"""The beginning of an update of data; no part of it can match one text in two ways, so it takes linear time."""
+"""Beginning of an update of data; no part of it can match one text in two ways, so it takes linear time."""
 
 
 def _read_data(
     text: str, prefixes: Mapping[str, str], base: str, bounds: QueryBounds, default: NamedNode
 ) -> ChangeData | None:
-    """Return an update that is one INSERT DATA or DELETE DATA of one graph; None for any other.
+    """Return an update that is one INSERT DATA or DELETE DATA of one graph, None for any other.
 
     Its block is also TriG, which the RDF parser reads in a tenth of the time of `UpdateParser`, so that it may be as
-    long as any body. A text that is no TriG, or has more braces, is left to `UpdateParser`. Raises a 400 Problem for a
+    long as any body. A text that is not TriG, or has more braces, is left to `UpdateParser`. Raises a 400 Problem for a
     syntax error in a text that is too long for that.
     """
     head = _DATA.match(text)
@@ -107,16 +107,16 @@ def _read_data(
 
 
 def rewrite_update(checked: CheckedText, base: str) -> str:
-    """The text of an update of one graph for a store that keeps some literals as others (`rewriting.py`).
+    """Rewrite the text of an update of one graph for a store that encodes some literals (`rewriting.py`).
 
-    Raises a 400 Problem for what is no update.
+    Raises a 400 Problem for a text that is not an update.
     """
     parser, _ = _read(checked, base)
     return rewrite(checked.text, parser.literals, parser.expressions)
 
 
 def read_checked(checked: CheckedText, base: str) -> tuple[Operation, ...]:
-    """The operations of an update of one graph. Raises a 400 Problem for what is no update."""
+    """Return the operations of an update of one graph. Raises a 400 Problem for a text that is not an update."""
     return _read(checked, base)[1]
 
 
@@ -137,7 +137,7 @@ def _read(checked: CheckedText, base: str) -> tuple[UpdateParser, tuple[Operatio
 
 
 class UpdateParser(QueryParser):
-    """Reads an update from its beginning to its end."""
+    """Parser of a complete update."""
 
     def __init__(
         self,
@@ -156,7 +156,7 @@ class UpdateParser(QueryParser):
         self._blank_nodes: dict[str, BlankNode] = {}
 
     def operations(self) -> tuple[Operation, ...]:
-        """The whole text. Raises a 400 Problem for what is no update."""
+        """Parse the whole text. Raises a 400 Problem for a text that is not an update."""
         found: list[Operation] = []
         while True:
             begin = self.token.start
@@ -180,7 +180,7 @@ class UpdateParser(QueryParser):
     # Quads
 
     def _modify(self, graph: str | None) -> ChangeData | Modify:
-        """INSERT DATA, DELETE DATA, DELETE WHERE, and DELETE, INSERT or both with a WHERE."""
+        """Parse INSERT DATA, DELETE DATA, DELETE WHERE, or DELETE, INSERT or both with a WHERE."""
         keyword = self.key
         if keyword not in ("INSERT", "DELETE"):
             self.fail_expecting("INSERT or DELETE" if graph else _OPERATION)
@@ -221,7 +221,7 @@ class UpdateParser(QueryParser):
             raise Problem(400, f"?{holes[0]} stands in the {keyword} DATA at {where}: none can.")
 
     def _deletes(self, graph: str | None) -> tuple[QuadTemplate, ...]:
-        """Quads without blank nodes."""
+        """Parse quads without blank nodes."""
         begin = self.token.start
         quads = self._quads(graph)
         if has_blank_nodes(quads):
@@ -230,7 +230,7 @@ class UpdateParser(QueryParser):
         return quads
 
     def _quads(self, graph: str | None) -> tuple[QuadTemplate, ...]:
-        """A block of quads; `graph` is the one that is meant where none is named (WITH)."""
+        """Parse a block of quads; `graph` is the default for triples outside of GRAPH (WITH)."""
         if self.key != "{":
             self.fail_expecting(_BLOCK)
         self.advance()
@@ -295,7 +295,7 @@ class UpdateParser(QueryParser):
         return self._blank_nodes[term.name]
 
     def _scope_labels(self, first: int) -> None:
-        """Refuse a label of a blank node that an earlier INSERT DATA has (SPARQL 1.1 Query, 19.6)."""
+        """Refuse a blank node label that an earlier INSERT DATA uses (SPARQL 1.1 Query, 19.6)."""
         found = {token.text: token for token in self.taken_since(first) if token.kind is Kind.BLANK}
         if again := next((token for label, token in found.items() if label in self._data_labels), None):
             where = line_and_column(self.text, again.start)

@@ -1,1 +1,1 @@
-"""Recordings being made and read: MCAP segments with an index, and what feeds them from live topics."""
+"""Recordings: MCAP segments with an index, and the recording of live topics."""

@@ -1,4 +1,4 @@
-"""Recordings that wait for their triggers: they begin others, and are kept over a restart where there is a folder."""
+"""Recordings that wait for their triggers. They survive a restart if there is a data folder."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from rosld.server.runtime.tasks import end_tasks
 
 log = logging.getLogger("rosld.history")
 MAX_ARMED = 16
-"""Recordings that wait for triggers at a time."""
+"""Maximum number of recordings that wait for triggers."""
 _RETRY_SECONDS = 5.0
-"""After which time what failed is tried again."""
+"""Seconds after which a failed start is retried."""
 
 MayRecord: TypeAlias = Callable[[str], bool]
 """Whether a topic may be recorded."""
 
 
 class ArmedRecording:
-    """A recording that waits for its trigger, which has begun `count` recordings so far, by order of `agent`.
+    """A recording that waits for its trigger and has started `count` recordings so far, ordered by `agent`.
 
-    `suspended`: why it waits for nothing just now. `problem`: why what it was to begin last could not be begun.
+    `suspended` is why it does not wait at the moment. `problem` is why the last recording could not be started.
     """
 
     def __init__(self, name: str, order: RecordingOrder, agent: Agent, count: int = 0) -> None:
@@ -52,12 +52,12 @@ class ArmedRecording:
 
     @property
     def trigger(self) -> Trigger:
-        """The trigger of the recording."""
+        """The trigger of the order."""
         assert self.order.trigger is not None, "what is armed has a trigger"
         return self.order.trigger
 
     def suspend(self, why: str | None) -> None:
-        """It waits for nothing, and why; None: it waits. A reason other than the last one is logged."""
+        """Set why the recording does not wait (None: it waits). A new reason is logged."""
         self.suspended = why
         if why is not None and why != self._logged:
             self._logged = why
@@ -65,11 +65,11 @@ class ArmedRecording:
 
 
 Occurrences: TypeAlias = Callable[[ArmedRecording], AsyncGenerator[MayRecord, None]]
-"""Yields each time that what a recording waits for comes to hold, with what may be recorded then."""
+"""Yields whenever the condition of a recording becomes true, with a predicate of the topics that may be recorded."""
 
 
 class ArmedRecordings:
-    """The recordings that wait for triggers, by name. Belongs to one loop.
+    """The recordings that wait for triggers, by name. Belongs to one event loop.
 
     `begin` starts a recording, and raises RecordingRefused or OSError; `is_free` returns whether a name is unused.
     """
@@ -87,15 +87,15 @@ class ArmedRecordings:
         self._is_free = is_free
         self._retry_seconds = retry_seconds
         self._writer = ThreadPoolExecutor(1, "armed-recordings")
-        """One thread, so that notes are written and removed in the order in which that is asked for."""
+        """A single thread, so that notes are written and removed in the order of the calls."""
 
     @property
     def revision(self) -> tuple[object, ...]:
-        """Another one whenever another recording waits, or one waits otherwise."""
+        """Value that changes with the state of any waiting recording."""
         return tuple((one.name, one.count, one.suspended, one.problem) for one in self.all.values())
 
     def load(self) -> None:
-        """Take those that were kept; they wait once `resume` is called. What cannot be read is left out, and logged."""
+        """Read the stored orders, which wait once `resume` is called. Unreadable ones are logged and skipped."""
         for name, members in self._notes.read(ARMED).items():
             try:
                 one = _from_note(name, members)
@@ -104,7 +104,7 @@ class ArmedRecordings:
                 continue
             if one.trigger.limit == 1 and not self._is_free(name):
                 with contextlib.suppress(OSError):
-                    self._notes.remove(ARMED, name)  # rosld ended between the begin of the recording and that
+                    self._notes.remove(ARMED, name)  # rosld ended between the start of the recording and this removal
                 continue
             self.all[name] = one
 
@@ -115,7 +115,7 @@ class ArmedRecordings:
                 self._start(one, occurrences)
 
     async def arm(self, name: str, order: RecordingOrder, agent: Agent, occurrences: Occurrences) -> ArmedRecording:
-        """Wait for a trigger; stored in the folder, if any. Raises RecordingRefused, OSError."""
+        """Wait for a trigger; store the order in the folder, if any. Raises RecordingRefused, OSError."""
         if len(self.all) >= MAX_ARMED:
             raise RecordingRefused(f"{MAX_ARMED} recordings wait for triggers already: delete one first", taken=True)
         record_step(f"have the recording {name} wait for its trigger")
@@ -131,7 +131,7 @@ class ArmedRecordings:
         return one
 
     async def disarm(self, name: str) -> bool:
-        """Disarm a recording; return whether there was one. What it has begun to record goes on. Raises OSError."""
+        """Disarm a recording; return whether it existed. Recordings already started continue. Raises OSError."""
         if name not in self.all:
             return False
         record_step(f"have the recording {name} wait no more for its trigger")
@@ -153,9 +153,9 @@ class ArmedRecordings:
         one.task = asyncio.get_running_loop().create_task(self._wait(one, occurrences))
 
     async def _wait(self, one: ArmedRecording, occurrences: Occurrences) -> None:
-        """Begin what an order says until that is done. What fails leaves it waiting, and is tried again after a time.
+        """Start the recordings of an order until its limit. After a failure, retry every `_RETRY_SECONDS`.
 
-        What holds then still begins a recording, as it does at the beginning.
+        As at the beginning, a condition that is already true starts a recording.
         """
         while True:
             try:
@@ -163,19 +163,19 @@ class ArmedRecordings:
                     return
             except (RecordingRefused, OSError) as error:
                 _fail(one, f"The recording could not be begun: {getattr(error, 'strerror', None) or error}.")
-            except Exception as error:  # whatever it is, the order is not lost by it
+            except Exception as error:  # an unexpected error must not lose the order
                 _fail(one, f"What it waits for could not be followed: {type(error).__name__}.", error)
             await asyncio.sleep(self._retry_seconds)
 
     def _has_place(self, one: ArmedRecording) -> bool:
-        """Whether it is among the first that may wait; more can have been kept by a rosld that had other limits."""
+        """Whether the order is within the limit. An older release with a higher limit may have stored more."""
         if list(self.all).index(one.name) < MAX_ARMED:
             return True
         one.suspend(f"{MAX_ARMED} recordings wait for triggers already, and no more may: delete one.")
         return False
 
     async def _follow(self, one: ArmedRecording, occurrences: Occurrences) -> bool:
-        """Begin a recording at each occurrence; True once that was the last. Raises what `begin` raises."""
+        """Start a recording at each occurrence; return True after the last. Raises what `begin` raises."""
         async with contextlib.aclosing(occurrences(one)) as found:
             async for may_record in found:
                 is_last = self._begin_next(one, may_record)
@@ -188,7 +188,7 @@ class ArmedRecordings:
         return False
 
     def _begin_next(self, one: ArmedRecording, may_record: MayRecord) -> bool:
-        """Begin the next recording of an order, which stays as it is where that fails; whether it is the last."""
+        """Start the next recording of an order, which is unchanged on failure; return whether it is the last."""
         is_last = one.count + 1 >= one.trigger.limit
         kept = dict(self.all)
         if is_last:
@@ -234,7 +234,7 @@ def _to_note(one: ArmedRecording) -> dict[str, object]:
 
 
 def _from_note(name: str, members: Mapping[str, object]) -> ArmedRecording:
-    """Raise KeyError, TypeError, ValueError."""
+    """Return the stored order. Raises KeyError, TypeError, ValueError."""
     order, agent, count = members["order"], members["agent"], members["count"]
     if not isinstance(order, dict) or not isinstance(agent, dict) or not isinstance(count, int):
         raise TypeError("its order, its agent or its count is none")

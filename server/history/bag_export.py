@@ -1,4 +1,4 @@
-"""Recordings as ROS's own tools take them: ROS 1 bags, and the folders of ROS 2 bags, by rosbags' writers."""
+"""Export of recordings for ROS tools: ROS 1 bags and folders of ROS 2 bags, written by rosbags."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ from rosld.server.settings import Settings
 _OPEN_SECONDS = 600.0
 _NO_TIME = QosTime(9223372036, 854775807)
 _METADATA_VERSION: Literal[8] = 8
-"""Of `metadata.yaml`: the newest one that the ROS 2 of before Jazzy reads, too."""
+"""Version of `metadata.yaml`: the newest that ROS 2 releases before Jazzy can read."""
 _FORGOTTEN = (0, 0)
 _CHECKED = 1 << 20
-"""Bytes of messages after which the disk is looked at again."""
+"""Bytes of messages between checks of the free disk space."""
 
 
 _EXPORT_SECONDS = 3600.0
-"""The longest that one export may take: a hundred gigabytes."""
+"""Maximum seconds of one export: enough for a hundred gigabytes."""
 _MAX_WAITING = 4
 
 
 class CannotExport(ValueError):
-    """Why a recording cannot be had in a format, in a sentence without its full stop."""
+    """Why a recording cannot be exported to a format: a sentence without its full stop."""
 
 
 class ExportFormat(NamedTuple):
-    """A format for the messages of one ROS: its name in `?format=`, its media type, and what its file name ends in."""
+    """Export format for one version of ROS: its name in `?format=`, its media type, and its file suffix."""
 
     name: str
     encoding: Encoding
@@ -66,7 +66,7 @@ EXPORT_FORMATS = {each.name: each for each in (BAG, ROSBAG2)}
 
 
 def require_encoding(name: str, encoding: Encoding, wanted: ExportFormat) -> None:
-    """Raise CannotExport where the messages of a recording are of the other ROS: their bytes mean something else."""
+    """Raise CannotExport if the messages of a recording are of the other ROS, whose encoding differs."""
     if encoding is not wanted.encoding:
         own = next(each for each in EXPORT_FORMATS.values() if each.encoding is encoding)
         version = 1 if encoding is Encoding.ROS1 else 2
@@ -77,7 +77,7 @@ def require_encoding(name: str, encoding: Encoding, wanted: ExportFormat) -> Non
 
 
 class BagExports:
-    """Exports for clients, one at a time, in a process that is killed when nobody waits for it."""
+    """Exports for clients, one at a time, in a process that is killed when its client has disconnected."""
 
     def __init__(self, settings: Settings) -> None:
         self._options = AdapterOptions(types=settings.types)
@@ -85,9 +85,9 @@ class BagExports:
         self._waiting = 0
 
     async def make(self, recording: Recording, wanted: ExportFormat, target: Path) -> FileIO:
-        """Return an open file with a recording in a format, made at `target`; nothing is left of it once it is closed.
+        """Convert a recording to a file at `target`, and return it open; closing it leaves nothing on the disk.
 
-        Raises CannotExport, OSError, RosError, and Problems: 503 where others wait already.
+        Raises CannotExport, OSError, RosError, and Problem 503 if too many exports are waiting.
         """
         if self._waiting >= _MAX_WAITING:
             words = "Too many recordings are being converted: try again."
@@ -103,7 +103,7 @@ class BagExports:
             await asyncio.to_thread(_remove, target)
 
     async def close(self) -> None:
-        """End all of them. Idempotent."""
+        """Stop all exports. Idempotent."""
         await self._workers.close()
 
 
@@ -113,12 +113,12 @@ def _remove(target: Path) -> None:
 
 
 def _folder_of(target: Path) -> Path:
-    """Return the folder that is packed afterwards."""
+    """Return the folder that is then packed into `target`."""
     return target.with_name(f"{target.name}.folder")
 
 
 def export_archive(source: Path, target: Path, wanted: ExportFormat, name: str, options: AdapterOptions) -> None:
-    """Write the recording at a path as one file, in which it has this name. Raises as `export`."""
+    """Write the recording at a path as a single file or archive, in which it has this name. Raises as `export`."""
     if wanted == BAG:
         export(source, target, wanted, options)
         return
@@ -129,9 +129,9 @@ def export_archive(source: Path, target: Path, wanted: ExportFormat, name: str, 
 
 
 def export(source: Path, target: Path, wanted: ExportFormat, options: AdapterOptions) -> None:
-    """Write the recording at a path as a bag, which is a folder for ROS 2. Takes its time, and little memory.
+    """Write the recording at a path as a bag: a file for ROS 1, a folder for ROS 2. Slow, but needs little memory.
 
-    Raises CannotExport, OSError for the disk, and RosError where the recording cannot be read.
+    Raises CannotExport, OSError for the disk, and RosError if the recording cannot be read.
     """
     try:
         asyncio.run(_export(source, target, wanted, options))
@@ -152,7 +152,7 @@ async def _export(source: Path, target: Path, wanted: ExportFormat, options: Ada
 
 
 def write_bag(recording: Recording, target: Path) -> None:
-    """Write a recording of ROS 1 as a bag, one connection a publisher. Raises OSError."""
+    """Write a ROS 1 recording as a bag with one connection per publisher. Raises OSError."""
     connections: dict[tuple[object, ...], Connection] = {}
     with rosbag1.Writer(target) as writer:
         for topic, sample in _messages(recording, target.parent):
@@ -171,7 +171,7 @@ def write_bag(recording: Recording, target: Path) -> None:
 
 
 def write_rosbag2(recording: Recording, target: Path) -> None:
-    """Write a recording of ROS 2 as the folder of a bag, with MCAP in it. Raises CannotExport, OSError."""
+    """Write a ROS 2 recording as the folder of a bag that contains MCAP. Raises CannotExport, OSError."""
     connections: dict[tuple[object, ...], Connection] = {}
     plugin = rosbag2.StoragePlugin.MCAP
     with rosbag2.Writer(target, version=_METADATA_VERSION, storage_plugin=plugin) as writer:
@@ -189,7 +189,7 @@ def write_rosbag2(recording: Recording, target: Path) -> None:
 
 
 def _latched(type_name: str) -> Qos:
-    """Return the profile of a player's one publisher of a topic, which keeps the messages of all that were recorded."""
+    """Return the QoS profile of a player's only publisher, which stores the messages of all recorded publishers."""
     return Qos(
         QosHistory.KEEP_LAST,
         latched_depth(type_name),
@@ -204,7 +204,7 @@ def _latched(type_name: str) -> Qos:
 
 
 def _messages(recording: Recording, folder: Path) -> Iterator[tuple[str, Sample]]:
-    """Yield all messages with their topics, as long as the disk of a folder has room for them."""
+    """Yield all messages with their topics; raise OSError when the disk is full."""
     left = 0
     for message in recording.messages():
         if left <= 0:
@@ -216,7 +216,7 @@ def _messages(recording: Recording, folder: Path) -> Iterator[tuple[str, Sample]
 
 
 def _definition(recording: Recording, ref: TypeRef) -> str:
-    """Return the text of a type; empty where it is not known, for players do not read it."""
+    """Return the text of a type, or an empty string if it is unknown: players do not read it."""
     try:
         return recording.schema(ref).definition
     except UnknownType:
@@ -234,7 +234,7 @@ def _hash(recording: Recording, topic: str, ref: TypeRef) -> str:
 
 
 def _forget_places(writer: rosbag1.Writer) -> None:
-    """Let go of what the writer keeps of each message that is written, 120 bytes: it needs their number alone."""
+    """Replace the index entries of written messages, 120 bytes each: the writer needs only their number."""
     for chunk in reversed(writer.chunks[:-1]):
         if not chunk.connections or next(iter(chunk.connections.values()))[0] == _FORGOTTEN:
             return

@@ -24,15 +24,15 @@ _LATCHED = """- history: keep_last
     sec: 9223372036
     nsec: 854775807
   avoid_ros_namespace_conventions: false"""
-"""The profile of a publisher that keeps its last message for those who come late, as rosbag2 writes it."""
+"""QoS profile of a latched publisher, as rosbag2 writes it."""
 _SYNTAXES = {Encoding.ROS1: "ros1msg", Encoding.CDR: "ros2msg"}
 PROFILES = {Encoding.ROS1: "ros1", Encoding.CDR: "ros2"}
 
 
 class Channel(NamedTuple):
-    """One publisher's messages on one topic; `publisher` is empty where it is not known.
+    """One publisher's messages on one topic; `publisher` is empty if it is unknown.
 
-    `is_opening`: they came before the file was begun, and open it, for they are latched.
+    `is_opening`: latched messages from before the start of the file, which are written first.
     """
 
     topic: str
@@ -49,7 +49,7 @@ def channel_of(topic: str, sample: Sample, *, is_opening: bool = False) -> Chann
 
 
 def channel_record(number: int, schema: int, one: Channel) -> bytes:
-    """Return the MCAP record of a channel, with what rosbag and rosbag2 say in theirs."""
+    """Return the MCAP record of a channel, with the metadata that rosbag and rosbag2 write."""
     return mcap.channel(number, schema, one.topic, one.encoding.value, _metadata(one))
 
 
@@ -59,7 +59,10 @@ def schema_record(number: int, type: TypeRef, encoding: Encoding, definition: st
 
 
 def read_channel(fields: Fields, types: Mapping[int, str]) -> tuple[int, Channel]:
-    """A channel and its number from its record; `types` are the names of schemas. Raises ValueError, KeyError."""
+    """Return a channel and its number from its record; `types` maps schema numbers to names.
+
+    Raises ValueError, KeyError.
+    """
     number, schema = fields.uint(2), fields.uint(2)
     topic, encoding, said = fields.text(), Encoding(fields.text()), fields.texts()
     is_latched = said.get("latching") == "1" or "transient_local" in said.get("offered_qos_profiles", "")
@@ -69,7 +72,7 @@ def read_channel(fields: Fields, types: Mapping[int, str]) -> tuple[int, Channel
 
 
 def model_name(recorded: str) -> str:
-    """The name of a recorded type as the model has it: ROS 1 records `pkg/Name`."""
+    """Return the model's name of a recorded type: ROS 1 records `pkg/Name`."""
     package, _, name = recorded.partition("/")
     return recorded if "/" in name else f"{package}/msg/{name}"
 

@@ -1,6 +1,6 @@
-"""The index of a history: the messages of each chunk of each segment (SQLite).
+"""Index of a history: the messages of each chunk of each segment (SQLite).
 
-It can be made again from the segments at any time, so it is never waited for: no sync, and what is damaged is deleted.
+The index can be rebuilt from the segments, so it is never synced, and deleted if it is damaged.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class SegmentRow(NamedTuple):
 
 
 class ChunkRow(NamedTuple):
-    """A chunk: where it lies, whose messages it holds, their times (ns) and numbers, ascending."""
+    """A chunk: its place, its channel's messages, their times (ns) and numbers, ascending."""
 
     segment: int
     at: int
@@ -68,10 +68,10 @@ class ChunkRow(NamedTuple):
 
 
 class ChunkIndex:
-    """The index of chunks. Thread-safe for reads; one thread writes. `identity` identifies its numbering."""
+    """The index of chunks. Any thread may read; one thread writes. `identity` identifies its numbering."""
 
     def __init__(self, path: Path | None) -> None:
-        """Open or make it; None: in memory. Raises sqlite3.Error."""
+        """Open or create the database; in memory if the path is None. Raises sqlite3.Error."""
         self._lock = threading.Lock()
         self._db = sqlite3.connect(path or ":memory:", check_same_thread=False, isolation_level=None)
         self._db.execute("PRAGMA journal_mode = WAL")
@@ -88,7 +88,7 @@ class ChunkIndex:
         self._db.execute(f"PRAGMA user_version = {_VERSION}")
 
     def add_segment(self, name: str, first: int) -> int:
-        """A segment that is begun; its number in the tables."""
+        """Add a new segment; return its id."""
         with self._lock:
             row = self._db.execute(
                 "INSERT INTO segment (name, first, next, size, finished) VALUES (?, ?, ?, 0, 0)", (name, first, first)
@@ -120,12 +120,12 @@ class ChunkIndex:
             )
 
     def finish_segment(self, segment: int, size: int) -> None:
-        """A segment is complete."""
+        """Mark a segment as complete."""
         with self._lock:
             self._db.execute("UPDATE segment SET size = ?, finished = 1 WHERE id = ?", (size, segment))
 
     def remove_segment(self, segment: int) -> None:
-        """Forget a segment and all that is in it."""
+        """Remove a segment and its chunks."""
         with self._lock, self._db:
             self._db.execute("BEGIN")
             self._db.execute("DELETE FROM chunk WHERE segment = ?", (segment,))
@@ -134,7 +134,7 @@ class ChunkIndex:
             self._db.execute("DELETE FROM segment WHERE id = ?", (segment,))
 
     def segments(self) -> list[SegmentRow]:
-        """Return all segments, the oldest first."""
+        """Return all segments, oldest first."""
         with self._lock:
             rows = self._db.execute(
                 "SELECT id, name, first, next, coalesce(start_ns, 0), coalesce(end_ns, 0), size, finished "
@@ -143,7 +143,7 @@ class ChunkIndex:
         return [SegmentRow._make((*row[:7], bool(row[7]))) for row in rows]
 
     def channels(self, segment: int) -> dict[int, Channel]:
-        """Return the channels of a segment by their numbers."""
+        """Return the channels of a segment by number."""
         with self._lock:
             rows = self._db.execute(
                 "SELECT number, topic, type, hash, encoding, publisher, latched FROM channel WHERE segment = ?",
@@ -170,7 +170,7 @@ class ChunkIndex:
         return None
 
     def of_topic(self, topic: str, from_ns: int, until_ns: int) -> list[ChunkRow]:
-        """Return the chunks of a topic with messages from one time until another, both included, in order."""
+        """Return the chunks of a topic with messages between two times (inclusive), in order."""
         with self._lock:
             rows = self._db.execute(
                 "SELECT * FROM chunk WHERE topic = ? AND end_ns >= ? AND start_ns <= ? ORDER BY first",
@@ -181,9 +181,9 @@ class ChunkIndex:
     def of_numbers(
         self, segment: int, topic: str | None, start: int, from_ns: int, to_ns: int, after: int, limit: int
     ) -> list[ChunkRow]:
-        """Return the chunks of a segment with messages of number `start` or above, of a topic (None: all) within times.
+        """Return chunks of a segment by topic (None: all) and time, with messages numbered `start` or above.
 
-        At most `limit` of them in the order of their first messages, whose numbers are above `after`.
+        At most `limit` chunks, in the order of their first messages, whose numbers are above `after`.
         """
         topical = "" if topic is None else "AND topic = ?"
         bound = (segment, start, from_ns, to_ns, after, *(() if topic is None else (topic,)), limit)
@@ -196,9 +196,9 @@ class ChunkIndex:
         return list(map(ChunkRow._make, rows))
 
     def times_between(self, first: int, beyond: int) -> tuple[int, int] | None:
-        """Times in ns that all messages numbered from `first` and below `beyond` lie between; None where there is none.
+        """Return the range of times (ns) of messages `first` to `beyond` - 1, or None if there are none.
 
-        It looks at whole chunks: the times may be somewhat wider.
+        The range may be wider than necessary: it is that of whole chunks.
         """
         with self._lock:
             row = self._db.execute(
@@ -207,7 +207,7 @@ class ChunkIndex:
         return None if row[0] is None else (int(row[0]), int(row[1]))
 
     def newest(self, topic: str, until_ns: int, limit: int) -> list[ChunkRow]:
-        """Return the chunks of a topic that begin at a time or before, the newest first."""
+        """Return the chunks of a topic that begin at or before a time, newest first."""
         with self._lock:
             query = "SELECT * FROM chunk WHERE topic = ? AND start_ns <= ? ORDER BY end_ns DESC LIMIT ?"
             return list(map(ChunkRow._make, self._db.execute(query, (topic, until_ns, limit)).fetchall()))
@@ -215,7 +215,7 @@ class ChunkIndex:
     def spans_at_end(
         self, topic: str, from_ns: int, until_ns: int, limit: int, *, is_newest: bool
     ) -> list[tuple[int, int, int]]:
-        """Start, end and count of at most `limit` chunks of a topic within times, the newest or the oldest."""
+        """Return start, end and count of the newest or oldest `limit` chunks of a topic between two times."""
         order = "DESC" if is_newest else "ASC"
         with self._lock:
             return self._db.execute(
@@ -227,7 +227,7 @@ class ChunkIndex:
     def statistics(
         self, topic: str, field: str, from_ns: int, until_ns: int
     ) -> dict[tuple[int, int], tuple[float, float, float, int]]:
-        """Return minimum, maximum, sum and count of a field in a topic's chunks, by segment and place."""
+        """Return minimum, maximum, sum and count of a field in a topic's chunks, by segment and offset."""
         with self._lock:
             rows = self._db.execute(
                 "SELECT s.segment, s.at, s.minimum, s.maximum, s.total, s.count FROM chunk c JOIN statistic s "
@@ -238,7 +238,7 @@ class ChunkIndex:
         return {(row[0], row[1]): row[2:] for row in rows}
 
     def keep_statistic(self, chunk: ChunkRow, field: str, statistic: tuple[float, float, float, int]) -> None:
-        """Keep what a chunk comes to."""
+        """Store the statistic of a field in a chunk."""
         with self._lock:
             self._db.execute(
                 "INSERT OR IGNORE INTO statistic VALUES (?, ?, ?, ?, ?, ?, ?)",
@@ -246,7 +246,7 @@ class ChunkIndex:
             )
 
     def counts(self) -> dict[str, tuple[int, TypeRef]]:
-        """Return the number of messages of each topic, and a type of it."""
+        """Return the number of messages and a type of each topic."""
         with self._lock:
             counts = self._db.execute("SELECT topic, sum(count) FROM chunk GROUP BY topic").fetchall()
             types = self._db.execute("SELECT DISTINCT topic, type, hash FROM channel").fetchall()
@@ -266,7 +266,7 @@ class ChunkIndex:
             return dict(self._db.execute(query, (segment,)).fetchall())
 
     def define(self, definitions: Iterable[tuple[TypeRef, str]]) -> None:
-        """Keep the texts of types."""
+        """Store the definitions of types."""
         with self._lock:
             self._db.executemany(
                 "INSERT OR IGNORE INTO definition VALUES (?, ?, ?)",
@@ -274,7 +274,7 @@ class ChunkIndex:
             )
 
     def definition(self, ref: TypeRef) -> str | None:
-        """Return the text of a type, None where it is not known."""
+        """Return the definition of a type, or None."""
         with self._lock:
             row = self._db.execute(
                 "SELECT text FROM definition WHERE type = ? AND (hash = ? OR ? IS NULL)",
@@ -283,7 +283,7 @@ class ChunkIndex:
         return None if row is None else str(row[0])
 
     def close(self) -> None:
-        """Let go of the file. Idempotent."""
+        """Close the database. Idempotent."""
         with self._lock:
             self._db.close()
 

@@ -1,4 +1,4 @@
-"""The history of a robot: the recording named `history`, written continuously within bounds."""
+"""History of a robot: the recording named `history`, written continuously within limits."""
 
 from __future__ import annotations
 
@@ -32,29 +32,29 @@ _log = logging.getLogger("rosld")
 
 
 class FileDigests:
-    """The digests of recordings, to be used on the server's loop."""
+    """Digests of recordings. Belongs to the event loop."""
 
     def __init__(self) -> None:
         self.revision = 0
-        """Another one whenever another digest is known."""
+        """Number that changes when another digest becomes known."""
         self._known: dict[Path, str | None] = {}
         self._changes = Signal()
 
     def known(self, path: Path) -> str | None:
-        """Return the digest of a recording's file in hexadecimal, if it is known."""
+        """Return the hexadecimal digest of a recording's file, or None while it is unknown."""
         return self._known.get(path)
 
     def get(self, path: Path) -> str | None:
-        """Return the same; who asks first has it computed. It stays None where there are several files."""
+        """Return the digest if it is known; the first call starts its computation. Always None for several files."""
         if path not in self._known:
             self._known[path] = None
             loop = asyncio.get_running_loop()
-            # A daemon: a server that ends waits for no file, however large.
+            # A daemon thread, so that shutdown does not wait for a large file.
             threading.Thread(target=self._compute, args=(path, loop), name="digest", daemon=True).start()
         return self._known[path]
 
     def forget(self, path: Path) -> None:
-        """Forget the digest of a file that is gone: another one may have its name."""
+        """Forget the digest of a deleted file, whose name may be reused."""
         self._known.pop(path, None)
 
     def watch(self, path: Path, wake: Callable[[], None]) -> Watch:
@@ -68,7 +68,7 @@ class FileDigests:
             _log.warning("The checksum of %s cannot be computed: %s", path, error)
             return
         if found is not None:
-            with contextlib.suppress(RuntimeError):  # the loop has been closed
+            with contextlib.suppress(RuntimeError):  # the event loop is closed
                 loop.call_soon_threadsafe(self._found, path, found)
 
     def _found(self, path: Path, digest: str) -> None:
@@ -78,7 +78,7 @@ class FileDigests:
 
 
 def _digest(path: Path) -> str | None:
-    """Return the digest of the one file that has the messages; None where there are several. Raises OSError."""
+    """Return the digest of the only data file, or None if there are several. Raises OSError."""
     files = [path] if path.is_file() else [each for each in path.iterdir() if each.suffix in _DATA]
     if len(files) != 1:
         return None
@@ -96,12 +96,12 @@ _FOR_EVER = 1 << 62
 _DISK_SIZE = 1024 * 1024 * 1024
 _MEMORY_SIZE = 128 * 1024 * 1024
 _MEMORY_SEGMENTS = 8
-"""Segments that memory is divided into: a whole one is removed at a time."""
+"""Number of segments in memory: only whole segments are removed."""
 _Libraries: TypeAlias = "dict[Encoding, TypeLibrary]"
 
 
 def history_limits(settings: Settings) -> HistoryLimits:
-    """Return the bounds of the history: `history_size` is 0 where it is not given."""
+    """Return the limits of the history. A `history_size` of 0 means the default."""
     if settings.data is not None:
         return HistoryLimits(settings.history_time, settings.history_size or _DISK_SIZE)
     size = settings.history_size or _MEMORY_SIZE
@@ -109,7 +109,7 @@ def history_limits(settings: Settings) -> HistoryLimits:
 
 
 class HistoryRecording:
-    """The history as a `Recording`: its messages are numbered from when it was begun, and the oldest are removed."""
+    """The history as a `Recording`: its messages are numbered from its start, and the oldest are removed."""
 
     name = NAME
     format = "MCAP"
@@ -121,7 +121,7 @@ class HistoryRecording:
         silent: Callable[[Collection[str]], Sequence[str]] = lambda _: (),
     ) -> None:
         """`silent` returns the recorded topics and globs that have no message yet."""
-        self.path = writer.segments.folder or Path()  # a folder in any case: it is no file that could be sent
+        self.path = writer.segments.folder or Path()  # a folder, because there is no file to send
         self._writer = writer
         self._folders = folders
         self._silent = silent
@@ -129,27 +129,27 @@ class HistoryRecording:
 
     @property
     def first(self) -> int:
-        """The number of the oldest message."""
+        """Number of the oldest message."""
         return self._writer.first
 
     @property
     def count(self) -> int:
-        """The count of numbers from the first on."""
+        """Number of messages since the first."""
         return self._writer.next - self._writer.first
 
     @property
     def start_ns(self) -> int:
-        """When the oldest message was received."""
+        """Time of receipt of the oldest message, in ns."""
         return self._writer.start_ns
 
     @property
     def end_ns(self) -> int:
-        """When the newest message was received."""
+        """Time of receipt of the newest message, in ns."""
         return self._writer.end_ns
 
     @property
     def topics(self) -> Mapping[str, RecordedTopic]:
-        """The topics that messages are kept of."""
+        """Topics with stored messages."""
         types = self._writer.types
         return {
             topic: RecordedTopic(topic, types[topic], count)
@@ -159,11 +159,11 @@ class HistoryRecording:
 
     @property
     def silent(self) -> Sequence[str]:
-        """Recorded topics and globs without a kept message."""
+        """Recorded topics and globs without a stored message."""
         return self._silent(self.topics)
 
     def message(self, index: int) -> RecordedMessage:
-        """Return a message by its number. Raises NotFound, and Unreachable where the disk does not give it."""
+        """Return a message by number. Raises NotFound, and Unreachable if it cannot be read."""
         try:
             found = self._writer.message(index)
         except (OSError, ValueError) as error:
@@ -176,11 +176,11 @@ class HistoryRecording:
         return RecordedMessage(index, channel.topic, sample)
 
     def topic_of(self, index: int) -> str | None:
-        """Return the topic of the message of a number, None where there is none."""
+        """Return the topic of a message by number, or None."""
         return self._writer.topic_of(index)
 
     def messages(self) -> Iterator[RecordedMessage]:
-        """Yield all messages, in the order of their numbers; those that cannot be read are left out."""
+        """Yield all messages in the order of their numbers, without unreadable ones."""
         for index in range(self._writer.first, self._writer.next):
             try:
                 yield self.message(index)
@@ -189,12 +189,12 @@ class HistoryRecording:
 
     @property
     def settled(self) -> int:
-        """The number below which no message is to be written any more."""
+        """Number below which all messages are written."""
         return self._writer.settled
 
     @property
     def identity(self) -> str:
-        """The identity of the index: a new index has another."""
+        """Identity of the index; a rebuilt index has another one."""
         return f"{self._writer.segments.index.identity:08x}"
 
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
@@ -202,7 +202,7 @@ class HistoryRecording:
         return self._writer.segments.index.times_between(start, end)
 
     def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
-        """Return the message of a topic that was the newest at a time. Raises Unreachable."""
+        """Return the latest message of a topic at a time, or None. Raises Unreachable."""
         try:
             sample = self._writer.latest_at(topic, time_ns)
         except (OSError, ValueError, KeyError) as error:
@@ -220,7 +220,7 @@ class HistoryRecording:
         for row in segments.index.of_topic(topic, from_ns, until_ns):
             try:
                 block = MessageBlock(segments, row, from_ns, until_ns)
-            except (OSError, ValueError, KeyError):  # a segment that is damaged, or gone
+            except (OSError, ValueError, KeyError):  # a damaged or removed segment
                 continue
             if at_hand and row.last >= min(at_hand):  # written in the meantime
                 for number in block.numbers():
@@ -230,25 +230,25 @@ class HistoryRecording:
         yield MessageBlock.of([each for each in left if from_ns <= each.sample.received_ns <= until_ns])
 
     def count_between(self, topic: str, from_ns: int, until_ns: int) -> int:
-        """At most how many messages there are of a topic from one time until another, without reading them."""
+        """Return an upper bound of the number of messages of a topic between two times, without reading them."""
         rows = self._writer.segments.index.of_topic(topic, from_ns, until_ns)
         return sum(row.messages for row in rows)
 
     def spans_at_end(
         self, topic: str, from_ns: int, until_ns: int, limit: int, *, is_newest: bool
     ) -> list[tuple[int, int, int]]:
-        """Return ranges of times with their numbers of messages: the newest or oldest `limit` of a topic."""
+        """Return start, end and count of the newest or oldest `limit` chunks of a topic, and of unwritten messages."""
         found = self._writer.segments.index.spans_at_end(topic, from_ns, until_ns, limit, is_newest=is_newest)
         times = [each.received_ns for each in self._writer.unwritten(topic)]
         times = [each for each in times if from_ns <= each <= until_ns]
         return [*found, (min(times), max(times), len(times))] if times else found
 
     def types_of(self, topic: str) -> frozenset[TypeRef]:
-        """Return the types of the messages of a topic, of all times."""
+        """Return all types that messages of a topic have had."""
         return self._writer.segments.index.types_of(topic) | {each.schema for each in self._writer.unwritten(topic)}
 
     def schema(self, ref: TypeRef) -> Schema:
-        """Return the schema of a type as it was recorded. Raises UnknownType."""
+        """Return the recorded schema of a type. Raises UnknownType."""
         text = self._writer.segments.index.definition(ref)
         is_ros1 = ref.hash is not None and not ref.hash.startswith("RIHS")
         library = self._library(Encoding.ROS1 if is_ros1 else Encoding.CDR)
@@ -268,15 +268,15 @@ class HistoryRecording:
 
 
 class History:
-    """Records the topics that `--history` names for as long as the server runs.
+    """Recorder of the topics selected by `--history`, as long as the server runs.
 
-    `definition_of` gives the text of a type as far as it is known.
+    `definition_of` returns the text of a type, if it is known.
     """
 
     def __init__(
         self, adapter: Adapter, live: LiveRecorder, settings: Settings, definition_of: Callable[[TypeRef], str]
     ) -> None:
-        """Raise ValueError where there is nothing live to be recorded."""
+        """Raise ValueError if the source has no live topics to record."""
         if settings.history and adapter.capabilities.system == "recording":
             raise ValueError(f"--history {settings.history[0]}: a recording is served, whose messages are kept already")
         folder = None if settings.data is None else settings.data / FOLDER
@@ -286,7 +286,7 @@ class History:
             self.writer, settings.types, lambda recorded: live.silent(self.writer, settings.history, recorded)
         )
         self.digests = FileDigests()
-        """Those of the recordings beside it."""
+        """Digests of the recordings other than the history."""
         self.exports = BagExports(settings)
         self._globs = settings.history
         self._live = live
@@ -294,26 +294,26 @@ class History:
 
     @property
     def is_kept(self) -> bool:
-        """Whether anything is to be recorded, and could be begun."""
+        """Whether the history is enabled and could be opened."""
         return bool(self._globs) and self._failure is None
 
     @property
     def problem(self) -> str | None:
-        """Why nothing is recorded now, in a sentence; None where it is."""
+        """Reason why nothing is recorded at the moment, as a sentence, or None."""
         return self._failure or self.writer.problem
 
     def will_record(self, topic: str) -> bool:
-        """Whether the messages of a topic are recorded as they come."""
+        """Whether the messages of a topic are recorded."""
         return any(fnmatchcase(topic, glob) for glob in self._globs)
 
     def dropped(self) -> Mapping[str, int]:
-        """The numbers of messages that were not recorded, by topic."""
+        """Return the numbers of lost messages by topic."""
         found = self._live.dropped()
         found.update(dict(self.writer.dropped))
         return found
 
     async def start(self) -> None:
-        """Open the history off the loop, and start recording; on failure the server runs without it."""
+        """Open the history in a thread, and start recording; on failure the server runs without it."""
         if not self.is_kept:
             return
         try:
@@ -325,7 +325,7 @@ class History:
         self._live.add(self.writer, self.will_record)
 
     def copy_to(self, sink: Sink, wants: Callable[[str], bool], since_ns: int) -> Collection[str]:
-        """Give a sink what was recorded since a time, after what was latched then; return the topics of that.
+        """Copy the messages since a time to a sink, after those latched at that time; return their topics.
 
         Called on the recorder's thread.
         """
@@ -334,13 +334,13 @@ class History:
             return copied
         self.writer.write_all()
         segments = self.writer.segments
-        with contextlib.suppress(OSError, ValueError, KeyError):  # a segment that is damaged, or gone
+        with contextlib.suppress(OSError, ValueError, KeyError):  # a damaged or removed segment
             for topic, sample in self.writer.latched_at(since_ns, wants):
                 sink.add(topic, sample)
                 copied.add(topic)
         for topic in filter(wants, list(self.writer.types)):
             for row in segments.index.of_topic(topic, since_ns, _FOR_EVER):
-                with contextlib.suppress(OSError, ValueError, KeyError):  # a segment that is damaged, or gone
+                with contextlib.suppress(OSError, ValueError, KeyError):  # a damaged or removed segment
                     for channel, sample in segments.messages_of(row):
                         if sample.received_ns >= since_ns:
                             sink.add(channel.topic, sample)
@@ -348,6 +348,6 @@ class History:
         return copied
 
     def close(self) -> None:
-        """Let go of the files, when nothing is recorded any more."""
+        """Close the files, after recording has ended."""
         if self.is_kept:
             self.writer.segments.close()

@@ -1,4 +1,4 @@
-"""Writes the history: numbers its messages, fills chunks, begins and finishes segments."""
+"""Writer of the history: numbers messages, fills chunks, starts and finishes segments."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from rosld.server.history.segments import Segments, sample_of
 
 log = logging.getLogger("rosld.history")
 _RETRY = 5.0
-"""Seconds after which a disk that was full is looked at again."""
+"""Seconds after which a full disk is checked again."""
 _RESERVE = 64 * 1024 * 1024
 _OVERLAPPING = 2
-"""Chunks of a topic that may tell of one moment: messages of several publishers come in another order than sent."""
+"""Number of latest chunks of a topic that are searched: receipt times of several publishers overlap."""
 _RESERVED_PART = 16
-"""What is left of a disk to everything else: `_RESERVE`, or one part in so many of a small one."""
+"""Reserved space of a small disk, as a divisor of its size; other disks reserve `_RESERVE`."""
 _OPENING_PART = 4
-"""Share of a segment that opening messages may take, as a divisor; larger messages do not open it."""
+"""Maximum share of opening messages in a segment, as a divisor of its size; larger messages are skipped."""
 _Failures = (OSError, sqlite3.Error)
 
 
 class HistoryWriter:
-    """The segments of the history and unfinished chunks. The recorder's thread writes; any thread reads.
+    """The segments of the history and its unfinished chunks. The recorder's thread writes; any thread reads.
 
-    `dropped` counts lost messages by topic, `problem` is the reason why nothing is written now.
+    `dropped` counts lost messages by topic; `problem` is the reason why nothing is written at the moment.
     """
 
     def __init__(self, segments: Segments, definition_of: Callable[[TypeRef], str]) -> None:
@@ -56,7 +56,7 @@ class HistoryWriter:
         self._retry_at = 0.0
 
     def open(self) -> None:
-        """Open what is there. Raises OSError."""
+        """Open the stored history. Raises OSError."""
         self.next = self.segments.open()
         for topic, (count, type) in self.segments.index.counts().items():
             self.counts[topic], self.types[topic] = count, type
@@ -64,12 +64,12 @@ class HistoryWriter:
 
     @property
     def first(self) -> int:
-        """The number of the oldest message."""
+        """Number of the oldest message."""
         first = self.segments.first
         return self.next if first is None else first
 
     def add(self, topic: str, sample: Sample) -> None:
-        """Take a message; while nothing can be kept, it is counted as dropped."""
+        """Add a message; while nothing can be written, count it as dropped."""
         if self.problem is not None and time.monotonic() < self._retry_at:
             self.dropped[topic] += 1
             return
@@ -96,39 +96,39 @@ class HistoryWriter:
             self.write_due(time.monotonic())
 
     def write_due(self, now: float) -> None:
-        """Write the chunks that are due, `now` by the monotonic clock; begin another segment where it is time."""
+        """Write the chunks that are due at `now` (monotonic clock); start a new segment when it is time."""
         if self._current is None:
             return
         _, writer, began = self._current
         limits = self.segments.limits
         is_full = writer.file.size >= limits.segment_size or not writer.has_room()
         ends = is_full or now - began >= limits.segment_seconds
-        # Chunks name channels by their numbers in this file: none may be left for the next.
+        # Chunks refer to channels by their numbers in this file, so none may move to the next file.
         self._write([chunk for chunk in self._open.values() if ends or chunk.is_due(now)])
         if ends and self._current is not None:
             self._finish()
 
     def close(self) -> None:
-        """Write what there is, and finish the segment. Idempotent."""
+        """Write all chunks, and finish the segment. Idempotent."""
         self.write_all()
         if self._current is not None:
             self._finish()
 
     def write_all(self) -> None:
-        """Write what there is, due or not."""
+        """Write all chunks, due or not."""
         self._write(list(self._open.values()))
 
     def message(self, number: int) -> tuple[Channel, Sample] | None:
-        """Return the message of a number, None where there is none. Raises OSError, ValueError."""
-        for _ in range(2):  # a chunk may be written between the one look and the other
+        """Return a message by number, or None. Raises OSError, ValueError."""
+        for _ in range(2):  # a chunk may be written between the two lookups
             found = self._unwritten(number) or self.segments.message(number)
             if found is not None:
                 return found
         return None
 
     def topic_of(self, number: int) -> str | None:
-        """Return the topic of the message of a number, None where there is none; no message is read."""
-        for _ in range(2):  # as for `message`
+        """Return the topic of a message by number, or None, without reading the message."""
+        for _ in range(2):  # see `message`
             with self._lock:
                 chunks = (*self._closing, *self._open.values())
                 topic = next((chunk.topic for chunk in chunks if number in chunk.numbers), None)
@@ -138,7 +138,7 @@ class HistoryWriter:
         return None
 
     def unwritten(self, topic: str) -> list[Sample]:
-        """The messages of a topic that are not in the index yet, in the order of their receipt."""
+        """Return the messages of a topic that are not indexed yet, in the order of receipt."""
         with self._lock:
             chunks = [chunk for chunk in (*self._closing, *self._open.values()) if chunk.topic == topic]
             current = self._current
@@ -149,7 +149,7 @@ class HistoryWriter:
         return [sample_of(channels[each.channel - 1], each, each.sequence) for each in found]
 
     def unwritten_messages(self) -> list[tuple[int, Channel, Sample]]:
-        """The messages of all topics that are not in the index yet, with their numbers, ascending."""
+        """Return all messages that are not indexed yet, with their numbers, ascending."""
         with self._lock:
             current = self._current
             found = [each for chunk in (*self._closing, *self._open.values()) for each in chunk.messages()]
@@ -164,13 +164,13 @@ class HistoryWriter:
 
     @property
     def settled(self) -> int:
-        """The number below which no message is to be written any more."""
+        """Number below which all messages are written."""
         with self._lock:
             numbers = [chunk.numbers[0] for chunk in (*self._closing, *self._open.values()) if chunk.count]
             return min(numbers, default=self.next)
 
     def latest_at(self, topic: str, time_ns: int) -> Sample | None:
-        """The message of a topic that was the newest at a time. Raises OSError, ValueError."""
+        """Return the latest message of a topic at a time, or None. Raises OSError, ValueError."""
         samples = [each for each in self.unwritten(topic) if each.received_ns <= time_ns]
         if not samples:
             rows = self.segments.index.newest(topic, time_ns, _OVERLAPPING)
@@ -178,9 +178,9 @@ class HistoryWriter:
         return max((each for each in samples if each.received_ns <= time_ns), key=_received, default=None)
 
     def latched_at(self, time_ns: int, wants: Callable[[str], bool]) -> list[tuple[str, Sample]]:
-        """The latest latched messages from before a time of the topics that are wanted, in order of receipt.
+        """Return the latest latched messages from before a time, of wanted topics, in the order of receipt.
 
-        They are those that open the segment of that time, and those that came in it. Raises OSError, ValueError.
+        Reads those that open the segment of that time, and those received in it. Raises OSError, ValueError.
         """
         rows, index = self.segments.rows, self.segments.index
         row = next((each for each in reversed(rows) if 0 < each.start_ns <= time_ns), rows[0] if rows else None)
@@ -222,7 +222,7 @@ class HistoryWriter:
         return self._current
 
     def _write_opening(self, writer: McapWriter, time_ns: int) -> None:
-        """Write the latched messages from before a time: without numbers, and in no index, for the history has them."""
+        """Write the earlier latched messages, without numbers and not indexed: they are in the history already."""
         chunks: dict[str, TopicChunk] = {}
         left = self.segments.limits.segment_size // _OPENING_PART
         for topic, sample in self.segments.latched():
@@ -239,7 +239,7 @@ class HistoryWriter:
             return
         segment, writer, _ = self._current
         with self._lock:
-            # Until the index has them, readers find their messages here: each is always in one of the three.
+            # Until they are indexed, readers find messages here: each is always in one of the three places.
             self._closing = tuple(chunks)
             for chunk in chunks:
                 del self._open[chunk.topic]
@@ -277,7 +277,7 @@ class HistoryWriter:
             self._fail(error)
 
     def _fail(self, error: Exception) -> None:
-        """Stop for a while. What is open cannot be written; the segment is completed once there is room."""
+        """Stop for `_RETRY` seconds. Open chunks are lost; the segment is completed once there is space."""
         if self.problem is None:
             where = "" if self.segments.folder is None else f" in {self.segments.folder}"
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)

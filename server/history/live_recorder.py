@@ -1,4 +1,4 @@
-"""Recording live topics: who takes which topic, the subscriptions that this needs, and the thread that writes."""
+"""Recording of live topics: which sinks record which topics, their subscriptions, and the writer thread."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rosld.server.history.topic_feed import LiveFeed
 
 
 class LiveRecorder:
-    """Records topics of one robot to sinks. It costs nothing until the first sink is added. Belongs to the loop."""
+    """Recorder of a robot's topics to sinks. Starts with the first sink. Belongs to the event loop."""
 
     def __init__(self, adapter: Adapter, learn: Callable[[TypeRef], Awaitable[object]]) -> None:
         self._adapter = adapter
@@ -24,10 +24,10 @@ class LiveRecorder:
         self._running = False
 
     def add(self, sink: Sink, wants: Callable[[str], bool], begin: Callable[[], Collection[str]] | None = None) -> None:
-        """Record the topics that `wants` says so of, from now on.
+        """Record the topics selected by `wants` to a sink from now on.
 
-        `begin` is called on the thread before all else, and returns the topics of which it gave the sink the past. Of
-        all others the sink is given the latched messages that came before it was there.
+        `begin` is called first, on the recorder's thread; it returns the topics of which it gave the sink earlier
+        messages. For all other topics the sink receives the earlier latched messages.
         """
         self._wanted[sink] = wants
         self._feed.assign()
@@ -47,12 +47,12 @@ class LiveRecorder:
             self._feed.start()
 
     def latched(self, sink: Sink) -> list[tuple[str, Sample]]:
-        """The latched messages of the topics that are recorded for a sink, in order of receipt. Any thread may ask."""
+        """Return the latched messages of a sink's topics, in the order of receipt (thread-safe)."""
         wants = self._wanted.get(sink)
         return [] if wants is None else self._feed.latched.messages(wants)
 
     def silent(self, sink: Sink, globs: Sequence[str], recorded: Collection[str]) -> Sequence[str]:
-        """Return the topics and globs recorded for a sink that are not among those with messages."""
+        """Return the topics and globs of a sink that are not in `recorded`."""
         wants, topics = self._wanted.get(sink), self._adapter.graph.topics
         if wants is None:
             return ()
@@ -60,10 +60,10 @@ class LiveRecorder:
         return sorted({*idle, *(topic for topic in topics if topic not in recorded and wants(topic))})
 
     async def remove(self, sink: Sink) -> None:
-        """Stop recording to a sink; it is closed on return."""
+        """Stop recording to a sink, and close it."""
         if self._wanted.pop(sink, None) is None:
             return
-        # In this order: what has come until now is still the sink's, what comes from now on is not.
+        # In this order: messages received so far still belong to the sink, later ones do not.
         self._feed.take()
         self._feed.assign()
         loop, done = asyncio.get_running_loop(), asyncio.Event()
@@ -79,22 +79,22 @@ class LiveRecorder:
         await done.wait()
 
     def dropped(self) -> Counter[str]:
-        """The numbers of messages that no sink could take, by topic."""
+        """Return the numbers of lost messages by topic."""
         found: Counter[str] = Counter()
         for each in (self._recorder.dropped, self._feed.lost):
             found.update(dict(each))
         return found
 
     def topics(self) -> Collection[str]:
-        """The topics that are recorded now."""
+        """Return the topics that are recorded now."""
         return self._feed.topics()
 
     def refresh(self) -> None:
-        """The graph has changed: there may be other topics to be recorded."""
+        """Update the recorded topics, after a change of the graph."""
         self._feed.refresh()
 
     async def stop(self) -> None:
-        """Record what came, and close all sinks. Idempotent."""
+        """Record pending messages, and close all sinks. Idempotent."""
         if self._running:
             self._running = False
             await self._feed.stop()

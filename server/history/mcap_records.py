@@ -1,4 +1,4 @@
-"""Records of the MCAP format as bytes (https://mcap.dev/spec): little endian, an opcode and a length before each."""
+"""Records of the MCAP format as bytes (https://mcap.dev/spec): little endian, each with an opcode and a length."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ ZSTD = "zstd"
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 MESSAGE_FIXED = MESSAGE_HEAD.size - RECORD_HEAD.size
-"""Bytes of a message record between its length and its data: channel, sequence, times."""
+"""Bytes of a message record after its length and before its data: channel, sequence, times."""
 _CHUNK_HEAD = struct.Struct("<QQQI")
 ZstdError = zstd.ZstdError
 
 
 class Record(NamedTuple):
-    """A record within bytes: its opcode, where its content begins, and where it ends."""
+    """A record within bytes: its opcode, and the start and end of its content."""
 
     op: int
     at: int
@@ -78,7 +78,7 @@ def header(profile: str, library: str) -> bytes:
 
 
 def schema(number: int, name: str, encoding: str, definition: str) -> bytes:
-    """Return a schema; its encoding is empty where the definition is (MCAP: Schema)."""
+    """Return a schema; its encoding is empty if its definition is (MCAP: Schema)."""
     data = definition.encode("utf-8", "surrogateescape")
     named = text(name) + text(encoding if data else "")
     return record(SCHEMA, struct.pack("<H", number) + named + struct.pack("<I", len(data)) + data)
@@ -90,12 +90,12 @@ def channel(number: int, schema: int, topic: str, encoding: str, metadata: Mappi
 
 
 def metadata(name: str, values: Mapping[str, str]) -> bytes:
-    """Named strings that readers may ignore."""
+    """Return named strings, which readers may ignore."""
     return record(METADATA, text(name) + texts(values))
 
 
 def metadata_index(at: int, length: int, name: str) -> bytes:
-    """Return the record with the place of metadata, for the summary."""
+    """Return the summary's record with the place of metadata."""
     return record(METADATA_INDEX, struct.pack("<QQ", at, length) + text(name))
 
 
@@ -111,7 +111,7 @@ def message_index(channel: int, entries: bytes) -> bytes:
 
 
 def chunk_index(one: ChunkIndex) -> bytes:
-    """Return the index of a chunk, of the summary."""
+    """Return the summary's index of a chunk."""
     offsets = b"".join(struct.pack("<HQ", channel, at) for channel, at in one.index_at.items())
     return record(
         CHUNK_INDEX,
@@ -125,7 +125,7 @@ def chunk_index(one: ChunkIndex) -> bytes:
 
 
 def statistics(counts: Mapping[int, int], schemas: int, metadata_count: int, chunks: Sequence[ChunkIndex]) -> bytes:
-    """Return the statistics of a file, by the numbers of messages of each channel."""
+    """Return the statistics of a file; `counts` are the numbers of messages by channel."""
     by_channel = b"".join(struct.pack("<HQ", channel, count) for channel, count in counts.items())
     start = min((one.start_ns for one in chunks), default=0)
     end = max((one.end_ns for one in chunks), default=0)
@@ -136,7 +136,7 @@ def statistics(counts: Mapping[int, int], schemas: int, metadata_count: int, chu
 
 
 def records_in(data: bytes, at: int = 0) -> Iterator[Record]:
-    """Yield the whole records from `at` on; what is cut off at the end is left out."""
+    """Yield the complete records from `at` on; a truncated last record is skipped."""
     while at + RECORD_HEAD.size <= len(data):
         op, length = RECORD_HEAD.unpack_from(data, at)
         content = at + RECORD_HEAD.size
@@ -159,12 +159,12 @@ def chunk_head(data: bytes, at: int = 0) -> ChunkHead:
 
 
 def compress(data: bytes) -> bytes:
-    """Compress records; level 1 is faster than 3, and as small for sensors (bench/history.py)."""
+    """Compress records. Level 1 is faster than 3, and as small for sensor data (bench/history.py)."""
     return zstd.compress(data, level=1)
 
 
 def decompress(data: bytes, size: int) -> bytes:
-    """Return the `size` bytes of records in a chunk. Raises ValueError."""
+    """Decompress the records of a chunk. Raises ValueError unless there are `size` bytes."""
     try:
         found = zstd.decompress(data)
     except ZstdError as error:

@@ -1,4 +1,4 @@
-"""Writer of an MCAP file of topic-pure chunks; what was written can be recovered at any moment."""
+"""Writer of an MCAP file whose chunks contain one topic each; an unfinished file can be recovered at any moment."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from rosld.server.history.segment_file import ChunkMessage, SegmentFile
 MAX_MESSAGES = 500
 MAX_BYTES = 4 * 1024 * 1024
 MAX_SECONDS = 1.0
-"""How long a chunk is filled: with what a poll and a write take on a busy machine, less than two seconds are lost."""
+"""Maximum age of a chunk: with the delays of a busy machine, less than two seconds are lost."""
 
 
 class TopicChunk:
-    """Messages of one topic as records of MCAP, with the times and offsets of each channel. One thread fills it.
+    """Messages of one topic as MCAP records, with the times and offsets of each channel. Filled by one thread.
 
-    `sequence` of a record is the lower 32 bits of the message's number.
+    The `sequence` of a record is the lower 32 bits of the message's number.
     """
 
     __slots__ = ("channels", "count", "end_ns", "entries", "numbers", "opened", "parts", "size", "start_ns", "topic")
 
     def __init__(self, topic: str, opened: float) -> None:
-        """`opened` is when its first message came, in seconds of the monotonic clock."""
+        """Create an empty chunk. `opened` is the time of its first message, in seconds of the monotonic clock."""
         self.topic = topic
         self.opened = opened
         self.parts: list[bytes] = []
@@ -47,7 +47,7 @@ class TopicChunk:
         self.end_ns = 0
 
     def add(self, channel: int, number: int, time_ns: int, data: bytes, published_ns: int | None = None) -> None:
-        """Append a message, with the time when it was published where that is another one."""
+        """Append a message. `published_ns` is its time of publication, if it differs from `time_ns`."""
         length, published = len(data), time_ns if published_ns is None else published_ns
         head = MESSAGE_HEAD.pack(MESSAGE, MESSAGE_FIXED + length, channel, number & 0xFFFFFFFF, time_ns, published)
         self.parts.append(head)
@@ -67,11 +67,11 @@ class TopicChunk:
             self.end_ns = time_ns
 
     def is_due(self, now: float) -> bool:
-        """Whether it is to be written."""
+        """Whether the chunk must be written now."""
         return self.count >= MAX_MESSAGES or self.size >= MAX_BYTES or now - self.opened >= MAX_SECONDS
 
     def messages(self) -> list[ChunkMessage]:
-        """Return all of it; `sequence` is the whole number."""
+        """Return all messages; their `sequence` is the full number."""
         heads = map(MESSAGE_HEAD.unpack, self.parts[::2])
         found = zip(heads, self.numbers, self.parts[1::2], strict=False)
         return [ChunkMessage(head[2], number, head[4], data) for head, number, data in found]
@@ -87,7 +87,7 @@ class TopicChunk:
 
 
 NUMBERS = "rosld.numbers"
-"""The name of the metadata that tells the number of the first message of a file."""
+"""Name of the metadata record with the number of a file's first message."""
 _MAX_CHANNELS = 65_535
 
 
@@ -99,9 +99,9 @@ class Place(NamedTuple):
 
 
 class McapWriter:
-    """One file. `definition_of` gives the text of a type, empty where it is not known.
+    """Writer of one file. `definition_of` returns the text of a type, or an empty string if it is unknown.
 
-    Every write is one `append`; one that fails has written nothing, and the file can be written on.
+    Every write is a single `append`; if it fails, nothing is written, and writing can go on.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class McapWriter:
 
     @property
     def count(self) -> int:
-        """Number of messages written, without those that open the file."""
+        """Number of messages written, except opening ones."""
         opening = (number for one, number in self.channels.items() if one.is_opening)
         return sum(self._summary.counts.values()) - sum(self._summary.counts[number] for number in opening)
 
@@ -129,14 +129,14 @@ class McapWriter:
         return len(self.channels) < _MAX_CHANNELS
 
     def channel(self, one: Channel) -> int:
-        """Return the number of a channel in this file, a new one where it is new."""
+        """Return the number of a channel in this file, assigned on first use."""
         number = self.channels.get(one)
         if number is None:
             number = self.channels[one] = len(self.channels) + 1
         return number
 
     def write(self, chunk: TopicChunk) -> Place:
-        """Write a chunk with its indexes, and before its messages the channels that are new to the file."""
+        """Write a chunk with its indexes, preceded by the channels that are new in the file."""
         new = [number for number in chunk.entries if number not in self._written]
         prefix = self._describe(new)
         data = b"".join([prefix, *chunk.parts])
@@ -166,9 +166,9 @@ class McapWriter:
         return Place(at, len(written))
 
     def finish(self, silent: Sequence[str] = ()) -> None:
-        """Write the summary and close the file. Raises OSError; what was written can then still be recovered.
+        """Write the summary and close the file. Raises OSError; the file can then still be recovered.
 
-        It names the topics that are `silent`: they were to be in the file, and no message of them came.
+        The summary names the `silent` topics: selected for the file, but without messages.
         """
         if silent:
             named = mcap.metadata(SILENT_TOPICS, dict.fromkeys(silent, ""))
@@ -178,7 +178,7 @@ class McapWriter:
         self.file.close()
 
     def _describe(self, new: Iterable[int]) -> bytes:
-        """Return the records of channels and of their schemas, for the chunk that has them first."""
+        """Return the records of new channels and their schemas, which precede the messages of a chunk."""
         named = {number: one for one, number in self.channels.items()} if new else {}
         found: list[bytes] = []
         for number in new:
@@ -201,15 +201,15 @@ class Summary:
         self.chunks: list[mcap.ChunkIndex] = []
         self.counts: Counter[int] = Counter()
         self.metadata: list[bytes] = []
-        """The index records of the metadata, but for that of the number of the first message."""
+        """Index records of the metadata, except the one with the number of the first message."""
 
     def add(self, chunk: mcap.ChunkIndex, counts: Mapping[int, int]) -> None:
-        """Another chunk, with its numbers of messages by channel."""
+        """Add a chunk, with its numbers of messages by channel."""
         self.chunks.append(chunk)
         self.counts.update(counts)
 
     def end_of_file(self, at: int, described: Iterable[bytes]) -> bytes:
-        """Return the end of a file that is `at` bytes long until then; `described` are its schemas and channels."""
+        """Return the end of a file of `at` bytes; `described` are its schemas and channels."""
         records = list(described)
         schemas = [each for each in records if each[0] == mcap.SCHEMA]
         channels = [each for each in records if each[0] == mcap.CHANNEL]
@@ -234,7 +234,7 @@ class Summary:
 
 
 def _shifted(entries: array[int], offset: int) -> bytes:
-    """Return the entries of a message index whose offsets are `offset` larger."""
+    """Return the entries of a message index with `offset` added to their offsets."""
     if not offset:
         return entries.tobytes()
     pairs = np.frombuffer(entries, np.uint64).copy()

@@ -1,4 +1,4 @@
-"""Blocks of messages, with columns of their numbers where all messages of a chunk have the layout of the first.
+"""Blocks of messages, with columns of numbers if all messages of a chunk have the same layout.
 
 The offset of a number depends on the lengths of the strings and arrays before it. So the first message is walked, and
 the others must have the same lengths at the same offsets and in total; otherwise there are no columns, and messages are
@@ -26,14 +26,14 @@ _DTYPES = {"bool": "?", "byte": "i1", "char": "u1", "float32": "f4", "float64": 
     f"{sign}int{bits}": f"{sign or 'i'}{bits // 8}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 _MAX_ELEMENTS = 64
-"""Elements of an array of messages that are walked through."""
+"""Maximum number of elements in an array of messages that is walked."""
 _CDR_HEAD = 4
 _PADDING = 3
-"""Bytes that may follow a message in CDR."""
+"""Maximum number of padding bytes after a message in CDR."""
 
 
 class ChunkRows(NamedTuple):
-    """The messages of a chunk that have one channel and one length: a row each of `data`, the times in ns."""
+    """Messages of a chunk with the same channel and length: one row of `data` per message, times in ns."""
 
     channel: int
     sequences: NDArray[np.uint64]
@@ -41,7 +41,7 @@ class ChunkRows(NamedTuple):
     data: NDArray[np.uint8]
 
     def select(self, from_ns: int, until_ns: int) -> ChunkRows:
-        """Return the messages between two times, both included."""
+        """Return the messages between two times (inclusive)."""
         wanted = (self.times >= from_ns) & (self.times <= until_ns)
         if wanted.all():
             return self
@@ -49,7 +49,7 @@ class ChunkRows(NamedTuple):
 
 
 def rows_of(records: bytes) -> ChunkRows | None:
-    """Return the message records of a chunk; None where they are not alike."""
+    """Return the message records of a chunk, or None if they differ in channel or length."""
     first = next((each for each in mcap.records_in(records) if each.op == mcap.MESSAGE), None)
     if first is None:
         return None
@@ -67,7 +67,7 @@ def rows_of(records: bytes) -> ChunkRows | None:
 
 
 def _record_type(length: int) -> np.dtype[Any]:
-    """Return the type of a message record with a payload of this size."""
+    """Return the dtype of a message record of this length."""
     return np.dtype(
         [
             ("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("time", "<u8"),
@@ -79,7 +79,7 @@ def _record_type(length: int) -> np.dtype[Any]:
 def columns_of(
     rows: ChunkRows, schema: MessageSchema, encoding: Encoding, paths: Sequence[tuple[str, ...]]
 ) -> Sequence[NDArray[Any]] | None:
-    """Return the numbers at these paths of fields, a column each; None where the messages are not laid out alike."""
+    """Return a column of numbers for each path of fields, or None if the layouts of the messages differ."""
     layout = _Layout(schema.types, encoding, rows.data[0].tobytes(), frozenset(paths))
     try:
         layout.message(schema.ref.name, ())
@@ -101,7 +101,7 @@ def _column(data: NDArray[np.uint8], at: int, kind: str) -> NDArray[Any]:
 
 
 class _Layout:
-    """Layout of one message: `guards` are the offsets of bytes that all must share, `places` those of numbers."""
+    """Layout of a message: `guards` are the offsets of bytes that must be equal in all, `places` those of numbers."""
 
     def __init__(
         self, types: Mapping[str, MessageType], encoding: Encoding, data: bytes, wanted: frozenset[tuple[str, ...]]
@@ -119,7 +119,7 @@ class _Layout:
             self.guards.append((0, _CDR_HEAD))
 
     def message(self, name: str, path: tuple[str, ...]) -> None:
-        """Walk through a message of a type."""
+        """Walk a message of a type."""
         fields = self._types[name].fields
         if not fields and self._is_cdr:
             self._at += 1
@@ -172,7 +172,7 @@ class _Layout:
 
 
 def number_paths(schema: MessageSchema) -> Iterator[tuple[str, ...]]:
-    """Yield the paths of all numbers that lie in no array."""
+    """Yield the paths of all numbers outside of arrays."""
 
     def within(name: str, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
         for field in schema.types[name].fields:
@@ -185,7 +185,7 @@ def number_paths(schema: MessageSchema) -> Iterator[tuple[str, ...]]:
 
 
 class MessageBlock:
-    """Messages from one time until another. `rows` are all of them at once, where they are alike; else None."""
+    """Messages between two times. `rows` are all of them as an array, or None if their layouts differ."""
 
     def __init__(self, segments: Segments, row: ChunkRow, from_ns: int, until_ns: int) -> None:
         """Read the messages of a chunk. Raises OSError, ValueError if it is damaged, KeyError if it was removed."""
@@ -211,7 +211,7 @@ class MessageBlock:
         return self._channels[self.rows.channel]
 
     def numbers(self) -> Sequence[int]:
-        """Return the numbers of the messages, in the order of the rows where there are any."""
+        """Return the numbers of the messages, in the order of the rows, if any."""
         if self.rows is None:
             return [each.index for each in self.messages()]
         first = self._row.first

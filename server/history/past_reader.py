@@ -10,11 +10,11 @@ from rosld.server.history.history import HistoryRecording
 from rosld.server.history.message_block import MessageBlock
 
 _PAGE = 2000
-"""Messages that are read at a time from a file."""
+"""Number of messages read from a file at a time."""
 
 
 class PastRange(NamedTuple):
-    """The messages of one topic from one time until another, in ns, both included."""
+    """Messages of one topic between two times in ns (inclusive)."""
 
     topic: str
     from_ns: int
@@ -22,14 +22,14 @@ class PastRange(NamedTuple):
 
 
 def count_past(recording: Recording, ranges: Sequence[PastRange]) -> int:
-    """At most how many messages there are, as far as that is known without reading."""
+    """Return an upper bound of the number of messages, as far as it is known without reading."""
     if isinstance(recording, HistoryRecording):
         return sum(recording.count_between(*each) for each in ranges)
     return 0
 
 
 def read_past(recording: Recording, ranges: Sequence[PastRange]) -> Iterator[MessageBlock]:
-    """Yield the messages, in any order, each once; what cannot be read is left out.
+    """Yield each message once, in any order, without unreadable ones.
 
     Ranges of one topic must not overlap.
     """
@@ -50,7 +50,7 @@ def _in_pages(recording: Recording, wanted: PastRange) -> Iterator[MessageBlock]
 
 
 def merge_ranges(ranges: Sequence[PastRange]) -> list[PastRange]:
-    """Return the same moments in ranges that do not overlap."""
+    """Return ranges for the same times that do not overlap."""
     merged: list[PastRange] = []
     for each in sorted(ranges):
         last = merged[-1] if merged else None
@@ -62,13 +62,13 @@ def merge_ranges(ranges: Sequence[PastRange]) -> list[PastRange]:
 
 
 _PIECES = 1000
-"""Pieces of equal length that a recording without an index is taken to have its messages in, evenly."""
+"""Number of equal parts of a recording without an index, over which its messages are assumed to be spread evenly."""
 
 
 def time_of_end(plans: Sequence[tuple[Recording, Sequence[PastRange]]], most: int, *, is_newest: bool) -> int | None:
     """Return a time after (or before) which there are about `most` messages; None if there are fewer.
 
-    What an index tells is exact, but for chunks that reach beyond the ranges; what a rate tells is not.
+    With an index the result is exact, except for chunks that extend beyond the ranges; otherwise it is an estimate.
     """
     spans = [
         span
@@ -85,7 +85,7 @@ def time_of_end(plans: Sequence[tuple[Recording, Sequence[PastRange]]], most: in
 
 
 def clip_ranges(ranges: Sequence[PastRange], bound: int, *, is_newest: bool) -> list[PastRange]:
-    """Return the parts of ranges at a time and on the newer or older side of it."""
+    """Return the parts of ranges at or after (`is_newest`) or at or before a time."""
     if is_newest:
         clipped = (each._replace(from_ns=max(each.from_ns, bound)) for each in ranges)
     else:
@@ -94,7 +94,7 @@ def clip_ranges(ranges: Sequence[PastRange], bound: int, *, is_newest: bool) -> 
 
 
 def _spans(recording: Recording, wanted: PastRange, most: int, *, is_newest: bool) -> Iterator[tuple[int, int, int]]:
-    """Return ranges of times with their numbers of messages: more than `most`, or all."""
+    """Yield start, end and number of messages of time ranges; altogether more than `most` messages, or all."""
     if isinstance(recording, HistoryRecording):
         yield from recording.spans_at_end(*wanted, most + 1, is_newest=is_newest)  # each has a message
         return

@@ -1,4 +1,4 @@
-"""The recorder: a thread that writes the messages of live topics, fed by a bounded queue."""
+"""Recorder: a thread that writes the messages of live topics, fed by a bounded queue."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from rosld.adapters.model.schema import latched_depth
 
 log = logging.getLogger("rosld.history")
 MAX_QUEUED = 64 * 1024 * 1024
-"""Bytes of messages that wait for the thread; what comes beyond is dropped and counted."""
+"""Maximum bytes of queued messages; further ones are dropped and counted."""
 SAMPLE_OVERHEAD = 400
-"""Bytes that a message takes beside its data: the objects that hold it, its times and numbers."""
+"""Bytes of a message in addition to its data: its objects, times and numbers."""
 _PERIOD = 0.25
-"""Seconds between two writes."""
+"""Seconds between writes."""
 
 
 class Sink(Protocol):
     """Destination of messages. All methods run on the recorder's thread."""
 
     def add(self, topic: str, sample: Sample) -> None:
-        """Take a message."""
+        """Add a message."""
         ...
 
     def write_due(self, now: float) -> None:
-        """Write what is due, `now` by the monotonic clock."""
+        """Write what is due at `now` (monotonic clock)."""
         ...
 
     def close(self) -> None:
-        """Write all, and end."""
+        """Write everything and close."""
         ...
 
 
 class Arrival(NamedTuple):
-    """A message of a topic, and the sinks that it is for."""
+    """A message of a topic, and the sinks to write it to."""
 
     topic: str
     sample: Sample
@@ -50,11 +50,11 @@ _Work: TypeAlias = "Sequence[Arrival] | Callable[[], None] | None"
 
 
 class Recorder:
-    """One thread for all that is recorded. `put` and `run` are called on the server's loop and never wait."""
+    """The one thread for all recordings. `put` and `run` are called on the event loop and never wait."""
 
     def __init__(self) -> None:
         self.dropped: Counter[str] = Counter()
-        """Messages that found the queue full, by topic."""
+        """Messages dropped because the queue was full, by topic."""
         self._queue: queue.SimpleQueue[_Work] = queue.SimpleQueue()
         self._put_bytes = 0
         self._taken_bytes = 0
@@ -62,12 +62,12 @@ class Recorder:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread = threading.Thread(target=self._work, name="rosld-recorder", daemon=True)
         self._thread.start()
 
     def put(self, arrivals: Sequence[Arrival]) -> None:
-        """Queue messages for writing, up to the room in the queue."""
+        """Queue messages for writing; drop and count those that do not fit."""
         room = MAX_QUEUED - (self._put_bytes - self._taken_bytes)
         taken: list[Arrival] = []
         for each in arrivals:
@@ -86,7 +86,7 @@ class Recorder:
         self._queue.put(work)
 
     def add_sink(self, sink: Sink) -> None:
-        """Write what is due of it, too. Called on the thread, or before it is started."""
+        """Add a sink, whose due chunks are written periodically. Called on the thread, or before it is started."""
         self._sinks.append(sink)
 
     def remove_sink(self, sink: Sink) -> None:
@@ -94,7 +94,7 @@ class Recorder:
         self._sinks = [each for each in self._sinks if each is not sink]
 
     def stop(self) -> None:
-        """Write all that was put, and end; waits for it. Idempotent."""
+        """Write all queued messages, end the thread, and wait for its end. Idempotent."""
         thread, self._thread = self._thread, None
         if thread is not None:
             self._queue.put(None)
@@ -110,7 +110,7 @@ class Recorder:
                 self._do(work)
             except queue.Empty:
                 pass
-            except Exception:  # one message, or one recording, must not end all others
+            except Exception:  # a failure of one message or recording must not end the others
                 log.exception("what was to be recorded could not be")
             now = time.monotonic()
             if now - written >= _PERIOD:
@@ -131,31 +131,31 @@ class Recorder:
         for sink in list(self._sinks):
             try:
                 action(sink)
-            except Exception:  # as above
+            except Exception:  # see above
                 log.exception("a recording could not be written")
 
 
 class LatchedMessages:
-    """The latest latched message of each publisher of each topic. One thread changes it, any thread reads.
+    """The latest latched message of each publisher of each topic. Changed by one thread, read by any.
 
-    Of transforms it is the latest few, for later messages add frames to those of the earlier ones.
+    Of transforms, the latest few messages are stored, because later ones only add frames.
     """
 
     def __init__(self) -> None:
         self._samples: dict[tuple[str, str], tuple[Sample, ...]] = {}
 
     def take(self, topic: str, sample: Sample) -> None:
-        """Take in a message that came after all others of its publisher; one that is not latched is ignored."""
+        """Add the newest message of its publisher; ignore it if it is not latched."""
         if sample.latched:
             key = topic, sample.publisher
             self._samples[key] = (*self._samples.get(key, ()), sample)[-latched_depth(sample.schema.name) :]
 
     def keep(self, is_there: Callable[[str, str], bool]) -> None:
-        """Forget the messages of the publishers that are not there any more, by topic and name."""
+        """Remove the messages of publishers that no longer exist, by topic and name."""
         self._samples = {key: samples for key, samples in list(self._samples.items()) if is_there(*key)}
 
     def messages(self, wants: Callable[[str], bool]) -> list[tuple[str, Sample]]:
-        """Return the messages of the topics that are wanted, in order of receipt."""
+        """Return the messages of wanted topics, in the order of receipt."""
         found = [
             (topic, sample)
             for (topic, _), samples in list(self._samples.items())

@@ -1,4 +1,4 @@
-"""Orders of clients to record topics: their form in JSON, their notes on disk, and interrupted recordings."""
+"""Clients' orders to record topics: their JSON form, their notes on disk, and interrupted recordings."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class RecordingRefused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Trigger:
-    """When a recording begins: as `condition` comes to hold of the value at the URL `resource`.
+    """Trigger of a recording: `condition` becomes true for the value at the URL `resource`.
 
-    Without a resource the condition is the IRI of one of a mapping. `limit` is how often that begins a recording.
+    Without a resource, `condition` is the IRI of a condition of a mapping. `limit` is the maximum number of recordings.
     """
 
     condition: str
@@ -50,12 +50,12 @@ class RecordingOrder:
 
 
 def order_to_json(order: RecordingOrder) -> dict[str, object]:
-    """Return an order as clients send it in JSON."""
+    """Return an order in the JSON form that clients send."""
     return {**asdict(order), "topics": list(order.topics)}
 
 
 def order_from_json(members: Mapping[str, object]) -> RecordingOrder:
-    """Return the order that was kept as these members. Raises KeyError, TypeError, ValueError for what is none."""
+    """Return the order with these members. Raises KeyError, TypeError, ValueError if they are invalid."""
     topics, trigger, name = members["topics"], members.get("trigger"), members.get("name")
     before, duration = members.get("before", 0.0), members.get("duration")
     if not isinstance(topics, list) or not all(isinstance(each, str) for each in topics):
@@ -76,19 +76,19 @@ def _trigger(members: Mapping[str, object]) -> Trigger:
 
 log = logging.getLogger("rosld.history")
 ARMED = ".armed"
-"""What the name of a note of an order that waits for its trigger ends in."""
+"""File suffix of the note of an order that waits for its trigger."""
 INTERRUPTED = ".interrupted"
-"""What the name of a note of a recording that was interrupted ends in."""
+"""File suffix of the note of an interrupted recording."""
 
 
 class RecordingNotes:
-    """Notes in a folder, of one kind and about one recording each. Without a folder, notes are not kept."""
+    """Notes in a folder, each of one kind and about one recording. Without a folder, notes are not stored."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
     def read(self, kind: str) -> Mapping[str, Mapping[str, object]]:
-        """Return the notes of a kind by name. What cannot be read is left where it is, with a warning."""
+        """Return the notes of a kind by name. Unreadable ones are logged and left in place."""
         if self._folder is None or not self._folder.is_dir():
             return {}
         found: dict[str, Mapping[str, object]] = {}
@@ -110,7 +110,7 @@ class RecordingNotes:
             write_note(self._folder / f"{name}{kind}", orjson.dumps(members))
 
     def remove(self, kind: str, name: str) -> None:
-        """Remove a note durably, if there is one. Raises OSError."""
+        """Remove a note durably, if it exists. Raises OSError."""
         if self._folder is not None and self._folder.is_dir():
             remove_note(self._folder / f"{name}{kind}")
 
@@ -120,14 +120,14 @@ KILLED = "rosld was ended by force while it was being made: it reaches until the
 
 
 class Interruptions:
-    """The recordings that were interrupted, by name. Belongs to one loop."""
+    """The interrupted recordings, by name. Belongs to one event loop."""
 
     def __init__(self, notes: RecordingNotes) -> None:
         self._notes = notes
         self._reasons: dict[str, str] = {}
 
     def load(self, names: Container[str]) -> None:
-        """Take what was kept of the recordings of these names; of others, whose files are gone, it goes."""
+        """Read the notes about these recordings, and remove those about recordings whose files no longer exist."""
         for name, members in self._notes.read(INTERRUPTED).items():
             if name in names:
                 self._reasons[name] = str(members.get("why") or KILLED)
@@ -138,11 +138,11 @@ class Interruptions:
                     log.warning("that %s was interrupted cannot be forgotten: %s", name, error)
 
     def reason(self, name: str) -> str | None:
-        """Why a recording was interrupted, in a sentence; None for one that was not."""
+        """Return why a recording was interrupted, as a sentence, or None if it was not."""
         return self._reasons.get(name)
 
     async def add(self, name: str, why: str) -> None:
-        """Keep that a recording was interrupted, as long as the server runs where that cannot be stored."""
+        """Store that a recording was interrupted; in memory only if the disk fails."""
         self._reasons[name] = why
         try:
             await asyncio.to_thread(self._notes.write, INTERRUPTED, name, {"why": why})
@@ -150,6 +150,6 @@ class Interruptions:
             log.error("that the recording %s was interrupted cannot be stored: %s", name, error)
 
     async def remove(self, name: str) -> None:
-        """Forget the interruption of a recording that is gone. Raises OSError."""
+        """Remove the note about a deleted recording. Raises OSError."""
         if self._reasons.pop(name, None) is not None:
             await asyncio.to_thread(self._notes.remove, INTERRUPTED, name)

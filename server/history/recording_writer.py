@@ -1,4 +1,4 @@
-"""Writes one recording as one MCAP file, which has its name once it is complete."""
+"""Writer of one recording as an MCAP file, which is renamed once it is complete."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rosld.server.history.segment_scan import recover
 
 log = logging.getLogger("rosld.history")
 ACTIVE = ".active"
-"""What the name of a file ends in while it is written, as that of rosbag's."""
+"""File suffix while a recording is written, as for rosbag."""
 
 
 class RecordingWriter:
-    """A sink for one file. The recorder's thread writes, any thread reads `count`, `size` and `problem`.
+    """Sink for one file. The recorder's thread writes; any thread reads `count`, `size` and `problem`.
 
-    A disk that is full ends it, with what is there.
+    A full disk ends the recording, and completes the file.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class RecordingWriter:
         require_room: Callable[[Path], None],
         since_ns: int | None = None,
     ) -> None:
-        """Begin the file of a recording since a time, without one since now. Raises OSError."""
+        """Begin the file of a recording that starts at a time (None: now). Raises OSError."""
         self.path = path
         self.since_ns = time.time_ns() if since_ns is None else since_ns
         self.count = 0
@@ -43,7 +43,7 @@ class RecordingWriter:
         self.end_ns = 0
         self.problem: str | None = None
         self.silent: Sequence[str] = ()
-        """Chosen topics and globs without a message, as the file will name them."""
+        """Selected topics and globs without a message, as written to the file."""
         self._require_room = require_room
         self._active = path.with_name(path.name + ACTIVE)
         require_room(path.parent)
@@ -52,14 +52,14 @@ class RecordingWriter:
 
     @property
     def size(self) -> int:
-        """The number of bytes written."""
+        """Number of bytes written."""
         writer = self._writer
         return 0 if writer is None else writer.file.size
 
     def add(self, topic: str, sample: Sample) -> None:
-        """Take a message; one too many for the disk ends the recording.
+        """Add a message. A full disk ends the recording.
 
-        Of those that came before it was begun it takes what is latched, as if it came when the recording begins.
+        Of earlier messages, only latched ones are added, with the start of the recording as their time.
         """
         time_ns = max(sample.received_ns, self.since_ns)
         is_opening = sample.received_ns < self.since_ns
@@ -82,11 +82,10 @@ class RecordingWriter:
             self._write([chunk])
 
     def write_due(self, now: float) -> None:
-        """Write the chunks that are due."""
         self._write([chunk for chunk in self._open.values() if chunk.is_due(now)])
 
     def close(self) -> None:
-        """Write what there is, complete the file, and give it its name. Idempotent."""
+        """Write all chunks, complete the file, and rename it. Idempotent."""
         if self._writer is None:
             return
         self._write(list(self._open.values()))
@@ -95,7 +94,7 @@ class RecordingWriter:
         try:
             writer.finish(self.silent)
             self._active.replace(self.path)
-        except OSError as error:  # without its summary it can still be read, and is completed at the next start
+        except OSError as error:  # without a summary the file is readable, and it is completed at the next start
             self._end(error.strerror or str(error))
 
     def _write(self, chunks: list[TopicChunk]) -> None:
@@ -116,12 +115,12 @@ class RecordingWriter:
 
 
 def active_recordings(folder: Path) -> list[str]:
-    """The names of the recordings in a folder that were being written when rosld was ended by force."""
+    """Return the names of the recordings in a folder that were being written when rosld was killed."""
     return [path.name.removesuffix(ACTIVE).removesuffix(".mcap") for path in folder.glob(f"*{ACTIVE}")]
 
 
 def complete_active(folder: Path) -> None:
-    """Complete the recordings in a folder that were being written when rosld was ended by force."""
+    """Complete the recordings in a folder that were being written when rosld was killed."""
     for path in folder.glob(f"*{ACTIVE}"):
         try:
             recover(DiskFile(path))

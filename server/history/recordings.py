@@ -1,4 +1,4 @@
-"""Recordings that clients make or send: files in a folder, each opened as the adapter for recordings does it."""
+"""Recordings that clients make or upload: files in a folder, each opened by the adapter for recordings."""
 
 from __future__ import annotations
 
@@ -56,26 +56,26 @@ FOLDER = "bags"
 SUFFIX = ".mcap"
 _OPEN_SECONDS = 60.0
 _REVISION_SECONDS = 5.0
-"""How old what a query is told of a recording that is being made may be."""
+"""Maximum age in seconds of query results about a recording in progress."""
 _LONGEST_STEP = 500
-"""Characters by which a receipt tells what is recorded."""
+"""Maximum length of the step of a receipt that describes a recording."""
 _MAX_RUNNING = 16
-"""Recordings that are made at a time."""
+"""Maximum number of recordings in progress."""
 _MAX_CHECKED = 4
-"""Files that are checked at a time: one that takes long holds up no other."""
+"""Maximum number of concurrent checks: a slow one must not block the others."""
 _CHECK_BYTES = 3 * 1024 * 1024 * 1024
-"""Address space of a checking process in bytes; the libraries take a third of it."""
+"""Address space of a checking process in bytes; the libraries use a third of it."""
 
 
 class UnreadableFile(NamedTuple):
-    """A file of recordings that cannot be opened, and why."""
+    """A recording's file that cannot be opened, and the reason."""
 
     path: Path
     problem: str
 
 
 class RunningRecording:
-    """A recording being made. `dropped_before` are the messages that had been dropped when it began, by topic."""
+    """A recording in progress. `dropped_before` counts the messages dropped before its start, by topic."""
 
     def __init__(
         self, name: str, order: RecordingOrder, writer: RecordingWriter, dropped_before: Mapping[str, int]
@@ -86,14 +86,17 @@ class RunningRecording:
         self.dropped_before = dropped_before
         self.timer: asyncio.Handle | None = None
         self.ends_at: float | None = None
-        """Loop time of its end, None without one: the handle that uvloop returns for a delay of 0 lacks `when`."""
+        """Time of its end on the loop's clock, or None.
+
+        Stored because uvloop's handle for a delay of 0 lacks `when`.
+        """
         self.ending: asyncio.Task[None] | None = None
 
 
 class Recordings:
-    """The recordings of a server beside those of its source, by name.
+    """The recordings of a server, except those of its source, by name.
 
-    Without a folder of data they are in a temporary one, which goes with the server.
+    Without a data folder they are in a temporary one, which is deleted at the end.
     """
 
     def __init__(
@@ -103,9 +106,9 @@ class Recordings:
         learn: Callable[[TypeRef], Awaitable[object]],
         definition_of: Callable[[TypeRef], str],
     ) -> None:
-        """`learn` makes a type known, `definition_of` gives its text as far as it is.
+        """Create the recordings. `learn` loads a type, `definition_of` returns its text, if it is known.
 
-        Raises ValueError where a history is wanted of what has none.
+        Raises ValueError if a history is enabled for a source that has none.
         """
         self._changes = 0
         self._adapter = adapter
@@ -125,20 +128,20 @@ class Recordings:
 
     @property
     def _folder(self) -> Path | None:
-        """The folder of recordings; None before there is one."""
+        """Folder of recordings, or None before the first recording."""
         if self._settings.data is not None:
             return self._settings.data / FOLDER
         return None if self._temporary is None else Path(self._temporary.name)
 
     @property
     def revision(self) -> Hashable:
-        """Another one whenever another recording is there, or gone, and now and then while something is recorded."""
+        """Value that changes with the set of recordings, and every few seconds while something is recorded."""
         is_recording = self.history.is_kept or bool(self._running)
         moment = int(time.monotonic() / _REVISION_SECONDS) if is_recording else 0
         return self._changes, self._armed.revision, moment
 
     def recorded_topics(self) -> Collection[str]:
-        """The topics that are recorded now, by the history or for a client."""
+        """Return the topics that are recorded now, by the history or for a client."""
         return self._live.topics()
 
     @property
@@ -148,12 +151,12 @@ class Recordings:
 
     @property
     def readable(self) -> Mapping[str, Recording]:
-        """All that can be read, by name: the history, those of clients, those of the source."""
+        """All readable recordings by name: the history, those of clients, those of the source."""
         own = {HISTORY: self.history.recording} if self.history.is_kept else {}
         return {**own, **self.finished, **self._adapter.recordings}
 
     def find(self, name: str) -> Recording | None:
-        """The recording of a name that can be read, None where there is none; any thread may ask."""
+        """Return the readable recording of a name, or None (thread-safe)."""
         found, opened = self._adapter.recordings.get(name), self._opened.get(name)
         if found is None and opened is not None:
             return opened[1]
@@ -177,11 +180,11 @@ class Recordings:
         return self._armed.all
 
     def interruption(self, name: str) -> str | None:
-        """Why a recording ends before it was to, in a sentence; None for one that is complete."""
+        """Return why a recording ended early, as a sentence, or None if it is complete."""
         return self._interruptions.reason(name)
 
     async def start(self) -> None:
-        """Begin the history, and open what is there. What cannot be read keeps its name, with a warning."""
+        """Start the history, and open the stored recordings. Unreadable ones are logged and reserve their names."""
         await self.history.start()
         if self._folder is None or not self._folder.is_dir():
             return
@@ -196,11 +199,11 @@ class Recordings:
         self._armed.load()
 
     def resume(self, occurrences: Occurrences) -> None:
-        """Have those wait for their triggers that did before the server was restarted."""
+        """Wait for the triggers of the orders stored before the restart."""
         self._armed.resume(occurrences)
 
     def begin(self, order: RecordingOrder, may_record: MayRecord) -> RunningRecording:
-        """Begin a recording of the topics that may be recorded. Raises RecordingRefused, and OSError for the disk."""
+        """Start a recording of the topics that may be recorded. Raises RecordingRefused, and OSError for the disk."""
         if len(self._running) >= _MAX_RUNNING:
             raise RecordingRefused(f"{_MAX_RUNNING} recordings are being made already: end one first", taken=True)
         name = self._free_name(order.name)
@@ -223,22 +226,22 @@ class Recordings:
         return one
 
     async def arm(self, order: RecordingOrder, agent: Agent, occurrences: Occurrences) -> ArmedRecording:
-        """Have a recording wait for its trigger, by order of an agent. Raises RecordingRefused, OSError."""
+        """Wait for the trigger of an order before recording. Raises RecordingRefused, OSError."""
         name, trigger = self._free_name(order.name), order.trigger
         if trigger is not None and trigger.limit > 1 and FILE_NAME.fullmatch(f"{name}-{trigger.limit}") is None:
             raise RecordingRefused(f"{name[:100]!r} is too long a name for more than one recording: 96 letters at most")
         return await self._armed.arm(name, order, agent, occurrences)
 
     async def disarm(self, name: str) -> bool:
-        """Disarm a recording; return whether there was one. What it has begun to record goes on. Raises OSError."""
+        """Disarm a recording; return whether it existed. Recordings already started continue. Raises OSError."""
         return await self._armed.disarm(name)
 
     def can_be_named(self, name: str) -> bool:
-        """Whether a recording may have this name: it is a valid name, and not in use."""
+        """Whether a name is valid and unused."""
         return FILE_NAME.fullmatch(name) is not None and not self._is_taken(name)
 
     async def end(self, name: str) -> None:
-        """End a recording, which can then be read. Nothing happens where there is none of this name."""
+        """End a recording, which can then be read. Does nothing if it does not exist."""
         one = self._running.get(name)
         if one is not None:
             record_step(f"end the recording {name}")
@@ -246,14 +249,14 @@ class Recordings:
             await asyncio.shield(self._end_soon(one))
 
     async def receive(self, name: str, chunks: AsyncIterator[bytes]) -> None:
-        """Take a file: a ROS 1 bag, MCAP, or a ROS 2 database. Raises RecordingRefused, OSError."""
+        """Store an uploaded file: a ROS 1 bag, MCAP, or a ROS 2 database. Raises RecordingRefused, OSError."""
         self._require_free(name)
         self._receiving.add(name)
         try:
             folder = self._path(name, SUFFIX).parent
             draft, suffix = await receive_file(folder, name, chunks, self._settings.upload_limit)
             try:
-                # under its name it is opened again, without a limit
+                # opened again under its name, without a limit
                 await self._check(name, draft)
                 record_step(f"keep the recording {name}")
                 end_dry_run()
@@ -267,7 +270,7 @@ class Recordings:
             self._receiving.discard(name)
 
     async def delete(self, name: str) -> bool:
-        """End and delete a recording, or what waits for its trigger; whether there was one."""
+        """End and delete a recording, or disarm it; return whether it existed."""
         record_step(f"delete the recording {name}")
         end_dry_run()
         if await self.disarm(name):
@@ -290,11 +293,11 @@ class Recordings:
         return True
 
     def refresh(self) -> None:
-        """The graph has changed: there may be other topics to be recorded."""
+        """Update the recorded topics, after a change of the graph."""
         self._live.refresh()
 
     def encoding(self, recording: Recording) -> Encoding:
-        """How the messages of a recording are laid out."""
+        """Return the encoding of a recording's messages."""
         own = self._opened.get(recording.name)
         return (self._adapter if own is None else own[0]).capabilities.encoding
 
@@ -303,15 +306,15 @@ class Recordings:
         return await self.history.exports.make(recording, wanted, self._path(f".{secrets.token_hex(8)}", DRAFT))
 
     def dropped(self, one: RunningRecording) -> Mapping[str, int]:
-        """Messages that came since a recording began and could not be taken to it, by topic."""
+        """Return the numbers of messages lost since a recording began, by topic."""
         return self._live.dropped() - Counter(one.dropped_before)
 
     def silent(self, one: RunningRecording) -> Sequence[str]:
-        """Return the topics and globs without a message so far in a recording that is being made."""
+        """Return the topics and globs that have no message yet in a recording in progress."""
         return self._live.silent(one.writer, one.order.topics, one.writer.counts)
 
     async def stop(self) -> None:
-        """End all that are being made, and let go of the files."""
+        """End all recordings in progress, and close the files."""
         await self._armed.stop()
         await self._checkers.close()
         await self.history.exports.close()
@@ -327,13 +330,13 @@ class Recordings:
             self._temporary.cleanup()
 
     def _since(self, before: float) -> int:
-        """When a recording begins that is to begin `before` seconds ago: as long ago as the history has messages."""
+        """Return the start of a recording that includes the last `before` seconds, limited to those in the history."""
         now = time.time_ns()
         oldest = self.history.recording.start_ns if self.history.is_kept else 0
         return min(max(now - int(before * 1e9), oldest or now), now)
 
     def _end_soon(self, one: RunningRecording) -> asyncio.Task[None]:
-        """End a recording, once; the task that does."""
+        """Start to end a recording, once; return the task."""
         if one.timer is not None:
             one.timer.cancel()
         if one.ending is None:
@@ -351,7 +354,7 @@ class Recordings:
         self._changes += 1
 
     async def _open_or_keep(self, name: str, path: Path) -> None:
-        """Open a file; one that cannot be opened, or whose name another file has, is known by its name."""
+        """Open a file; if that fails, or another file has its name, add it to the unreadable files."""
         try:
             if name in self._opened:
                 raise RecordingRefused(f"{path.name} is not opened: {self._opened[name][1].path.name} has its name")
@@ -368,7 +371,10 @@ class Recordings:
         self._changes += 1
 
     async def _check(self, name: str, path: Path) -> None:
-        """Check in another process that a file can be opened. Raises RecordingRefused, and as `WorkerPool.run`."""
+        """Check in another process that a file can be opened.
+
+        Raises RecordingRefused, and what `WorkerPool.run` raises.
+        """
         work = partial(check_recording, path, self._settings.upload_index_limit)
         try:
             await self._checkers.run(work, check_seconds(path))

@@ -1,4 +1,4 @@
-"""The bytes of a segment, in a file or in memory, and its chunks."""
+"""Bytes of a segment, in a file or in memory, and its chunks."""
 
 from __future__ import annotations
 
@@ -16,42 +16,41 @@ class SegmentFile(Protocol):
 
     @property
     def size(self) -> int:
-        """The number of bytes."""
+        """Number of bytes."""
         ...
 
     def append(self, data: bytes) -> None:
-        """Append all of it, or nothing. Raises OSError."""
+        """Append all of the data, or nothing. Raises OSError."""
         ...
 
     def read(self, at: int, size: int) -> bytes:
-        """Up to `size` bytes from `at`. Raises OSError where they are gone."""
+        """Return up to `size` bytes from `at`. Raises OSError if the file was removed."""
         ...
 
     def close(self) -> None:
-        """Nothing is appended any more; it can still be read. Raises OSError where it cannot be made durable."""
+        """End appending; reading stays possible. Raises OSError if the file cannot be made durable."""
         ...
 
     def remove(self) -> None:
-        """Give its place back. Idempotent."""
+        """Free the storage. Idempotent."""
         ...
 
 
 class DiskFile:
-    """A file of a folder. It is opened for each read: segments are many, descriptors few."""
+    """A file in a folder. Opened for each read, since there are many segments and few file descriptors."""
 
     def __init__(self, path: Path) -> None:
-        """Open for appending, after what is there already. Raises OSError."""
+        """Open the file to append to it. Raises OSError."""
         self.path = path
         self._file: int | None = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
         self._size = os.lseek(self._file, 0, os.SEEK_END)
 
     @property
     def size(self) -> int:
-        """The number of bytes."""
         return self._size
 
     def append(self, data: bytes) -> None:
-        """Append all of it; where the disk takes only a part, that is taken back."""
+        """Append all of the data. If the disk takes only a part, that is removed again."""
         assert self._file is not None, "a closed segment is not written to"
         left = memoryview(data)
         try:
@@ -63,7 +62,7 @@ class DiskFile:
         self._size += len(data)
 
     def truncate(self, size: int) -> None:
-        """Give back what lies beyond `size`."""
+        """Truncate the file to `size` bytes."""
         assert self._file is not None, "a closed segment is not written to"
         with contextlib.suppress(OSError):
             os.ftruncate(self._file, size)
@@ -71,7 +70,6 @@ class DiskFile:
         self._size = size
 
     def read(self, at: int, size: int) -> bytes:
-        """Up to `size` bytes from `at`."""
         with self.path.open("rb", buffering=0) as file:
             file.seek(at)
             parts: list[bytes] = []
@@ -81,7 +79,6 @@ class DiskFile:
         return b"".join(parts)
 
     def close(self) -> None:
-        """Make it durable."""
         if self._file is not None:
             file, self._file = self._file, None
             try:
@@ -90,7 +87,6 @@ class DiskFile:
                 os.close(file)
 
     def remove(self) -> None:
-        """Delete it."""
         if self._file is not None:
             os.close(self._file)
             self._file = None
@@ -99,29 +95,24 @@ class DiskFile:
 
 
 class MemoryFile:
-    """A segment in memory."""
-
     def __init__(self) -> None:
         self._data = bytearray()
 
     @property
     def size(self) -> int:
-        """The number of bytes."""
+        """Number of bytes."""
         return len(self._data)
 
     def append(self, data: bytes) -> None:
-        """Append all of it."""
         self._data += data
 
     def read(self, at: int, size: int) -> bytes:
-        """Up to `size` bytes from `at`."""
         return bytes(self._data[at : at + size])
 
     def close(self) -> None:
-        """Nothing is to be done."""
+        pass
 
     def remove(self) -> None:
-        """Forget it."""
         self._data = bytearray()
 
 
@@ -135,7 +126,7 @@ class ChunkMessage(NamedTuple):
 
 
 def read_records(file: SegmentFile, at: int, length: int) -> bytes:
-    """Return the records of the chunk record at `at`. Raises OSError, and ValueError where it is damaged."""
+    """Return the records of the chunk record at `at`. Raises OSError, and ValueError if it is damaged."""
     data = file.read(at, length)
     if len(data) != length or data[0] != mcap.CHUNK:
         raise ValueError(f"there is no chunk at {at}")
@@ -144,7 +135,7 @@ def read_records(file: SegmentFile, at: int, length: int) -> bytes:
 
 
 def read_chunk(file: SegmentFile, at: int, length: int) -> Iterator[ChunkMessage]:
-    """Yield the messages of the chunk record at `at`. Raises OSError, and ValueError where it is damaged."""
+    """Yield the messages of the chunk record at `at`. Raises OSError, and ValueError if it is damaged."""
     yield from messages_in(read_records(file, at, length))
 
 

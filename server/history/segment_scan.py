@@ -18,7 +18,7 @@ from rosld.server.history.segment_file import DiskFile, SegmentFile, read_record
 
 @dataclass(slots=True)
 class ScannedChunk:
-    """A chunk as it was found: where, whose, and the numbers of its messages."""
+    """A chunk found by the scan: its place, its channel, and the numbers of its messages."""
 
     place: Place
     topic: str
@@ -29,7 +29,7 @@ class ScannedChunk:
 
 @dataclass(slots=True)
 class Scan:
-    """What a file holds, up to where it is whole; `definitions` are the texts of types by name."""
+    """The complete contents of a file up to `end`; `definitions` are the texts of types by name."""
 
     first: int = 0
     end: int = 0
@@ -42,7 +42,7 @@ class Scan:
 
 
 def scan(data: bytes) -> Scan:
-    """What the bytes of a file hold, up to the last chunk that is whole. Raises ValueError for another format."""
+    """Return the contents up to the last complete chunk. Raises ValueError for another format."""
     if not data.startswith(MAGIC):
         raise ValueError("it is no MCAP file")
     found = Scan(end=len(MAGIC))
@@ -78,7 +78,7 @@ def scan(data: bytes) -> Scan:
 
 
 def recover(file: DiskFile) -> Scan:
-    """Complete a file that was never finished: what is not whole at its end is cut off. Raises ValueError, OSError."""
+    """Complete an unfinished file, without its incomplete end. Raises ValueError, OSError."""
     found = scan(file.read(0, file.size))
     if not found.is_finished:
         file.truncate(found.end)
@@ -89,9 +89,9 @@ def recover(file: DiskFile) -> Scan:
 
 
 def opening_messages(file: SegmentFile) -> Iterator[tuple[Channel, Sample]]:
-    """Yield the messages of the first chunks of a file as far as they open it, when they were received.
+    """Yield the opening messages of a file, with their original times of receipt.
 
-    Raises OSError, and ValueError or KeyError where it is damaged.
+    Raises OSError, and ValueError or KeyError if it is damaged.
     """
     at = len(MAGIC)
     names: dict[int, str] = {}
@@ -106,7 +106,7 @@ def opening_messages(file: SegmentFile) -> Iterator[tuple[Channel, Sample]]:
 
 
 def _opening(data: bytes, names: dict[int, str]) -> Iterator[tuple[Channel, Sample]]:
-    """Yield the messages of a chunk that open its file; `names` are those of the types by number, as far as known."""
+    """Yield the opening messages of a chunk; `names` collects the names of types by schema number."""
     channels: dict[int, Channel] = {}
     for record in mcap.records_in(data):
         if record.op == mcap.SCHEMA:
@@ -153,7 +153,7 @@ def _accept(
 
 
 def _chunk(found: Scan, data: bytes, record: mcap.Record, names: dict[int, str]) -> tuple[ScannedChunk, Counter[int]]:
-    """Return a chunk with the number of messages of each channel. Raises ValueError, KeyError where it is damaged."""
+    """Return a chunk with the number of messages of each channel. Raises ValueError, KeyError if it is damaged."""
     head = mcap.chunk_head(data, record.at)
     inner = mcap.decompress(data[head.records_at : record.end], head.size)
     if zlib.crc32(inner) != head.crc:
@@ -174,7 +174,7 @@ def _chunk(found: Scan, data: bytes, record: mcap.Record, names: dict[int, str])
             _, _, number, sequence, _, _ = mcap.MESSAGE_HEAD.unpack_from(inner, each.at - mcap.RECORD_HEAD.size)
             topic = found.channels[number].topic
             counts[number] += 1
-            if not found.channels[number].is_opening:  # what opens a file has no number
+            if not found.channels[number].is_opening:  # opening messages have no number
                 numbers.append(found.first + ((sequence - found.first) & 0xFFFFFFFF))
     begin = record.at - mcap.RECORD_HEAD.size
     return ScannedChunk(Place(begin, record.end - begin), topic, head.start_ns, head.end_ns, numbers), counts

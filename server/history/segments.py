@@ -24,7 +24,7 @@ _SUFFIX = ".mcap"
 
 @dataclass(frozen=True, slots=True)
 class HistoryLimits:
-    """How much is kept: `seconds` of the past in `size` bytes, in files of `segment_seconds` or `segment_size`."""
+    """Limits of the history: the last `seconds` in `size` bytes, in files of `segment_seconds` or `segment_size`."""
 
     seconds: float
     size: int
@@ -33,9 +33,9 @@ class HistoryLimits:
 
 
 class Segments:
-    """The files and their index; `folder` is None where they are in memory. One thread writes, any reads.
+    """The segment files and their index; `folder` is None in memory. Written by one thread, read by any.
 
-    `latched` returns the latched messages of now with their topics, which open each file.
+    `latched` returns the current latched messages with their topics, which open each file.
     """
 
     def __init__(
@@ -51,32 +51,32 @@ class Segments:
         self._files: dict[int, SegmentFile] = {}
         self._rows: list[SegmentRow] = []
         self._channels: Mapping[int, Mapping[int, Channel]] = {}
-        """Those of the finished segment that was read last."""
+        """Channels of the finished segment that was read last."""
 
     @property
     def index(self) -> ChunkIndex:
-        """The index, once open."""
+        """The index, after `open`."""
         assert self._index is not None, "the history is not open"
         return self._index
 
     @property
     def rows(self) -> list[SegmentRow]:
-        """The segments, the oldest first. Any thread may ask."""
+        """The segments, oldest first (thread-safe)."""
         return self._rows
 
     @property
     def first(self) -> int | None:
-        """The number of the oldest message that is kept; None where there is no segment."""
+        """Number of the oldest stored message, or None if there is no segment."""
         return self._rows[0].first if self._rows else None
 
     @property
     def start_ns(self) -> int:
-        """When the oldest message that is kept was received; 0 where there is none."""
+        """Time of receipt of the oldest stored message in ns, or 0."""
         return next((row.start_ns for row in self._rows if row.start_ns), 0)
 
     @property
     def end_ns(self) -> int:
-        """When the newest message that is kept was received; 0 where there is none."""
+        """Time of receipt of the newest stored message in ns, or 0."""
         return max((row.end_ns for row in self._rows), default=0)
 
     @property
@@ -85,7 +85,10 @@ class Segments:
         return sum(file.size for file in list(self._files.values()))
 
     def open(self) -> int:
-        """Open what is there, complete what was never finished; the number of the next message. Raises OSError."""
+        """Open the stored segments, complete unfinished ones, and return the number of the next message.
+
+        Raises OSError.
+        """
         if self.folder is None:
             self._index = ChunkIndex(None)
             return 0
@@ -106,27 +109,30 @@ class Segments:
         return self._rows[-1].next if self._rows else 0
 
     def begin(self, first: int) -> tuple[int, SegmentFile]:
-        """A new segment whose first message will have this number. Raises OSError, sqlite3.Error."""
+        """Begin a segment whose first message has this number; return its id and file.
+
+        Raises OSError, sqlite3.Error.
+        """
         name = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{first:012d}{_SUFFIX}"
         if self.folder is None:
             file: SegmentFile = MemoryFile()
         else:
-            (self.folder / name).unlink(missing_ok=True)  # of a beginning that failed: no message has this number
+            (self.folder / name).unlink(missing_ok=True)  # left by a failed start: no message has this number
             file = DiskFile(self.folder / name)
         segment = self.index.add_segment(name, first)
         self._files[segment] = file
         return segment, file
 
     def file(self, segment: int) -> SegmentFile:
-        """Return the file of a segment. Raises KeyError where it was removed."""
+        """Return the file of a segment. Raises KeyError if it was removed."""
         return self._files[segment]
 
     def refresh(self) -> None:
-        """Take note of what the index tells of the segments now."""
+        """Read the segments from the index again."""
         self._rows = self.index.segments()
 
     def remove_oldest(self, now_ns: int) -> Counter[str]:
-        """Remove what is too old, or too much: whole segments, never the last; what each topic has lost by it."""
+        """Remove whole segments beyond the limits, but never the last; return the numbers of lost messages by topic."""
         removed: Counter[str] = Counter()
         horizon = now_ns - int(self.limits.seconds * 1e9)
         excess = self.size - self.limits.size
@@ -142,16 +148,16 @@ class Segments:
         return removed
 
     def remove(self, segment: int) -> None:
-        """Remove a segment that holds nothing."""
+        """Remove an empty segment."""
         self.index.remove_segment(segment)
         self._files.pop(segment).remove()
 
     def records_of(self, row: ChunkRow) -> bytes:
-        """Return the records of a chunk. Raises OSError, ValueError; KeyError where it is gone."""
+        """Return the records of a chunk. Raises OSError, ValueError, and KeyError if its segment was removed."""
         return read_records(self._files[row.segment], row.at, row.length)
 
     def channels_of(self, segment: int) -> Mapping[int, Channel]:
-        """Return the channels of a segment by their numbers: those that are in the index."""
+        """Return the indexed channels of a segment by number."""
         known = self._channels.get(segment)
         is_finished = any(row.id == segment and row.finished for row in self._rows)
         if known is None or not is_finished:
@@ -161,12 +167,15 @@ class Segments:
         return known
 
     def message(self, number: int) -> tuple[Channel, Sample] | None:
-        """Return the message of a number, None where no chunk has it. Raises OSError, ValueError."""
+        """Return a message by number, or None. Raises OSError, ValueError."""
         row = self.index.find(number)
         return None if row is None else next(self.messages_of(row, number), None)
 
     def messages_of(self, row: ChunkRow, number: int | None = None) -> Iterator[tuple[Channel, Sample]]:
-        """The messages of a chunk, or the one of a number. Raises OSError, ValueError; KeyError where it is gone."""
+        """Yield the messages of a chunk, or the one with a number.
+
+        Raises OSError, ValueError; KeyError if it was removed.
+        """
         channels = self.index.channels(row.segment)
         wanted = None if number is None else number & 0xFFFFFFFF
         for each in read_chunk(self._files[row.segment], row.at, row.length):
@@ -175,16 +184,19 @@ class Segments:
                 yield channel, sample_of(channel, each, row.first + ((each.sequence - row.first) & 0xFFFFFFFF))
 
     def opening(self, segment: int) -> Iterator[tuple[Channel, Sample]]:
-        """The latched messages that open a segment, when they were received. Raises OSError, ValueError, KeyError."""
+        """Yield the opening messages of a segment, with their times of receipt.
+
+        Raises OSError, ValueError, KeyError.
+        """
         yield from opening_messages(self._files[segment])
 
     def close(self) -> None:
-        """Let go of the index. Idempotent."""
+        """Close the index. Idempotent."""
         if self._index is not None:
             self._index.close()
 
     def _recover(self, file: DiskFile, row: SegmentRow | None) -> None:
-        """Take in a file that the index does not know whole."""
+        """Complete and index a file that is not completely indexed."""
         if row is not None:
             self.index.remove_segment(row.id)
         try:
@@ -203,7 +215,7 @@ class Segments:
 
 
 def sample_of(channel: Channel, message: ChunkMessage, number: int) -> Sample:
-    """Return a recorded message as a sample; its sequence is its number, counted from 1."""
+    """Return a recorded message as a sample; its sequence is its number plus one."""
     return Sample(
         message.data,
         channel.encoding,
@@ -242,7 +254,7 @@ def _index_scan(index: ChunkIndex, segment: int, found: Scan, size: int) -> None
 
 
 def _open_index(path: Path) -> ChunkIndex:
-    """Return the index at `path`; one that cannot be read is made anew from the segments. Raises OSError."""
+    """Return the index at `path`; an unreadable one is rebuilt from the segments. Raises OSError."""
     try:
         return ChunkIndex(path)
     except sqlite3.Error as error:

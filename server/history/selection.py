@@ -13,8 +13,8 @@ log = logging.getLogger("rosld.history")
 
 
 def select_messages(writer: HistoryWriter, wanted: MessageFilter, limit: int) -> MessagePage:
-    """At most `limit` messages of the history, of about `PAGE_BYTES`."""
-    at_hand = _unwritten(writer, wanted)  # before the index: what is written meanwhile is in both
+    """Return at most `limit` messages of the history, of about `PAGE_BYTES` in total."""
+    at_hand = _unwritten(writer, wanted)  # first: what is written meanwhile is then in both, not in neither
     rows = _written(writer, wanted, limit + 1)
     found: list[RecordedMessage] = []
     read: dict[int, RecordedMessage] = {}
@@ -52,7 +52,7 @@ def _written(writer: HistoryWriter, wanted: MessageFilter, limit: int) -> dict[i
         for topic in (None,) if wanted.topics is None else sorted(wanted.topics):
             found |= _of_segment(writer, segment.id, topic, wanted, limit)
         if len(found) >= limit:
-            break  # numbers ascend from segment to segment
+            break  # numbers increase from segment to segment
     return {number: found[number] for number in sorted(found)[:limit]}
 
 
@@ -68,7 +68,7 @@ def _of_segment(
         )
         for row in batch:
             if len(found) >= limit and row.first > sorted(found)[limit - 1]:
-                return found  # this chunk, and those that follow, begin later still
+                return found  # this chunk and the following ones start after the last wanted message
             found |= dict.fromkeys(_numbers(writer, row, wanted), row)
         if len(batch) < limit:
             return found
@@ -76,7 +76,7 @@ def _of_segment(
 
 
 def _numbers(writer: HistoryWriter, row: ChunkRow, wanted: MessageFilter) -> list[int]:
-    """The numbers of a chunk that are wanted; it is read only where it is at the edge of the time."""
+    """Return the wanted numbers of a chunk, which is read only if it is partly outside the times."""
     if wanted.from_ns <= row.start_ns and row.end_ns <= wanted.to_ns:
         return [each for each in unpack_numbers(row).tolist() if wanted.start <= each < wanted.end]
     read = _messages(writer, row).values()
@@ -88,7 +88,7 @@ def _is_wanted(number: int, sample: Sample, wanted: MessageFilter) -> bool:
 
 
 def _messages(writer: HistoryWriter, row: ChunkRow) -> dict[int, RecordedMessage]:
-    """Return the messages of a chunk by number; none where it is damaged, or was removed meanwhile."""
+    """Return the messages of a chunk by number; none if it is damaged or was removed."""
     found: dict[int, RecordedMessage] = {}
     try:
         for channel, sample in writer.segments.messages_of(row):
@@ -96,6 +96,6 @@ def _messages(writer: HistoryWriter, row: ChunkRow) -> dict[int, RecordedMessage
             found[number] = RecordedMessage(number, channel.topic, sample)
     except (OSError, ValueError) as error:
         log.warning("a part of the history cannot be read: %s", error)
-    except KeyError:  # its segment was removed
+    except KeyError:  # the segment was removed
         pass
     return found

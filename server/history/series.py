@@ -1,4 +1,4 @@
-"""Series: one number of a topic's messages over a time, reduced to minimum, maximum and mean of intervals."""
+"""Series: a field of a topic's messages over time, reduced to minimum, maximum and mean of intervals."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.message_block import MessageBlock
 
 MAX_READ = 500_000
-"""Messages that one series may read; of those that it finds reduced already there may be any number."""
+"""Maximum number of messages that one series may read; cached statistics are not limited."""
 
 
 class Statistic(NamedTuple):
-    """What is told of the numbers of an interval, of which there is at least one."""
+    """Statistic of the numbers in an interval that has at least one."""
 
     minimum: float
     maximum: float
@@ -35,7 +35,7 @@ class Statistic(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A moment, or the begin of an interval, in ns, and the numbers there."""
+    """A time in ns, or the start of an interval, and the statistic of its numbers."""
 
     time_ns: int
     statistic: Statistic
@@ -43,31 +43,31 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SeriesRange:
-    """From when to when, in ns, in at most how many points."""
+    """Range of times in ns, and the maximum number of points."""
 
     from_ns: int
     to_ns: int
     points: int
 
     def interval(self, time_ns: int) -> int:
-        """Return the number of the interval that a time within lies in."""
+        """Return the index of the interval of a time within the range."""
         return min((time_ns - self.from_ns) * self.points // max(self.to_ns - self.from_ns, 1), self.points - 1)
 
     def begin(self, interval: int) -> int:
-        """When an interval begins, in ns."""
+        """Return the start of an interval, in ns."""
         return self.from_ns + interval * (self.to_ns - self.from_ns) // self.points
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """The points, ascending; `is_reduced`: each is of an interval, else of one message."""
+    """The points, ascending. `is_reduced`: each is for an interval, else for one message."""
 
     points: Sequence[Point]
     is_reduced: bool
 
 
 class Values(Protocol):
-    """Gives the number of a message, None where it has none."""
+    """Reader of a number in messages; None for messages without it."""
 
     def value_of(self, sample: Sample) -> float | None:
         """Return the value in one message."""
@@ -79,14 +79,13 @@ class Values(Protocol):
 
 
 class SeriesTooLong(ValueError):
-    """More would have to be read than one request may."""
+    """A series requires more messages than one request may read."""
 
 
 def read_series(writer: HistoryWriter, topic: str, field: str, wanted: SeriesRange, values: Values) -> Series:
-    """Return the series of a topic's field, whose numbers are `values`.
+    """Return the series of a topic's field, whose numbers are read by `values`.
 
-    What a chunk comes to is kept in the index, and read from there the next time. Raises SeriesTooLong, OSError, and
-    ValueError for a chunk that is damaged.
+    The statistics of chunks are cached in the index. Raises SeriesTooLong, OSError, and ValueError for a damaged chunk.
     """
     rows = writer.segments.index.of_topic(topic, wanted.from_ns, wanted.to_ns)
     unwritten = [each for each in writer.unwritten(topic) if wanted.from_ns <= each.received_ns <= wanted.to_ns]
@@ -138,7 +137,7 @@ def _add_each(
 def _of_chunk(
     writer: HistoryWriter, row: ChunkRow, field: str, numbers: Iterable[tuple[int, float | None]]
 ) -> Statistic | None:
-    """Return the statistics of a chunk, cached."""
+    """Return the statistic of a chunk, and store it in the index."""
     values = [value for _, value in numbers if value is not None and math.isfinite(value)]
     found = Statistic(min(values), max(values), math.fsum(values), len(values)) if values else None
     writer.segments.index.keep_statistic(row, field, found or (0.0, 0.0, 0.0, 0))

@@ -1,4 +1,4 @@
-"""Takes every message of live topics to the recorder: subscriptions deep enough, looked at ten times a second."""
+"""Feed of live topics to the recorder: polls sufficiently deep subscriptions ten times a second."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from rosld.server.runtime.tasks import end_tasks
 
 log = logging.getLogger("rosld.history")
 PERIOD = 0.1
-"""Seconds between two looks."""
+"""Seconds between polls."""
 _DEPTH = 32
 _MAX_DEPTH = 4096
 MAX_BYTES = 32 * 1024 * 1024
-"""Bytes that a subscription may keep: a deep one of large messages would take the memory of the robot."""
+"""Maximum bytes of a subscription's queue: a deep one of large messages would exhaust the robot's memory."""
 _MAX_ALL_BYTES = 64 * 1024 * 1024
-"""Bytes that all subscriptions may keep, each its share, where that is more than what they keep at first."""
+"""Maximum bytes of all queues together, in equal shares, beyond their initial depth."""
 _CALM = 300
-"""Looks after which a subscription is made shallower, if all of them needed much less: half a minute."""
+"""Number of polls, half a minute, after which an underused queue is made shallower."""
 _MAX_HELD = 1000
 
 
 class TopicFeed:
-    """One topic: what of it was taken already, and how deep its subscription must be."""
+    """Feed of one topic: the position reached in its queue, and the depth that it needs."""
 
     def __init__(self, topic: str, subscription: Subscription, depth: int) -> None:
         self.topic = topic
         self.depth = depth
         self.subscription = subscription
         self.lost = 0
-        """Messages that were sent, and gone before they were looked at."""
+        """Number of messages that left the queue before they were read."""
         self._latest: Sequence[Sample] = ()
         self._taken: dict[str, tuple[int, int]] = {}
         self._most = 0
         self._looks = 0
 
     def take(self) -> list[Sample]:
-        """The messages that are new, in order of receipt."""
+        """Return the new messages, in the order of receipt."""
         latest = self.subscription.latest()
         if latest is self._latest:
             return []
@@ -53,16 +53,16 @@ class TopicFeed:
             if taken is None or (sample.epoch, sample.sequence) > taken:
                 new.append(sample)
             elif single:
-                break  # what lies before came before
+                break  # all others are older
         new.reverse()
         for sample in new:
             self._note(sample)
         return new
 
     def wanted_depth(self, new: Sequence[Sample], max_bytes: int) -> int:
-        """The depth that is needed where so many came since the last look: that of four looks, in at most `max_bytes`.
+        """Return the depth that the queue needs: four times the messages per poll, within `max_bytes`.
 
-        It is less than now only where a while has needed much less: a busy moment must not take memory for ever.
+        The depth decreases only after `_CALM` polls that needed much less, so that a burst does not use memory forever.
         """
         self._looks += 1
         self._most = max(self._most, len(new))
@@ -75,7 +75,7 @@ class TopicFeed:
         return max(self.depth // 4, _DEPTH) if most * 32 < self.depth else self.depth
 
     async def subscribe_anew(self, adapter: Adapter, depth: int) -> None:
-        """Subscribe with another depth, before the subscription until now is given back."""
+        """Subscribe with another depth, then close the previous subscription."""
         other = await adapter.subscribe(self.topic, depth=depth)
         self.subscription.close()
         self.subscription, self.depth = other, depth
@@ -86,14 +86,14 @@ class TopicFeed:
         if taken is not None and taken[0] == now[0]:
             self.lost += max(now[1] - taken[1] - 1, 0)
         if taken is None and name and "" in self._taken:
-            del self._taken[""]  # it is known by now who that was
+            del self._taken[""]  # the name of the publisher is known by now
         self._taken[name] = now
 
 
 class LiveFeed:
-    """All recorded topics. `sinks_of` returns the sinks of a topic; without any, it is not recorded.
+    """Feeds of all recorded topics. `sinks_of` returns the sinks of a topic; without any, it is not recorded.
 
-    `learn` resolves the type of a message before the first message of it is recorded.
+    `learn` loads the type of a message before the first message of it is recorded.
     """
 
     def __init__(
@@ -104,9 +104,9 @@ class LiveFeed:
         learn: Callable[[TypeRef], Awaitable[object]],
     ) -> None:
         self.lost: Counter[str] = Counter()
-        """Messages that were gone before they were looked at, by topic."""
+        """Messages that left the queues before they were read, by topic."""
         self.latched = LatchedMessages()
-        """Of the topics that are recorded, as far as their publishers are there and their types known."""
+        """Latched messages of recorded topics whose publishers exist and whose types are known."""
         self._adapter = adapter
         self._recorder = recorder
         self._sinks_of = sinks_of
@@ -120,7 +120,7 @@ class LiveFeed:
         self._changed = True
 
     def start(self) -> None:
-        """Begin to take messages, ten times a second."""
+        """Start polling, ten times a second."""
         self._task = asyncio.get_running_loop().create_task(self._run())
 
     def assign(self) -> None:
@@ -129,19 +129,19 @@ class LiveFeed:
         self._changed = True
 
     def topics(self) -> Collection[str]:
-        """The topics that are recorded now."""
+        """Return the topics that are recorded now."""
         return self._feeds.keys()
 
     def take(self) -> None:
-        """Take what is new to the recorder now."""
+        """Pass new messages to the recorder now."""
         self._look()
 
     def refresh(self) -> None:
-        """Find out at the next look which topics are recorded: the graph, or what is recorded, has changed."""
+        """Update the recorded topics at the next poll, after a change of the graph or of the recordings."""
         self._changed = True
 
     async def stop(self) -> None:
-        """Take what is there, and give every subscription back. Idempotent."""
+        """Pass the remaining messages on, and close every subscription. Idempotent."""
         task, self._task = self._task, None
         if task is None:
             return
@@ -161,7 +161,7 @@ class LiveFeed:
             await asyncio.sleep(PERIOD)
 
     async def _follow(self, topics: Iterable[str]) -> None:
-        """Subscribe to what is recorded, and no longer to what is not."""
+        """Subscribe to recorded topics, and unsubscribe from all others."""
         self._sinks = {topic: sinks for topic in topics if (sinks := self._sinks_of(topic))}
         for topic in self._sinks.keys() - self._feeds.keys():
             try:
@@ -174,13 +174,13 @@ class LiveFeed:
         self.latched.keep(self._is_published)
 
     def _is_published(self, topic: str, publisher: str) -> bool:
-        """Whether a topic is recorded and a node publishes it; a publisher without a name is any."""
+        """Whether a topic is recorded and published by a node; an unnamed publisher matches any."""
         entry = self._adapter.graph.topics.get(topic)
         publishers = () if entry is None else entry.publishers
         return topic in self._feeds and any(publisher in (each.node, "") for each in publishers)
 
     def _look(self) -> list[tuple[TopicFeed, int]]:
-        """Take what is new to the recorder; the topics whose subscriptions should have another depth."""
+        """Pass new messages to the recorder; return the feeds whose depth should change, with the new depth."""
         arrivals: list[Arrival] = []
         changes: list[tuple[TopicFeed, int]] = []
         max_bytes = min(MAX_BYTES, _MAX_ALL_BYTES // max(len(self._feeds), 1))
@@ -222,7 +222,7 @@ class LiveFeed:
         try:
             await self._learn(type)
         except RosError:
-            pass  # it is recorded without its definition
+            pass  # recorded without its definition
         finally:
             self._known.add(type)
             held = self._held.pop(type, [])
@@ -231,5 +231,5 @@ class LiveFeed:
             self._recorder.put([each._replace(sinks=self._sinks_since(each)) for each in held])
 
     def _sinks_since(self, arrival: Arrival) -> tuple[Sink, ...]:
-        """Return the sinks of a message that had to wait, with those that came meanwhile: it may open these."""
+        """Return the sinks of a delayed message, including those added meanwhile, which it may open."""
         return tuple(dict.fromkeys((*arrival.sinks, *self._sinks.get(arrival.topic, ()))))

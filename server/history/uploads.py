@@ -1,4 +1,4 @@
-"""Takes a file that a client sends as a recording: stores it under another name until it is known to be one."""
+"""Upload of recordings: a file is stored under a hidden name until it is known to be a recording."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ else:
     from backports import zstd
 
 SUFFIXES = {b"#ROSBAG ": ".bag", MAGIC: ".mcap", b"SQLite f": ".db3"}
-"""By the first 8 bytes of a file."""
+"""File suffixes by the first 8 bytes of a file."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _STEP = 1 << 20
 _CHECK_SECONDS = 30.0
 _BYTES_PER_SECOND = 1_000_000
-"""A tenth of what reading a recording without an index of short messages comes to."""
+"""A tenth of the speed of reading a recording of short messages without an index."""
 DRAFT, _INFLATED = ".part", ".inflated"
 
 
 class UploadRefused(Exception):
-    """A file that is not taken as a recording; `is_too_large` where it is more than may be kept."""
+    """An uploaded file that is refused; `is_too_large`: it exceeds the limit."""
 
     def __init__(self, words: str, *, is_too_large: bool = False) -> None:
         super().__init__(words)
@@ -39,9 +39,10 @@ class UploadRefused(Exception):
 
 
 async def receive_file(folder: Path, name: str, chunks: AsyncIterator[bytes], limit: int) -> tuple[Path, str]:
-    """Write what comes to a hidden file: where that is, and the suffix it should have.
+    """Write the chunks to a hidden file; return its path and the suffix for its format.
 
-    What is compressed by zstd is inflated to at most `limit` bytes. Raises UploadRefused, OSError, and as `chunks`.
+    Files compressed with zstd are decompressed, up to `limit` bytes. Raises UploadRefused, OSError, and what `chunks`
+    raises.
     """
     draft = folder / f".{name}{DRAFT}"
     try:
@@ -55,7 +56,7 @@ async def receive_file(folder: Path, name: str, chunks: AsyncIterator[bytes], li
 
 
 def check_recording(path: Path, index_limit: int) -> None:
-    """Open a file that anybody may have made, in a worker process, to see whether that can be. Raises RosError."""
+    """Check that an untrusted file can be opened; run in a worker process. Raises RosError."""
 
     async def check() -> None:
         adapter = adapter_for(f"recording:{path}", AdapterOptions(recording_index_limit=index_limit))
@@ -68,7 +69,7 @@ def check_recording(path: Path, index_limit: int) -> None:
 
 
 def check_seconds(path: Path) -> float:
-    """The seconds after which a worker that checks a file is killed: long enough for any that is worth its size."""
+    """Return the seconds after which a worker that checks a file is killed, by the size of the file."""
     return _CHECK_SECONDS + path.stat().st_size / _BYTES_PER_SECOND
 
 
@@ -90,7 +91,7 @@ def _write(write: Callable[[bytes], object], folder: Path, data: bytes) -> None:
 
 
 def _recognize(draft: Path, inflated: Path, limit: int) -> tuple[Path, str]:
-    """Return the format of a file by its first bytes, after decompression."""
+    """Return the path of the decompressed file, and the suffix for its format."""
     if _head(draft)[: len(_ZSTD)] != _ZSTD:
         return draft, _suffix(draft)
 

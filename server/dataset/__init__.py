@@ -1,4 +1,4 @@
-"""The RDF dataset that SPARQL is answered from, one named graph a resource, and its replica in another store."""
+"""RDF dataset that SPARQL queries use, with one named graph per resource, and its replication to another store."""
 
 from rosld.server.dataset.base import Edit, Function, QueryError, Results
 from rosld.server.dataset.memory_store import MemoryStore

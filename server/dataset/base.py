@@ -1,4 +1,4 @@
-"""The types that all parts of the dataset share: terms, functions, results and changes."""
+"""Types shared by all parts of the dataset: terms, functions, results and changes."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from pyoxigraph import BlankNode, Literal, NamedNode, QueryBoolean, QuerySolutio
 Results: TypeAlias = QuerySolutions | QueryBoolean | QueryTriples
 Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
 Function: TypeAlias = Callable[..., Term | None]
-"""A SPARQL function: from terms to a term, None being SPARQL's type error. It must not raise."""
+"""A SPARQL function of terms; None is SPARQL's type error. Must not raise."""
 
 
 class QueryError(ValueError):
-    """The store cannot answer this query, in the words of its parser."""
+    """A query that the store cannot answer, with its parser's message."""
 
 
 class TripleChanges(NamedTuple):
-    """Change that a patch, a merge or an update makes to a large graph."""
+    """Change of a large graph by a patch, a merge or an update."""
 
     removed: Sequence[Triple]
     added: Sequence[Triple]
 
 
 class Edit(NamedTuple):
-    """A change within one graph that leaves the rest of it alone: N-Triples without blank nodes.
+    """Partial change of a graph, as N-Triples without blank nodes.
 
-    What is `removed` goes first, as far as it is there; then comes what is `added`.
+    `removed` triples are removed first, as far as they exist; then `added` ones are added.
     """
 
     graph: str

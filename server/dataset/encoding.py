@@ -1,9 +1,9 @@
-"""Encode literals that pyoxigraph would change, so that the dataset gives back every RDF term as it was written.
+"""Encoding of literals that pyoxigraph would change, so that the dataset returns every RDF term as it was written.
 
-pyoxigraph stores numbers and times by their values: `"7"^^xsd:unsignedByte` is read back as an xsd:integer, `01` as `1`
-(https://github.com/oxigraph/oxigraph/issues/526). A literal that would not come back the same is stored with a private
-datatype instead, which keeps its lexical form and the name of its datatype. The private namespace holds a random
-number of this process: nobody else can name it, so each occurrence in an answer stands for an XSD datatype.
+pyoxigraph stores numbers and times by value: `"7"^^xsd:unsignedByte` is read back as an xsd:integer, `01` as `1`
+(https://github.com/oxigraph/oxigraph/issues/526). A literal that would change is stored with a private datatype
+instead, which preserves its lexical form and the name of its datatype. The private namespace contains a random number
+of this process: nobody else can name it, so each occurrence in an answer stands for an XSD datatype.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from rosld.ontology.vocab import xsd
 from rosld.server.dataset.base import Term
 
 VARIABLE = "ROSLD_PRIVATE_NAMESPACE"
-"""The environment variable by which the server tells the query process what the namespace is."""
+"""Environment variable by which the server passes the namespace to the query process."""
 NAMESPACE = os.environ.get(VARIABLE) or f"urn:x-{secrets.token_hex(16)}:"
-"""What all private IRIs begin with: plain ASCII, which no syntax escapes."""
+"""Prefix of all private IRIs: plain ASCII, which no syntax escapes."""
 NUMERIC = f"{NAMESPACE}n:"
-"""What the private datatypes of numbers begin with."""
+"""Prefix of the private datatypes of numbers."""
 INTEGER = f"{NUMERIC}i:"
-"""What those of integers begin with; the local name of the XSD datatype follows."""
+"""Prefix of the private datatypes of integers, followed by the local name of the XSD datatype."""
 DOUBLE = f"{NUMERIC}d:"
-"""The same for doubles."""
+"""Prefix of the private datatypes of doubles."""
 _OTHER_NUMBER = f"{NUMERIC}n:"
 OTHER = f"{NAMESPACE}o:o:"
-"""The same for all datatypes that are none of numbers."""
+"""Prefix of the private datatypes of non-numeric datatypes."""
 PATTERN = f"{NAMESPACE}[no]:[idno]:"
-"""What stands before the local name, as a regular expression."""
+"""Prefix of any private datatype, as a regular expression."""
 _NAMES = (
     "byte short int long unsignedByte unsignedShort unsignedInt unsignedLong "
     "nonNegativeInteger positiveInteger nonPositiveInteger negativeInteger"
@@ -46,16 +46,16 @@ _PREFIXES = {
     "double": DOUBLE,
     **dict.fromkeys(("decimal", "float"), _OTHER_NUMBER),
 }
-"""By the local name of a numeric datatype, what stands before it."""
+"""Prefixes of private datatypes by the local name of a numeric datatype."""
 _COMMON = 9
 _REPLACED = tuple(
     (f'{end}"^^<{xsd.iri}{name}>', f'{end}"^^<{_PREFIXES[name]}{name}>')
     for end, name in ((".0", "double"), *(("", name) for name in _NAMES.split()))
 )
-"""What is always stored otherwise: replacing text takes a tenth of the time of a match. The last ones are rare."""
+"""Texts that always change. Replacement takes a tenth of the time of a regular expression. The last ones are rare."""
 _XSD = re.escape(xsd.iri)
 _LEXICAL = "[0-9A-Za-z+.: -]+"
-"""What the lexical forms consist of that pyoxigraph changes."""
+"""Lexical forms that pyoxigraph may change."""
 _FRACTION = r"-?(?:0|[1-9][0-9]{0,5})\.[0-9]{0,8}[1-9]"
 _MOMENT = (
     r"[0-9]{4}-[0-9]{2}-[0-9]{2}T(?!24)[0-9]{2}:[0-9]{2}:[0-9]{2}"
@@ -67,7 +67,7 @@ _TYPED = re.compile(
     rf'|{_MOMENT}"\^\^<{_XSD}dateTime>|(?:true|false)"\^\^<{_XSD}boolean>'
     rf')({_LEXICAL})"\^\^<{_XSD}([A-Za-z]+)>'
 )
-"""An object of N-Triples that pyoxigraph may change. The most frequent that it does not are left out."""
+"""An object of N-Triples that pyoxigraph may change, except for the most frequent that it does not change."""
 _LITERAL = re.compile(rf'>[ \t]*"((?:[^"\\]|\\.)*)"\^\^<{_XSD}([A-Za-z]+)>')
 _CHANGEABLE = re.compile(_LEXICAL)
 _PLAIN = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]*[1-9])?")
@@ -75,18 +75,18 @@ _DATE_TIME = re.compile(_MOMENT)
 _SPECIAL = frozenset({"INF", "-INF", "NaN", "-0"})
 _REMEMBERED = 16 * 1024
 _BITS = 2.0**26
-"""A double that is no whole number with so many bits more is no tie of two shortest forms: all write it alike."""
+"""A double that is not an integer when multiplied by this has a unique shortest form, which all programs write."""
 _LONGEST_DECIMAL = 18
-"""Characters of a decimal that is surely within pyoxigraph's range."""
+"""Maximum length of a decimal that is surely within pyoxigraph's range."""
 _SHORT = 7
-"""Characters of a plain number that comes back the same: xsd:float holds any six digits."""
+"""Maximum length of a plain number that is not changed: xsd:float holds any six digits."""
 
 
 def encode_ntriples(text: str) -> str:
     """Return N-Triples with a private datatype for each literal that the dataset would change."""
     if xsd.iri not in text:
         return text
-    if r"\"^^<" in text:  # it may stand within a literal
+    if r"\"^^<" in text:  # the quote may be within a literal
         return _LITERAL.sub(_encode_match, text)
     for written, stored in _REPLACED if "Integer>" in text else _REPLACED[:_COMMON]:
         text = text.replace(written, stored)
@@ -94,7 +94,7 @@ def encode_ntriples(text: str) -> str:
 
 
 def decode_ntriples(text: bytes) -> bytes:
-    """Return text of any RDF or result syntax with the datatypes that the private ones stand for."""
+    """Return text of any RDF or result syntax with the original datatypes instead of the private ones."""
     return _PRIVATE.sub(_TARGET, text)
 
 
@@ -117,7 +117,7 @@ def encode_triple(triple: Triple) -> Triple:
 
 
 def decode_term(term: Term) -> Term:
-    """Return the term that a stored one stands for."""
+    """Return the original of a stored term."""
     if isinstance(term, Literal):
         datatype = term.datatype.value
         if datatype.startswith(NAMESPACE):
@@ -126,7 +126,7 @@ def decode_term(term: Term) -> Term:
 
 
 def decode_triple(triple: Triple) -> Triple:
-    """Return the triple that a stored one stands for."""
+    """Return the original of a stored triple."""
     object = decode_term(triple.object)
     return triple if object is triple.object else Triple(triple.subject, triple.predicate, object)
 
@@ -137,7 +137,7 @@ def private_datatype(name: str) -> NamedNode:
 
 
 def is_changed(lexical: str, name: str) -> bool:
-    """Return whether a literal of the XSD datatype with this local name is stored with a private one."""
+    """Whether a literal of the XSD datatype with this local name is stored with a private datatype."""
     if name in _DERIVED or (name == "double" and lexical.endswith(".0")):
         return True
     if name == "string" or not _CHANGEABLE.fullmatch(lexical):
@@ -150,7 +150,7 @@ def is_changed(lexical: str, name: str) -> bool:
 
 
 def _is_changed_number(lexical: str, name: str) -> bool:
-    """Return whether a number would be changed, or not be taken for a number (one out of range, one that is none)."""
+    """Whether pyoxigraph changes a number or does not accept it (out of range, or malformed)."""
     if not _PLAIN.fullmatch(lexical) or lexical == "-0":
         return lexical not in _SPECIAL or name in ("integer", "decimal")
     if name == "integer":
@@ -166,7 +166,7 @@ def _is_changed_number(lexical: str, name: str) -> bool:
 
 @lru_cache(maxsize=_REMEMBERED)
 def _comes_back_changed(lexical: str, name: str) -> bool:
-    """Ask the library itself."""
+    """Whether pyoxigraph itself changes a literal."""
     literal = Literal(lexical, datatype=NamedNode(xsd.iri + name))
     store = pyoxigraph.Store()
     store.add(Quad(literal.datatype, literal.datatype, literal))
@@ -182,7 +182,7 @@ def _encode_match(match: re.Match[str]) -> str:
 
 
 class Decoder(io.RawIOBase):
-    """Output that passes bytes on decoded; `finish` passes on what was held back because more might have followed."""
+    """Output stream that decodes what is written; `finish` writes the rest, held back as possibly incomplete."""
 
     def __init__(self, output: BinaryIO) -> None:
         super().__init__()
@@ -193,7 +193,7 @@ class Decoder(io.RawIOBase):
         return True
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
-        """Take bytes. Raises what the output raises."""
+        """Write bytes. Raises what the output raises."""
         text = self._rest + bytes(data)
         border = _border(text)
         self._rest = text[border:]
@@ -202,14 +202,14 @@ class Decoder(io.RawIOBase):
         return len(data)
 
     def finish(self) -> None:
-        """Pass on the rest. Raises what the output raises."""
+        """Write the rest. Raises what the output raises."""
         rest, self._rest = self._rest, b""
         if rest:
             self._output.write(decode_ntriples(rest))
 
 
 def _border(text: bytes) -> int:
-    """Return where the end of the text begins that may be the beginning of a private datatype, or its length."""
+    """Return the start of a possibly incomplete private datatype at the end of the text, or the text's length."""
     start = max(0, len(text) - len(OTHER) + 1)
     while (start := text.find(_NAMESPACE[:1], start)) >= 0:
         if _NAMESPACE.startswith(text[start : start + len(_NAMESPACE)]):

@@ -1,6 +1,6 @@
-"""A SPARQL endpoint over HTTP: one connection that is kept, one request at a time, each bounded in time and size.
+"""Client of a SPARQL endpoint: one persistent connection, one request at a time, bounded in time and size.
 
-Redirects are not followed and proxies not asked: what is sent arrives at the URL that was named, or nowhere.
+Neither redirects nor proxies are followed: a request arrives at the named URL or nowhere.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from typing import NamedTuple
 from urllib.parse import urlsplit
 
 _CONNECT = 5.0
-"""Seconds that connecting may take, of those that a request may take."""
+"""Maximum seconds for connecting, which are part of a request's time."""
 _WORDS = 300
-"""Characters of an endpoint's own words that are told."""
+"""Maximum number of characters quoted from an endpoint's message."""
 
 
 class StoreError(Exception):
-    """The store did not do what it was asked: a sentence says why, and apart from it stand the endpoint's `words`."""
+    """Failure of a store: a sentence with the reason, and apart from it the endpoint's own `words`."""
 
     def __init__(self, sentence: str, words: str | None = None) -> None:
         super().__init__(f"{sentence} It said: {json.dumps(words, ensure_ascii=False)}." if words else sentence)
@@ -31,11 +31,11 @@ class StoreError(Exception):
 
 
 class StoreUnreachable(StoreError):
-    """No answer came, or none that could be understood: whether the request was carried out is not known."""
+    """No readable response: it is unknown whether the request was carried out."""
 
 
 class StoreRefused(StoreError):
-    """The endpoint answered that it did not do it; `status` is that of HTTP."""
+    """A request that the endpoint refused; `status` is the HTTP status."""
 
     def __init__(self, sentence: str, status: int, words: str | None = None) -> None:
         super().__init__(sentence, words)
@@ -43,7 +43,7 @@ class StoreRefused(StoreError):
 
 
 class Response(NamedTuple):
-    """What an endpoint answered: the media type without parameters, the whole body, and the Content-Type as stated."""
+    """Response of an endpoint: media type without parameters, complete body, and the Content-Type header."""
 
     media_type: str
     body: bytes
@@ -53,8 +53,8 @@ class Response(NamedTuple):
 class Endpoint:
     """Sends requests to one URL. Thread-safe; requests wait for each other.
 
-    `seconds` is what a request may take, from connecting to the last byte; `limit` the bytes an answer may have.
-    `authorization` is the value of that header. TLS is verified as the system's certificates have it.
+    `seconds` limits a request from connecting to the last byte; `limit` is the maximum size of a response in bytes.
+    `authorization` is the value of that header. TLS certificates are verified with the system's trust store.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Endpoint:
         self.url = url
         self.seconds = seconds
         self.connections = 0
-        """How many connections were made: while it is the same, the same server has answered."""
+        """Number of connections made. While it does not change, the same server has responded."""
         self._limit = limit
         parts = urlsplit(url)
         self._target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
@@ -74,19 +74,18 @@ class Endpoint:
         self._turn = threading.Lock()
 
     def post(self, body: bytes, content_type: str, accept: str) -> Response:
-        """Send a body; the answer if it is a success (2xx). Raises Unreachable, Refused.
+        """Send a body; return a successful (2xx) response. Raises StoreUnreachable, StoreRefused.
 
-        A kept connection that turns out to be closed is made anew, and the request sent again: it must be one that may
-        be carried out twice.
+        If the persistent connection was closed, the request is sent again on a new one: it must be idempotent.
         """
         return self._send("POST", body, {**self._headers, "Content-Type": content_type, "Accept": accept})
 
     def get(self, accept: str) -> Response:
-        """What is there, if the answer is a success (2xx). Raises Unreachable, Refused."""
+        """Return a successful (2xx) response to a GET request. Raises StoreUnreachable, StoreRefused."""
         return self._send("GET", None, {**self._headers, "Accept": accept})
 
     def close(self) -> None:
-        """Let go of the connection. Idempotent."""
+        """Close the connection. Idempotent."""
         with self._turn:
             self._drop()
 
@@ -107,7 +106,7 @@ class Endpoint:
                 raise self._unreachable(error) from error
 
     def interrupt(self) -> None:
-        """End the request that is under way, if there is one, from another thread."""
+        """Abort the current request, if any, from another thread."""
         waited = self._socket
         if waited is not None:
             _shut(waited)
@@ -116,7 +115,7 @@ class Endpoint:
         self._drop()
         if isinstance(error, TimeoutError):
             return StoreUnreachable(f"{self.url} did not answer within {self.seconds:g} s.")
-        if isinstance(error, HTTPException):  # which has in it what came
+        if isinstance(error, HTTPException):  # its message quotes the response
             return StoreUnreachable(f"{self.url} gave no answer that can be read.", _words(str(error)))
         return StoreUnreachable(f"{self.url} gave no answer: {_words(str(error) or type(error).__name__)}.")
 
@@ -144,12 +143,12 @@ class Endpoint:
         connection = self._connection = self._new(min(_CONNECT, self.seconds))
         with _time_limit(lambda: connection.sock, self.seconds):
             connection.connect()
-        self._socket = connection.sock  # its own name: http.client forgets it while the answer is still being read
+        self._socket = connection.sock  # http.client drops it while the response is still being read
         connection.sock.settimeout(self.seconds)
         return connection
 
     def _refusal(self, answer: HTTPResponse) -> StoreRefused:
-        """What it answered in one line. The connection is kept only where no more comes on it."""
+        """Return the error for a response. The connection is reused only if the response was read to its end."""
         words = _words(answer.read(16 * _WORDS).decode("utf-8", "replace"))
         if answer.will_close or not answer.isclosed():
             self._drop()
@@ -168,7 +167,7 @@ class Endpoint:
 
 
 def _opener(scheme: str, host: str, port: int | None) -> Callable[[float], HTTPConnection]:
-    """What makes a connection, not open yet, whose steps take at most so many seconds each."""
+    """Return a function that creates an unopened connection with this timeout per operation."""
     if scheme == "https":
         context = ssl.create_default_context()
         return lambda seconds: HTTPSConnection(host, port, timeout=seconds, context=context)
@@ -177,7 +176,7 @@ def _opener(scheme: str, host: str, port: int | None) -> Callable[[float], HTTPC
 
 @contextlib.contextmanager
 def _time_limit(waited: Callable[[], socket.socket | None], seconds: float) -> Iterator[None]:
-    """Within it the socket ends after so many seconds, however slowly its bytes come. Then TimeoutError."""
+    """Shut down the socket after `seconds`, however slowly bytes arrive, and then raise TimeoutError."""
     late = threading.Event()
 
     def end() -> None:
@@ -191,12 +190,12 @@ def _time_limit(waited: Callable[[], socket.socket | None], seconds: float) -> I
     timer.start()
     try:
         yield
-        if late.is_set():  # what was read may have ended with the connection
+        if late.is_set():  # the response may have been cut off
             raise TimeoutError
     except (OSError, HTTPException, ValueError) as error:
         if late.is_set():
             raise TimeoutError from error
-        if isinstance(error, ValueError):  # what http.client raises for some malformed answers
+        if isinstance(error, ValueError):  # raised by http.client for some malformed responses
             raise HTTPException(str(error)) from error
         raise
     finally:
@@ -204,11 +203,11 @@ def _time_limit(waited: Callable[[], socket.socket | None], seconds: float) -> I
 
 
 def _shut(waited: socket.socket) -> None:
-    """Wake whoever waits for it."""
+    """Wake the thread that waits for the socket."""
     with contextlib.suppress(OSError, ValueError):
-        socket.socket.shutdown(waited, socket.SHUT_RDWR)  # past TLS, which would wait for the other side
+        socket.socket.shutdown(waited, socket.SHUT_RDWR)  # bypass TLS, which would wait for the peer
 
 
 def _words(text: str) -> str:
-    """Words of somebody else, fit for one line of a log."""
+    """Return foreign text in a form that is safe for one line of a log."""
     return "".join(char if char.isprintable() else " " for char in " ".join(text.split()))[:_WORDS].strip()

@@ -17,32 +17,32 @@ from rosld.server.dataset.private_functions import FUNCTIONS
 from rosld.server.runtime.process_memory import trim
 
 _LARGE = 1024 * 1024
-"""Characters from which on a text is read twice rather than held as quads, which take ten times its memory."""
+"""Minimum characters of a text that is parsed twice rather than held as quads, which take ten times its memory."""
 _REMEMBERED_GRAPH = 8 * 1024 * 1024
-"""Characters of a graph whose lines are remembered, so that the next text of it costs what differs."""
+"""Maximum characters of a graph whose lines are remembered, so that its next replacement costs only the difference."""
 _REMEMBERED = 32 * 1024 * 1024
-"""Characters of all graphs that are remembered; the one that was replaced longest ago goes first."""
+"""Maximum characters of all remembered graphs; the least recently replaced one is forgotten first."""
 _SLICE = 1000
-"""Quads added or copied at a time: about two milliseconds."""
+"""Number of quads added or copied at a time: about two milliseconds."""
 _FREE = 4000
-"""Triples up to which the size of a store does not matter."""
+"""Number of triples below which the size of a store does not matter."""
 _STEPS = 32
-"""Steps over removed triples (65 ns in each of two graphs) that take as long as copying one triple (4 us)."""
+"""Number of skipped removed triples (65 ns in each of two graphs) that cost as much as copying a triple (4 us)."""
 _MAX_GARBAGE_RATIO = 4
 """Maximum number of removed triples in memory for each present one."""
 _DEFAULT = DefaultGraph()
 _LABEL = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:(?![a-f][0-9a-f]{23,31}(?:[\s.]|$))')
-"""Where a label begins that other graphs may have for other nodes.
+"""Start of a blank node label that may stand for another node in another graph.
 
-Those drawn at random, as hexadecimal numbers of 128 bits, stand for one node in all graphs: that is how a copy of a
-graph shares its blank nodes with it.
+Random labels (hexadecimal numbers of 128 bits) stand for the same node in all graphs: this is how a copy of a graph
+shares its blank nodes with it.
 """
 
 
 class _Step(NamedTuple):
-    """A change of one graph that has been checked; `lost` and `gained` count its triples, roughly.
+    """A checked change of a graph; `lost` and `gained` are approximate numbers of triples.
 
-    Triples are quads of the default graph, as the parser gives them: so none is made twice.
+    Triples are quads of the default graph, as the parser returns them, which saves a conversion.
     """
 
     graph: NamedNode
@@ -54,7 +54,7 @@ class _Step(NamedTuple):
 
 
 class _Write(NamedTuple):
-    """A change of one graph as the store is given it: drop it, remove quads, add quads."""
+    """A change of a graph in the store: drop it, remove quads, add quads."""
 
     graph: NamedNode | DefaultGraph
     drop: bool = False
@@ -63,20 +63,20 @@ class _Write(NamedTuple):
 
 
 class MemoryStore:
-    """A dataset in memory. It copies itself, in slices, when it holds too much for triples that were removed.
+    """A dataset in memory. It copies itself, in slices, when removed triples use too much of it.
 
-    The default graph holds each triple of the named graphs once (SPARQL 1.1 Query, 13.1): the union that Oxigraph makes
-    by itself has a triple once for each graph (https://github.com/oxigraph/oxigraph/issues/1919).
+    The default graph contains each triple of the named graphs once (SPARQL 1.1 Query, 13.1): Oxigraph's own union
+    repeats a triple for each graph (https://github.com/oxigraph/oxigraph/issues/1919).
 
-    A graph that is replaced is changed by the lines that differ. Blank nodes keep their labels within a graph, so that
-    edits may name them.
+    Replacing a graph changes only the lines that differ. Blank nodes keep their labels within a graph, so that edits
+    can name them.
     """
 
     def __init__(self) -> None:
         self._store = Store()
         self._wear = GarbageEstimate()
         self._shared: dict[Quad, int] = {}
-        """The number of graphs of each triple that more than one graph has."""
+        """Number of graphs of each triple that is in more than one graph."""
         self._lines: dict[str, frozenset[str]] = {}
         self._new_lines: dict[str, frozenset[str]] = {}
         self._size = 0
@@ -85,23 +85,23 @@ class MemoryStore:
         self._is_renewed = True
         self._functions: tuple[Mapping[str, Function] | None, dict[NamedNode, Function]] = (None, {})
         self.is_spoiled = False
-        """Whether it was changed for one piece of work, and is to be thrown away after that."""
+        """Whether the store was changed for a single task, after which it must be discarded."""
 
     @property
     def is_mostly_garbage(self) -> bool:
-        """Whether the same graphs in a new store would take less than half the memory."""
+        """Whether a new store with the same graphs would take less than half the memory."""
         return self._wear.is_mostly_garbage
 
     def add(self, quad: Quad) -> None:
-        """Add a quad, as it is stored, for one piece of work."""
+        """Add a quad, as stored, for a single task."""
         self._add(self._spoil(quad), [Quad(*quad.triple)])
 
     def remove(self, quad: Quad) -> None:
-        """Remove a quad, as it is stored, for one piece of work."""
+        """Remove a quad, as stored, for a single task."""
         self._remove(self._spoil(quad), [Quad(*quad.triple)])
 
     def _spoil(self, quad: Quad) -> NamedNode:
-        """Note a change for one piece of work; return its graph."""
+        """Mark the store as changed for a single task; return the quad's graph."""
         graph = quad.graph_name
         assert isinstance(graph, NamedNode)
         self.is_spoiled = True
@@ -109,14 +109,14 @@ class MemoryStore:
         return graph
 
     def graphs(self) -> Collection[str]:
-        """The IRIs of all named graphs."""
+        """Return the IRIs of all named graphs."""
         return [graph.value for graph in self._store.named_graphs() if isinstance(graph, NamedNode)]
 
     def replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
-        """Replace each graph by its N-Triples, or drop it (None), then do the edits in their order.
+        """Replace each graph by its N-Triples, or drop it (None), then apply the edits in order.
 
-        Labels of blank nodes hold within one text. Raises ValueError, with nothing changed, for text that is no
-        N-Triples or an IRI that is none.
+        Labels of blank nodes are local to one text. Raises ValueError, with nothing changed, for invalid N-Triples or
+        an invalid IRI.
         """
         if not graphs and not edits:
             return
@@ -133,7 +133,7 @@ class MemoryStore:
         self.compact_step()
 
     def replace_valid(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> list[tuple[str, str]]:
-        """As `replace`, but a graph that cannot be stored hides no other: it is left out. These graphs, and why."""
+        """Apply changes like `replace`, but skip graphs that cannot be stored; return these, with the reasons."""
         try:
             self.replace(graphs, edits)
         except ValueError:
@@ -155,7 +155,7 @@ class MemoryStore:
                 yield edit.graph, str(error)
 
     def compact_step(self) -> bool:
-        """Copy a slice of this store to the one that takes its place; whether there is more to copy."""
+        """Copy a slice to the new store; return whether more must be copied."""
         if self._renewal is None or not self._is_renewed:
             return False
         if self._renewal.advance():
@@ -166,11 +166,11 @@ class MemoryStore:
         return False
 
     def keep_garbage(self) -> None:
-        """Copy no more: a worker lives too short for that."""
+        """Disable compaction: a worker is too short-lived for it."""
         self._is_renewed = False
 
     def ntriples(self, graph: str) -> str | None:
-        """What a graph holds now, None where there is none of that name."""
+        """Return the contents of a graph, or None if it does not exist."""
         node, store = NamedNode(graph), self._store
         if not store.contains_named_graph(node):
             return None
@@ -179,14 +179,14 @@ class MemoryStore:
         return decode_ntriples(held).decode()
 
     def count(self, graph: str, limit: int) -> int:
-        """The number of triples of a graph, at most so many."""
+        """Return the number of triples of a graph, at most `limit`."""
         lines = self._lines.get(graph)
         if lines is not None:
             return min(len(lines), limit)
         return sum(1 for _ in islice(self._quads(graph), limit))
 
     def triples(self, graph: str) -> Sequence[Triple] | None:
-        """The triples of a graph, None where it has none."""
+        """Return the triples of a graph, or None if it is empty."""
         lines = self._lines.get(graph)
         if lines is None:
             return [decode_triple(quad.triple) for quad in self._quads(graph)] or None
@@ -194,7 +194,10 @@ class MemoryStore:
         return [quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES)]
 
     def _quads(self, graph: str) -> Iterator[Quad]:
-        """Found by walking past all that are gone: the lines of a graph that was replaced often are read faster."""
+        """Return the quads of a graph.
+
+        Walks past removed ones: for a graph replaced often its lines are read faster.
+        """
         return self._store.quads_for_pattern(None, None, None, NamedNode(graph))
 
     def query(
@@ -208,10 +211,10 @@ class MemoryStore:
         named_graphs: Sequence[str] = (),
         past: bytes | None = None,
     ) -> Results:
-        """Begin to answer a query; results come as they are read. Raises QueryError.
+        """Start a query; results are computed as they are read. Raises QueryError.
 
-        `default_graphs` and `named_graphs` are the dataset (SPARQL 1.1, 13.2), whatever FROM says in the text: with
-        either given, only these graphs are there. `past` are N-Triples that the default graph has, too.
+        `default_graphs` and `named_graphs` are the dataset (SPARQL 1.1, 13.2) and override FROM in the text: with
+        either given, only these graphs exist. `past` are additional N-Triples in the default graph.
         """
         source = self._store
         default: list[NamedNode | BlankNode | DefaultGraph] = [*map(NamedNode, default_graphs)]
@@ -235,7 +238,7 @@ class MemoryStore:
             raise QueryError(str(error)) from error
 
     def _copy(self, default_graphs: Iterable[str], named_graphs: Iterable[str]) -> Store:
-        """A store of these graphs: as Oxigraph merges default graphs, a triple is found once for each."""
+        """Return a store of these graphs, because Oxigraph repeats a triple for each merged default graph."""
         copy = Store()
         for graph in default_graphs:
             copy.extend(Quad(*quad.triple) for quad in self._quads(graph))
@@ -244,7 +247,7 @@ class MemoryStore:
         return copy
 
     def _functions_by_node(self, functions: Mapping[str, Function]) -> dict[NamedNode, Function]:
-        """The functions by node; the last mapping asked for is kept, as it is nearly always the same."""
+        """Return the functions by node. Cached for the last mapping, which is nearly always the same."""
         known, named = self._functions
         if known is not functions:
             both = {**functions, **FUNCTIONS}
@@ -255,7 +258,7 @@ class MemoryStore:
     # --- changes
 
     def _replacement(self, name: str, text: str | None) -> _Step:
-        """What makes a graph say what a text says. Raises ValueError."""
+        """Return the step that replaces a graph by a text. Raises ValueError."""
         graph = NamedNode(name)
         if not text:
             return _Step(graph, True, (), tuple, self._wear.size(name), 0)
@@ -269,7 +272,7 @@ class MemoryStore:
         return _Step(graph, False, removed, lambda: added, len(gone), len(come))
 
     def _edit(self, edit: Edit) -> _Step:
-        """Raises ValueError."""
+        """Return the step of an edit. Raises ValueError."""
         graph = NamedNode(edit.graph)
         removed = [*self._read(graph, edit.removed)]
         added = self._reader(graph, edit.added)
@@ -285,18 +288,18 @@ class MemoryStore:
         return lambda: _parse(graph, data)
 
     def _read(self, graph: NamedNode, text: str) -> Iterator[Quad]:
-        """The triples of N-Triples for a graph. Raises ValueError."""
+        """Yield the triples of N-Triples for a graph. Raises ValueError."""
         return _parse(graph, self._encode(graph, text)) if text else iter(())
 
     def _encode(self, graph: NamedNode, text: str) -> bytes:
-        """N-Triples as they are stored. Raises ValueError."""
+        """Return N-Triples in their stored form. Raises ValueError."""
         try:
             return encode_ntriples(self._label(graph.value, text)).encode()
         except UnicodeEncodeError as error:
             raise ValueError(f"no N-Triples for {graph.value!r}: {error}") from error
 
     def _label(self, graph: str, text: str) -> str:
-        """N-Triples with the labels that blank nodes have in the store."""
+        """Return N-Triples with the labels that their blank nodes have in the store."""
         if "_:" not in text:
             return text
         label = f"_:g{self._numbers.setdefault(graph, len(self._numbers))}-"
@@ -379,11 +382,11 @@ class _Renewal:
         self._later: list[_Write] = []
 
     def advance(self) -> bool:
-        """Copy a slice; whether there is more."""
+        """Copy a slice; return whether more must be copied."""
         copied = 0
         while self._left and copied < _SLICE:
             graph = next(iter(self._left))
-            if self._copied is None:  # it sees the graph as it is now, whatever changes while it is copied
+            if self._copied is None:  # the iterator sees the graph as it is now, despite later changes
                 self._copied = self._old.quads_for_pattern(None, None, None, graph)
                 if isinstance(graph, NamedNode) and self._old.contains_named_graph(graph):
                     self.store.add_graph(graph)
@@ -399,7 +402,7 @@ class _Renewal:
         return bool(self._left)
 
     def note(self, write: _Write) -> None:
-        """This was done to the old store."""
+        """Apply a change of the old store to the copy."""
         if write.graph not in self._left:
             _apply(self.store, write)
         elif self._copied is not None and write.graph == next(iter(self._left)):
@@ -416,7 +419,7 @@ def _apply(store: Store, write: _Write) -> None:
 
 
 def _parse(graph: NamedNode, data: bytes) -> Iterator[Quad]:
-    """The triples of N-Triples, in the default graph. Raises ValueError."""
+    """Yield the triples of N-Triples, in the default graph. Raises ValueError."""
     try:
         yield from parse(data, RdfFormat.N_TRIPLES)
     except SyntaxError as error:
@@ -424,7 +427,10 @@ def _parse(graph: NamedNode, data: bytes) -> Iterator[Quad]:
 
 
 def _lines(text: str) -> frozenset[str]:
-    """Without their ends. Only a line feed ends one (RDF 1.1 N-Triples, 2): Python knows more."""
+    """Return the lines without their ends.
+
+    Only a line feed ends one (RDF 1.1 N-Triples, 2), unlike `str.splitlines`.
+    """
     return frozenset(text.split("\n")) - {""}
 
 

@@ -1,4 +1,4 @@
-"""Changes that a mirror has yet to send, at most one entry a graph, and what its store is known to hold."""
+"""Changes that a mirror has yet to send, at most one entry per graph, and the known contents of its store."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The private functions that rewritten queries call (`server/sparql/rewriting.py`). No client can name them."""
+"""Private functions called by rewritten queries (`server/sparql/rewriting.py`). No client can name them."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ from rosld.server.dataset.encoding import NAMESPACE, decode_term, encode_literal
 from rosld.server.dataset.sort_keys import sort_key
 
 KEY = f"{NAMESPACE}f:key"
-"""The function that gives the sort key of a term."""
+"""IRI of the function that returns the sort key of a term."""
 ORDER = f"{NAMESPACE}f:order"
-"""The same, but for a dateTime the dateTime with a time zone: of these pyoxigraph's own order is total."""
+"""IRI of a function like `KEY`, which returns dateTimes with a time zone: pyoxigraph's order of these is total."""
 GREATER = f"{NAMESPACE}f:greater"
-"""The greater one of a number and a term: the one an IRI for none, the other as `PACK` has it, or empty for none."""
+"""IRI of the function that returns the greater of a number (an IRI for none) and a term in `PACK` form ("" for none).
+"""
 LESS = f"{NAMESPACE}f:less"
-"""The lesser one, with `NOTHING` for none."""
+"""IRI of the function that returns the lesser of the two, with `NOTHING` for none."""
 NOTHING = "~"
-"""What pyoxigraph takes to be greater than every number and than every key."""
+"""String that pyoxigraph considers greater than every number and every key."""
 PACK = f"{NAMESPACE}f:pack"
-"""The function that gives a sort key from which `UNPACK` makes the term again: MIN and MAX compare these."""
+"""IRI of the function that returns a sort key from which `UNPACK` restores the term: MIN and MAX compare these."""
 UNPACK = f"{NAMESPACE}f:unpack"
-"""The function that gives the term of a key, as it is stored."""
+"""IRI of the function that returns the term of a key, as stored."""
 VALUE = f"{NAMESPACE}f:value"
-"""The function that gives a term whose value pyoxigraph knows for one that is stored."""
+"""IRI of the function that returns the original of a stored term, whose value pyoxigraph knows."""
 TYPED = f"{NAMESPACE}f:typed"
-"""STRDT, with a result as it is stored."""
+"""IRI of STRDT with a stored term as its result."""
 _LENGTH = 8
-"""Digits of the length of a term at the end of its key."""
+"""Number of digits of the term's length at the end of its key."""
 
 
 def _key(term: Term) -> Term:

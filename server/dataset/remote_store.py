@@ -1,4 +1,4 @@
-"""The store behind any SPARQL 1.1 endpoint: queries by the SPARQL 1.1 Protocol, changes by SPARQL 1.1 Update."""
+"""Store behind any SPARQL 1.1 endpoint: queries by the SPARQL 1.1 Protocol, changes by SPARQL 1.1 Update."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _LABEL = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:([^\s.<"]+(?:\.+[^\s.<"]+)*)')
 
 
 def check_changes(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> tuple[dict[str, str | None], list[Edit]]:
-    """The same change, read and written anew: N-Triples and nothing else, no label of a blank node in two texts.
+    """Return the changes parsed and serialized again: pure N-Triples, and no blank node label in two texts.
 
-    ValueError names the first graph whose text is no N-Triples, or whose IRI is none.
+    Raises ValueError naming the first graph with invalid N-Triples or an invalid IRI.
     """
     return (
         {name: None if text is None else _again(name, text) for name, text in graphs.items()},
@@ -41,10 +41,10 @@ def _again(name: str, text: str) -> str:
 
 
 def split_parts(text: str, size: int) -> Iterator[str]:
-    """The lines in parts of at most about `size` characters; what shares a blank node stays in one part.
+    """Yield the lines in parts of about `size` characters; lines that share a blank node stay in one part.
 
-    A label means another node in another request, so triples that hang together by blank nodes are never parted: such a
-    part may be larger.
+    A label stands for another node in another request, so triples connected by blank nodes are never separated, and
+    their part may be larger.
     """
     if len(text) <= size:
         yield text
@@ -63,7 +63,7 @@ def split_parts(text: str, size: int) -> Iterator[str]:
 
 
 def _together(lines: Sequence[str]) -> Iterator[Sequence[str]]:
-    """The lines in groups, each of which shares no blank node with another."""
+    """Yield the lines in groups that share no blank nodes with each other."""
     groups = _Groups()
     joined: dict[str, list[str]] = {}
     for line in lines:
@@ -86,7 +86,7 @@ class _Groups:
         self._above: dict[str, str] = {}
 
     def of(self, label: str) -> str:
-        """The label that stands for its group."""
+        """Return the representative of the label's group."""
         above = self._above
         above.setdefault(label, label)
         while above[label] != label:
@@ -94,7 +94,7 @@ class _Groups:
         return label
 
     def join(self, labels: Sequence[str]) -> None:
-        """Have these be of one group."""
+        """Merge the groups of these labels."""
         first = self.of(labels[0])
         for label in labels[1:]:
             self._above[self.of(label)] = first
@@ -106,7 +106,7 @@ _UPDATE = "application/sparql-update"
 
 
 class RemoteStore:
-    """A store that others may use too. Raises StoreError where its endpoints do not do what they are asked."""
+    """A store that may be shared with others. Raises StoreError if its endpoints fail or refuse."""
 
     def __init__(self, query: Endpoint, update: Endpoint) -> None:
         self._query = query
@@ -114,41 +114,41 @@ class RemoteStore:
 
     @property
     def url(self) -> str:
-        """Where queries go."""
+        """URL of the query endpoint."""
         return self._query.url
 
     @property
     def connections(self) -> int:
-        """How many connections were made: while it is the same, the same servers have answered."""
+        """Number of connections made. While it does not change, the same servers have responded."""
         return self._query.connections + self._update.connections
 
     def set_timeout(self, seconds: float) -> None:
-        """Requests from now on take no longer than so many seconds."""
+        """Set the maximum seconds of later requests."""
         self._query.seconds = self._update.seconds = seconds
 
     def interrupt(self) -> None:
-        """End the requests that are under way, from another thread: they raise Unreachable."""
+        """Abort the current requests from another thread: they raise StoreUnreachable."""
         self._query.interrupt()
         self._update.interrupt()
 
     def graphs_with_prefix(self, beginning: str) -> list[str]:
-        """The IRIs of the named graphs that begin so."""
+        """Return the IRIs of the named graphs with this prefix."""
         pattern = f"FILTER(STRSTARTS(STR(?g), {Literal(beginning)}))" if beginning else ""
         found = self.select(f"SELECT DISTINCT ?g {{ GRAPH ?g {{ ?s ?p ?o }} {pattern} }}")
         return [name.value for row in found if isinstance(name := row["g"], NamedNode)]
 
     def replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
-        """Replace each graph by its N-Triples, or drop it (None), then do the edits in their order.
+        """Replace each graph by its N-Triples, or drop it (None), then apply the edits in order.
 
-        It is one request, which is one transaction where the server makes it one (SPARQL 1.1 Update 2.2); Oxigraph
-        does. Raises ValueError for text that is no N-Triples or an IRI that is none.
+        Sends one request, which is one transaction if the server makes it one (SPARQL 1.1 Update 2.2); Oxigraph does.
+        Raises ValueError for invalid N-Triples or an invalid IRI.
         """
         if graphs or edits:
             update = "\n".join(_update_text(*check_changes(graphs, edits)))
             self._update.post(update.encode(), _UPDATE, "*/*;q=0.1")
 
     def select(self, query: str) -> list[QuerySolution]:
-        """The solutions of a SELECT."""
+        """Return the solutions of a SELECT query."""
         answer = self._query.post(urlencode({"query": query}).encode(), _FORM, _JSON)
         try:
             if answer.media_type == _JSON:
@@ -161,7 +161,10 @@ class RemoteStore:
 
 
 def _update_text(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[str]:
-    """One DROP and one INSERT DATA a graph: parsed faster than one INSERT DATA for all. ValueError for a bad IRI."""
+    """Yield a DROP and an INSERT DATA per graph: parsed faster than one INSERT DATA for all.
+
+    ValueError for a bad IRI.
+    """
     for name, ntriples in graphs.items():
         iri = str(NamedNode(name))
         yield f"DROP SILENT GRAPH {iri};"

@@ -1,13 +1,13 @@
-"""Replication: copies the dataset of this server to another store, in the background.
+"""Replication of the dataset to another store, in the background.
 
-Queries are answered from the dataset here; the other store follows at a rate. It may hold the graphs of other servers
-too: a graph belongs to a server by its IRI, and those of others are never touched. Changes wait as names of graphs
-(`pending_changes.py`), which are read from the dataset when they are sent, and of a small graph only what differs is
-sent (`ReplicaState`): stores grow with what is replaced in them. While the other store cannot be reached nothing
-else waits for it.
+Queries are answered from the local dataset; the other store follows at a limited rate. It may also hold graphs of other
+servers: a graph belongs to a server by its IRI, and other graphs are never changed. Changes wait as names of graphs
+(`pending_changes.py`), whose contents are read when they are sent; of a small graph only the difference is sent
+(`ReplicaState`), because replacements make stores grow. While the other store is unreachable, nothing else waits for
+it.
 
-A graph of its own there, the heartbeat, says which run of which server sent what is there, and when it did so last. A
-store that lost something, or was restored from a backup, does not have the last heartbeat: all is sent to it again.
+The heartbeat, a graph in the other store, states which run of which server wrote the graphs, and when it last did. A
+store that lost data, or was restored from a backup, lacks the last heartbeat: then everything is sent again.
 """
 
 from __future__ import annotations
@@ -34,70 +34,70 @@ from rosld.server.dataset.remote_store import RemoteStore, split_parts
 _log = logging.getLogger("rosld.store")
 
 _REQUEST = 1024 * 1024
-"""Characters that one request holds; more only where one blank node holds more together."""
+"""Maximum characters of a request, unless one blank node connects more."""
 _ROUND = 2000
-"""Graphs told between two looks at what changed."""
+"""Maximum number of graphs sent between checks for changes."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 60.0
-"""Seconds until a store that failed is tried again: doubled each time, less a random part."""
+"""Seconds until a failed store is retried: doubled each time, less a random part."""
 _REFUSALS = 64
-"""Requests refused in one round before the rest waits for another."""
+"""Number of refused requests in a round after which the rest waits for the next round."""
 _AGAIN = 60.0
-"""Seconds until a graph that was refused is tried again, and between two times that everything is told anew."""
+"""Seconds until a refused graph is retried, and minimum seconds between complete transfers."""
 _LAST = 1.5
-"""Seconds that the last request may take."""
+"""Maximum seconds of the last request."""
 _MOMENTS = 32
-"""Requests in a row of which it is not known whether they were carried out, before all is told anew."""
+"""Number of successive requests with unknown outcome after which everything is sent again."""
 _CONTENT = (400, 413, 422, 500)
-"""Statuses that may concern what was sent rather than the endpoint."""
+"""HTTP statuses that may concern the content rather than the endpoint."""
 
 _T = TypeVar("_T")
 
 
 class GraphOwnership(Protocol):
-    """Which graphs of a shared store are this server's."""
+    """Definition of this server's graphs in a shared store."""
 
     @property
     def base(self) -> str:
-        """What the IRIs of all of them begin with."""
+        """Common prefix of the IRIs of these graphs."""
         ...
 
     @property
     def heartbeat_graph(self) -> str:
-        """The IRI of the graph that says when this server last updated the store; it describes itself."""
+        """IRI of the graph that states when this server last updated the store; the graph describes itself."""
         ...
 
     def is_ours(self, graph: str) -> bool:
-        """Whether a graph whose IRI begins so was told by this server or an earlier run of it."""
+        """Whether a graph with the prefix was sent by this server or an earlier run of it."""
         ...
 
     def transient_graphs(self) -> Collection[str]:
-        """The graphs that are true only while this server runs. Called on the loop."""
+        """Return the graphs that are valid only while this server runs. Called on the event loop."""
         ...
 
 
 class ReplicationSource(Protocol):
-    """The dataset that is replicated. `graphs` and `ntriples` are called in any thread, and raise StoreError."""
+    """The replicated dataset. `graphs` and `ntriples` are called in any thread, and raise StoreError."""
 
     def watch(self, changed: Callable[[Collection[str], Sequence[Edit]], None], restarted: Callable[[], None]) -> None:
-        """Call `changed` with the names of replaced graphs and with edits, `restarted` when the dataset begins anew."""
+        """Call `changed` with names of replaced graphs and edits, and `restarted` when the dataset is rebuilt."""
         ...
 
     def graphs(self) -> Collection[str]:
-        """The names of all graphs."""
+        """Return the names of all graphs."""
         ...
 
     def ntriples(self, graph: str) -> str | None:
-        """What a graph holds now, None where there is none of that name."""
+        """Return the contents of a graph, or None if it does not exist."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class ReplicationStatus:
-    """The progress of a mirror. `lag` is the age, in seconds, of the oldest change that is not there yet; 0 for none.
+    """Progress of a mirror. `lag` is the age in seconds of the oldest change that is not replicated, or 0.
 
-    `failure` says why the store cannot be told now, None where it can, and `words` what it said to that. `pending`
-    graphs wait, `refused` ones were not taken. `updated_ns` is when it last took something, in nanoseconds since the
-    epoch.
+    `failure` is why the store cannot be updated now, or None, and `words` is the store's own message. `pending` graphs
+    wait, `refused` graphs were rejected. `updated_ns` is the time of the last successful update, in nanoseconds since
+    the epoch.
     """
 
     url: str
@@ -110,7 +110,7 @@ class ReplicationStatus:
 
 
 class _Part(NamedTuple):
-    """The part of an update request that is about one graph: all its triples (or its removal), else edits."""
+    """Part of an update request for one graph: all its triples (or its removal), or else edits."""
 
     graph: str
     text: str | None
@@ -122,15 +122,15 @@ class _Part(NamedTuple):
 
 
 def pause_after(failures: int, first: float) -> float:
-    """The seconds to wait after so many failures in a row: twice as long each time, at random, within a minute."""
+    """Return the seconds to wait after successive failures: exponential backoff with jitter, at most a minute."""
     return min(_LONGEST_PAUSE, first * 2.0 ** min(failures - 1, 16)) * random.uniform(0.5, 1.0)
 
 
 class Mirror:
-    """Keeps a remote store in step with a dataset. `run` belongs to one loop; requests are made in their own thread.
+    """Updates a remote store from a dataset. `run` belongs to one event loop; requests are made in a thread.
 
-    `refresh` brings the dataset to what the robot says now. `interval` is the seconds between rounds. `run_name` names
-    this run of the server, unlike any other.
+    `refresh` updates the dataset from the robot. `interval` is the seconds between rounds. `run_name` is unique to this
+    run of the server.
     """
 
     def __init__(
@@ -161,23 +161,23 @@ class Mirror:
         self._told_ns: int | None = None
         self._failure: StoreError | None = None
         self._failures = 0
-        self._moments: list[str] = []  # what the heartbeat may say of when: one line unless requests failed
-        self._whole = False  # whether everything was noted since this server began
-        self._confirmed = False  # whether the heartbeat was found since
-        self._renewed = 0.0  # when that was begun
-        self._seen = -1  # the connections at which the heartbeat was found to be right
+        self._moments: list[str] = []  # times that the heartbeat may contain: one line unless requests failed
+        self._whole = False  # whether all graphs were queued since this server started
+        self._confirmed = False  # whether the heartbeat was found since then
+        self._renewed = 0.0  # start time of the last complete transfer
+        self._seen = -1  # number of connections when the heartbeat was last verified
         self._ending = False
         self._unrefreshed = False
         self._round: asyncio.Future[bool] | None = None
         source.watch(self._pending.add, self._forget)
 
     def _forget(self) -> None:
-        """The dataset begins anew: what goes is not told any more, so everything is."""
+        """Send everything again after the dataset was rebuilt, because removed graphs are not reported."""
         self._whole = False
 
     @property
     def status(self) -> ReplicationStatus:
-        """How far it is; from any thread."""
+        """Return the progress (thread-safe)."""
         oldest = [moment for moment in (self._on_its_way, self._pending.since) if moment is not None]
         lag = time.monotonic() - min(oldest) if oldest else 0.0
         pending, refused, failure = len(self._pending), len(self._refused), self._failure
@@ -185,12 +185,12 @@ class Mirror:
         return ReplicationStatus(self._target.url, lag, pending, refused, sentence, words, self._told_ns)
 
     async def run(self) -> None:
-        """Tell the other store what changes, for ever: to be cancelled."""
+        """Send changes to the other store until cancelled."""
         while True:
             begun = time.monotonic()
             try:
                 await self._refresh_or_warn()
-                # A request in its thread cannot be cancelled with `run`: `close` waits for the round, or interrupts it.
+                # A request in a thread cannot be cancelled with `run`: `close` waits for the round or aborts it.
                 self._round = _in_thread(self._tell_round)
                 more = await asyncio.shield(self._round)
             except StoreError as error:
@@ -207,7 +207,10 @@ class Mirror:
                 await asyncio.sleep(max(0.0, begun + self._interval - time.monotonic()))
 
     async def close(self) -> None:
-        """After `run` was cancelled: take away there what is true only while this server runs. Within some seconds."""
+        """Remove the graphs that are valid only while this server runs; after `run` was cancelled.
+
+        Takes a few seconds.
+        """
         self._ending = True
         if self._round is not None and not self._round.done():
             await asyncio.wait([self._round], timeout=_LAST / 3)
@@ -222,7 +225,7 @@ class Mirror:
                 _log.warning("%s keeps graphs of this server that are true no more", self._target.url)
 
     async def _refresh_or_warn(self) -> None:
-        """What the robot does not say now must not keep back what else there is."""
+        """Update the live values. A failure must not delay the replication of everything else."""
         try:
             await self._refresh()
         except Exception as error:
@@ -247,7 +250,10 @@ class Mirror:
     # --- in the thread of a round
 
     def _tell_round(self) -> bool:
-        """Tell the first of what waits, the heartbeat at least; whether more waits. Raises StoreError."""
+        """Send the first pending changes, at least the heartbeat; return whether more are pending.
+
+        Raises StoreError.
+        """
         if self._pending.overflowed:
             self._whole = False
             _log.warning("more changes wait for %s than are kept apart: all is told anew", self._target.url)
@@ -271,13 +277,13 @@ class Mirror:
         return len(self._pending) > 0
 
     def _look(self) -> None:
-        """See whether the other store holds what it was told, and have everything told where it does not."""
+        """Check whether the other store holds what was sent, and send everything again if it does not."""
         if self._whole and self._is_sealed():
             self._confirmed = True
             self._seen = self._target.connections
         elif self._confirmed or not self._whole or time.monotonic() > self._renewed + self._renewal_seconds:
             self._begin_anew()
-        # else it does not show what it was told a moment ago: telling all of it again at once would not help
+        # else it lacks a heartbeat sent just now: sending everything again at once would not help
 
     def _begin_anew(self) -> None:
         self._whole, self._confirmed, self._renewed = False, False, time.monotonic()
@@ -332,7 +338,7 @@ class Mirror:
         for graph, edits in taken.entries.items():
             again = self._refused.get(graph)
             if again is not None and again > now:
-                continue  # it is told whole when its time comes
+                continue  # sent whole at its next retry
             if edits is not None and again is None:
                 self._told.forget(graph)
                 yield _Part(graph, None, edits)
@@ -352,7 +358,10 @@ class Mirror:
             yield from (_Part(graph, None, (Edit(graph, added=other),)) for other in others)
 
     def _push(self, batch: Sequence[_Part], left: int) -> int:
-        """Tell these; what is refused is found by halves and left out. How many refusals are left. StoreError."""
+        """Send a batch, split at refusals to skip refused graphs; return how many refusals are left.
+
+        Raises StoreError.
+        """
         if self._ending:
             raise StoreError("This server ends.")
         batch = [part for part in batch if not part.edits or part.graph not in self._refused]
@@ -363,7 +372,7 @@ class Mirror:
         except StoreRefused as error:
             if error.status not in _CONTENT or left <= 0:
                 raise
-            self._tell(())  # an endpoint that does not even take this is at fault itself: it raises
+            self._tell(())  # raises if the endpoint refuses even this, and is thus at fault itself
             if len(batch) == 1:
                 self._leave_out(batch[0].graph, error)
                 return left - 1
@@ -374,7 +383,7 @@ class Mirror:
         return left
 
     def _leave_out(self, graph: str, error: StoreRefused) -> None:
-        """A graph that cannot be told is better not there than as it was once."""
+        """Remove a refused graph: better absent than outdated."""
         if graph not in self._refused:
             _log.error("%s is left out of the store: %s", graph, error)
         self._refused[graph] = time.monotonic() + _AGAIN
@@ -382,9 +391,9 @@ class Mirror:
         self._tell((_Part(graph, None, ()),))
 
     def _tell(self, batch: Sequence[_Part]) -> None:
-        """One request: these parts, and when that was."""
+        """Send one request with these parts and the heartbeat."""
         if len(self._moments) > _MOMENTS:
-            self._whole = False  # too much is unknown
+            self._whole = False  # too many outcomes are unknown
         moment = self._moment()
         beat = Edit(self._ownership.heartbeat_graph, moment, "".join(self._moments))
         self._moments.append(moment)
@@ -401,7 +410,7 @@ class Mirror:
 
 
 def _in_thread(work: Callable[[], _T]) -> asyncio.Future[_T]:
-    """Done in a thread of its own, which a process that ends does not wait for."""
+    """Run in a separate daemon thread, for which a process that ends does not wait."""
     loop = asyncio.get_running_loop()
     future: asyncio.Future[_T] = loop.create_future()
 
@@ -420,9 +429,9 @@ def _in_thread(work: Callable[[], _T]) -> asyncio.Future[_T]:
             found = work()
         except BaseException as error:
             failure = error
-        with contextlib.suppress(RuntimeError):  # the loop is closed
+        with contextlib.suppress(RuntimeError):  # the event loop is closed
             loop.call_soon_threadsafe(settle, found, failure)
 
-    future.add_done_callback(lambda done: done.cancelled() or done.exception())  # nobody may ask for it
+    future.add_done_callback(lambda done: done.cancelled() or done.exception())  # else asyncio reports it as lost
     threading.Thread(target=run, name="store", daemon=True).start()
     return future

@@ -1,7 +1,7 @@
-"""Sort keys: strings whose order by code point is the order of the terms they are made of (SPARQL 1.1, 15.1).
+"""Sort keys: strings whose order by code point is the order of their terms (SPARQL 1.1, 15.1).
 
-pyoxigraph's sort needs a total order, and its own order of terms is none where numbers, times and strings are mixed: it
-ends the process then. Here each term has its place: blank nodes, IRIs, numbers by value (NaN last), text, dateTimes,
+pyoxigraph's sort needs a total order, but its own order is not total for mixed numbers, times and strings: then it
+aborts the process. Here each term has its place: blank nodes, IRIs, numbers by value (NaN last), text, dateTimes,
 booleans, other times, durations, and all other literals by their lexical form.
 """
 
@@ -32,11 +32,11 @@ _DURATION_PARTS = re.compile(
 _MONTH = 2_629_746
 """Seconds of a mean month."""
 _OFFSET = 1 << 95
-"""What makes seconds positive."""
+"""Offset that makes all seconds positive."""
 
 
 def sort_key(term: Term) -> str:
-    """Return the key of a term; terms of one value have one key."""
+    """Return the key of a term; terms of equal value have equal keys."""
     if isinstance(term, Literal):
         return _literal_key(term.value, _name(term), term.language or "")
     if isinstance(term, NamedNode):
@@ -45,7 +45,7 @@ def sort_key(term: Term) -> str:
 
 
 def _name(literal: Literal) -> str:
-    """The datatype: its local name if it is of XSD, else its IRI."""
+    """Return the datatype: its local name in XSD, else its IRI."""
     datatype = literal.datatype.value
     if datatype.startswith(NAMESPACE):
         return datatype[len(OTHER) :]
@@ -64,7 +64,7 @@ def _literal_key(lexical: str, name: str, language: str) -> str:
 
 
 def _number_key(lexical: str) -> str | None:
-    """The nearest double, and how far the exact value is from it."""
+    """Return the key of a number: the nearest double, and the difference of the exact value from it."""
     if lexical == "NaN":
         return f"{_NUMBER}~"
     try:
@@ -78,7 +78,7 @@ def _number_key(lexical: str) -> str | None:
 
 
 def _floating_key(lexical: str) -> str | None:
-    """A double has just the value that it is nearest to."""
+    """Return the key of a double, whose exact value is the nearest one."""
     try:
         double = float(lexical)
     except ValueError:
@@ -114,7 +114,7 @@ def _moment_key(lexical: str) -> str | None:
 
 
 def _time_key(lexical: str) -> str | None:
-    """Seconds since the year 0 (or since midnight); without a time zone as in UTC."""
+    """Return the key of a time: seconds since the year 0 (or since midnight), in UTC without a time zone."""
     match = _DATE_TIME.fullmatch(lexical)
     if match is None:
         return None
@@ -127,7 +127,7 @@ def _time_key(lexical: str) -> str | None:
 
 
 def _days(year: int, month: int, day: int) -> int:
-    """Days since March of the year 0, in the proleptic Gregorian calendar."""
+    """Return the days since March of the year 0 in the proleptic Gregorian calendar."""
     year, month = (year, month - 3) if month > 2 else (year - 1, month + 9)
     return 365 * year + year // 4 - year // 100 + year // 400 + (153 * month + 2) // 5 + day
 
@@ -142,7 +142,7 @@ def _duration_key(lexical: str) -> str | None:
     if not sign:
         return _DURATION + _seconds_key(length, fraction)
     digits = (fraction or "").rstrip("0")
-    if digits:  # -1.25 is -2 and 0.75
+    if digits:  # for example, -1.25 is -2 and 0.75
         return _DURATION + _seconds_key(-length - 1, str(10 ** len(digits) - int(digits)).zfill(len(digits)))
     return _DURATION + _seconds_key(-length, None)
 

@@ -1,4 +1,4 @@
-"""Plain ROS as values: names, the computation graph, schemas, samples and errors. Knows no RDF, no HTTP, no I/O."""
+"""Plain ROS as values: names, the computation graph, schemas, samples and errors. Without RDF, HTTP and I/O."""
 
 from rosld.adapters.model.errors import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
 from rosld.adapters.model.graph import (

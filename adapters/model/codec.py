@@ -1,7 +1,7 @@
-"""The codec of a schema: rosbags' compiled serialisers, with `wire.py` for the strings they refuse.
+"""Codec of a schema: rosbags' compiled serializers, with `wire.py` for the strings they reject.
 
-Default values of fields (`float64 w 1`) are read as rosidl_adapter reads them. ROS 1 has none: every field of a new
-message is zero or empty.
+Default values of fields (`float64 w 1`) are read like rosidl_adapter does. ROS 1 has none: every field of a new message
+is zero or empty.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from rosld.adapters.model.schema import (
 from rosld.adapters.model.wire import Reader, Writer
 
 _STATED_ELSEWHERE: Mapping[tuple[str, str], str] = {("geometry_msgs/msg/Quaternion", "w"): "1"}
-"""What ROS 2's definition says and a definition of ROS 1 cannot: a quaternion of zeros is no rotation."""
+"""Default values that ROS 2's definitions have and ROS 1's cannot: a quaternion of zeros is not a rotation."""
 _STRINGS = frozenset({"string", "wstring"})
 _ELEMENT = re.compile(r""" *(?:"((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'|([^,"' ][^,]*)) *(?:,|$)""")
 _TRUE, _FALSE = frozenset({"true", "1"}), frozenset({"false", "0"})
@@ -44,7 +44,7 @@ _MAX_DIGITS = 100
 
 
 def default_texts(name: str, text: str) -> Mapping[str, str]:
-    """The texts of the default values that the definition `text` of a message type gives its fields, by their names."""
+    """Return the texts of the default values in the definition `text` of a message type, by field name."""
     found = {field: value for (kind, field), value in _STATED_ELSEWHERE.items() if kind == name}
     for line in text.splitlines():
         words = line.replace("\t", " ").partition("#")[0].split(None, 2)
@@ -54,7 +54,7 @@ def default_texts(name: str, text: str) -> Mapping[str, str]:
 
 
 def with_default(field: Field, texts: Mapping[str, str]) -> Field:
-    """Return the field with its default value, if it has one that fits its type: ROS builds no package with another."""
+    """Return the field with its default value if that fits its type: ROS does not build a package with another."""
     text = texts.get(field.name)
     if text is None:
         return field
@@ -65,7 +65,7 @@ def with_default(field: Field, texts: Mapping[str, str]) -> Field:
 
 
 def read_default(kind: FieldType, text: str) -> Default:
-    """The value that a definition's text is for a field of a type. Raises ValueError where it is none."""
+    """Return the default value that a text stands for. Raises ValueError if it does not fit the type."""
     if isinstance(kind, Primitive):
         return _scalar(kind, _unquoted(text) if kind.name in _STRINGS else text)
     if not isinstance(kind, Array) or not isinstance(kind.element, Primitive):
@@ -111,7 +111,7 @@ def _scalar(kind: Primitive, text: str) -> Scalar:
 
 
 def _integer(name: str, text: str) -> int:
-    """Decimal, or with the prefix of another base."""
+    """Return the integer in a text: decimal, or with the prefix of another base. Raises ValueError."""
     if len(text) > _MAX_DIGITS:
         raise ValueError(f"{len(text)} characters are no {name}")
     try:
@@ -132,7 +132,7 @@ def _range(name: str) -> tuple[int, int]:
 
 
 def _unquoted(text: str) -> str:
-    """A string, without the quotes that it may stand in. Raises ValueError for a quote within that is not escaped."""
+    """Return a string without its optional quotes. Raises ValueError for an unescaped quote within."""
     for quote in ('"', "'"):
         if len(text) > 1 and text.startswith(quote) and text.endswith(quote):
             if re.search(rf"(?<!\\){quote}", text[1:-1]):
@@ -147,16 +147,16 @@ def _unescaped(text: str, quote: str) -> str:
 
 DUMMY = "structure_needs_at_least_one_member"
 _NESTED_PARTS = re.compile(r"^([ \t]*\w+)/(?:srv|action)/", re.MULTILINE | re.ASCII)
-"""A field whose type is a part of a service or an action, at the beginning of its line."""
+"""A field whose type is part of a service or an action, at the start of its line."""
 
 
 def store_name(name: str) -> str:
-    """Return the name under which rosbags keeps a type: it knows only messages, the halves of services included."""
+    """Return the name under which rosbags stores a type: it knows only messages, including the parts of services."""
     return name.replace("/srv/", "/msg/").replace("/action/", "/msg/")
 
 
 def typestore_of(texts: Mapping[str, str]) -> Typestore:
-    """Return a type store holding just these texts. Raises ValueError where one cannot be parsed."""
+    """Return a type store with only these texts. Raises ValueError if one cannot be parsed."""
     store = get_typestore(Stores.EMPTY)
     for name, text in texts.items():
         try:
@@ -167,7 +167,7 @@ def typestore_of(texts: Mapping[str, str]) -> Typestore:
 
 
 class RosbagsCodec:
-    """A `Codec` for one closed set of types, in a type store of its own."""
+    """A `Codec` for a closed set of types, with its own type store."""
 
     def __init__(self, root: str, store: Typestore, types: Mapping[str, MessageType]) -> None:
         self._root = root
@@ -179,8 +179,8 @@ class RosbagsCodec:
         self._may_be_empty = may_be_empty(types)
 
     def decode(self, data: bytes, encoding: Encoding) -> Message:
-        """Return the message in `data`; raises ValueError naming the type when it holds none."""
-        if self._may_be_empty:  # the compiled code makes as many elements as the message claims
+        """Return the message in `data`. Raises ValueError with the name of the type if it cannot be decoded."""
+        if self._may_be_empty:  # the compiled code creates as many elements as the message claims
             return self._decode_slowly(data, encoding)
         try:
             if encoding is Encoding.ROS1:
@@ -199,7 +199,7 @@ class RosbagsCodec:
         return message
 
     def encode(self, message: Message, encoding: Encoding) -> bytes:
-        """Return the bytes of a message; raises ValueError naming the field that does not fit."""
+        """Return the bytes of a message. Raises ValueError with the name of a field that does not fit."""
         try:
             if encoding is Encoding.ROS1:
                 return bytes(self._store.serialize_ros1(message, self._stored))
@@ -210,14 +210,14 @@ class RosbagsCodec:
             return writer.octets()
 
     def build(self, type_name: str, values: Mapping[str, object]) -> Message:
-        """Return a message from its attributes' values, which must be complete and right."""
+        """Return a message with these attributes, which must be complete and valid."""
         if type_name in self._empty:
             values = {DUMMY: 0}
         return cast(Message, self._classes[type_name](**values))  # type: ignore[arg-type]
 
 
 def message_types(store: Typestore, texts: Mapping[str, str]) -> Mapping[str, MessageType]:
-    """The layouts of the types that `store` was made of, with the default values that their definitions have."""
+    """Return the layouts of the types in `store`, with the default values of their definitions."""
     external = {store_name(name): name for name in texts}
     return MappingProxyType({name: _message_type(name, texts[name], store, external) for name in texts})
 

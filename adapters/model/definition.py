@@ -1,7 +1,8 @@
-"""Definitions: the texts of messages, services and actions, split, named and hashed as genmsg does.
+"""Definitions: texts of messages, services and actions, split, named and hashed like genmsg does.
 
-They come from recordings and other nodes, so they have limits: a definition of 2 kB whose types each nest the next one
-twice has more fields than there is memory, and a message of 4 bytes can hold 4e9 elements of a type without fields.
+They are received from recordings and other nodes, so they have limits: in a definition of 2 kB, each type can nest the
+next one twice, which gives more fields than fit in memory, and a message of 4 bytes can hold 4e9 elements of a type
+without fields.
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ from typing import Literal, TypeAlias
 from rosld.adapters.model.schema import Array, FieldType, MessageType, Nested
 
 MAX_CHARACTERS = 1024 * 1024
-"""Characters of a definition with its dependencies, comments included."""
+"""Maximum characters of a definition with its dependencies and comments."""
 MAX_DECLARED = 128 * 1024
-"""Characters of its fields and constants: parsing them takes 2 s."""
+"""Maximum characters of its fields and constants: parsing them takes 2 s."""
 MAX_FIELDS = 20_000
-"""Fields of a message, those of the messages in it counted wherever they are nested."""
+"""Maximum number of fields of a message, including those of nested messages at each occurrence."""
 MAX_FIXED = 16 * 1024 * 1024
-"""Values in the arrays of fixed length of a message, a nested message counting as a hundred."""
+"""Maximum number of values in a message's arrays of fixed length; a nested message counts as a hundred."""
 _NESTED_WEIGHT = 100
 
 
 def require_short(name: str, definition: str) -> None:
-    """Raise ValueError for the text of a definition, with its dependencies, that takes too long to parse."""
+    """Raise ValueError if the text of a definition, with its dependencies, takes too long to parse."""
     if len(definition) > MAX_CHARACTERS:
         raise ValueError(f"the definition of {name} has more than {MAX_CHARACTERS} characters")
     declared = sum(len(line.partition("#")[0].strip()) + 1 for line in definition.split("\n") if line.strip())
@@ -34,7 +35,7 @@ def require_short(name: str, definition: str) -> None:
 
 
 def require_bounded(name: str, types: Mapping[str, MessageType]) -> None:
-    """Raise ValueError for a message type that comes to too many fields; RecursionError where it nests itself."""
+    """Raise ValueError if a message type has too many fields, RecursionError if it contains itself."""
     fields, fixed = _Extent(types).of(name)
     if fields > MAX_FIELDS:
         raise ValueError(f"{name} comes to more than {MAX_FIELDS} fields, with those of the messages in it")
@@ -43,7 +44,7 @@ def require_bounded(name: str, types: Mapping[str, MessageType]) -> None:
 
 
 def may_be_empty(types: Mapping[str, MessageType]) -> bool:
-    """Whether an element of an array of these types may take no bytes in ROS 1."""
+    """Whether an array of these types may have elements that take no bytes in ROS 1."""
     elements = {field.type.element for kind in types.values() for field in kind.fields if isinstance(field.type, Array)}
     return any(isinstance(each, Nested) and _takes_nothing(each, types) for each in elements)
 
@@ -55,7 +56,7 @@ def _takes_nothing(kind: FieldType, types: Mapping[str, MessageType]) -> bool:
 
 
 class _Extent:
-    """Counts the fields and the values of fixed arrays of each type once, however often it is nested."""
+    """Counts the fields and the values of fixed arrays, once per type."""
 
     def __init__(self, types: Mapping[str, MessageType]) -> None:
         self._types = types
@@ -111,15 +112,14 @@ _ALIASES = {
     "roslib/Header": "std_msgs/msg/Header",
 }
 _PARTED = ("srv", "action")
-"""Kinds of types that are made of several messages, which nothing nests but what ROS 2 derives from them."""
+"""Kinds of types that consist of several messages, which only derived types of ROS 2 nest."""
 _MAX_DEPTH = 64
 
 
 def split_sections(name: str, definition: str) -> dict[str, str]:
     """Return the texts in a concatenated definition: the type itself first, then those after `===` and `MSG:` lines.
 
-    The old `roslib/Header` is read as `std_msgs/Header`, of which it is the former name.
-    Raises ValueError for a section without its `MSG:` line.
+    `roslib/Header` is read as `std_msgs/Header`, its new name. Raises ValueError for a section without a `MSG:` line.
     """
     first, *rest = _SEPARATOR.split(definition)
     texts = {name: first.strip("\n")}
@@ -134,7 +134,7 @@ def split_sections(name: str, definition: str) -> dict[str, str]:
 
 
 def split_service(definition: str) -> tuple[str, str]:
-    """Request and response of a service definition; raises ValueError unless exactly one `---` line parts them."""
+    """Return request and response of a service definition. Raises ValueError unless it has exactly one `---` line."""
     parts = _SERVICE.split(definition)
     if len(parts) != 2:
         raise ValueError(f"a service definition has one '---' line, this one has {len(parts) - 1}")
@@ -142,7 +142,7 @@ def split_service(definition: str) -> tuple[str, str]:
 
 
 def split_action(definition: str) -> tuple[str, str, str]:
-    """Goal, result and feedback of an action definition; raises ValueError unless two `---` lines part them."""
+    """Return goal, result and feedback of an action definition. Raises ValueError unless it has two `---` lines."""
     parts = _SERVICE.split(definition)
     if len(parts) != 3:
         raise ValueError(f"an action definition has two '---' lines, this one has {len(parts) - 1}")
@@ -151,7 +151,7 @@ def split_action(definition: str) -> tuple[str, str, str]:
 
 
 def resolve(reference: str, package: str) -> str | None:
-    """Return the full name of a field's base type as written in `package`; None for a primitive."""
+    """Return the full name of a field's base type as written in `package`, or None for a primitive."""
     base = reference.partition("[")[0].partition("<=")[0]
     if base in _PRIMITIVES:
         return None
@@ -163,7 +163,7 @@ def resolve(reference: str, package: str) -> str | None:
 
 
 def references(name: str, text: str) -> frozenset[str]:
-    """Return the message types that a text mentions, by full name."""
+    """Return the full names of the message types in a text."""
     package = name.partition("/")[0]
     resolved = (resolve(words[0], package) for words in map(str.split, _lines(text)) if words)
     return frozenset(found for found in resolved if found is not None)
@@ -183,7 +183,7 @@ def _declarations(text: str) -> tuple[list[str], list[tuple[str, str]]]:
             continue
         words = clean.split()
         if words[0].partition("<=")[0] in ("string", "wstring") and "=" in clean.partition(words[0])[2]:
-            head, _, value = raw.strip().partition("=")  # a string constant runs to the end of its line, '#' included
+            head, _, value = raw.strip().partition("=")  # a string constant extends to the end of its line, with '#'
             constants.append(f"{words[0]} {head.split()[1]}={value.strip()}")
         elif "=" in clean and words[0] in _PRIMITIVES:
             head, _, value = clean.partition("=")
@@ -194,7 +194,7 @@ def _declarations(text: str) -> tuple[list[str], list[tuple[str, str]]]:
 
 
 def md5_text(name: str, text: str, md5_of: Callable[[str], str]) -> str:
-    """Return the text that genmsg hashes: constants, then fields with each nested type as its own MD5."""
+    """Return the text that genmsg hashes: constants, then fields with nested types as MD5 hashes."""
     constants, fields = _declarations(text)
     package = name.partition("/")[0]
     lines = list(constants)
@@ -207,17 +207,20 @@ def md5_text(name: str, text: str, md5_of: Callable[[str], str]) -> str:
 
 
 def md5(name: str, texts: Mapping[str, str]) -> str:
-    """The MD5 of a message type, in hex, as genmsg computes it. `texts` must be closed; KeyError names what lacks."""
+    """Return the hexadecimal MD5 of a message type, like genmsg.
+
+    `texts` must be closed; KeyError names a missing type.
+    """
     return _Hashing(texts).md5(name)
 
 
 def message_text(name: str, texts: Mapping[str, str]) -> str:
-    """The text whose hash is the MD5 of a type; raises ValueError for types nested in themselves."""
+    """Return the text whose hash is the MD5 of a type. Raises ValueError if a type contains itself."""
     return _Hashing(texts).text(name)
 
 
 class _Hashing:
-    """Hashes types, each once however often it is nested."""
+    """Computes hashes, once per type."""
 
     def __init__(self, texts: Mapping[str, str]) -> None:
         self._texts = texts
@@ -240,15 +243,15 @@ class _Hashing:
 
 
 def service_md5(name: str, texts: Mapping[str, str]) -> str:
-    """Return the MD5 of a service type: that of the texts of its two halves, one after the other."""
+    """Return the MD5 of a service type: that of the concatenated texts of its two messages."""
     joined = message_text(f"{name}_Request", texts) + message_text(f"{name}_Response", texts)
     return hashlib.md5(joined.encode(), usedforsecurity=False).hexdigest()
 
 
 def action_md5(name: str, texts: Mapping[str, str]) -> str:
-    """The MD5 of an action type: that of `XAction`, the message that actionlib makes of goal, result and feedback.
+    """Return the MD5 of an action type: that of `XAction`, actionlib's message with goal, result and feedback.
 
-    `texts` holds these under their names (`pkg/action/X_Goal`, ...) and, closed, all that they and actionlib's own
+    `texts` contains these under their names (`pkg/action/X_Goal`, ...), and all types that they and actionlib's own
     messages nest.
     """
     package, _, short = name.partition("/action/")
@@ -281,7 +284,7 @@ _THIRDS = ("_Goal", "_Result", "_Feedback")
 
 
 def derived_from(name: str) -> tuple[str, str] | None:
-    """The type that a type is derived from, and its text, which names what it nests in full; None for all others."""
+    """Return the origin of a derived type and the derived text with full names; None for other types."""
     kind = _folder(name)
     ends: Mapping[str, str] = {}
     if kind == "srv" or (kind == "action" and name.endswith(tuple(f"{each}_Event" for each in _SERVICES_OF_ACTIONS))):
@@ -296,7 +299,7 @@ def derived_from(name: str) -> tuple[str, str] | None:
 
 
 def written_form(name: str) -> WrittenType:
-    """Return the form of a type's definition: that of an action's service is a service's."""
+    """Return the form of a type's definition; services of actions have the form of services."""
     kind = _folder(name)
     if kind == "action" and derived_from(name) is None:
         return "action"
@@ -305,7 +308,7 @@ def written_form(name: str) -> WrittenType:
 
 
 def enclosing_type(name: str) -> str | None:
-    """The service or action type that a message is a part of, None for all others."""
+    """Return the service or action type that a message is part of, or None."""
     kind = _folder(name)
     if kind == "action":
         ends = (*_THIRDS, *(f"{service}{half}" for service in _SERVICES_OF_ACTIONS for half in _HALVES))

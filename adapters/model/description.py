@@ -1,6 +1,6 @@
-"""Type descriptions of ROS 2 (REP 2016) as the text of a definition: for types that are not written as .msg. Pure.
+"""Conversion of ROS 2 type descriptions (REP 2016) to definitions, for types not written as .msg. No I/O.
 
-A description holds names, types and default values of fields; constants and comments are not in it.
+A description has names, types and default values of fields, but neither constants nor comments.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _PRIMITIVES = {
     18: "wstring",
 }
 _SUFFIXES = ("", "[{}]", "[<={}]", "[]")
-"""Of a single value, an array, a bounded and an unbounded sequence: their ids are 48 apart."""
+"""Suffixes of a single value, an array, a bounded and an unbounded sequence, whose ids are 48 apart."""
 _DUMMY = "structure_needs_at_least_one_member"
 _PARTS: Mapping[str, tuple[str, ...]] = {
     "msg": ("",),
@@ -65,9 +65,10 @@ class IndividualTypeMessage(Protocol):
 
 
 def definition_of(name: str, described: Iterable[IndividualTypeMessage]) -> str:
-    """Return the text that defines a message, service or action, with the messages that it nests appended.
+    """Return the definition of a message, service or action, with the messages that it nests appended.
 
-    `described` are the type and all that it refers to. Raises ValueError naming what lacks, or has no name in .msg.
+    `described` are the type and all that it refers to. Raises ValueError naming a type that is missing or cannot be
+    written in .msg.
     """
     fields = {each.type_name: each.fields for each in described}
     parts = [f"{name}{end}" for end in _PARTS[written_form(name)]]
@@ -80,7 +81,7 @@ def definition_of(name: str, described: Iterable[IndividualTypeMessage]) -> str:
 
 
 def _types_within(parts: Sequence[str], fields: Mapping[str, Sequence[FieldMessage]]) -> list[str]:
-    """The types that these are made of, themselves included. Raises ValueError where one is not described."""
+    """Return these types and all that they nest. Raises ValueError if one is not described."""
     reached: dict[str, None] = {}
     wanted = list(parts)
     while wanted:
@@ -100,9 +101,9 @@ def _text(fields: Sequence[FieldMessage]) -> str:
 
 
 def _default(field: FieldMessage) -> str:
-    """The default value of a field as a definition has it, "" for none; it is described as Python writes it.
+    """Return the default value of a field as in a definition, or an empty string. Descriptions use Python's notation.
 
-    A string that no definition can have is left out: there, a line ends the string, and so does a comment.
+    Strings that a definition cannot contain are omitted: there, a line break or a comment ends the string.
     """
     text, (block, kind) = field.default_value, divmod(field.type.type_id, _BLOCK)
     if not text or kind == _NESTED or any(each in text for each in "\n\r#="):

@@ -1,13 +1,13 @@
-"""Errors between rosld and a robot, in ROS's own terms.
+"""Errors between rosld and a robot, in ROS terms.
 
     RosError
     ├── NotFound       no such node, topic, service, parameter or message
-    ├── Refused        the robot said no (or the operation does not exist on it)
+    ├── Refused        the robot refuses (or the operation does not exist on it)
     ├── Unreachable    the master or the node does not answer
-    ├── TimedOut       it was asked and did not answer before the deadline
-    └── UnknownType    nobody could tell the definition of a type
+    ├── TimedOut       the request was sent and not answered before the deadline
+    └── UnknownType    the definition of a type cannot be found
 
-None of them knows HTTP: `server/rest/ros_problems.py` holds the one table that gives each its status.
+They are independent of HTTP: the table in `server/rest/ros_problems.py` assigns HTTP statuses.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class Sent(Enum):
 
 
 class RosError(Exception):
-    """Base of all errors of adapters: a sentence that names the value, and apart from it the robot's words.
+    """Base class of the adapters' errors: a sentence that names the value, and separately the robot's `words`.
 
-    The sentence never has the robot's words in it: clients trust it as the server's. `about` are what the sentence
-    speaks of, as URLs that the server gives it: a client that may not read them is not told the sentence.
+    The sentence never quotes the robot: clients trust it as the server's. `about` are the things that the sentence
+    mentions, as URLs on the server: a client without read access to them does not get the sentence.
     """
 
     def __init__(self, sentence: str, *, words: str | None = None, sent: Sent = Sent.NO) -> None:
@@ -39,11 +39,11 @@ class RosError(Exception):
 
 
 class NotFound(RosError):
-    """There is nothing of that name."""
+    """The named thing does not exist."""
 
 
 class Refused(RosError):
-    """The robot (or the rules of this kind of system) said no; `words` are the robot's."""
+    """The robot (or the kind of system) refuses; `words` are the robot's."""
 
 
 class Unreachable(RosError):
@@ -55,4 +55,4 @@ class TimedOut(RosError):
 
 
 class UnknownType(RosError):
-    """The definition of a type is not known; the sentence says where it was looked for and what to do."""
+    """The definition of a type is unknown; the sentence names the places searched and what to do."""

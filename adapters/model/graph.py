@@ -1,4 +1,4 @@
-"""The computation graph: nodes, topics, services, actions and lifecycles, as an immutable snapshot."""
+"""Computation graph: nodes, topics, services, actions and lifecycles, as an immutable snapshot."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from rosld.adapters.model.schema import TypeRef
 
 
 class GoalStatus(Enum):
-    """How a goal stands. The words are action_msgs/GoalStatus'; actionlib's states are told in them.
+    """Status of a goal, in the terms of action_msgs/GoalStatus, to which actionlib's states are mapped.
 
     actionlib: PENDING is ACCEPTED, ACTIVE is EXECUTING, PREEMPTING and RECALLING are CANCELING, PREEMPTED and RECALLED
-    are CANCELED. LOST: the server is gone, or no longer knows the goal.
+    are CANCELED. LOST: the server has disappeared, or no longer knows the goal.
     """
 
     ACCEPTED = "accepted"
@@ -33,20 +33,20 @@ class GoalStatus(Enum):
 
     @property
     def is_final(self) -> bool:
-        """Whether nothing comes after it."""
+        """Whether no other status follows."""
         return self not in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING, GoalStatus.CANCELING)
 
     @property
     def is_settled(self) -> bool:
-        """Whether it has ended as its server says; a goal that is lost may be pursued still."""
+        """Whether the server reported the end of the goal; a lost goal may still be pursued."""
         return self.is_final and self is not GoalStatus.LOST
 
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """An action: its type, the nodes that serve it and those that send goals; `unusable` says why no goal can be sent.
+    """An action: its type, its servers and clients; `unusable` is the reason why no goal can be sent.
 
-    Its inner topics and services are in the graph as well: under hidden names in ROS 2, where none of them is called.
+    Its inner topics and services are in the graph as well; in ROS 2 they have hidden names, and none can be called.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Action:
 
 @dataclass(frozen=True, slots=True)
 class GoalId:
-    """A goal of an action: `id` is what the action server knows it by (ROS 1: any text; ROS 2: 32 hex digits)."""
+    """A goal of an action: `id` is its id in the action server (ROS 1: any text; ROS 2: 32 hex digits)."""
 
     action: str
     id: str
@@ -66,10 +66,10 @@ class GoalId:
 
 @dataclass(frozen=True, slots=True)
 class GoalEvent:
-    """What became known of a goal: any of its status, the server's words, the latest feedback, the result.
+    """An update about a goal: any of its status, the server's message, the latest feedback, the result.
 
     `feedback` and `result` are messages of the action's type in the adapter's encoding. `received_ns` is wall-clock
-    time. `own`: it was sent by rosld.
+    time. `own`: rosld sent the goal.
     """
 
     received_ns: int
@@ -86,20 +86,20 @@ _UNDERWAY = range(10, 16)
 
 @dataclass(frozen=True, slots=True)
 class LifecycleState:
-    """A state as its node calls it ("inactive"), with its number in lifecycle_msgs/msg/State."""
+    """A lifecycle state: the node's label ("inactive"), and its number in lifecycle_msgs/msg/State."""
 
     label: str
     id: int
 
     @property
     def is_underway(self) -> bool:
-        """Whether a transition is being made: what then follows is for the node alone to say."""
+        """Whether a transition is in progress, whose outcome only the node decides."""
         return self.id in _UNDERWAY
 
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """A transition as its node calls it ("activate"), its number there, and the state that it leads to."""
+    """A lifecycle transition: the node's label ("activate"), its number, and its target state."""
 
     label: str
     id: int
@@ -108,10 +108,10 @@ class Transition:
 
 @dataclass(frozen=True, slots=True)
 class Lifecycle:
-    """How a managed node stands: its state and the transitions that are legal now, as it told them itself.
+    """Lifecycle of a managed node: its state and the transitions that are available now, as reported by the node.
 
-    `service` is the service that carries them out. `unknown` says in words why its state cannot be told now; a state
-    beside it is the last one told. Without a state nothing was told ever.
+    `service` is the service that changes the state. `unknown` is the reason why the state is unknown now; then `state`
+    is the last one reported, or None if none ever was.
     """
 
     service: str
@@ -130,11 +130,11 @@ def without_lifecycle(nodes: Container[str], node: str) -> NotFound | Refused:
 _V = TypeVar("_V")
 
 _ACTIONLIB = frozenset({"goal", "cancel", "status", "feedback", "result"})
-"""The last segments of the topics that an action of ROS 1 is made of."""
+"""Last segments of the topics of a ROS 1 action."""
 
 
 class Kind(Enum):
-    """The kinds of thing that have a ROS name."""
+    """Kind of a named thing in ROS."""
 
     NODE = "node"
     TOPIC = "topic"
@@ -167,12 +167,12 @@ class Ref:
 
 @dataclass(frozen=True, slots=True)
 class Live:
-    """The graph is as the robot is now."""
+    """The graph shows the robot as it is now."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stale:
-    """The robot cannot be seen since `since_ns` (wall clock, nanoseconds); the graph is the last one known."""
+    """The robot has been unreachable since `since_ns` (wall clock, ns); the graph is the last one known."""
 
     since_ns: int
     why: str
@@ -180,7 +180,7 @@ class Stale:
 
 @dataclass(frozen=True, slots=True)
 class Master:
-    """The name service of the system (ROS 1's master); `uri` as it would be given in ROS_MASTER_URI."""
+    """The name service of the system (ROS 1's master); `uri` is its URI as in ROS_MASTER_URI."""
 
     uri: str
     run_id: str | None = None
@@ -188,9 +188,9 @@ class Master:
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node. `unreachable` says in words why it does not answer, None while it does or nobody asked.
+    """A node. `unreachable` is the reason why it does not respond, None if it does or was not contacted.
 
-    `lifecycle` is that of a managed node (ROS 2), None for all others.
+    `lifecycle` is that of a managed node (ROS 2), else None.
     """
 
     name: str
@@ -201,9 +201,9 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """A node's publisher or subscriber on a topic; `type` is what this endpoint says, where it says so.
+    """A node's publisher or subscriber on a topic; `type` is the type stated by this endpoint, if any.
 
-    `qos` is its quality of service where the system has that (ROS 2).
+    `qos` is its quality of service, in ROS 2.
     """
 
     node: str
@@ -215,9 +215,9 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic. `types` holds every type its endpoints use: two or more are a conflict, none means unknown.
+    """A topic. `types` are all types that its endpoints use: several are a conflict, none means unknown.
 
-    `unreadable` says in words why its messages cannot be decoded, None while they can.
+    `unreadable` is the reason why its messages cannot be decoded, or None.
     """
 
     name: str
@@ -234,7 +234,7 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """A service; `uncallable` says in words why it cannot be called, None while it can."""
+    """A service; `uncallable` is the reason why it cannot be called, or None."""
 
     name: str
     type: TypeRef | None = None
@@ -244,11 +244,11 @@ class Service:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter that is a leaf: not a tree.
+    """A parameter that is a leaf, not a tree.
 
-    `node` is its owner where parameters belong to nodes (ROS 2), or a node heeds it (dynamic_reconfigure).
+    `node` is its owner if parameters belong to nodes (ROS 2), or the node that uses it (dynamic_reconfigure).
 
-    `descriptor` is what that node declares of it, None where nothing is declared, or not known yet.
+    `descriptor` is the node's declaration of it, None if it is undeclared or not known yet.
     """
 
     name: str
@@ -263,10 +263,10 @@ def freeze(mapping: Mapping[str, _V]) -> Mapping[str, _V]:
 
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """The computation graph at one moment; `revision` rises by one whenever anything in it changes.
+    """Snapshot of the computation graph; `revision` increases with every change.
 
-    `own_node` is the name under which rosld itself appears among the nodes and endpoints (it is in the graph
-    only while it has registered something). `simulated_time` is true while `/use_sim_time` holds.
+    `own_node` is the name of rosld's own node, which is in the graph only while it has registered something.
+    `simulated_time` is the value of `/use_sim_time`.
     """
 
     revision: int
@@ -281,12 +281,12 @@ class Graph:
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
 
     def is_of_action(self, name: str) -> bool:
-        """Whether a topic is a part of an action: of one of ROS 2 by its name, or of one of actionlib.
+        """Whether a topic is part of an action: by its name in ROS 2, or as one of actionlib's five topics.
 
-        The latter has five topics, whose siblings are all there.
+        For actionlib, all five topics must exist.
         """
-        # By names alone, for what may not be written to: a topic whose type is not known yet may be a goal's. Which
-        # topics are resources goes by types as well (server/hypermedia/conventions.py).
+        # By names alone, because this protects goals from direct writes: a topic of unknown type may be a goal's. Which
+        # topics are resources also depends on types (server/hypermedia/conventions.py).
         if action_of(name) is not None:
             return True
         parent, _, last = name.rpartition("/")

@@ -1,7 +1,7 @@
-"""The type library: schemas from definitions, learnt from the robot, shipped with rosld, or lying in folders.
+"""Type library: schemas from definitions that were received from the robot, shipped with rosld, or found in folders.
 
-Every schema is closed and has a type store of its own, so that two definitions of one name (two publishers,
-an old recording) live side by side, told apart by their hash.
+Every schema is closed and has its own type store, so that several definitions of one name (two publishers, an old
+recording) coexist, distinguished by their hashes.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ from rosld.adapters.model.rihs import action_hash, message_hash, service_hash
 from rosld.adapters.model.schema import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef, halves_of
 
 SEPARATOR = "=" * 80
-"""What parts the texts of a definition with its dependencies."""
+"""Separator between the texts of a definition and its dependencies."""
 SHIPPED = Path(__file__).parent / "definitions"
 _BUILTIN = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
     "builtin_interfaces/msg/Duration": "int32 sec\nuint32 nanosec",
 }
 _ROS1_ONLY = frozenset({"control_msgs", "dynamic_reconfigure", "move_base_msgs", "roscpp", "roslib", "tf"})
-"""Shipped packages whose definitions have another layout, or no meaning, in ROS 2."""
+"""Shipped packages whose definitions differ or are meaningless in ROS 2."""
 _ROS2_ONLY = frozenset({"action_msgs"})
 _MAX_FILES = 50_000
 _MAX_NAME = 100
-"""Characters of a part of a type's name, up to which it is looked for as a file."""
+"""Maximum length of a part of a type's name that is looked up as a file name."""
 
 
 class TypeLibrary:
     """Schemas by name and hash, learnt or found. Thread-safe.
 
-    `ros_version` decides what a hash is: 1, the MD5 of genmsg; 2, RIHS01. `folders` are looked through, before the
-    definitions shipped with rosld, for `PACKAGE/msg/NAME.msg`, `PACKAGE/srv/NAME.srv` and `PACKAGE/action/NAME.action`
-    at any depth.
+    `ros_version` determines the kind of hash: 1 for genmsg's MD5, 2 for RIHS01. `folders` are searched at any depth,
+    before the definitions shipped with rosld, for `PACKAGE/msg/NAME.msg`, `PACKAGE/srv/NAME.srv` and
+    `PACKAGE/action/NAME.action`.
     """
 
     def __init__(self, *, ros_version: Literal[1, 2], folders: Sequence[Path] = ()) -> None:
@@ -71,9 +71,9 @@ class TypeLibrary:
         }
 
     def learn_message(self, name: str, definition: str, hash: str | None = None) -> MessageSchema:
-        """Return the schema of a message type from its text, whose dependencies may be appended or are found.
+        """Return the schema of a message type from its text. Dependencies not appended to the text are looked up.
 
-        Raises ValueError for a text that cannot be read, lacks a dependency, or (`hash` given) hashes to another.
+        Raises ValueError if the text is invalid, lacks a dependency, or does not have the given `hash`.
         """
         with self._lock:
             if hash is not None and isinstance(known := self._learnt.get(name, {}).get(hash), MessageSchema):
@@ -90,9 +90,9 @@ class TypeLibrary:
             return schema
 
     def learn_action(self, name: str, definition: str, hash: str | None = None) -> ActionSchema:
-        """The schema of an action type from its text (goal, `---`, result, `---`, feedback); errors as `learn_message`.
+        """Return the schema of an action type from its text (goal, `---`, result, `---`, feedback).
 
-        In ROS 1 its hash is that of actionlib's message `XAction`.
+        Raises ValueError as `learn_message`. In ROS 1 its hash is that of actionlib's message `XAction`.
         """
         with self._lock:
             schema = self._action(name, definition, hash)
@@ -100,9 +100,9 @@ class TypeLibrary:
             return schema
 
     def find(self, ref: TypeRef) -> Schema:
-        """Return the schema of a type: learnt, else from the folders, else shipped; a hash in `ref` is proved.
+        """Return the schema of a type: learnt, else from the folders, else shipped. A hash in `ref` must match.
 
-        Raises UnknownType saying what was looked at.
+        Raises UnknownType with the places searched.
         """
         with self._lock:
             learnt = self._learnt.get(ref.name, {})
@@ -113,7 +113,7 @@ class TypeLibrary:
             return self._look_for(ref)
 
     def known(self) -> Sequence[TypeRef]:
-        """Return every type learnt or found so far, in the order of its learning."""
+        """Return every type learnt or found so far, in this order."""
         with self._lock:
             return [schema.ref for schemas in self._learnt.values() for schema in schemas.values()]
 
@@ -136,7 +136,7 @@ class TypeLibrary:
         raise UnknownType(f"the type {ref.name}{wanted} is not known: {reason}")
 
     def _candidates(self, name: str) -> Iterator[str]:
-        """Texts for a name: the user's folders, what rosld ships, what rosbags ships."""
+        """Yield texts for a name: from the user's folders, then those shipped with rosld and with rosbags."""
         if name in _BUILTIN:
             yield _BUILTIN[name]
         package, _, rest = name.partition("/")
@@ -159,18 +159,18 @@ class TypeLibrary:
             yield part.definition
 
     def _nested_texts(self, name: str) -> Iterator[str]:
-        """Texts of a message that was nested in what was learnt, those learnt last first, with what it nests itself."""
+        """Yield texts of a message nested in learnt types, latest first, with the dependencies."""
         for text, texts in reversed(self._nested.get(name, {}).items()):
             closed = self._closure(name, texts)
             yield "\n".join([text, *_append({each: closed[each] for each in closed if each != name})]) + "\n"
 
     def _nested_hash(self, name: str) -> str | None:
-        """The hash of a message as it was nested in what was learnt last; None where it was in nothing."""
+        """Return the hash of a message as nested in the type learnt last, or None."""
         text = next(self._nested_texts(name), None)
         return None if text is None else self._message(name, split_sections(name, text), text, None).ref.hash
 
     def _part(self, name: str) -> MessageSchema | None:
-        """A message as the service or action has it that it is a part of; None for all others. Raises UnknownType."""
+        """Return a message from the service or action that it is part of, or None. Raises UnknownType."""
         whole = enclosing_type(name)
         halves = () if whole is None else halves_of(self.find(TypeRef(whole)))
         return next((half for half in halves if half.ref.name == name), None)
@@ -182,7 +182,7 @@ class TypeLibrary:
             return None
 
     def _of_messages(self, package: str, short: str) -> str | None:
-        """Return the text of an action from the messages that actionlib made of it, as far as these are known."""
+        """Return the text of an action from the messages that actionlib generates, or None if these are unknown."""
         try:
             found = [self.find(TypeRef(f"{package}/msg/{short}{part}")) for part in ("Goal", "Result", "Feedback")]
         except UnknownType:
@@ -193,7 +193,7 @@ class TypeLibrary:
         return "\n".join(["\n---\n".join(own), *_append(nested)])
 
     def _speaks(self, package: str) -> bool:
-        """Whether the shipped definitions of a package are those of this ROS: some differ between ROS 1 and ROS 2."""
+        """Whether the shipped definitions of a package apply to this ROS version: some differ."""
         return package not in (_ROS2_ONLY if self._ros_version == 1 else _ROS1_ONLY)
 
     def _index(self) -> Mapping[tuple[str, str], Path]:
@@ -202,7 +202,10 @@ class TypeLibrary:
         return self._files
 
     def _closure(self, name: str, texts: Mapping[str, str]) -> dict[str, str]:
-        """`texts` of `name` and of all it nests, looked for where they are lacking; ValueError names what is not."""
+        """Return the texts of `name` and of all types that it nests.
+
+        Raises ValueError naming a type that is not found.
+        """
         closed: dict[str, str] = {}
         wanted = [name]
         while wanted:
@@ -273,26 +276,26 @@ def _plain(*parts: str) -> bool:
 
 
 def _prove(name: str, found: str, wanted: str | None) -> str:
-    """The hash of what was found. Raises ValueError where it is not the one that is wanted."""
+    """Return the hash of a found definition. Raises ValueError if another one is required."""
     if wanted is not None and found != wanted:
         raise ValueError(f"the definition found for {name} has the hash {found}, the robot uses {wanted}")
     return found
 
 
 def _full_text(name: str, closed: Mapping[str, str], definition: str) -> str:
-    """The concatenated definition: as given where it is whole, else with the dependencies appended as ROS 1 does."""
+    """Return the concatenated definition, with missing dependencies appended in ROS 1's format."""
     given = split_sections(name, definition)
     lacking = [each for each in closed if each not in given and each not in _BUILTIN]
     return "\n".join([definition.rstrip("\n"), *_append({each: closed[each] for each in lacking})]) + "\n"
 
 
 def _append(texts: Mapping[str, str]) -> list[str]:
-    """Return the texts of types, each as ROS 1 appends it to those that need it."""
+    """Return the texts of types in ROS 1's format for dependencies."""
     return [f"{SEPARATOR}\nMSG: {each.replace('/msg/', '/')}\n{text}" for each, text in texts.items()]
 
 
 def _definition_files(folders: Sequence[Path]) -> Mapping[tuple[str, str], Path]:
-    """(package, file name) to path, for every definition in these folders; the first folder wins."""
+    """Return the path of each definition in these folders by package and file name; the first folder wins."""
     found: dict[tuple[str, str], Path] = {}
     for folder in folders:
         for pattern in ("*.msg", "*.srv", "*.action"):

@@ -1,4 +1,7 @@
-"""The fields of MCAP records (https://mcap.dev/spec): little endian; lengths before strings, bytes and maps. Pure."""
+"""Fields of MCAP records (https://mcap.dev/spec): little endian, with lengths before strings, bytes and maps.
+
+No I/O.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +9,17 @@ from typing import ClassVar
 
 MAGIC = b"\x89MCAP0\r\n"
 OPENING = "rosld.opening"
-"""The metadata of a channel that is "1" where its messages came before the file was begun, and open it as latched."""
+"""Key of a channel's metadata that is "1" if its messages are latched ones from before the start of the file."""
 SILENT_TOPICS = "rosld.silent_topics"
-"""Name of the metadata record whose keys are the chosen topics without a message."""
+"""Name of the metadata record whose keys are the selected topics without a message."""
 
 
 class Fields:
-    """The fields of a record, read one after the other. Raises `too_short` where it is too short."""
+    """Reader of the fields of a record. Raises `too_short` if the record is truncated."""
 
     too_short: ClassVar[type[Exception]] = ValueError
     errors: ClassVar[str] = "surrogateescape"
-    """What becomes of bytes that are not UTF-8."""
+    """Error handler for bytes that are not UTF-8."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data

@@ -33,6 +33,6 @@ def is_hidden(name: str) -> bool:
 
 
 def action_of(name: str) -> str | None:
-    """The action of ROS 2 that a topic or a service is an inner part of, None for all others."""
+    """Return the ROS 2 action whose inner topic or service has this name, or None."""
     action, found, _ = name.rpartition("/_action/")
     return action if found and action else None

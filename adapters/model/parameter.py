@@ -1,4 +1,4 @@
-"""Parameters: what one can hold, and what its node declares of it: in ROS 2, and by dynamic_reconfigure. Pure."""
+"""Parameters: their values, and their declarations by nodes in ROS 2 and with dynamic_reconfigure. No I/O."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ ParameterValue: TypeAlias = (
 """A scalar, a list, or a dict (a tree of parameters, or within a list just a dict)."""
 
 _CLOSE = 1e-6
-"""How far from a step a double may be: rclpy's PARAM_REL_TOL; rclcpp is stricter."""
+"""Tolerance of steps for doubles: rclpy's PARAM_REL_TOL; rclcpp is stricter."""
 
 
 class ParameterType(Enum):
-    """The types that a parameter is declared with (rcl_interfaces/msg/ParameterType), as ROS 2's tools call them."""
+    """Declared type of a parameter (rcl_interfaces/msg/ParameterType), with the names of ROS 2's tools."""
 
     BOOLEAN = "boolean"
     INTEGER = "integer"
@@ -34,9 +34,9 @@ class ParameterType(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """The numbers that a parameter may have, both ends included (rcl_interfaces/msg/IntegerRange, FloatingPointRange).
+    """Range of a numeric parameter, both ends included (rcl_interfaces/msg/IntegerRange, FloatingPointRange).
 
-    With a `step` (above 0) they are counted from `minimum`; `maximum` is always among them. No end is NaN.
+    With a `step` (above 0), values are counted from `minimum`; `maximum` is always valid. No end is NaN.
     """
 
     minimum: int | float
@@ -44,11 +44,11 @@ class Range:
     step: int | float | None = None
 
     def contains(self, value: int | float) -> bool:
-        """Whether a number lies within, on a step or not."""
+        """Whether a number is within the ends, on a step or not."""
         return self.minimum <= value <= self.maximum
 
     def is_on_step(self, value: int | float) -> bool:
-        """Whether a number within lies on a step; floats nearly so, as ROS 2 takes them."""
+        """Whether a number within the ends is on a step; floats approximately, as in ROS 2."""
         if self.step is None or value == self.maximum:
             return True
         if isinstance(value, int) and isinstance(self.minimum, int) and isinstance(self.step, int):
@@ -62,7 +62,7 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """One of the values that a parameter may have (dynamic_reconfigure): what it is called, and what it is about."""
+    """One of a parameter's possible values (dynamic_reconfigure): its name and its description."""
 
     value: bool | int | float | str
     name: str = ""
@@ -71,11 +71,11 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Descriptor:
-    """What a node declares of a parameter (rcl_interfaces/ParameterDescriptor, dynamic_reconfigure/ParamDescription).
+    """A node's declaration of a parameter (rcl_interfaces/ParameterDescriptor, dynamic_reconfigure/ParamDescription).
 
-    `type` is None where the node does not tell, or where the type may change (`dynamic_typing`); the `range` is that of
-    an integer or a double, None for any other type. `constraints` are words about what no range can say. `choices` are
-    of the type, and the only values that it may have; none where it may have others.
+    `type` is None if the node does not report it, or if the type may change (`dynamic_typing`); `range` is for an
+    integer or a double, else None. `constraints` is a text about other constraints. `choices` are the only values
+    allowed, of the declared type; if empty, any value is allowed.
     """
 
     type: ParameterType | None = None
@@ -88,7 +88,7 @@ class Descriptor:
 
 
 def coerce(value: ParameterValue, type: ParameterType) -> ParameterValue | None:
-    """Return the value as one of this type, None where it is none: 1 is a double too, and 1.0 an integer."""
+    """Return the value converted to this type, or None: 1 is also a double, and 1.0 also an integer."""
     element = _ELEMENTS.get(type)
     if element is None:
         return _octets(value) if type is ParameterType.BYTE_ARRAY else _scalar(value, type)
@@ -131,5 +131,5 @@ def _double(value: int | float) -> float | None:
 
 
 def _octets(value: ParameterValue) -> bytes | None:
-    """Return octets; an empty list is one of any type."""
+    """Return octets or None; an empty list is valid for any array type."""
     return value if isinstance(value, bytes) else b"" if value == [] else None

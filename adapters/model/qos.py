@@ -1,4 +1,4 @@
-"""Quality of service of publishers and subscribers (ROS 2): written as text, and what does not fit together. Pure."""
+"""Quality of service of publishers and subscribers (ROS 2): its text form, and incompatibilities. No I/O."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _LONGEST = 1e9
 
 @dataclass(frozen=True, slots=True)
 class Qos:
-    """A profile, in the words of rmw; None (and 0 of `depth`) is what the middleware does not tell.
+    """A profile, in the terms of rmw; None (and a `depth` of 0) is unknown.
 
-    Times are nanoseconds; None of a deadline, a lifespan or a lease is "for ever".
+    Times are in nanoseconds; a deadline, lifespan or lease of None is infinite.
     """
 
     reliability: str | None = None
@@ -42,9 +42,9 @@ class Qos:
 
 
 def read_profile(text: str) -> Qos:
-    """Return the profile that a text such as `best_effort,volatile,depth:5,deadline:0.1` says; times are in seconds.
+    """Return the profile in a text such as `best_effort,volatile,depth:5,deadline:0.1`; times are in seconds.
 
-    Every policy is said at most once and may be left out. Raises ValueError naming the word that is wrong.
+    Every policy may be omitted and must not be repeated. Raises ValueError naming the invalid word.
     """
     said: dict[str, str | int] = {}
     for word in text.split(","):
@@ -84,7 +84,7 @@ def _nanoseconds(text: str) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """A subscriber that never hears a publisher: `policy` is the first that does not fit, with both their words."""
+    """A subscriber that cannot receive from a publisher: `policy` is the first incompatible one, with both values."""
 
     publisher: str
     subscriber: str
@@ -96,10 +96,10 @@ class Mismatch:
 def mismatches(
     publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint], limit: int | None = None
 ) -> tuple[Mismatch, ...]:
-    """The pairs of one topic that do not fit, each once and at most `limit`.
+    """Return the incompatible pairs of one topic, each once and at most `limit`.
 
-    DDS 1.4, 2.2.3: what is requested must not be more than is offered. Two endpoints of one node with which a third
-    fits as little are one.
+    DDS 1.4, 2.2.3: the requested quality must not exceed the offered one. Endpoints of one node with the same
+    incompatibility count as one.
     """
     found = (
         Mismatch(publisher, subscriber, *words)
@@ -119,9 +119,9 @@ def mismatch_count(publishers: Sequence[Endpoint], subscribers: Sequence[Endpoin
 def _unfit_profiles(
     publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint]
 ) -> Iterator[tuple[Sequence[str], Sequence[str], tuple[str, str, str]]]:
-    """The nodes of publishers and of subscribers between whose profiles the first policy that does not fit is this.
+    """Yield the nodes of publishers and subscribers with incompatible profiles, and the first incompatible policy.
 
-    Looked for once for two profiles: the many endpoints of a topic like /rosout have few between them.
+    Each pair of profiles is compared once: the many endpoints of a topic like /rosout have few profiles.
     """
     requested = _by_profile(subscribers)
     for offer, offering in _by_profile(publishers).items():
@@ -131,7 +131,7 @@ def _unfit_profiles(
 
 
 def _by_profile(endpoints: Sequence[Endpoint]) -> Mapping[Qos, Sequence[str]]:
-    """The nodes of endpoints by what of their profiles can fail to fit."""
+    """Return the nodes of endpoints by the part of their profiles that can be incompatible."""
     found: dict[Qos, list[str]] = {}
     for endpoint in endpoints:
         if endpoint.qos is not None:

@@ -1,7 +1,7 @@
-"""RIHS01: the hash by which ROS 2 tells types apart (REP 2011, "Type Version Hash"). Pure.
+"""RIHS01, the hash of types in ROS 2 (REP 2011, "Type Version Hash"). No I/O.
 
-It is the SHA-256 of a description of the type and of all it nests, written as JSON: names and types of fields, but
-neither constants nor defaults. Services and actions are described with the types that ROS derives from them.
+It is the SHA-256 of a JSON description of the type and of all it nests: names and types of fields, but neither
+constants nor defaults. Services and actions are described with the types that ROS derives from them.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ _DERIVED = {
 def message_hash(name: str, types: Mapping[str, MessageType]) -> str:
     """Return the hash of a message type; `types` is closed.
 
-    Raises KeyError naming what lacks, RecursionError naming what is nested in itself.
+    Raises KeyError naming a missing type, RecursionError naming a type that contains itself.
     """
     nested: dict[str, MessageType] = {}
     _collect_nested(name, types, nested)
@@ -74,12 +74,12 @@ def message_hash(name: str, types: Mapping[str, MessageType]) -> str:
 
 
 def service_hash(name: str, types: Mapping[str, MessageType]) -> str:
-    """Return the hash of a service type; `types` holds its two halves and all that they nest."""
+    """Return the hash of a service type; `types` contains its two messages and all that they nest."""
     return message_hash(name, {**_DERIVED, **types, **_service(name)})
 
 
 def action_hash(name: str, types: Mapping[str, MessageType]) -> str:
-    """Return the hash of an action type; `types` holds its three parts and all that they nest."""
+    """Return the hash of an action type; `types` contains its three messages and all that they nest."""
     goal, result, feedback = (Nested(f"{name}_{part}") for part in ("Goal", "Result", "Feedback"))
     send, get, message = f"{name}_SendGoal", f"{name}_GetResult", f"{name}_FeedbackMessage"
     made = (
@@ -114,7 +114,7 @@ def _service(name: str) -> Mapping[str, MessageType]:
 def _collect_nested(
     name: str, types: Mapping[str, MessageType], found: dict[str, MessageType], above: tuple[str, ...] = ()
 ) -> None:
-    """Add to `found` the types that a type nests, each looked at once."""
+    """Add the types that a type nests to `found`."""
     if name in above:
         raise RecursionError(f"{name} is nested in itself")
     for field in types[name].fields:

@@ -1,8 +1,8 @@
 """Schemas of messages, services and actions, self-contained and immutable, and samples of messages.
 
-Names are rosbags' (`geometry_msgs/msg/Twist`, `std_srvs/srv/Trigger`) for ROS 1 and ROS 2 alike. The two halves
-of a service are messages named `std_srvs/srv/Trigger_Request` and `std_srvs/srv/Trigger_Response`; the three of an
-action are named alike (`ActionSchema`).
+Names are those of rosbags (`geometry_msgs/msg/Twist`, `std_srvs/srv/Trigger`) for both ROS 1 and ROS 2. The two
+messages of a service are named `std_srvs/srv/Trigger_Request` and `std_srvs/srv/Trigger_Response`; the three of an
+action are named similarly (`ActionSchema`).
 """
 
 from __future__ import annotations
@@ -22,21 +22,20 @@ class Encoding(Enum):
 
 _TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 _MAX_TRANSFORMS = 32
-"""Messages with transforms of one publisher: together they hold its frames, and the newest may hold just one."""
+"""Number of a publisher's transform messages that are stored: the newest alone may lack frames."""
 
 
 def latched_depth(type_name: str) -> int:
-    """Number of latched messages to keep per publisher; transforms add up, so more than one counts."""
+    """Return how many latched messages to store per publisher: several for transforms, which add up."""
     return _MAX_TRANSFORMS if type_name in _TRANSFORMS else 1
 
 
 class Sample(NamedTuple):
     """One message as received: owned bytes, never a view of a receive buffer.
 
-    Identity: (publisher, epoch, sequence) tells two samples of one topic apart.
-    `sequence` counts this publisher's messages on this topic from 1 as this side saw them; `epoch` rises
-    when that count begins anew (a loop of a recording, a restarted node); `received_ns` is wall-clock time
-    in nanoseconds (for a recording: when it was recorded).
+    (publisher, epoch, sequence) identifies a sample of a topic. `sequence` counts this publisher's messages on this
+    topic from 1, as received; `epoch` increases when the count restarts (a loop of a recording, a restarted node);
+    `received_ns` is wall-clock time in nanoseconds (in a recording: the recorded time).
     """
 
     data: bytes
@@ -82,7 +81,7 @@ class Array:
 
     @property
     def most(self) -> int | None:
-        """The greatest number of elements; None for any number."""
+        """Maximum number of elements, or None."""
         return self.bound if self.length is None else self.length
 
 
@@ -95,9 +94,9 @@ Default: TypeAlias = "Scalar | tuple[Scalar, ...]"
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field: its ROS name, its type, and the attribute that holds it on a decoded message.
+    """A field: its ROS name, its type, and its attribute of a decoded message.
 
-    `default` is the value that its definition gives it where nobody does; None is zero, or empty.
+    `default` is the default value in its definition; None is zero or empty.
     """
 
     name: str
@@ -117,7 +116,7 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class MessageType:
-    """The layout of one message type. Types without fields have none (the wire's dummy member is not shown)."""
+    """Layout of a message type. Types without fields have none here, despite their dummy member in CDR."""
 
     name: str
     fields: tuple[Field, ...]
@@ -127,26 +126,26 @@ class MessageType:
 class Message(Protocol):
     """A decoded message: an object whose attributes are its fields.
 
-    Numbers are Python's; a string is `str` (bytes that are not UTF-8 come as surrogate escapes); a nested
-    message is a message; an array of numbers or bools is a read-only numpy array, any other array a list.
+    Numbers are Python's; a string is `str` (bytes that are not UTF-8 are surrogate escapes); a nested message is a
+    message; an array of numbers or bools is a read-only numpy array, any other array a list.
     """
 
     __msgtype__: str
 
 
 class Codec(Protocol):
-    """Turns bytes into messages and back for all types of one schema."""
+    """Converts between bytes and messages for all types of a schema."""
 
     def decode(self, data: bytes, encoding: Encoding) -> Message:
-        """Return the message in `data`. Raises ValueError for bytes that are no message of this type."""
+        """Return the message in `data`. Raises ValueError if it is not a message of this type."""
         ...
 
     def encode(self, message: Message, encoding: Encoding) -> bytes:
-        """Return the bytes of `message`. Raises ValueError naming the field that does not fit."""
+        """Return the bytes of `message`. Raises ValueError with the name of a field that does not fit."""
         ...
 
     def build(self, type_name: str, values: Mapping[str, object]) -> Message:
-        """Return a message of a type of this schema from its attributes' values, which must be complete and right."""
+        """Return a message of a type of this schema with these attributes, which must be complete and valid."""
         ...
 
 
@@ -154,9 +153,9 @@ class Codec(Protocol):
 class MessageSchema:
     """A message type with everything needed to read, write and describe it.
 
-    `types` is closed: it holds the type itself (under `ref.name`) and every type nested in it. `definition` is the
-    text as ROS has it (dependencies appended after `===` lines). Two schemas of one `ref` are interchangeable,
-    and a hash is always set.
+    `types` is closed: it contains the type itself (under `ref.name`) and every type nested in it. `definition` is the
+    text in ROS's format (dependencies appended after `===` lines). Two schemas of one `ref` are interchangeable, and a
+    hash is always set.
     """
 
     ref: TypeRef
@@ -198,7 +197,7 @@ Schema: TypeAlias = MessageSchema | ServiceSchema | ActionSchema
 
 
 def halves_of(schema: Schema) -> tuple[MessageSchema, ...]:
-    """The messages that a type is made of: itself, the two of a service, the goal, result and feedback of an action."""
+    """Return the messages of a type: itself, the two of a service, or goal, result and feedback of an action."""
     if isinstance(schema, ServiceSchema):
         return schema.request, schema.response
     if isinstance(schema, ActionSchema):

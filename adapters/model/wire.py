@@ -1,8 +1,8 @@
-"""The wire formats read and written field by field: slow, exact, and at ease with strings that are not UTF-8.
+"""Wire formats, read and written field by field: slow and exact, including strings that are not UTF-8.
 
-rosbags' compiled serialisers come first (`codec.py`); this is the fallback for what they refuse. Strings are
-decoded with surrogate escapes, so that any bytes survive. ROS 1: little endian, no alignment, strings without a
-terminator. CDR (XCDR1): a four-byte head, primitives aligned to their size, strings with a terminating NUL.
+A fallback for messages that rosbags' compiled serializers (`codec.py`) reject. Strings are decoded with surrogate
+escapes, so that any bytes are preserved. ROS 1: little endian, no alignment, strings without a terminator. CDR (XCDR1):
+a four-byte header, primitives aligned to their size, strings with a terminating NUL.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _DTYPES = {"bool": "?", "byte": "i1", "char": "u1", "int8": "i1", "uint8": "u1",
 
 
 class Reader:
-    """Reads one message from bytes; every method raises ValueError when the bytes end too soon."""
+    """Reads one message from bytes. Methods raise ValueError if the bytes are truncated."""
 
     def __init__(self, data: bytes, encoding: Encoding, types: Mapping[str, MessageType], build: Build) -> None:
         self._cdr = encoding is Encoding.CDR
@@ -49,14 +49,14 @@ class Reader:
         self._build = build
 
     def message(self, name: str) -> Message:
-        """Return the message of type `name` that begins here."""
+        """Return the message of type `name` at the current position."""
         fields = self._types[name].fields
         if not fields and self._cdr:
             self._take(1)
         return self._build(name, {field.attribute: self._value(field.type) for field in fields})
 
     def end(self) -> None:
-        """Raise ValueError unless everything (but CDR's padding) was read."""
+        """Raise ValueError unless everything (except CDR's padding) was read."""
         left = len(self._data) - self._position
         if left > (3 if self._cdr else 0):
             raise ValueError(f"{left} bytes are left over after the message")
@@ -109,7 +109,7 @@ class Reader:
 
 
 class Writer:
-    """Writes one message to bytes; raises ValueError naming what does not fit."""
+    """Writes one message to bytes. Raises ValueError naming a field that does not fit."""
 
     def __init__(self, encoding: Encoding, types: Mapping[str, MessageType]) -> None:
         self._cdr = encoding is Encoding.CDR

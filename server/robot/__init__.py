@@ -1,1 +1,1 @@
-"""The robot's state at run time: the session, live topics, publishing, calls, goals, holds, the stop."""
+"""Run-time state of the robot: the session, live topics, publishing, calls, goals, holds and the stop."""

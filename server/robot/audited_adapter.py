@@ -1,4 +1,4 @@
-"""The adapter as the server uses it: each write passes the interlock, and is noted in the audit of its request."""
+"""The adapter as the server uses it: each write passes the interlock and is recorded in the audit of its request."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rosld.server.runtime.dry_run import is_dry_run
 
 
 class _CountedSubscription:
-    """A subscription that is counted until it is closed; what reads it is the adapter's own."""
+    """A subscription that counts as open until it is closed; reads go to the adapter's subscription directly."""
 
     def __init__(self, inner: Subscription, topic: str, counts: Counter[str]) -> None:
         self.latest = inner.latest
@@ -37,7 +37,7 @@ class _CountedSubscription:
 
 @contextmanager
 def errors_about(*urls: str) -> Iterator[None]:
-    """Add these URLs to what a ROS error is about, unless the error is that the robot is stopped."""
+    """Add these URLs to the subjects of a ROS error, unless the robot is stopped."""
     try:
         yield
     except RosError as error:
@@ -48,7 +48,7 @@ def errors_about(*urls: str) -> Iterator[None]:
 
 @contextmanager
 def _step(does: str, url: str) -> Iterator[None]:
-    """Record a step of a write, whose ROS errors are about its URL."""
+    """Record a step of a write, and add its URL to ROS errors."""
     record_step(does, url)
     with errors_about(url):
         yield
@@ -57,12 +57,11 @@ def _step(does: str, url: str) -> Iterator[None]:
 class AuditedAdapter:
     """An `Adapter` behind the interlock that records each write in the audit context of its request.
 
-    ROS errors of a write carry the URLs of what they are about.
+    ROS errors of a write carry the URLs of their subjects. In a dry run a publish returns its likely outcome, and every
+    other write ends the run; nothing is sent.
 
-    In a dry run a publish has its likely outcome, and every other write ends the run; nothing is sent.
-
-    `inner` is the adapter itself, for what reads by calling (getters). `published` are the topics that were published
-    to, until they are no longer advertised; `subscriptions` counts those that are open, by topic.
+    `inner` is the wrapped adapter, for reads that call services (getters). `published` are the topics published to,
+    until they are no longer advertised; `subscriptions` counts the open ones by topic.
     """
 
     def __init__(self, inner: Adapter, interlock: WriteInterlock, space: Space) -> None:
@@ -111,71 +110,71 @@ class AuditedAdapter:
     async def publish_for_hold(
         self, topic: str, type: TypeRef, data: bytes, *, deadline: float, passes_stop: bool = False
     ) -> Published:
-        """Return `Adapter.publish` for the hold of the topic. `passes_stop`: also while the robot is stopped."""
+        """Publish for the hold of the topic (see `Adapter.publish`). `passes_stop`: also while the robot is stopped."""
         self.published.add(topic)
         run = self._interlock.run_always if passes_stop else self._interlock.run
         return await run(lambda: self.inner.publish(topic, type, data, deadline=deadline))
 
     async def publish_always(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
-        """Return `Adapter.publish`, also while the robot is stopped: for what ends a hold, or stops the robot."""
+        """Publish even while the robot is stopped, to end a hold or stop the robot (see `Adapter.publish`)."""
         self.published.add(topic)
         return await self._interlock.run_always(lambda: self.inner.publish(topic, type, data, deadline=deadline))
 
     async def call_always(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Return `Adapter.call`, also while the robot is stopped: for what stops it."""
+        """Call a service even while the robot is stopped, to stop it (see `Adapter.call`)."""
         return await self._interlock.run_always(lambda: self.inner.call(service, type, request, deadline=deadline))
 
     async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
-        """Advertise as `Adapter.advertise`, also while the robot is stopped: it sends nothing."""
+        """Advertise even while the robot is stopped, as this sends nothing (see `Adapter.advertise`)."""
         self.published.add(topic)
         await self._interlock.run_always(lambda: self.inner.advertise(topic, type, deadline=deadline))
 
     async def unadvertise(self, topic: str) -> None:
-        """`Adapter.unadvertise`; raises TopicHeld while somebody holds the topic."""
+        """Stop advertising (see `Adapter.unadvertise`). Raises TopicHeld while an agent holds the topic."""
         record_step(f"stop advertising {topic}", self._space.topic(topic))
         self._interlock.require_free(topic)
         await self._interlock.run(lambda: self.inner.unadvertise(topic))
         self.published.discard(topic)
 
     async def unadvertise_always(self, topic: str) -> None:
-        """`Adapter.unadvertise`, also while the robot is stopped: for what was advertised to stop it."""
+        """Stop advertising, even while the robot is stopped, a topic advertised to stop it."""
         await self._interlock.run_always(lambda: self.inner.unadvertise(topic))
         self.published.discard(topic)
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Return `Adapter.call`."""
+        """See `Adapter.call`."""
         with _step(f"call {service} ({type.name})", self._space.service(service)):
             return await self._interlock.run(lambda: self.inner.call(service, type, request, deadline=deadline))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """Return `Adapter.send_goal`."""
+        """See `Adapter.send_goal`."""
         with _step(f"send a goal to {action} ({type.name})", self._space.action(action)):
             return await self._interlock.run(lambda: self.inner.send_goal(action, type, goal, deadline=deadline))
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """`Adapter.cancel_goal`, also while the robot is stopped: it ends what moves."""
+        """Cancel a goal even while the robot is stopped, as this ends motion (see `Adapter.cancel_goal`)."""
         with _step(f"cancel the goal {goal.id} of {goal.action}", self._space.action(goal.action)):
             await self._interlock.run_always(lambda: self.inner.cancel_goal(goal, deadline=deadline))
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
-        """`Adapter.cancel_goals`, also while the robot is stopped: it ends what moves."""
+        """Cancel goals even while the robot is stopped, as this ends motion (see `Adapter.cancel_goals`)."""
         with _step(f"cancel all goals of {action}", self._space.action(action)):
             await self._interlock.run_always(lambda: self.inner.cancel_goals(action, deadline=deadline))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """`Adapter.change_state`."""
+        """See `Adapter.change_state`."""
         record_step(f"have {node} {transition}", self._space.node(node))
         await self._interlock.run(lambda: self.inner.change_state(node, transition, deadline=deadline))
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """`Adapter.set_parameters`."""
+        """See `Adapter.set_parameters`."""
         for name in values:
             record_step(f"set the parameter {name}", self._space.parameter(name))
         with errors_about(*map(self._space.parameter, values)):
             await self._interlock.run(lambda: self.inner.set_parameters(values, deadline=deadline))
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """`Adapter.delete_parameters`."""
+        """See `Adapter.delete_parameters`."""
         for name in names:
             record_step(f"delete the parameter {name}", self._space.parameter(name))
         await self._interlock.run(lambda: self.inner.delete_parameters(names, deadline=deadline))
@@ -184,61 +183,61 @@ class AuditedAdapter:
 
     @property
     def capabilities(self) -> Capabilities:
-        """`Adapter.capabilities`."""
+        """See `Adapter.capabilities`."""
         return self.inner.capabilities
 
     @property
     def graph(self) -> Graph:
-        """`Adapter.graph`."""
+        """See `Adapter.graph`."""
         return self.inner.graph
 
     @property
     def recordings(self) -> Mapping[str, Recording]:
-        """`Adapter.recordings`."""
+        """See `Adapter.recordings`."""
         return self.inner.recordings
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
-        """`Adapter.open`."""
+        """See `Adapter.open`."""
         await self.inner.open(sink, deadline=deadline)
 
     async def close(self) -> None:
-        """`Adapter.close`."""
+        """See `Adapter.close`."""
         await self.inner.close()
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
-        """Return `Adapter.allows`."""
+        """See `Adapter.allows`."""
         return self.inner.allows(ref)
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
-        """Return `Adapter.schema`."""
+        """See `Adapter.schema`."""
         return await self.inner.schema(ref, deadline=deadline)
 
     def known_types(self) -> Sequence[TypeRef]:
-        """Return `Adapter.known_types`."""
+        """See `Adapter.known_types`."""
         return self.inner.known_types()
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
-        """Return `Adapter.subscribe`."""
+        """See `Adapter.subscribe`."""
         return _CountedSubscription(await self.inner.subscribe(topic, depth=depth), topic, self.subscriptions)
 
     def age_ns(self, sample: Sample) -> int:
-        """Return `Adapter.age_ns`."""
+        """See `Adapter.age_ns`."""
         return self.inner.age_ns(sample)
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """Return `Adapter.follow_goals`."""
+        """See `Adapter.follow_goals`."""
         return await self.inner.follow_goals(action, deadline=deadline)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return `Adapter.get_parameters`."""
+        """See `Adapter.get_parameters`."""
         return await self.inner.get_parameters(names, deadline=deadline)
 
 
 async def has_other_values(adapter: AuditedAdapter, asked: Mapping[str, ParameterValue], *, deadline: float) -> bool:
     """Whether a node changed a requested value.
 
-    Only parameters that nodes declare are read again: others always keep the value set. A value that cannot be read now
-    counts as set.
+    Only parameters that nodes declare are read again: others always retain the value set. A value that cannot be read
+    now counts as set.
     """
     parameters = adapter.graph.parameters
     declared = [name for name in asked if name in parameters and parameters[name].descriptor is not None]

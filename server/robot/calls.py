@@ -1,4 +1,4 @@
-"""Calls of services: each is a resource that outlives its request, kept within a number and an age."""
+"""Service calls: resources that outlive their requests, limited in number and age."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rosld.server.runtime.tasks import Signal, end_tasks
 
 
 class CallState(Enum):
-    """The state of a call; the values are terms of the vocabulary."""
+    """State of a call; the values are terms of the vocabulary."""
 
     RUNNING = "Running"
     SUCCEEDED = "Succeeded"
@@ -32,7 +32,7 @@ class CallState(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Call:
-    """One call: immutable, replaced by its next state. Times are wall-clock nanoseconds."""
+    """A call: immutable, replaced by its next state. Times are wall-clock nanoseconds."""
 
     id: str
     service: str
@@ -55,26 +55,26 @@ class CallOutcome:
 
 
 class UnreadableResponse(RosError):
-    """The node answered with bytes that are no response of the service's type."""
+    """The node answered with bytes that are not a response of the service's type."""
 
 
 class IdempotencyKeyReused(ValueError):
-    """An Idempotency-Key came again with another request."""
+    """An Idempotency-Key was used again with another request."""
 
 
 class Gone(LookupError):
-    """The call existed and is no longer kept."""
+    """The call existed but is no longer stored."""
 
 
 _REMEMBERED_IDS = 10_000
 LATE_SECONDS = 60.0
-"""How long after its deadline an answer is still taken."""
+"""Seconds after its deadline during which a response is still accepted."""
 
 
 class Calls:
-    """The calls made through rosld: each continues when its caller stops waiting, and takes a late response.
+    """The calls made through rosld: each continues when its caller stops waiting, and accepts a late response.
 
-    `settled` is called with the service when a call has ended, before its caller continues.
+    `on_ended` is called with the service when a call has ended, before its caller continues.
     """
 
     def __init__(self, adapter: Adapter, on_ended: Callable[[str], None], *, limit: int, age: float) -> None:
@@ -90,24 +90,24 @@ class Calls:
         self.changes = Signal()
 
     def all(self) -> Sequence[Call]:
-        """Return the calls kept, oldest first."""
+        """Return the stored calls, oldest first."""
         self._forget_old()
         return list(self._calls.values())
 
     def find(self, id: str) -> Call:
-        """A call by its id; raises Gone for one that was deleted or is too old, KeyError for one that never was."""
+        """Return a call by its id. Raises Gone for a deleted or expired call, KeyError for an unknown one."""
         self._forget_old()
         if id in self._gone:
             raise Gone(id)
         return self._calls[id]
 
     def service_of(self, id: str) -> str | None:
-        """Return the service of a call, empty for one that is gone, None for one that never was; any thread may ask."""
+        """Return the service of a call, "" for a removed call, None for an unknown one (thread-safe)."""
         call = self._calls.get(id)
         return call.service if call is not None else "" if id in self._gone else None
 
     def delete(self, id: str) -> None:
-        """Forget a call; raises as `find`. A running one goes on, its answer is dropped."""
+        """Remove a call; the response of a running one is dropped. Raises as `find`."""
         record_step(f"forget the call {self.find(id).id}")
         end_dry_run()
         self._drop(id)
@@ -121,10 +121,10 @@ class Calls:
         deadline: float,
         sender: Sender | None = None,
     ) -> CallOutcome:
-        """Call and wait until `deadline`; the call goes on after that, and after its caller has gone.
+        """Call and wait until `deadline`; the call continues after that, and after its caller has disconnected.
 
-        Raises ValueError where the request cannot be encoded: then nothing was sent. A dry run keeps no call, and
-        raises what the adapter raises.
+        Raises ValueError, with nothing sent, if the request cannot be encoded. A dry run stores no call, and raises
+        what the adapter raises.
         """
         data = schema.request.codec.encode(request, self._adapter.capabilities.encoding)
         if is_dry_run():
@@ -154,9 +154,9 @@ class Calls:
         deadline: float,
         sender: Sender | None = None,
     ) -> CallOutcome:
-        """As `call`, but a second call with the same key gets the outcome of the first.
+        """Call as `call` does, but return the outcome of the first call for a second one with the same key.
 
-        Raises IdempotencyKeyReused where its request is another one.
+        Raises IdempotencyKeyReused if the requests differ.
         """
         digest = hashlib.blake2b(body).digest()
         known = self._keyed.get((service, key))
@@ -175,11 +175,11 @@ class Calls:
         return CallOutcome(self._calls.get(outcome.call.id, outcome.call), outcome.error)
 
     async def stop(self) -> None:
-        """Wait for nothing more: calls that still run are left to the robot."""
+        """Stop waiting; running calls are left to the robot."""
         await end_tasks(self._running)
 
     async def _settle(self, call: Call, data: bytes, deadline: float) -> RosError | None:
-        """Take the answer, whenever it comes; the error where there is none."""
+        """Wait for the response; return the error if the call failed."""
         try:
             return await self._answer(call, data, deadline)
         finally:

@@ -1,4 +1,4 @@
-"""Diagnostics: what the parts of a robot say of themselves, as states with words. Pure but for `LevelTimes`."""
+"""Diagnostics: states that the parts of a robot report about themselves. Pure except for `LevelTimes`."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from rosld.adapters.model import Message
 
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 STALE_SECONDS = 5.0
-"""How long a part may be silent before what it said is stale, as the aggregator of ROS has it."""
+"""Seconds without a report after which a part is stale, as in the aggregator of ROS."""
 _MAX_KEPT = 10_000
 
 
 class Level(IntEnum):
-    """The levels of diagnostic_msgs/DiagnosticStatus."""
+    """Levels of diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -25,7 +25,7 @@ class Level(IntEnum):
 
 
 SEVERITY: Mapping[Level, int] = {Level.ERROR: 3, Level.STALE: 2, Level.WARN: 1, Level.OK: 0}
-"""The worst first: what is silent may hide anything."""
+"""Order of levels: a silent part may hide any fault, so stale ranks just below error."""
 
 
 class KeyValue(NamedTuple):
@@ -54,7 +54,7 @@ class DiagnosticState:
 
 
 class LevelChange(NamedTuple):
-    """A moment at which a part came to another level, or said something else, with what it said then."""
+    """A moment at which a part changed its level or message."""
 
     time_ns: int
     level: Level
@@ -62,7 +62,7 @@ class LevelChange(NamedTuple):
 
 
 def read_states(topic: str, message: Message, times: Mapping[str, int], received_ns: int) -> list[DiagnosticState]:
-    """The states of a DiagnosticArray; `times` tells when each name was heard where they were not heard together."""
+    """Return the states of a DiagnosticArray; `times` are the receipt times by name, where they differ."""
     found = []
     for each in cast("Iterable[Any]", getattr(message, "status", ())):
         name, level = str(each.name), _level(each.level)
@@ -74,24 +74,24 @@ def read_states(topic: str, message: Message, times: Mapping[str, int], received
 
 
 def _level(value: object) -> Level:
-    """A level as a message has it; one that does not exist is taken for an error."""
+    """Return the level in a message; an unknown level counts as an error."""
     number = int(cast("int", value)) if not isinstance(value, bytes) else value[0]
     return Level(number) if number in Level.__members__.values() else Level.ERROR
 
 
 def state_at(state: DiagnosticState, now_ns: int, period: float) -> DiagnosticState:
-    """The state as of now: stale where nothing was heard for `STALE_SECONDS`, or for three periods of a slow topic."""
+    """Return the state as of now: stale after `STALE_SECONDS` of silence, or three periods of a slow topic."""
     silent = (now_ns - state.received_ns) / 1e9
     return replace(state, level=Level.STALE) if silent > max(STALE_SECONDS, 3 * period) else state
 
 
 def worst_first(states: Iterable[DiagnosticState]) -> Sequence[DiagnosticState]:
-    """Return the worst before all others, of one level what came to it last."""
+    """Return the states, worst level first and, within a level, the most recent change first."""
     return sorted(states, key=lambda each: (-SEVERITY[each.level], -each.since_ns, each.name))
 
 
 def changes_of(said: Iterable[tuple[int, DiagnosticState]]) -> Sequence[LevelChange]:
-    """Return the changes in what one part said, the newest first; `said` is in order of time."""
+    """Return the changes in the reports of one part, newest first; `said` is in order of time."""
     found: list[LevelChange] = []
     for time_ns, state in said:
         if not found or (found[-1].level, found[-1].message) != (state.said, state.message):
@@ -100,13 +100,13 @@ def changes_of(said: Iterable[tuple[int, DiagnosticState]]) -> Sequence[LevelCha
 
 
 class LevelTimes:
-    """Since when each part is at its level, as far as somebody looked."""
+    """The times at which the parts reached their levels, as far as observed."""
 
     def __init__(self) -> None:
         self._since: dict[tuple[str, str], tuple[Level, int]] = {}
 
     def note(self, state: DiagnosticState, now_ns: int) -> DiagnosticState:
-        """Return the state with its time: that at which it was heard first at this level."""
+        """Return the state with the time at which this level was first observed."""
         key = state.topic, state.name
         known = self._since.pop(key, None)
         if known is None or known[0] is not state.level:

@@ -1,4 +1,4 @@
-"""The goals that are kept, within a number and an age, and the names that URLs have for them."""
+"""Storage of goals, limited in number and age, and their ids in URLs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rosld.server.robot.calls import Gone
 from rosld.server.runtime.tasks import Signal
 
 MAX_REMEMBERED = 10_000
-"""Goals of which it is remembered that they are gone."""
+"""Maximum number of removed goals that are remembered as such."""
 _PLAIN = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _NOT_PLAIN = re.compile(r"[^A-Za-z0-9_-]+")
 _MAX_ID_LENGTH = 48
@@ -23,7 +23,7 @@ _MAX_ID_LENGTH = 48
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Feedback:
-    """A message that a server of an action sent, and when it came."""
+    """The latest feedback message of an action server, and its time of receipt."""
 
     message: Message
     received_ns: int
@@ -32,7 +32,7 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Goal:
-    """One goal: immutable, replaced by its next state, compared by identity.
+    """A goal: immutable, replaced by its next state, compared by identity.
 
     `key` is None for a goal that was rejected when sent. Times are wall-clock nanoseconds. Undecodable messages are
     left out, with the reason in `unreadable`.
@@ -56,15 +56,15 @@ class Goal:
 
     @property
     def is_cancelable(self) -> bool:
-        """Whether asking for it to be canceled may still change anything."""
+        """Whether a request to cancel it may still have an effect."""
         return self.status in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
 
 
 class GoalStore:
-    """Goals by their ids. Those that have ended go first where there are too many.
+    """Goals by id; above the limit, ended goals are removed first.
 
-    What was deleted, or has become too old, is not learnt again from who still tells of it. `changes` tells the action
-    and the id of each goal that is another now, `revision` counts them.
+    Deleted and expired goals are not added again by later events. `changes` is emitted with the action and the id of
+    each changed goal, `revision` counts the changes.
     """
 
     def __init__(self, *, limit: int, age: float) -> None:
@@ -78,19 +78,19 @@ class GoalStore:
         self.changes = Signal()
 
     def all(self) -> Sequence[Goal]:
-        """Return the goals kept, oldest first."""
+        """Return the stored goals, oldest first."""
         self._forget_old()
         return list(self._goals.values())
 
     def find(self, id: str) -> Goal:
-        """A goal by its id; raises Gone for one that was deleted or is too old, KeyError for one that never was."""
+        """Return a goal by its id. Raises Gone for a deleted or expired goal, KeyError for an unknown one."""
         self._forget_old()
         if id in self._gone:
             raise Gone(id)
         return self._goals[id]
 
     def current(self, action: str) -> Goal | None:
-        """The newest goal of an action that has not ended; the last one where all have."""
+        """Return the newest goal of an action that has not ended, or else the last goal."""
         newest = [goal for goal in reversed(self._goals.values()) if goal.action == action]
         return next((goal for goal in newest if not goal.status.is_final), newest[0] if newest else None)
 
@@ -99,25 +99,25 @@ class GoalStore:
         return self._goals.get(id)
 
     def action_of(self, id: str) -> str | None:
-        """Return the action of a goal, empty for one that is gone, None for one that never was; any thread may ask."""
+        """Return the action of a goal, "" for a removed goal, None for an unknown one (thread-safe)."""
         goal = self._goals.get(id)
         return goal.action if goal is not None else "" if id in self._gone else None
 
     def of_key(self, key: GoalId) -> Goal | None:
-        """Return the goal that the robot calls so."""
+        """Return the goal with this key."""
         return self._goals.get(self._ids.get(key, ""))
 
     def is_dropped(self, key: GoalId) -> bool:
-        """Whether nothing more is to be learnt of a goal."""
+        """Whether the goal was removed, so that later events are ignored."""
         return key in self._dropped
 
     def delete(self, id: str) -> None:
-        """Forget a goal; raises as `find`."""
+        """Remove a goal; raises as `find`."""
         self.find(id)
         self._drop(id)
 
     def keep(self, goal: Goal) -> None:
-        """Keep a goal, or its next state."""
+        """Store a goal, or its next state."""
         self._goals[goal.id] = goal
         if goal.key is not None:
             self._ids[goal.key] = goal.id

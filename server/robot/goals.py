@@ -1,4 +1,4 @@
-"""Goals of actions: resources that outlive their requests, within a number and an age, followed while they are read."""
+"""Goals of actions: resources that outlive their requests, limited in number and age, and updated while read."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SWEEP = 1.0
 
 
 class GoalFollower:
-    """Follows actions while somebody looks at them, and for `idle` seconds after that. Belongs to one loop."""
+    """Follower of actions while clients read them, and for `idle` seconds after that. Belongs to one loop."""
 
     def __init__(self, adapter: Adapter, idle: float) -> None:
         self._adapter = adapter
@@ -45,18 +45,18 @@ class GoalFollower:
         self._sweeper: asyncio.Task[None] | None = None
 
     def start(self) -> None:
-        """Begin; needs a running loop."""
+        """Start following; requires a running loop."""
         self._sweeper = asyncio.get_running_loop().create_task(self._sweep_for_ever())
 
     async def stop(self) -> None:
-        """Follow nothing more."""
+        """Stop following."""
         if self._sweeper is not None:
             await end_tasks([self._sweeper])
         for action in list(self._followed):
             self._unfollow(action)
 
     async def follow(self, action: str, *, deadline: float) -> bool:
-        """Follow all goals of an action from now on; return whether they are followed. The first call waits."""
+        """Follow all goals of an action; return whether this succeeded. The first call waits."""
         following = self._followed.get(action)
         if following is None:
             opening = asyncio.ensure_future(self._adapter.follow_goals(action, deadline=deadline))
@@ -71,13 +71,13 @@ class GoalFollower:
         return True
 
     def is_followed(self, action: str) -> bool:
-        """Whether all goals of an action are announced now."""
+        """Whether all goals of an action are currently followed."""
         following = self._followed.get(action)
         opening = None if following is None else following.opening
         return opening is not None and opening.done() and not opening.cancelled() and opening.exception() is None
 
     def keep_following(self, action: str, watch: Watch) -> Watch:
-        """Return the watch, with its action followed, if it is, until it is closed."""
+        """Return a watch that keeps its action followed, if it is followed, until it is closed."""
         return _GoalWatch(self._followed.get(action), watch)
 
     async def _sweep_for_ever(self) -> None:
@@ -98,7 +98,7 @@ class GoalFollower:
 
 @dataclass(slots=True)
 class _Following:
-    """An action that is followed: the watch of its goals, when it was read last (loop time), how many watch it."""
+    """A followed action: the watch of its goals, the time of the last read (loop time), and the number of watches."""
 
     opening: asyncio.Future[Watch]
     looked_at: float
@@ -150,7 +150,7 @@ class Goals:
     def __init__(
         self, adapter: Adapter, schemas: Callable[[str], ActionSchema | None], *, limit: int, age: float, idle: float
     ) -> None:
-        """`schemas` gives the schema of an action by the action's name, as far as it is at hand."""
+        """Initialize; `schemas` returns the cached schema of an action by its name."""
         self._adapter = adapter
         self._schemas = schemas
         self._most_keys = limit
@@ -163,30 +163,30 @@ class Goals:
 
     @property
     def revision(self) -> int:
-        """The number of changes until now."""
+        """Number of changes so far."""
         return self._store.revision
 
     @property
     def changes(self) -> Signal:
-        """The signal of changed goals, with the action and the id of each."""
+        """Signal of changed goals, emitted with the action and the id of each."""
         return self._store.changes
 
     # All goals
 
     def all(self) -> Sequence[Goal]:
-        """Return the goals kept, oldest first."""
+        """Return the stored goals, oldest first."""
         return self._store.all()
 
     def of_action(self, action: str) -> Sequence[Goal]:
-        """Return the goals kept of one action, oldest first."""
+        """Return the stored goals of one action, oldest first."""
         return [goal for goal in self.all() if goal.action == action]
 
     def current(self, action: str) -> Goal | None:
-        """Return the goal that an action pursues, the newest of several; the last one where it pursues none."""
+        """Return the goal that an action pursues, the newest of several; if none, the last one."""
         return self._store.current(action)
 
     def is_followed(self, action: str) -> bool:
-        """Whether all goals of an action are announced now."""
+        """Whether all goals of an action are currently followed."""
         return self._follower.is_followed(action)
 
     def find(self, id: str) -> Goal:
@@ -194,11 +194,11 @@ class Goals:
         return self._store.find(id)
 
     def action_of(self, id: str) -> str | None:
-        """Return the action of a goal, empty for one that is gone, None for one that never was; any thread may ask."""
+        """Return the action of a goal, "" for a removed goal, None for an unknown one (thread-safe)."""
         return self._store.action_of(id)
 
     def delete(self, id: str) -> None:
-        """Forget a goal; raises as `find`."""
+        """Remove a goal; raises as `find`."""
         record_step(f"forget the goal {self.find(id).id}")
         end_dry_run(204)
         self._store.delete(id)
@@ -208,7 +208,7 @@ class Goals:
     async def send(
         self, action: str, schema: ActionSchema, message: Message, *, deadline: float, sender: Sender | None = None
     ) -> GoalSubmission:
-        """Send a goal; a rejected one is kept as well. Raises ValueError if it cannot be encoded."""
+        """Send a goal, and store it even if it is rejected. Raises ValueError if it cannot be encoded."""
         data = schema.goal.codec.encode(message, self._adapter.capabilities.encoding)
         now = time.time_ns()
         try:
@@ -245,7 +245,7 @@ class Goals:
         deadline: float,
         sender: Sender | None = None,
     ) -> GoalSubmission:
-        """As `send`, but a second goal with the same key is the first; raises IdempotencyKeyReused where it differs."""
+        """Send as `send` does; return the first goal for a repeated key, or raise IdempotencyKeyReused."""
         digest = hashlib.blake2b(body).digest()
         known = self._keyed.get((action, key))
         if known is not None and known[0] != digest:
@@ -263,12 +263,12 @@ class Goals:
         return sent if sent.goal is None else GoalSubmission(self._store.get(sent.goal.id) or sent.goal, sent.error)
 
     async def cancel(self, goal: Goal, *, deadline: float) -> None:
-        """Ask for a goal to be canceled; raises what the adapter raises."""
+        """Request the cancellation of a goal. Raises what the adapter raises."""
         if goal.key is not None:
             await self._adapter.cancel_goal(goal.key, deadline=deadline)
 
     async def wait_ended(self, id: str, *, seconds: float) -> bool:
-        """Wait until a goal has ended, for so long at most; return whether it has."""
+        """Wait up to `seconds` until a goal has ended; return whether it has."""
         return await self._wait_true(
             id, lambda: (goal := self._store.get(id)) is not None and goal.status.is_settled, seconds
         )
@@ -284,7 +284,7 @@ class Goals:
         return self.is_followed(action) and await self._wait_true(action, have_ended, seconds)
 
     async def _wait_true(self, about: str, is_true: Callable[[], bool], seconds: float) -> bool:
-        """Wait until something is true that changes of a goal or an action may make true; return whether it is."""
+        """Wait until a condition on the goals of an action, or on one goal, is true; return whether it is."""
         deadline = asyncio.get_running_loop().time() + seconds
         changed = asyncio.Event()
         watch = self.changes.watch(changed.set, lambda changed: changed == about)
@@ -298,7 +298,7 @@ class Goals:
         finally:
             watch.close()
 
-    # Hearing of goals
+    # Updates
 
     def on_event(self, key: GoalId, event: GoalEvent) -> None:
         """Queue an update about a goal (thread-safe). Pending updates are delivered in one batch."""
@@ -319,7 +319,7 @@ class Goals:
         for key, (event, count) in heard.items():
             try:
                 self._take(key, event, count)
-            except Exception:  # the events of the other goals are taken all the same
+            except Exception:  # the events of other goals are still processed
                 _log.exception("what became known of goal %.100r of %s was not taken", key.id, key.action)
 
     def _take(self, key: GoalId, event: GoalEvent, count: int) -> None:
@@ -336,7 +336,7 @@ class Goals:
             self._store.keep(goal)
 
     def _after(self, goal: Goal, event: GoalEvent, count: int) -> Goal:
-        """Return the goal after an event: no status comes after one that is final, but that of a goal thought lost."""
+        """Return the goal after an event: a final status does not change, except that of a goal thought lost."""
         status = goal.status
         if event.status is not None and (_rank(event.status) >= _rank(status) and not status.is_settled):
             status = event.status
@@ -365,7 +365,7 @@ class Goals:
             return replace(goal, unreadable=str(error))
         return goal
 
-    # Looking at what others do
+    # Following
 
     async def follow(self, action: str, *, deadline: float) -> None:
         """Follow all goals of an action until they have not been read for a while. The first call waits."""
@@ -373,23 +373,23 @@ class Goals:
             self._drain()
 
     def watch(self, action: str, wake: Callable[[], None], id: str | None = None) -> Watch:
-        """Call `wake` when something became known of a goal of an action, or of one goal; it is followed meanwhile."""
+        """Call `wake` after each update about a goal of an action, or about one goal; it is followed meanwhile."""
         wanted = {action} if id is None else {id}
         return self._follower.keep_following(action, self.changes.watch(wake, lambda about: about in wanted))
 
     def start(self) -> None:
-        """Begin; needs a running loop."""
+        """Start following; requires a running loop."""
         self._loop = asyncio.get_running_loop()
         self._follower.start()
         self._loop.call_soon(self._drain)
 
     async def stop(self) -> None:
-        """Follow nothing more; goals that are pursued are left to the robot."""
+        """Stop following; pursued goals are left to the robot."""
         await self._follower.stop()
 
 
 def _is_same(before: Goal, after: Goal) -> bool:
-    """Whether two states of a goal say the same; messages are compared by identity, for they may hold arrays."""
+    """Whether two states of a goal are equal; messages are compared by identity, because they may contain arrays."""
     return all(
         (one is other) if name in _MESSAGES else (one == other)
         for name, one, other in ((name, getattr(before, name), getattr(after, name)) for name in _FIELDS)

@@ -1,6 +1,7 @@
-"""Notes of the holds that go on, on the disk: what ends them when the rosld that published them was killed.
+"""Notes of active holds on disk: how to end them if the rosld that publishes them is killed.
 
-One file a hold, written when it begins or changes what it ends with, removed when it ends; a renewal writes nothing.
+One file per hold, written when it begins or its final message changes, and removed when it ends; renewals write
+nothing.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ from rosld.server.storage.files import remove_note, write_note
 FOLDER = "holds"
 _SUFFIX = ".json"
 _BEGIN_SECONDS = 0.05
-"""Seconds that a hold waits for its note at the begin; on a slower disk it begins without."""
+"""Seconds that a new hold waits for its note; on a slower disk it begins without."""
 
 _log = logging.getLogger("rosld")
 
 
 @dataclass(frozen=True, slots=True)
 class HoldNote:
-    """A hold that goes on. `node` is the rosld that publishes it, by its name in ROS; `type` the type of messages.
+    """An active hold. `node` is the ROS name of the rosld that publishes it; `type` the message type.
 
-    `data` is the message that ends the hold, encoded as the robot's system encodes, None for nothing; `then` is what
-    was asked for. `outcome` is what `rosld guard` made of a hold whose rosld was killed.
+    `data` is the final message, encoded for the robot's system, None for none; `then` is the final message as
+    requested. `outcome` is the result of `rosld guard` for a hold whose rosld was killed.
     """
 
     id: str
@@ -47,23 +48,23 @@ class HoldNote:
 
 
 class HoldNotes:
-    """The notes in a folder; without a folder, notes are not kept."""
+    """The notes in a folder; without a folder, notes are not stored."""
 
     def __init__(self, data: Path | None) -> None:
-        """`data` is the folder of `--data`."""
+        """Initialize; `data` is the folder of `--data`."""
         self._folder = None if data is None else data / FOLDER
         self._noted: dict[str, HoldNote] = {}
-        self._disk = ThreadPoolExecutor(1, "rosld-holds")  # one thread: what is noted last is written last
+        self._disk = ThreadPoolExecutor(1, "rosld-holds")  # one thread, to preserve the order of writes
 
     async def begin(self, note: HoldNote) -> None:
-        """Note a hold that begins, and wait a moment until that is on the disk."""
+        """Write the note of a new hold, and wait a moment until it is on disk."""
         if self._folder is not None:
             self.change(note)
             written = asyncio.get_running_loop().run_in_executor(self._disk, lambda: None)
             await asyncio.wait([written], timeout=_BEGIN_SECONDS)
 
     def change(self, note: HoldNote) -> None:
-        """Note how a hold goes on, where that is another than was noted."""
+        """Write the note of a hold if it has changed."""
         if self._folder is not None and self._noted.get(note.id) != note:
             self._noted[note.id] = note
             self._disk.submit(self.write, note)
@@ -75,11 +76,11 @@ class HoldNotes:
             self._disk.submit(self._remove, id)
 
     async def close(self) -> None:
-        """Wait until everything is on the disk."""
+        """Wait until everything is on disk."""
         await asyncio.to_thread(self._disk.shutdown)
 
     def read(self) -> Sequence[HoldNote]:
-        """The notes in the folder, those of a rosld that was killed among them; what cannot be read is left out."""
+        """Return the notes in the folder, including those of a killed rosld; unreadable files are skipped."""
         if self._folder is None or not self._folder.is_dir():
             return []
         found: list[HoldNote] = []
@@ -91,7 +92,7 @@ class HoldNotes:
         return found
 
     def reread(self, note: HoldNote) -> HoldNote:
-        """The note as another process may have changed it."""
+        """Return the note again, which another process may have changed."""
         assert self._folder is not None
         try:
             return _decode((self._folder / f"{note.id}{_SUFFIX}").read_bytes())
@@ -99,7 +100,7 @@ class HoldNotes:
             return note
 
     def write(self, note: HoldNote) -> None:
-        """Write a note, blocking; what fails is logged, for the hold goes on all the same."""
+        """Write a note, blocking; failures are only logged, because the hold continues without a note."""
         assert self._folder is not None
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -123,7 +124,7 @@ def _encode(note: HoldNote) -> bytes:
 
 
 def _decode(text: bytes) -> HoldNote:
-    """Raise ValueError, KeyError or TypeError for what is no note."""
+    """Decode a note. Raises ValueError, KeyError or TypeError for invalid content."""
     members = cast("dict[str, object]", orjson.loads(text))
     made = HoldNote(**members)  # type: ignore[arg-type]
     for name in ("id", "topic", "type", "node", "holder", "then"):

@@ -1,7 +1,7 @@
-"""Holds: a message published at a rate for as long as its holder renews the lease, and another one when that ends.
+"""Holds: a message published periodically while its holder renews the lease, and a final message after that.
 
-`schedule.py` says when what is due; here it is done. A publish that is not done when the next is due is not waited for:
-that next one is left out, so that nothing ever queues up.
+`schedule.py` computes the times. If a publish is still running when the next one is due, that one is skipped, so that
+nothing ever queues up.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from rosld.server.runtime.tasks import Signal, loop_time
 
 _REMEMBERED = 1000
 _LAST_SECONDS = 1.0
-"""How long to try to publish what ends a hold."""
+"""Seconds to retry the publish of the final message."""
 _AGAIN_SECONDS = 0.1
 _LONGEST_PUBLISH = 0.5
 
@@ -42,9 +42,9 @@ _log = logging.getLogger("rosld")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldMessage:
-    """A message that is published, its bytes ready unless each time they are stamped with the time of that moment.
+    """A message to publish, encoded in advance unless it is stamped with the time of each publish.
 
-    `passes_stop`: it is published also while the robot is stopped.
+    `passes_stop`: it is published even while the robot is stopped.
     """
 
     schema: MessageSchema
@@ -63,10 +63,10 @@ class HeldMessage:
 def held_message(
     schema: MessageSchema, message: Message, encoding: Encoding, *, restamp: bool, clock: bool
 ) -> HeldMessage:
-    """Return the command of a message. Raises ValueError where it cannot be encoded.
+    """Return a message to hold. Raises ValueError if it cannot be encoded.
 
-    Its header gets the time of each publish where it has none or `restamp`; never without a `clock`, because under
-    simulated time the time of the wall means nothing.
+    Each publish stamps its header if it has no stamp, or if `restamp`; never without a `clock`, because wall-clock time
+    is meaningless under simulated time.
     """
     is_stamped = clock and (restamp or is_unstamped(schema, message))
     return HeldMessage(schema, message, schema.codec.encode(message, encoding), is_stamped)
@@ -74,12 +74,12 @@ def held_message(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hold:
-    """One hold: immutable, replaced by its next state. `rate` is in Hz, `lease` in seconds; times are wall-clock ns.
+    """A hold: immutable, replaced by its next state. `rate` is in Hz, `lease` in seconds; times are wall-clock ns.
 
-    `is_timed`: the lease is as long as the hold was asked to last, so that nobody has to renew it.
-    `release_message` is published when it ends, None for nothing; `release_requested` is what was asked for: zero,
-    none, or a URL. `until_ns` is when the lease ends, None while a stream keeps it. `last_error` says why the latest
-    publish failed.
+    `is_timed`: the lease lasts as long as the requested duration, so that it needs no renewal. `release_message` is
+    published at the end, None for none; `release_requested` is its description in the request: zero, none, or a URL.
+    `until_ns` is the end of the lease, None while a stream keeps it alive. `last_error` is the error of the latest
+    publish.
     """
 
     id: str
@@ -97,14 +97,14 @@ class Hold:
 
 
 class InterruptedHold(NamedTuple):
-    """A hold of a rosld that was killed, and what became of it in words."""
+    """A hold of a killed rosld, and its outcome in words."""
 
     note: HoldNote
     words: str
 
 
 class HoldEnded(LookupError):
-    """The hold was there and has ended; its text says why."""
+    """The hold has ended; the text is the reason."""
 
 
 class Holds:
@@ -117,7 +117,7 @@ class Holds:
         self._closed: str | None = None
         self.notes = HoldNotes(session.settings.data)
         self.interrupted: dict[str, InterruptedHold] = {}
-        """Holds of a rosld that was killed, by their ids."""
+        """Holds of a killed rosld, by their ids."""
         self.revision = 0
         self.changes = Signal()
         session.changes.watch(self.end_refused)
@@ -131,21 +131,21 @@ class Holds:
         return next((each.hold for each in self._running.values() if each.hold.topic == topic), None)
 
     def find(self, id: str) -> Hold:
-        """A hold by its id; raises HoldEnded saying why for one that has ended, KeyError for one that never was."""
+        """Return a hold by its id. Raises HoldEnded with the reason for an ended hold, KeyError for an unknown one."""
         if id in self._ended:
             raise HoldEnded(self._ended[id])
         return self._running[id].hold
 
     def topic_of(self, id: str) -> str | None:
-        """Return the topic of a hold, empty for one that has ended, None for one that never was; any thread may ask."""
+        """Return the topic of a hold, "" for an ended hold, None for an unknown one (thread-safe)."""
         running = self._running.get(id)
         return running.hold.topic if running is not None else "" if id in self._ended else None
 
     async def start(self, hold: Hold) -> Hold:
-        """Publish the message of a new hold for the first time, and go on with it.
+        """Publish the message of a new hold for the first time, and start the hold.
 
-        Raises TopicHeld, Stopped, a 429 Problem where the topic is published to too often, and what the adapter raises:
-        then there is no hold.
+        Raises, without a hold, TopicHeld, Stopped, a 429 Problem if the topic is published to too often, and what the
+        adapter raises.
         """
         session, interlock = self._session, self._session.interlock
         self._require_passage(hold.message)
@@ -181,7 +181,7 @@ class Holds:
             self._session.interlock.require_open()
 
     def renew(self, id: str, changed: Hold) -> Hold:
-        """Renew the lease, and go on as `changed` says. Raises as `find`, and Stopped."""
+        """Renew the lease, and continue with the message and settings of `changed`. Raises as `find`, and Stopped."""
         self.find(id)
         self._require_passage(changed.message)
         end_dry_run()
@@ -193,7 +193,7 @@ class Holds:
 
     @contextlib.contextmanager
     def keep_alive(self, id: str) -> Iterator[None]:
-        """Within it the lease does not end; the hold, if it has not ended, ends with the last of those who keep it."""
+        """Suspend the lease within the context; the hold ends with the last of these contexts."""
         running = self._running.get(id)
         if running is None:
             yield
@@ -207,18 +207,18 @@ class Holds:
                 self.end(id, "its holder's stream ended")
 
     def end(self, id: str, why: str) -> asyncio.Task[None] | None:
-        """End a hold at once; the task is done when its last message was published. None where it has ended before."""
+        """End a hold at once; return the task that publishes its final message, None if the hold had ended before."""
         end_dry_run()
         running = self._running.get(id)
         return None if running is None else running.end(why)
 
     def end_all(self, why: str, silent: Container[str] = ()) -> Sequence[tuple[Hold, asyncio.Task[None]]]:
-        """End every hold at once; those on the topics `silent` without their last message."""
+        """End every hold at once; those on the topics `silent` without their final message."""
         running = list(self._running.values())
         return [(each.hold, each.end(why, is_silent=each.hold.topic in silent)) for each in running]
 
     def end_refused(self) -> None:
-        """End the holds whose start would be refused in the graph as it is now: another node publishes there."""
+        """End the holds that could not start in the current graph, because another node publishes on their topic."""
         graph, permitted = self._session.graph, self._session.settings.allow_publish
         for hold in self.all():
             topic = graph.topics.get(hold.topic)
@@ -228,17 +228,17 @@ class Holds:
                 self._running[hold.id].end(f"it would be refused now. {why.removesuffix('.')}")
 
     def close(self, why: str) -> None:
-        """End every hold at once, and let none begin any more."""
+        """End every hold at once, and refuse new ones."""
         self._closed = why
         self.end_all(why)
 
     async def wait_closed(self) -> None:
-        """Wait until everything that `close` ended has ended."""
+        """Wait until the holds ended by `close` have published their final messages."""
         await asyncio.gather(*(task for _, task in self.end_all("rosld ended")), return_exceptions=True)
         await self.notes.close()
 
     def on_ended(self, hold: Hold, why: str) -> None:
-        """A hold has published its last: forget it, but why."""
+        """Remove a hold after its final message, and remember the reason of its end."""
         self._running.pop(hold.id, None)
         self._session.interlock.held.pop(hold.topic, None)
         self.notes.remove(hold.id)
@@ -247,11 +247,11 @@ class Holds:
         self.on_changed(hold)
 
     def on_changed(self, hold: Hold) -> None:
-        """Something about a hold is another than before."""
+        """Report a change of a hold."""
         self._announce(hold.id, hold.topic)
 
     def set_interrupted(self, note: HoldNote, words: str) -> None:
-        """Say what became of a hold of a rosld that was killed."""
+        """Record the outcome of a hold of a killed rosld."""
         self.interrupted[note.id] = InterruptedHold(note, words)
         self._remember_end(note.id, words)
         self._announce(note.id, note.topic)
@@ -292,7 +292,7 @@ def new_hold(
     *,
     is_timed: bool = False,
 ) -> Hold:
-    """A hold that has not begun."""
+    """Return a hold that has not begun."""
     now = time.time_ns()
     return Hold(
         new_identifier(),
@@ -310,7 +310,7 @@ def new_hold(
 
 
 class _Running:
-    """A hold that is carried out: one timer, at most one publish under way."""
+    """An active hold, with one timer and at most one publish under way."""
 
     def __init__(self, holds: Holds, adapter: AuditedAdapter, limiter: PublishLimiter, hold: Hold) -> None:
         self.hold = hold
@@ -333,13 +333,13 @@ class _Running:
         )
 
     def begin(self) -> None:
-        """Go on from the first publish, which is done."""
+        """Continue after the first publish."""
         now = self._loop.time()
         self._schedule = Schedule(1 / self.hold.rate, now, now + self.hold.lease, tick=1)
         self._renew()
 
     def change(self, changed: Hold) -> None:
-        """Go on as another hold of the same id says, and renew the lease. The next message comes when it was due."""
+        """Continue as another hold with the same id, and renew the lease; the next message is due as before."""
         self.hold = replace(changed, last_error=self.hold.last_error)
         self._schedule = self._schedule.with_period(1 / changed.rate)
         self._renew()
@@ -350,7 +350,7 @@ class _Running:
         self._renew()
 
     def let_go(self) -> bool:
-        """Undo one `keep`; whether it was the last."""
+        """Undo one `keep`; return whether it was the last."""
         self._keepers -= 1
         return self._keepers == 0
 
@@ -363,7 +363,7 @@ class _Running:
         self._tick()
 
     def _tick(self) -> None:
-        """Do what is to be done now, and come again."""
+        """Perform the due step, and schedule the next."""
         if self._ending is not None:
             return
         if self._timer is not None:
@@ -375,7 +375,7 @@ class _Running:
                 return
             case Publish(after=after):
                 self._schedule = after
-                # One that the robot has not taken yet is not joined by another: this time is left out.
+                # A publish still under way is not joined by another one: this tick is skipped.
                 if self._publishing is None or self._publishing.done():
                     self._publishing = self._loop.create_task(self._published())
                 until = min(after.due, after.expires)
@@ -398,7 +398,7 @@ class _Running:
             self._holds.on_changed(self.hold)
 
     def end(self, why: str, *, is_silent: bool = False) -> asyncio.Task[None]:
-        """Publish no more but the last message, unless `is_silent`. Idempotent."""
+        """Stop publishing, except for the final message unless `is_silent`. Idempotent."""
         if self._ending is None:
             if self._timer is not None:
                 self._timer.cancel()
@@ -419,7 +419,7 @@ class _Running:
         if then is None:
             return
         encoding = self._adapter.capabilities.encoding
-        self._limiter.count(topic, self._loop.time())  # it is published however often: what follows waits for it
+        self._limiter.count(topic, self._loop.time())  # published regardless of the rate; later ones wait instead
         deadline = self._loop.time() + _LAST_SECONDS
         while True:
             try:

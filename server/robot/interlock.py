@@ -1,4 +1,4 @@
-"""Write interlock: the last check of every write to the robot, which refuses all of them while it is stopped."""
+"""Write interlock: the last check of every write to the robot, which refuses all writes while it is stopped."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class StopState:
 
     @property
     def sentence(self) -> str:
-        """When the robot was stopped, without a full stop and in no words but the server's."""
+        """Time of the stop as a sentence without a full stop, containing no text of clients."""
         return f"The robot was stopped at {self._moment}"
 
     @property
@@ -62,7 +62,7 @@ class Holder:
 
 
 class TopicHeld(RosError):
-    """Somebody holds the topic: nothing else is published on it meanwhile."""
+    """An agent holds the topic: nothing else is published on it meanwhile."""
 
     def __init__(self, topic: str, holder: Holder) -> None:
         super().__init__(f"{topic} is held: change the hold {holder.hold}, or wait for it to end.")
@@ -70,46 +70,46 @@ class TopicHeld(RosError):
 
 
 class WriteInterlock:
-    """Runs writes to the robot, none of them while it is stopped, nor in a dry run.
+    """Gate for writes to the robot, closed while it is stopped and in dry runs.
 
-    What is under way when the robot is stopped is cut off. A topic in `held` is published to by its hold only.
+    A stop interrupts writes under way. Only the hold of a topic in `held` publishes to it.
     """
 
     def __init__(self) -> None:
         self.stop_state: StopState | None = None
         self.held: dict[str, Holder] = {}
-        """Who holds a topic, by topic."""
+        """Holders by topic."""
         self.writes = 0
-        """How many writes have ended, whatever became of them."""
+        """Number of writes that have ended, successful or not."""
         self._under_way: set[_UnderWay] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def engage(self, stop_state: StopState) -> None:
-        """Let no write pass from now on, and cut off those that are under way."""
+        """Refuse all writes from now on, and interrupt those under way."""
         self.stop_state = stop_state
         for each in self._under_way:
             each.cut()
 
     def release(self) -> None:
-        """Let writes pass again."""
+        """Accept writes again."""
         self.stop_state = None
 
     def require_open(self) -> None:
-        """Raise Stopped where the robot is stopped."""
+        """Raise Stopped if the robot is stopped."""
         if self.stop_state is not None:
             raise Stopped(self.stop_state)
 
     def require_free(self, topic: str) -> None:
-        """Raise TopicHeld where somebody holds the topic."""
+        """Raise TopicHeld if an agent holds the topic."""
         holder = self.held.get(topic)
         if holder is not None:
             raise TopicHeld(topic, holder)
 
     async def run(self, write: Callable[[], Awaitable[_T]]) -> _T:
-        """Carry a write out, unless the robot is stopped before it is done: raises Stopped."""
+        """Run a write. Raises Stopped if the robot is stopped before it ends."""
         self.require_open()
         end_dry_run()
-        loop = self._loop = self._loop or asyncio.get_running_loop()  # a system call before Python 3.12
+        loop = self._loop = self._loop or asyncio.get_running_loop()  # makes a system call before Python 3.12
         task = asyncio.current_task(loop)
         assert task is not None
         under_way = _UnderWay(task)
@@ -126,7 +126,7 @@ class WriteInterlock:
             self._under_way.discard(under_way)
 
     async def run_always(self, write: Callable[[], Awaitable[_T]]) -> _T:
-        """Carry a write out that must reach the robot also while it is stopped."""
+        """Run a write that must reach the robot even while it is stopped."""
         end_dry_run()
         try:
             return await write()
@@ -135,7 +135,7 @@ class WriteInterlock:
 
 
 class _UnderWay:
-    """A write that has begun, in a task."""
+    """A running write and its task."""
 
     def __init__(self, task: asyncio.Task[object]) -> None:
         self._task = task
@@ -148,7 +148,7 @@ class _UnderWay:
             self._task.cancel()
 
     def go_on(self) -> None:
-        """Let its task go on: only the write was meant."""
+        """Let the task continue, because only its write was cancelled."""
         uncancel = getattr(self._task, "uncancel", None)  # Python 3.11 and later count
         if uncancel is not None:
             uncancel()

@@ -1,6 +1,6 @@
-"""Holds that were interrupted because their rosld was killed: the next rosld publishes what ends them.
+"""Holds that were interrupted because their rosld was killed: another rosld publishes their final message.
 
-That is the rosld that starts with the same `--data`, or `rosld guard`, which watches it.
+This is the next rosld that starts with the same `--data`, or `rosld guard`, which watches it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rosld.server.robot.zero_publisher import Repetition
 from rosld.server.runtime.tasks import loop_time
 
 SUBSCRIBER_SECONDS = 60.0
-"""Seconds to wait for a subscriber of the topic, once the robot is there."""
+"""Seconds to wait for a subscriber of the topic, once the robot is visible."""
 _PUBLISH_SECONDS = 10.0
 _LOOK_SECONDS = 0.5
 _SELF = Agent("rosld")
@@ -36,7 +36,7 @@ _log = logging.getLogger("rosld")
 class Outcome(NamedTuple):
     """Outcome of an interrupted hold as a sentence; `subscribers` is None if nothing was published.
 
-    `is_final`: it is not to be tried again.
+    `is_final`: do not retry.
     """
 
     words: str
@@ -45,7 +45,7 @@ class Outcome(NamedTuple):
 
 
 class InterruptedHolds:
-    """The holds that were interrupted before this rosld started; ends them and leaves receipts."""
+    """The holds interrupted before this rosld started; ends them and leaves receipts."""
 
     def __init__(self, session: Session, holds: Holds, note_write: Callable[[AuditEntry], object]) -> None:
         self._session = session
@@ -53,7 +53,7 @@ class InterruptedHolds:
         self._note_write = note_write
 
     async def run(self) -> None:
-        """Say which there are, before any hold begins, and end them once the robot is there."""
+        """Report the interrupted holds before any new hold begins, and end them once the robot is visible."""
         found = self._holds.notes.read()
         for note in found:
             self._holds.set_interrupted(note, f"{_story(note)}: {_THEN_WAITS if note.data else _NO_THEN}")
@@ -101,9 +101,9 @@ def _story(note: HoldNote) -> str:
 async def end_interrupted(
     session: Session, note: HoldNote, patience: float, reread: Callable[[HoldNote], HoldNote]
 ) -> Outcome:
-    """Publish what ends an interrupted hold as soon as its topic has a subscriber, unless somebody else commands it.
+    """Publish the final message once its topic has a subscriber, unless another agent commands the topic.
 
-    A robot that cannot be seen is waited for; then a subscriber for `patience` seconds.
+    Waits for the robot indefinitely, then for a subscriber for `patience` seconds.
     """
     changed = asyncio.Event()
     watch = session.changes.watch(changed.set)
@@ -143,7 +143,7 @@ async def _end(
 
 
 def _refusal(session: Session, note: HoldNote) -> str | None:
-    """Why what ends a hold is not to be published, in words."""
+    """Return why the final message must not be published, in words; None if it may be."""
     if session.settings.read_only:
         return "this server is read-only"
     if note.topic in session.interlock.held or note.topic in session.adapter.published:
@@ -152,14 +152,14 @@ def _refusal(session: Session, note: HoldNote) -> str | None:
     if topic is None:
         return None
     if not all(map(_is_rosld, _other_publishers(topic, note, session.graph))):
-        return "another node publishes there"  # which, is not for everybody who may read of the hold
+        return "another node publishes there"  # the node's name is not for everybody who may read the hold
     if topic.type is not None and topic.type.name != note.type:
         return f"its type is {topic.type.name} now, not {note.type}"
     return None
 
 
 def _waits_for_other(topic: Topic, note: HoldNote, session: Session) -> bool:
-    """Whether another rosld publishes there: a guard that ends the hold just now, or one that is dead as well."""
+    """Whether another rosld publishes on the topic: a guard that ends the hold just now, or one that died too."""
     return topic.type is None or bool(_other_publishers(topic, note, session.graph))
 
 
@@ -172,7 +172,7 @@ def _is_rosld(node: str) -> bool:
 
 
 async def _publish(session: Session, topic: Topic, note: HoldNote, data: bytes) -> Outcome:
-    """Publish the message; no other client of this rosld can publish meanwhile."""
+    """Publish the message; other clients of this rosld cannot publish meanwhile."""
     interlock, encoding = session.interlock, session.adapter.capabilities.encoding
     interlock.held[topic.name] = Holder(_SELF.name, session.space.hold(note.id))
     try:
@@ -181,7 +181,7 @@ async def _publish(session: Session, topic: Topic, note: HoldNote, data: bytes) 
         message = schema.codec.decode(data, encoding)
         last = held_message(schema, message, encoding, restamp=True, clock=not session.graph.simulated_time)
         if schema.ref.name in COMMANDS:
-            # Again and again, as when the robot is stopped: where one message is lost the base would drive on.
+            # Repeated, as in a stop: a single lost message would let the base drive on.
             repetition = Repetition(session, topic.name, last, subscribers_of(topic, session.graph))
             reached = await repetition.wait_received_late()
             subscribers = 0 if reached is None else reached.subscribers

@@ -1,4 +1,4 @@
-"""Live topics: subscribed on demand, kept for a while, within a budget."""
+"""Live topics: subscribed to on demand, for a limited time and within a budget."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from rosld.server.robot.topic_view import (
 from rosld.server.runtime.tasks import end_tasks, loop_time
 
 _SWEEP = 0.5
-"""Seconds between sweeps, which fold what came and give back what nobody looks at any more."""
+"""Seconds between sweeps, which fold new messages and close idle subscriptions."""
 _MEASURE = 2.5
-"""Seconds between looks at all topics, by which their rates are measured where nobody else looks."""
+"""Seconds between reads of all topics, which measure the rates of topics that no client reads."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveSettings:
     """Settings of subscriptions.
 
-    `first_value`: seconds to wait for the first message of a published topic. `idle`: seconds a subscription is kept
-    after the last read; `budget`: maximum number of subscriptions; `eager`: globs of topics always subscribed to.
+    `first_value`: seconds to wait for the first message of a published topic. `idle`: seconds that a subscription stays
+    open after the last read; `budget`: maximum number of subscriptions; `eager`: globs of topics always subscribed to.
     """
 
     first_value: float = 1.0
@@ -45,10 +45,9 @@ class LiveSettings:
 
 @dataclass(slots=True)
 class _Look:
-    """One subscription, and its latest view.
+    """A subscription and its latest view.
 
-    `awaited` are the publishers that were waited for in vain; `insisted`: a message was waited for regardless of
-    publishers.
+    `awaited` are the publishers that were awaited in vain; `insisted`: a message was awaited even without publishers.
     """
 
     subscription: Subscription
@@ -65,12 +64,12 @@ class _Look:
 
     @property
     def is_kept(self) -> bool:
-        """Whether the subscription is permanent."""
+        """Whether the subscription is currently exempt from closing."""
         return self.eager or self.recorded or self.watches > 0
 
 
 class _TopicWatch:
-    """A watch that keeps its subscription."""
+    """A watch that prevents its subscription from closing."""
 
     def __init__(self, look: _Look, watch: Watch) -> None:
         self._look: _Look | None = look
@@ -78,7 +77,7 @@ class _TopicWatch:
         look.watches += 1
 
     def close(self) -> None:
-        """Stop waking; the subscription is kept as after a look. Idempotent."""
+        """Stop waking; the subscription stays open as after a read. Idempotent."""
         look, self._look = self._look, None
         if look is not None:
             look.watches -= 1
@@ -94,7 +93,7 @@ class LiveTopics:
 
     def __init__(self, adapter: Adapter, schemas: Schemas, settings: LiveSettings) -> None:
         self.recorded: Callable[[], Collection[str]] = tuple
-        """The topics that are recorded: they are subscribed to in any case, so their values and rates are at hand."""
+        """Function that returns the recorded topics; these stay subscribed to, so that values and rates are at hand."""
         self._adapter = adapter
         self._schemas = schemas
         self._settings = settings
@@ -103,27 +102,27 @@ class LiveTopics:
         self._sweeper: asyncio.Task[None] | None = None
 
     def start(self) -> None:
-        """Begin to sweep; needs a running loop."""
+        """Start sweeping; requires a running loop."""
         self._sweeper = asyncio.get_running_loop().create_task(self._sweep_for_ever())
 
     async def stop(self) -> None:
-        """Give every subscription back."""
+        """Close all subscriptions."""
         if self._sweeper is not None:
             await end_tasks([self._sweeper])
         for topic in list(self._looks):
             self._close(topic)
 
     def subscribed(self) -> Sequence[str]:
-        """Return the topics subscribed to now."""
+        """Return the currently subscribed topics."""
         return list(self._looks)
 
     def looked_at(self) -> Sequence[str]:
-        """Return the topics subscribed to, except recorded ones that were not read lately."""
+        """Return the subscribed topics, except recorded ones that were not read lately."""
         horizon = loop_time() - self._settings.idle
         return [topic for topic, look in self._looks.items() if look.eager or look.watches or look.looked_at >= horizon]
 
     def always_subscribed(self) -> Sequence[str]:
-        """Return the topics that stay subscribed to whether anybody looks or not, as far as they have a value."""
+        """Return the topics that stay subscribed to without being read, as far as they have a value."""
         there = self._adapter.graph.topics
         kept = ((topic, look) for topic, look in self._looks.items() if look.eager or look.watches)
         looks = [(topic, look) for topic, look in kept if topic in there]
@@ -139,16 +138,16 @@ class LiveTopics:
         return view if view.samples else None
 
     def peek(self, topic: str) -> TopicView | None:
-        """The view of a topic if it is there and subscribed to, which is not kept subscribed to for this look."""
+        """Return the view of a subscribed topic without counting as a read, or None."""
         look = self._looks.get(topic)
         return None if look is None or topic not in self._adapter.graph.topics else self._refresh(look)
 
     def current_view(self, topic: str) -> TopicView:
-        """Return the view as of now, without values where none has come, without waiting."""
+        """Return the current view without waiting; it is empty before the first message."""
         return self.find_view(topic) or self.last_view(topic) or EMPTY_VIEW
 
     def last_view(self, topic: str) -> TopicView | None:
-        """Return the view as somebody saw it last; from any thread."""
+        """Return the view of the last read (thread-safe)."""
         look = self._looks.get(topic)
         return None if look is None or topic not in self._adapter.graph.topics else look.view
 
@@ -162,10 +161,11 @@ class LiveTopics:
         return not look.subscription.latest() and set(self._publishers(topic)) <= set(look.awaited)
 
     async def read(self, topic: str, *, wait_for_publisher: bool = False) -> TopicView:
-        """Return the view of a topic, subscribing if need be and then waiting a moment where somebody publishes it.
+        """Return the view of a topic, subscribing if needed and then waiting a moment if the topic has publishers.
 
-        The same publishers are waited for once: a topic that is silent holds nobody up again. Who insists waits once
-        also where nobody publishes yet. A topic that is not there is neither subscribed to nor waited for.
+        The same publishers are awaited only once: a silent topic does not delay later reads. With `wait_for_publisher`
+        the first read also waits if nobody publishes yet. A topic that is missing from the graph is neither subscribed
+        to nor awaited.
         """
         view = self.find_view(topic)
         if view is not None:
@@ -187,18 +187,18 @@ class LiveTopics:
         return view
 
     async def watch(self, topic: str, wake: Callable[[], None]) -> Watch:
-        """Call `wake` after something new came; the topic stays subscribed to until the watch is closed."""
+        """Call `wake` after each new message; the topic stays subscribed to until the watch is closed."""
         look = await self._open(topic)
         return _TopicWatch(look, look.subscription.watch(wake))
 
     async def subscribe_eager(self, graph: Graph) -> None:
-        """Subscribe to what the eager globs match in this graph."""
+        """Subscribe to the topics of this graph that match the eager globs."""
         for topic in graph.topics:
             if topic not in self._looks and any(fnmatchcase(topic, glob) for glob in self._settings.eager):
                 (await self._open(topic)).eager = True
 
     def _publishers(self, topic: str) -> tuple[Endpoint, ...]:
-        """Return the publishers that a message can come from."""
+        """Return the publishers that can deliver messages."""
         entry = self._adapter.graph.topics.get(topic)
         return () if entry is None else tuple(one for one in entry.publishers if one.unreachable is None)
 
@@ -220,7 +220,7 @@ class LiveTopics:
         return _Look(subscription, folded=FoldedTopic(fold) if fold else None)
 
     async def _know_types(self, look: _Look) -> None:
-        """See that the schemas needed to fold are at hand."""
+        """Load the schemas needed for folding."""
         if look.folded is None:
             return
         for ref in {sample.schema for sample in look.subscription.latest()}:
@@ -228,7 +228,7 @@ class LiveTopics:
                 await self._schemas.get(ref)
 
     async def _wait(self, look: _Look, seconds: float) -> None:
-        """Until a sample is there, at most `seconds`."""
+        """Wait up to `seconds` until a sample arrives."""
         arrived = asyncio.Event()
         watch = look.subscription.watch(arrived.set)
         try:
@@ -257,7 +257,7 @@ class LiveTopics:
                 return
             whole = folded.sample(self._schema_at_hand(ordered[-1]))
         except (ValueError, LookupError):
-            look.view = TopicView(ordered[-1:])  # what cannot be folded is shown as it came
+            look.view = TopicView(ordered[-1:])  # a message that cannot be folded is shown unchanged
             return
         newest = {sample.publisher: sample for sample in ordered}
         rate = look.rates.observe(list(newest.values()))
@@ -273,7 +273,7 @@ class LiveTopics:
         return decoder_of(self._schema_at_hand(sample))(sample)
 
     def _keep_within_budget(self) -> None:
-        """Make room for one more."""
+        """Close idle subscriptions to make room for a new one."""
         over = len(self._looks) + 1 - self._settings.budget
         if over > 0:
             idlest = sorted((look.looked_at, topic) for topic, look in self._looks.items() if not look.is_kept)
@@ -299,7 +299,7 @@ class LiveTopics:
                 if not look.is_kept and (look.looked_at < horizon or is_gone):
                     self._close(topic)
                     continue
-                if look.awaited:  # who comes back is waited for again
+                if look.awaited:  # publishers that return are awaited again
                     look.awaited = tuple(one for one in look.awaited if one in self._publishers(topic))
                 if look.folded is not None:
                     await self._know_types(look)
@@ -307,7 +307,7 @@ class LiveTopics:
                     self._refresh(look)
 
     async def _follow_recorded(self) -> None:
-        """Keep recorded topics subscribed to."""
+        """Subscribe to recorded topics."""
         recorded = self.recorded()
         for topic in recorded:
             if topic in self._adapter.graph.topics and (look := self._looks.get(topic)) is None:

@@ -1,4 +1,4 @@
-"""Publications: messages that are ready to be published, and the rules under which rosld publishes."""
+"""Publications: messages ready to be published, and the rules for publishing."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from rosld.server.runtime.tasks import loop_time
 
 
 class Publication(NamedTuple):
-    """A message for a topic: nothing about it can be refused any more but by the robot.
+    """A message for a topic, after all checks: only the robot can still refuse it.
 
-    `passes_stop`: it is published also while the robot is stopped. `goes_on`: it sets the robot in motion, which goes
-    on until something else is published.
+    `passes_stop`: it is published even while the robot is stopped. `goes_on`: it sets the robot in motion, which
+    continues until something else is published.
     """
 
     topic: str
@@ -34,7 +34,7 @@ class Publication(NamedTuple):
 def prepare(
     session: Session, topic: str, schema: MessageSchema, message: Message, data: bytes, *, latch: bool = False
 ) -> Publication:
-    """Return the publication of a message, with what the stop and the graph of now say of it."""
+    """Return the publication of a message, according to the current stop state and graph."""
     return Publication(
         topic,
         schema.ref,
@@ -46,7 +46,7 @@ def prepare(
 
 
 async def publish(session: Session, publication: Publication) -> Published:
-    """Publish, waiting a moment for somebody to listen. Raises a 429 Problem where the topic is published too often."""
+    """Publish, waiting a moment for a subscriber. Raises a 429 Problem if the topic is published to too often."""
     topic = publication.topic
     require_rate(session.limiter, topic)
     deadline = loop_time() + session.settings.publish_wait
@@ -61,12 +61,12 @@ async def publish(session: Session, publication: Publication) -> Published:
         )
     finally:
         session.announce_write(Kind.TOPIC, topic)
-        if publication.goes_on:  # below the step of the publish, also in the plan of a dry run
+        if publication.goes_on:  # after the step of the publish, also in the plan of a dry run
             record_step(f"what {topic} commands goes on until something stops it")
 
 
 def require_rate(limiter: PublishLimiter, topic: str) -> None:
-    """Count one publish, unless it is a dry run. Raises a 429 Problem where the topic is published to too often."""
+    """Count one publish, unless it is a dry run. Raises a 429 Problem if the topic is published to too often."""
     wait = limiter.wait(topic, loop_time(), is_counted=not is_dry_run())
     if wait > 0:
         sentence = f"More than {limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
@@ -74,13 +74,13 @@ def require_rate(limiter: PublishLimiter, topic: str) -> None:
 
 
 def goes_on_link(topic_url: str) -> Link:
-    """The link to how a velocity is held, which was published once."""
+    """Return the link to the documentation of holds, for a velocity that was published once."""
     title = "It goes on until something stops it: hold it instead, POST ?for=3 for three seconds"
     return Link(f"{topic_url}#hold", "help", title=title)
 
 
 def goes_on_problem(topic: str, topic_url: str) -> Problem:
-    """The problem details (200) of a velocity that was published once."""
+    """Return the problem details (200) of a velocity that was published once."""
     sentence = (
         f"The velocity was published once on {topic}: a robot without a time-out of its own goes on until something "
         f"stops it. POST it to {topic_url}?for=3 to have it stop after three seconds, or PUT zero to stop it now."
@@ -90,6 +90,6 @@ def goes_on_problem(topic: str, topic_url: str) -> Problem:
 
 
 def no_subscriber_problem(topic: str) -> Problem:
-    """The problem details (202) of a message that was published without a subscriber."""
+    """Return the problem details (202) of a message that was published without a subscriber."""
     sentence = f"The message was published, but no subscriber of {topic} was there to get it."
     return Problem(202, sentence, title="Nobody is listening")

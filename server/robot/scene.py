@@ -1,4 +1,4 @@
-"""The scene of the robot: its frames, and what is drawn of messages in them."""
+"""The scene of the robot: its frames, and the drawings of messages in them."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from rosld.server.space.drawing import Drawing, drawing_json, place_sample
 from rosld.server.space.frame_buffer import STATIC_TOPIC, TOPICS, TYPES, FrameBuffer
 
 _LARGE = 64 * 1024
-"""Bytes of a message from which a thread draws it."""
+"""Minimum number of bytes of a message that is drawn in a thread."""
 _MAX_KEPT = 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnSample:
-    """A sample and what is drawn of it, also as JSON; or a sentence that says why nothing is."""
+    """A sample and its drawing, also as JSON; or a sentence on why there is no drawing."""
 
     sample: Sample
     drawing: Drawing | None
@@ -36,7 +36,7 @@ class DrawnSample:
 
 
 class Drawings:
-    """The drawings of one robot's topics."""
+    """Drawings of one robot's topics."""
 
     def __init__(self, topics: LiveTopics, schemas: Schemas) -> None:
         self._topics = topics
@@ -45,7 +45,7 @@ class Drawings:
         self._turns: dict[str, asyncio.Lock] = {}
 
     async def newest(self, topic: str) -> DrawnSample | None:
-        """Return the drawing of the newest message of a topic that is subscribed to; None where there is no message."""
+        """Return the drawing of the newest message of a subscribed topic, None without a message."""
         view = self._topics.find_view(topic)
         sample = None if view is None else view.newest
         if sample is None:
@@ -54,7 +54,7 @@ class Drawings:
         if kept is not None and kept.sample is sample:
             return kept
         async with self._turns.setdefault(topic, asyncio.Lock()):
-            kept = self._kept.get(topic)  # it may have been drawn while this one waited
+            kept = self._kept.get(topic)  # another task may have drawn it in the meantime
             if kept is None or kept.sample is not sample:
                 kept = await self._draw(sample)
                 self._kept.pop(topic, None)
@@ -81,10 +81,10 @@ def _draw_sample(schema: MessageSchema, sample: Sample) -> DrawnSample:
 
 
 class LiveFrames:
-    """The frames of one robot, shared by all who look.
+    """The frames of one robot, shared by all readers.
 
-    `buffer` is as new as the last `refresh`. `idle`: seconds after the last look until nothing is followed any more;
-    `first_value`: how long the first look waits for a transform.
+    `buffer` is as new as the last `refresh`. `idle`: seconds after the last read until nothing is followed any more;
+    `first_value`: seconds that the first read waits for a transform.
     """
 
     def __init__(self, adapter: Adapter, schemas: Schemas, *, idle: float, first_value: float) -> None:
@@ -101,7 +101,7 @@ class LiveFrames:
         self._turn = asyncio.Lock()
 
     async def look(self) -> FrameBuffer:
-        """Return the frames as of now; the first call waits a moment for what is published."""
+        """Return the current frames; the first call waits a moment for transforms."""
         self._looked_at = loop_time()
         if self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._run())
@@ -110,18 +110,18 @@ class LiveFrames:
         return self.buffer
 
     def watch(self, wake: Callable[[], None]) -> Watch:
-        """Call `wake` after a transform came, as long as somebody looks."""
+        """Call `wake` after each new transform, as long as the frames are read."""
         return self._changes.watch(wake)
 
     async def refresh(self) -> None:
-        """Take the transforms that came since."""
+        """Read the transforms received since the last refresh."""
         async with self._turn:
             for topic in TOPICS:
                 with contextlib.suppress(RosError):
                     await self._take(topic)
 
     async def stop(self) -> None:
-        """Give the subscriptions back. Idempotent."""
+        """Close the subscriptions. Idempotent."""
         task, self._task = self._task, None
         if task is not None:
             await end_tasks([task])
@@ -142,7 +142,7 @@ class LiveFrames:
         self._watches, self._feeds, self.buffer = [], {}, FrameBuffer()
 
     async def _wait(self) -> None:
-        """Wait until all topics of frames have a message, or the deadline."""
+        """Wait until all frame topics have a message, or the deadline."""
         there = [topic for topic in TOPICS if self._is_there(topic)]
         end = loop_time() + self._first_value
         while there and loop_time() < end:
@@ -166,13 +166,13 @@ class LiveFrames:
         for sample in feed.take():
             schema = await self._schemas.message(sample.schema)
             if schema.ref.name in TYPES:
-                with contextlib.suppress(ValueError):  # bytes that are no such message tell of no frame
+                with contextlib.suppress(ValueError):  # undecodable messages contain no frames
                     message = schema.codec.decode(sample.data, sample.encoding)
                     self.buffer.add(message, sample, is_static=topic == STATIC_TOPIC)
 
 
 class Scene:
-    """The frames and the drawings of one robot."""
+    """Frames and drawings of one robot."""
 
     def __init__(self, session: Session) -> None:
         settings = session.settings

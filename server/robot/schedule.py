@@ -1,4 +1,4 @@
-"""When a held message is due: pure arithmetic on times, all of them seconds of one monotonic clock."""
+"""Schedule of a held message: pure arithmetic on times in seconds of one monotonic clock."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from typing import TypeAlias
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """Nothing is to be done before `until`."""
+    """Nothing to do before `until`."""
 
     until: float
 
 
 @dataclass(frozen=True, slots=True)
 class Publish:
-    """The message is due now; `after` is the schedule once that is done."""
+    """The message is due now; `after` is the schedule once it is published."""
 
     after: Schedule
 
 
 @dataclass(frozen=True, slots=True)
 class LeaseExpired:
-    """The lease is over."""
+    """The lease has ended."""
 
 
 Step: TypeAlias = "Wait | Publish | LeaseExpired"
@@ -30,10 +30,10 @@ Step: TypeAlias = "Wait | Publish | LeaseExpired"
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """A message is due at `origin` and every `period` after it, until `expires`; `beat` numbers the next time.
+    """Schedule of a message that is due at `origin` and every `period` after it, until `expires`.
 
-    Times are counted from the origin, so that no lateness adds up, and a time that has passed is left out, so that
-    nothing is ever published twice to make up for it.
+    `tick` is the number of the next time. Times are counted from the origin, so that delays do not accumulate, and
+    missed times are skipped, so that nothing is published twice to catch up.
     """
 
     period: float
@@ -43,7 +43,7 @@ class Schedule:
 
     @property
     def due(self) -> float:
-        """When the message is due next."""
+        """Next time at which the message is due."""
         return self._at(self.tick)
 
     def _at(self, beat: int) -> float:
@@ -56,16 +56,16 @@ class Schedule:
         if now < self.due:
             return Wait(min(self.due, self.expires))
         beat = max(self.tick, int((now - self.origin) / self.period)) + 1
-        while self._at(beat) <= now:  # what was rounded away
+        while self._at(beat) <= now:  # rounding error
             beat += 1
         return Publish(replace(self, tick=beat))
 
     def with_lease(self, expires: float) -> Schedule:
-        """The same until another time: when messages are due does not change."""
+        """Return the schedule with another end; the due times are unchanged."""
         return replace(self, expires=expires)
 
     def with_period(self, period: float) -> Schedule:
-        """The same in another period, counted from the time that came last."""
+        """Return the schedule with another period, counted from the last due time."""
         if period == self.period:
             return self
         if self.tick == 0:

@@ -1,4 +1,4 @@
-"""Schemas of message types, asked of the adapter once and then cached."""
+"""Schemas of message types, requested from the adapter once and then cached."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Schemas:
 
     @property
     def count(self) -> int:
-        """The number of cached schemas, which rises with each new one."""
+        """Number of cached schemas, which increases with each new one."""
         return len(self._known)
 
     def all(self) -> list[Schema]:
-        """Return the schemas at hand, each once."""
+        """Return the cached schemas, each once."""
         return list({id(schema): schema for schema in self._known.values()}.values())
 
     def find_cached(self, ref: TypeRef) -> Schema | None:
@@ -34,7 +34,7 @@ class Schemas:
         return self._named.get(name)
 
     def definition_of(self, ref: TypeRef) -> str:
-        """The text of a message type as far as it is at hand, empty where it is not."""
+        """Return the cached definition of a message type, or an empty string."""
         found = self.find_cached(ref) or self.find_cached_by_name(ref.name)
         return found.definition if isinstance(found, MessageSchema) else ""
 
@@ -45,7 +45,7 @@ class Schemas:
         self._known.setdefault(ref, schema)
 
     async def get(self, ref: TypeRef) -> Schema:
-        """Return the schema of a type; raises UnknownType (and Unreachable, TimedOut of adapters that must ask)."""
+        """Return the schema of a type. Raises UnknownType, and Unreachable or TimedOut if the robot must be queried."""
         if (known := self._known.get(ref)) is not None:
             return known
         deadline = loop_time() + self._patience
@@ -56,21 +56,21 @@ class Schemas:
         return schema
 
     async def message(self, ref: TypeRef) -> MessageSchema:
-        """Return the schema of a message type; raises UnknownType also where the name is another kind's."""
+        """Return the schema of a message type. Raises UnknownType also for a service or action type."""
         schema = await self.get(ref)
         if not isinstance(schema, MessageSchema):
             raise UnknownType(f"{ref.name} is no message type, which is needed here")
         return schema
 
     async def service(self, ref: TypeRef) -> ServiceSchema:
-        """Return the schema of a service type; raises UnknownType also where the name is another kind's."""
+        """Return the schema of a service type. Raises UnknownType also for a message or action type."""
         schema = await self.get(ref)
         if not isinstance(schema, ServiceSchema):
             raise UnknownType(f"{ref.name} is no service type, which is needed here")
         return schema
 
     async def action(self, ref: TypeRef) -> ActionSchema:
-        """Return the schema of an action type; raises UnknownType also where the name is another kind's."""
+        """Return the schema of an action type. Raises UnknownType also for a message or service type."""
         schema = await self.get(ref)
         if not isinstance(schema, ActionSchema):
             raise UnknownType(f"{ref.name} is no action type, which is needed here")

@@ -29,16 +29,16 @@ from rosld.server.runtime.tasks import Signal, WokenTask, loop_time
 from rosld.server.settings import Settings
 
 MAX_CALLS = 1000
-"""Calls under /calls/; the oldest goes first."""
+"""Maximum number of calls under /calls/; the oldest is removed first."""
 MAX_GOALS = 1000
-"""Goals under /goals/; the oldest that has ended goes first."""
+"""Maximum number of goals under /goals/; the oldest ended goal is removed first."""
 _MAX_NAME = 60
-"""Characters of a name."""
+"""Maximum number of characters of a name."""
 _PARAMETER = "/robot_name"
 _DESCRIPTION = "robot_description"
 _URDF_NAME = re.compile(r"<robot\b[^<>]{0,2000}?\sname\s*=\s*[\"']([^\"'<>]{1,200})[\"']")
 _URDF_BEGIN = 20_000
-"""Characters of a URDF in which its first element is looked for."""
+"""Number of characters of a URDF in which its first element is searched."""
 
 
 def shown_name(text: str) -> str:
@@ -53,7 +53,7 @@ def naming_parameters(graph: Graph) -> tuple[str, ...]:
 
 
 async def read_robot_name(adapter: Adapter, graph: Graph, *, deadline: float) -> str | None:
-    """Return what the robot's parameters say that it is called; None where they do not."""
+    """Return the name of the robot according to its parameters, None if they have none."""
     for name in naming_parameters(graph):
         try:
             value = (await adapter.get_parameters([name], deadline=deadline)).get(name)
@@ -68,7 +68,7 @@ async def read_robot_name(adapter: Adapter, graph: Graph, *, deadline: float) ->
 
 
 def host_name(uri: str | None) -> str:
-    """Return the name of the machine at a URI; that of this one where the URI is of loopback or there is none."""
+    """Return the host name in a URI; the name of this machine for a loopback address or no URI."""
     host = (urlsplit(uri).hostname if uri is not None else None) or "localhost"
     try:
         is_here = ipaddress.ip_address(host).is_loopback
@@ -121,12 +121,12 @@ class Session:
 
     @property
     def graph(self) -> Graph:
-        """The computation graph as last known."""
+        """Latest known computation graph."""
         return self.adapter.graph
 
     @property
     def is_stopped(self) -> bool:
-        """Whether the robot is stopped: all writes are refused but those that stop it."""
+        """Whether the robot is stopped: all writes are refused, except those that stop it."""
         return self.interlock.stop_state is not None
 
     @property
@@ -165,25 +165,25 @@ class Session:
         self._write_listeners.append(listener)
 
     def announce_write(self, kind: Kind, name: str) -> None:
-        """Something was written to a topic, a service or a parameter through rosld, or may have been."""
+        """Report a write, or a possible one, to a topic, a service or a parameter through rosld."""
         if is_dry_run():
             return
         for listener in self._write_listeners:
             listener(kind, name)
 
     async def open(self) -> None:
-        """Open the adapter unless it is, and follow its graph. Raises what `Adapter.open` raises."""
+        """Open the adapter, unless it is open. Raises what `Adapter.open` raises."""
         self._follower.open()
         self.goals.start()
         await self.adapter.open(self, deadline=loop_time() + OPEN_SECONDS)
         self.topics.start()
 
     def follow(self) -> None:
-        """Begin to follow the graph, once open."""
+        """Start to follow the graph, once open."""
         self._follower.start()
 
     async def close(self) -> None:
-        """Give everything back to the robot; idempotent."""
+        """Release everything on the robot. Idempotent."""
         await self._follower.stop()
         await self.calls.stop()
         await self.goals.stop()
@@ -191,11 +191,11 @@ class Session:
         await self.adapter.close()
 
     def graph_changed(self, graph: Graph) -> None:
-        """`Sink`: the graph has changed."""
+        """Handle a change of the graph (`Sink`)."""
         self._follower.call_soon(self._follower.on_graph_changed)
 
     def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
-        """`Sink`: what became known of a goal."""
+        """Handle an update about a goal (`Sink`)."""
         self.goals.on_event(goal, event)
 
     def parameter_changed(self, name: str) -> None:
@@ -203,7 +203,7 @@ class Session:
         self._follower.call_soon(lambda: self.parameter_changes.emit(name))
 
     def _action_schema(self, name: str) -> ActionSchema | None:
-        """Return the schema of an action of the graph, as far as it is at hand."""
+        """Return the cached schema of an action in the graph."""
         action = self.graph.actions.get(name)
         if action is None or action.type is None:
             return None
@@ -212,7 +212,7 @@ class Session:
 
 
 class GraphFollower:
-    """Follows the graph of a session: subscribes to eager topics, learns types, logs when the robot goes and comes."""
+    """Follower of a session's graph: subscribes to eager topics, loads types, and logs losing and finding the robot."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -220,35 +220,35 @@ class GraphFollower:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._is_stale = False
         self.robot_name: str | None = None
-        """Name that the robot's parameters give it, once they are known."""
+        """Name according to the robot's parameters, once known."""
 
     def open(self) -> None:
-        """Take the running loop for the one on which changes are announced."""
+        """Use the running loop to announce changes."""
         self._loop = asyncio.get_running_loop()
 
     def call_soon(self, callback: Callable[[], None]) -> None:
-        """Call it on the loop, from any thread; not at all before or after there is one."""
+        """Call it on the loop (thread-safe); do nothing before or after there is one."""
         if self._loop is not None and not self._loop.is_closed():
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(callback)
 
     def on_graph_changed(self) -> None:
-        """Look at the graph, which may have changed."""
+        """Process a possibly changed graph."""
         self._log_state()
         self._following.wake()
         self._session.changes.emit()
 
     def start(self) -> None:
-        """Follow, from the graph of now on."""
+        """Start following, beginning with the current graph."""
         self._log_state()
         self._following.start()
 
     async def stop(self) -> None:
-        """Follow no longer; idempotent."""
+        """Stop following. Idempotent."""
         await self._following.stop()
 
     def _log_state(self) -> None:
-        """Log when the robot can be seen no longer, or not yet, and when it is there."""
+        """Log when the robot becomes invisible or visible."""
         graph = self._session.graph
         match graph.state:
             case Stale(_, why) if not self._is_stale:
@@ -266,7 +266,7 @@ class GraphFollower:
                 await self._session.schemas.get(ref)
 
     async def _learn_name(self, graph: Graph) -> None:
-        """Ask the robot what it is called, unless that is known."""
+        """Read the robot's name, unless it is known."""
         if self.robot_name is None and naming_parameters(graph):
             self.robot_name = await read_robot_name(self._session.adapter, graph, deadline=loop_time() + OPEN_SECONDS)
             if self.robot_name is not None:
@@ -274,7 +274,7 @@ class GraphFollower:
 
 
 def used_types(graph: Graph) -> list[TypeRef]:
-    """Return every type that a topic, a service or an action of the graph has."""
+    """Return every type of a topic, a service or an action in the graph."""
     refs = {ref: None for topic in graph.topics.values() for ref in topic.types}
     refs |= {service.type: None for service in graph.services.values() if service.type is not None}
     refs |= {action.type: None for action in graph.actions.values() if action.type is not None}

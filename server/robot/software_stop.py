@@ -1,4 +1,4 @@
-"""Software stop: ends all motion at once, and refuses writes that would move the robot until it is lifted."""
+"""Software stop: ends all motion at once, and refuses writes that would move the robot until released."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _ENDING_SECONDS = 1.0
 
 
 class StepStatus(Enum):
-    """The outcome of a step; the values are terms of the vocabulary."""
+    """Outcome of a step; the values are terms of the vocabulary."""
 
     PLANNED = "NotSent"
     RUNNING = "Running"
@@ -62,7 +62,7 @@ class StopStep:
 
 @dataclass(frozen=True, slots=True)
 class StopCommand:
-    """Command that stops the robot: a `service` to call, or a `topic` to publish on, and the JSON of the message.
+    """A command that stops the robot: a `service` to call, or a `topic` to publish on, and the JSON of the message.
 
     Missing members have ROS's defaults.
     """
@@ -73,10 +73,10 @@ class StopCommand:
 
 
 class SoftwareStop:
-    """Stops one robot. `steps` are those of the latest stop while it lasts, else what a stop would do.
+    """The stop of one robot. `steps` are those of the current stop, or else those that a stop would perform now.
 
-    `mapped` tells the steps that mappings ask for, each with the IRI of the complex resource that does. `is_at_rest`
-    reads whether what such a step stops is at rest, so that it is no failure that the step was refused.
+    `mapped` returns the steps that mappings define, each with the IRI of its complex resource. `is_at_rest` reads
+    whether the target of such a step is at rest, because then a refused step is not a failure.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class SoftwareStop:
 
     @property
     def stop_state(self) -> StopState | None:
-        """Who stopped the robot, when and why; None unless it is stopped."""
+        """The stop with its agent, time and reason; None unless the robot is stopped."""
         return self._session.interlock.stop_state
 
     @property
@@ -111,19 +111,19 @@ class SoftwareStop:
 
     @property
     def unusable_reason(self) -> str | None:
-        """Why the robot cannot be stopped and released from here, in a sentence; None where it can."""
+        """Sentence on why the robot cannot be stopped and released from here, None if it can."""
         if self._session.settings.read_only:
             return "This server is read-only: it tells the robot nothing, not even to stop."
         return None if self.is_usable else f"Nothing moves in a {self._session.adapter.capabilities.system}."
 
     @property
     def is_running(self) -> bool:
-        """Whether steps of a stop are still being carried out."""
+        """Whether steps of a stop are still running."""
         return bool(self._running)
 
     @property
     def steps(self) -> tuple[StopStep, ...]:
-        """The steps of the current stop, or those of a stop now."""
+        """Steps of the current stop, or those of a stop now."""
         if self.stop_state is not None:
             return tuple(self._steps.values())
         graph, space = self._session.graph, self._session.space
@@ -135,7 +135,7 @@ class SoftwareStop:
 
     @property
     def warning(self) -> str | None:
-        """Why the robot may go on moving although it is stopped, in a sentence; None where nothing says so."""
+        """Sentence on why the robot may still move although it is stopped, None if there is no sign of it."""
         steps = self.steps
         if self.stop_state is None:
             return None if steps else f"A stop would publish and call nothing: {_NOTHING}."
@@ -149,15 +149,15 @@ class SoftwareStop:
         return f"The robot may go on moving, for {said} to stand still: {failed} of {len(telling)} steps failed."
 
     def start(self) -> None:
-        """Advertise beforehand what a stop publishes on, where the settings ask for that."""
+        """Advertise the topics of a stop in advance, if the settings require that."""
         if self._session.settings.stop_ready and self.is_usable:
             self._ready.start()
 
     async def stop(self, by: Agent, reason: str | None) -> None:
-        """Stop the robot, or do so again: who stopped it first is who stopped it.
+        """Stop the robot, or do so again; the first agent remains the one who stopped it.
 
-        When this has run to its first await no write passes any more and every step has begun. Returns when all steps
-        are done, at the latest after `call_deadline`.
+        When this has run to its first await, writes are refused and every step has begun. Returns when all steps are
+        done, at the latest after `call_deadline`.
         """
         session = self._session
         if is_dry_run():
@@ -199,7 +199,7 @@ class SoftwareStop:
             _log.error("%s", self.warning)
 
     def _record_steps(self) -> None:
-        """Record what a stop would do now: for a dry run."""
+        """Record the steps that a stop would perform now, for a dry run."""
         space = self._session.space
         for step in self.steps:
             record_step(step.description, *step.affects)
@@ -212,7 +212,7 @@ class SoftwareStop:
         return StopState(by.name, time.time_ns(), reason, self._session.space.stop, new_identifier())
 
     async def release(self, by: Agent) -> bool:
-        """Let writes pass again; False where the robot was stopped anew before that was done."""
+        """Accept writes again; return False if the robot was stopped again meanwhile."""
         end_dry_run()
         count = self._count
         await self._zero.withdraw()
@@ -228,7 +228,7 @@ class SoftwareStop:
         return True
 
     def _touched_urls(self, mapped: StopCommand, iri: str) -> tuple[str, ...]:
-        """The URLs of what a step of a mapping is about: what it calls or publishes on, and the mapping."""
+        """Return the URLs of the subjects of a mapped step: what it calls or publishes on, and the mapping."""
         space = self._session.space
         if mapped.service is not None:
             return space.service(mapped.service), iri
@@ -236,7 +236,6 @@ class SoftwareStop:
         return space.topic(mapped.topic), iri
 
     def _commanded_topics(self, graph: Graph) -> Sequence[Topic]:
-        """The topics on which zero is published."""
         return commanded_topics(graph, self._session.settings.stop_zero)
 
     def _ended_actions(self, graph: Graph) -> Sequence[Action]:
@@ -256,7 +255,7 @@ class SoftwareStop:
         tells: bool = True,
         is_at_rest: Callable[[], Awaitable[bool]] | None = None,
     ) -> None:
-        """Begin a step. `is_at_rest` tells of one that fails whether what it ends has ended: that is no failure."""
+        """Begin a step. If it fails, `is_at_rest` decides whether its target is at rest anyway, which is no failure."""
         self._steps[does] = StopStep(does, touches, StepStatus.RUNNING, tells=tells)
         task = asyncio.ensure_future(self._follow(does, work, is_at_rest))
         self._running.add(task)
@@ -274,7 +273,7 @@ class SoftwareStop:
             reached = await work
             words = _missed_subscribers(reached)
         except (RosError, LoweringError, ValueError) as error:
-            said = one_line(str(error))  # the robot's words may be among them
+            said = one_line(str(error))  # may include text of the robot
             if is_at_rest is not None and await is_at_rest():
                 words = f"it is at rest already: {said}"
             else:
@@ -351,7 +350,7 @@ class SoftwareStop:
         self.changes.emit()
 
     async def wait_ended(self) -> None:
-        """Return when nothing of a stop is under way, and advertise nothing more."""
+        """Wait until all steps of a stop have ended, and stop advertising."""
         await self._ready.stop()
         if self._running:
             await asyncio.wait(self._running)
@@ -368,7 +367,7 @@ def _zero_on(topic: str) -> str:
 
 
 def _missed_subscribers(reached: Receivers | None) -> str | None:
-    """Which subscribers were not reached, in words; None where all were."""
+    """Return which subscribers were not reached, in words; None if all were."""
     if reached is None:
         return None
     missed = reached.expected - reached.subscribers

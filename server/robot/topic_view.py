@@ -1,8 +1,8 @@
 """Views of topics: the newest samples of each publisher, their rate, and the folding of topics such as `/tf`.
 
-A publisher of `/tf` sends some of its frames in one message and others in the next; the newest message alone would
-hide the rest. The elements of such messages have a key (a transform its child frame, a diagnostic status its name),
-and the newest element of each key is kept.
+A publisher of `/tf` sends some of its frames in one message and others in the next; the newest message alone would hide
+the rest. The elements of such messages have a key (the child frame of a transform, the name of a diagnostic status),
+and the newest element of each key is stored.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ FOLDS = {
     "diagnostic_msgs/msg/DiagnosticArray": Fold("status", "name"),
 }
 QUEUE_DEPTH = 128
-"""How many messages a publisher may send between two looks without one being lost; looks are made twice a second."""
+"""Messages per publisher that are queued between two reads; reads happen at least twice a second."""
 MAX_KEYS = 10_000
 
 
 class FoldedTopic:
-    """The elements seen so far on one topic: the newest of each key, each in the message that brought it."""
+    """The elements received so far on one topic: the newest of each key, with its message."""
 
     def __init__(self, fold: Fold) -> None:
         self._fold = fold
@@ -42,7 +42,7 @@ class FoldedTopic:
         self._last: tuple[Sample, Message] | None = None
 
     def take(self, samples: Iterable[Sample], decode: Callable[[Sample], Message]) -> bool:
-        """Fold in the samples not seen before (oldest first); whether there was any. ValueError from `decode`."""
+        """Fold in new samples (oldest first); return whether there were any. Raises ValueError from `decode`."""
         changed = False
         for sample in samples:
             place = (sample.epoch, sample.sequence)
@@ -56,18 +56,18 @@ class FoldedTopic:
     def _add(self, sample: Sample, message: Message) -> None:
         for element in cast("list[object]", getattr(message, self._fold.array)):
             key = cast(str, getattr(element, self._fold.key))
-            self._elements.pop(key, None)  # the newest goes last
+            self._elements.pop(key, None)  # moves the key to the end
             self._elements[key] = (sample, element)
         while len(self._elements) > MAX_KEYS:
             self._elements.pop(next(iter(self._elements)))
         self._last = (sample, message)
 
     def times(self) -> Mapping[str, int]:
-        """When the newest element of each key was received, in nanoseconds."""
+        """Return the time of receipt of the newest element of each key, in nanoseconds."""
         return {key: sample.received_ns for key, (sample, _) in self._elements.items()}
 
     def sample(self, schema: MessageSchema) -> Sample | None:
-        """Return the folded message as one sample, as new as the newest that it is made of."""
+        """Return the folded message as one sample, as new as its newest part."""
         if self._last is None:
             return None
         newest, message = self._last
@@ -91,9 +91,9 @@ def decoder_of(schema: MessageSchema) -> Callable[[Sample], Message]:
 class TopicView:
     """The samples of a topic at one time: the newest of each publisher, and their rate.
 
-    `samples` is in order of receipt, the newest last; of a folded topic (`/tf`) it is one, made of all that came.
-    `rate` is in messages a second over all publishers, None until measured. `times` tells of a folded topic when the
-    newest element of each key was received, in nanoseconds.
+    `samples` is in order of receipt, newest last; a folded topic (`/tf`) has a single one that combines all messages.
+    `rate` is in messages per second over all publishers, None until measured. `times` are the times of receipt of the
+    newest elements of a folded topic by key, in nanoseconds.
     """
 
     samples: tuple[Sample, ...] = ()
@@ -102,11 +102,11 @@ class TopicView:
 
     @property
     def newest(self) -> Sample | None:
-        """The newest sample of all."""
+        """Newest sample of all publishers."""
         return self.samples[-1] if self.samples else None
 
     def version_key(self) -> str:
-        """Return a short text that differs whenever samples or rate do."""
+        """Return a short text that changes whenever samples or rate do."""
         digest = hashlib.blake2b(digest_size=9)
         for sample in self.samples:
             digest.update(f"{sample.publisher}\0{sample.epoch}\0{sample.sequence}\0{sample.received_ns}\0".encode())
@@ -115,7 +115,7 @@ class TopicView:
 
 
 EMPTY_VIEW = TopicView()
-"""Nothing was seen."""
+"""View of a topic without messages."""
 
 
 @dataclass(slots=True)
@@ -130,20 +130,20 @@ class _Anchor:
 
 
 _SPAN_NS = 5_000_000_000
-"""Rates are means over the last five to ten seconds, as `rostopic hz` shows them."""
+"""Minimum time over which a rate is averaged (at most twice this), as `rostopic hz` shows it."""
 _LEAST_NS = 200_000_000
-"""The least time between two messages that a rate is measured by: of less, the jitter of the network is the most."""
+"""Minimum time between two messages to measure a rate: below that, network jitter dominates."""
 
 
 @dataclass(slots=True)
 class RateEstimator:
-    """Message rates, computed from sequence numbers as samples are taken: nothing is done per message."""
+    """Message rates, computed from sequence numbers when samples are read: there is no work per message."""
 
     _anchors: dict[str, _Anchor] = field(default_factory=dict)
     _rates: dict[str, float] = field(default_factory=dict)
 
     def observe(self, samples: Sequence[Sample]) -> float | None:
-        """Return the rate over all publishers in messages a second after these newest samples; None until measured."""
+        """Return the rate over all publishers in messages per second after these samples; None until measured."""
         for sample in samples:
             self._observe(sample)
         gone = self._anchors.keys() - {sample.publisher for sample in samples}

@@ -1,4 +1,4 @@
-"""Velocity topics: those whose zero message stops the robot."""
+"""Velocity topics: topics whose zero message stops the robot."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import is_reserved
 
 LEFT_OUT = "!"
-"""What begins a glob of --stop-zero whose topics are told nothing."""
+"""Prefix of a glob of --stop-zero that excludes its topics from stops."""
 
 OCCASIONAL_TYPES = COMMANDS | {
     "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path",
     "rcl_interfaces/msg/Log", "rosgraph_msgs/msg/Log", "sensor_msgs/msg/Joy", "trajectory_msgs/msg/JointTrajectory",
 }  # fmt: skip
-"""Types of what is published while something is under way: their topics fall silent when all is well."""
+"""Types of messages that are published only during some activity: silence on their topics is normal."""
 
 
 def is_velocity_topic(topic: Topic, graph: Graph, globs: Sequence[str]) -> bool:
@@ -35,7 +35,7 @@ def is_velocity_topic(topic: Topic, graph: Graph, globs: Sequence[str]) -> bool:
 
 
 def commanded_topics(graph: Graph, globs: Sequence[str]) -> Sequence[Topic]:
-    """The velocity topics that a node subscribes to, whoever publishes them: a stop must be heard in any case."""
+    """Return the velocity topics with a subscriber, regardless of publishers: a stop must reach it in any case."""
     return [
         topic
         for topic in graph.topics.values()
@@ -54,14 +54,14 @@ def zero_message(schema: MessageSchema, lifting: LiftSettings) -> Message:
 
 
 def goes_on(session: Session, name: str, schema: MessageSchema, message: Message) -> bool:
-    """Whether a message sets the robot in motion until something else is published: a velocity other than zero."""
+    """Whether a message is a non-zero velocity, which keeps the robot moving until something else is published."""
     if not session.settings.stop_zero and schema.ref.name not in COMMANDS:
         return False
     return _commands_velocity(session, name, schema) and not is_zero(schema, message)
 
 
 def passes_stop(session: Session, name: str, schema: MessageSchema, message: Message) -> bool:
-    """Whether the robot is stopped, and a message may be published all the same: zero on a velocity topic."""
+    """Whether a message may be published although the robot is stopped: zero on a velocity topic."""
     if session.interlock.stop_state is None:
         return False
     return _commands_velocity(session, name, schema) and is_zero(schema, message)

@@ -19,10 +19,10 @@ RESERVED = frozenset({"/clock", "/tf", "/tf_static", "/rosout", "/rosout_agg", "
 def denied_reason(
     topic: Topic, graph: Graph, permitted: tuple[str, ...], *, needs_subscriber: bool = True
 ) -> str | None:
-    """Why `topic` must not be published to, in a sentence; None where it may be.
+    """Return why `topic` must not be published to, in a sentence; None if it may be.
 
-    `permitted` are the globs of --allow-publish; reserved topics must be among them by their exact name.
-    `needs_subscriber` is False for what is being published already: a subscriber that restarts does not end it.
+    `permitted` are the globs of --allow-publish; reserved topics must be listed by their exact name. `needs_subscriber`
+    is False for a topic being published to: a subscriber that restarts does not end that.
     """
     name = topic.name
     if name in permitted:
@@ -44,9 +44,9 @@ def denied_reason(
 
 
 def takes_finite_numbers(graph: Graph, permitted: tuple[str, ...], kind: Kind, name: str, type: str = "") -> bool:
-    """Whether what is sent to a name is a command: all but messages of a topic that another node publishes, too.
+    """Whether messages to a name are commands: all except those on a topic that another node publishes too.
 
-    `permitted` are the globs of --allow-non-finite, `type` is the name of the message's.
+    `permitted` are the globs of --allow-non-finite, `type` is the name of the message type.
     """
     if permitted and any(fnmatchcase(name, glob) for glob in permitted):
         return False
@@ -57,17 +57,17 @@ def takes_finite_numbers(graph: Graph, permitted: tuple[str, ...], kind: Kind, n
 
 
 def any_number_hint(name: str) -> str:
-    """Return the hint on how to send any number, for the end of a sentence."""
+    """Return the hint on how to allow any number, for the end of a sentence."""
     return f"start rosld with --allow-non-finite {name} to send it all the same"
 
 
 def resources_only_reason(name: str) -> str:
-    """Why a name that belongs to `--resources-only` is not written to by its own URL."""
+    """Return why a name that `--resources-only` matches cannot be written to by its own URL."""
     return f"{name} is written under /resources/ only (--resources-only), where mappings guard it."
 
 
 def parameter_denied_reason(graph: Graph, name: str, *, delete: bool = False) -> str | None:
-    """Why a node never lets its parameter be set (or deleted), as it declares, in a sentence; None where it may."""
+    """Return why a node's declaration prevents setting (or deleting) its parameter, in a sentence, or None."""
     parameter = graph.parameters.get(name)
     descriptor = None if parameter is None else parameter.descriptor
     if descriptor is None:
@@ -80,7 +80,7 @@ def parameter_denied_reason(graph: Graph, name: str, *, delete: bool = False) ->
 
 
 def type_conflict(topic: Topic) -> str | None:
-    """Why a topic has no one type, in a sentence; None where its nodes agree."""
+    """Return why a topic has no single type, in a sentence; None if its nodes agree."""
     if len(topic.types) > 1:
         names = " and ".join(f"{ref.name} ({ref.hash})" if ref.hash else ref.name for ref in topic.types)
         return f"The nodes on {topic.name} do not agree on its type: {names}."
@@ -94,7 +94,7 @@ def is_reserved(name: str, graph: Graph) -> bool:
 
 @dataclass(slots=True)
 class PublishLimiter:
-    """Limiter of publishes: at most `rate` a second a topic, in bursts of up to one second's worth."""
+    """Rate limiter of publishes: at most `rate` per second and topic, in bursts of up to one second's worth."""
 
     rate: float
     _buckets: dict[str, TokenBucket] = field(default_factory=dict)
@@ -108,7 +108,7 @@ class PublishLimiter:
         return seconds
 
     def count(self, topic: str, now: float) -> None:
-        """Count a publish that cannot wait: the next ones wait for it, a second's worth at the most."""
+        """Count a publish that cannot wait; the next ones wait instead, by a second's worth at most."""
         self._bucket(topic).take(now, debt=self.rate)
 
     def _bucket(self, topic: str) -> TokenBucket:

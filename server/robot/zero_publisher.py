@@ -1,7 +1,7 @@
 """Publishing of zero on velocity topics, repeatedly for a second, so that moving robots stop.
 
-A base without a watchdog drives on after the last command, so a single lost message would matter; and where another
-node publishes as well, one zero among its commands would be nothing.
+A base without a watchdog drives on after the last command, so a single lost message would matter; and a single zero
+among the commands of another node would have no effect.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from rosld.server.robot.write_policy import type_conflict
 from rosld.server.runtime.tasks import WokenTask, loop_time
 
 RATE, FIRST_RATE = 20.0, 100.0
-"""Hz: how often zero is published, and how often at first.
+"""Rates in Hz at which zero is published, later and at first.
 
-A base that meets a publisher for the first time loses what comes before it knows of it: each pause would be one that
-it drives on in.
+A base that discovers a new publisher loses the messages before that: the pauses must be short, because it drives on in
+them.
 """
 FIRST_SECONDS = 0.3
-"""How long it is published that often."""
+"""Seconds of publishing at the first rate."""
 SECONDS = 1.0
-"""How long zero is published after a subscriber got it first."""
+"""Seconds of publishing after the first subscriber received zero."""
 _PATIENCE = 2.0
-"""Seconds that an answer waits for a subscriber to connect, where rosld has not published to it before."""
+"""Seconds that a response waits for a subscriber to connect, if rosld has not published to it before."""
 _TRIES = 10.0
-"""Seconds that a subscriber is waited for although the answer told that none was reached.
+"""Seconds to go on trying to reach a subscriber after the response reported that none was reached.
 
-On a machine that is busy ROS may take so long, and a base that is told late stands at last.
+On a busy machine ROS may take that long, and a late zero still stops the base.
 """
 _ALL_SECONDS = 0.5
-"""How long the others are waited for, once one got it."""
+"""Seconds to wait for the other subscribers, once one received zero."""
 _ABREAST = 2
-"""Publishes under way at a time: the first waits for all subscribers, the second goes to those that are there."""
+"""Maximum number of concurrent publishes: the first waits for all subscribers, the second for those present."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Receivers:
 
 
 class ZeroPublisher:
-    """Publishes zero on velocity topics; belongs to the server's loop."""
+    """Publisher of zero on velocity topics; belongs to the server's loop."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -60,9 +60,9 @@ class ZeroPublisher:
         self._advertised: set[str] = set()
 
     async def publish(self, topic: Topic) -> Receivers:
-        """Begin to publish zero on a topic; return when its subscribers got it.
+        """Start to publish zero on a topic; return when its subscribers received it.
 
-        Raises Unreachable where none did, ValueError where there is no zero, and what the adapter raises.
+        Raises Unreachable if none did, ValueError if the type has no zero, and what the adapter raises.
         """
         session, name = self._session, topic.name
         if topic.type is None:
@@ -75,14 +75,14 @@ class ZeroPublisher:
             self._advertised.add(name)
         before = self._running.get(name)
         if before is not None and not before.is_heard:
-            return await before.wait_received()  # the robot is stopped again, which makes it no faster
+            return await before.wait_received()  # stopping the robot again does not make it faster
         if before is not None:
             before.cancel()
         repetition = self._running[name] = Repetition(session, name, zero, subscribers_of(topic, graph))
         return await repetition.wait_received()
 
     async def wait_received_late(self, topic: str) -> Receivers | None:
-        """Wait until a subscriber got what `publish` could not bring to it in time; None where none does."""
+        """Wait until a subscriber receives zero after `publish` has failed; return None if none does."""
         repetition = self._running.get(topic)
         return None if repetition is None else await repetition.wait_received_late()
 
@@ -92,13 +92,13 @@ class ZeroPublisher:
         await asyncio.gather(*(each.over() for each in running))
 
     async def withdraw(self) -> None:
-        """Wait until zero was published for its second, and stop advertising what was advertised for that alone.
+        """Wait until zero was published for its second, and stop advertising the topics advertised only for that.
 
-        A stop is never cut short: that a message was handed over does not mean that the base has it yet.
+        A stop is never cut short: a message handed over may not have reached the base yet.
         """
         await self.over()
         if self._running:
-            return  # the robot was stopped anew meanwhile
+            return  # the robot was stopped again meanwhile
         names, self._advertised = self._advertised & self._session.adapter.published, set()
         for name in sorted(names):
             with contextlib.suppress(RosError):
@@ -106,7 +106,7 @@ class ZeroPublisher:
 
 
 class Repetition:
-    """A message on one topic, published again and again until a second after it was heard first."""
+    """A message on one topic, published repeatedly until a second after a subscriber first received it."""
 
     def __init__(self, session: Session, topic: str, zero: HeldMessage, expected: int) -> None:
         self._session = session
@@ -123,7 +123,7 @@ class Repetition:
         self._task = self._loop.create_task(self._run())
 
     async def wait_received(self) -> Receivers:
-        """Wait until it was heard; how many heard it. Raises Unreachable, and what the adapter raised last."""
+        """Wait until the message is received; return by how many. Raises Unreachable, or the adapter's last error."""
         if not self._heard.done():
             self._try_longer()
             await asyncio.wait([self._heard], timeout=_PATIENCE)
@@ -135,17 +135,17 @@ class Repetition:
         return self._reached
 
     async def wait_received_late(self) -> Receivers | None:
-        """Wait until it was heard, however long; how many heard it, None where it ended before."""
+        """Wait until the message is received, without a time limit; return None if publishing ended before."""
         await asyncio.wait([self._heard])
         return self._reached if self._heard.exception() is None else None
 
     @property
     def is_heard(self) -> bool:
-        """Whether a subscriber got it, or none is waited for any more."""
+        """Whether a subscriber received the message, or none is awaited any more."""
         return self._heard.done()
 
     async def over(self) -> None:
-        """Wait until the end of its time, or of the attempts to reach a subscriber."""
+        """Wait until the end of the publishing, or of the attempts to reach a subscriber."""
         if not self._heard.done() and self._loop.time() >= self._patient_until:
             self.cancel()
         await asyncio.wait([self._task])
@@ -155,7 +155,7 @@ class Repetition:
         self._task.cancel()
 
     def _try_longer(self) -> None:
-        """Wait for a subscriber from now on."""
+        """Extend the time for a subscriber to connect."""
         now = self._loop.time()
         self._until, self._patient_until = now + _TRIES, now + _PATIENCE
 
@@ -176,7 +176,7 @@ class Repetition:
                 one.cancel()
             if not self._heard.done():
                 self._heard.set_exception(self._unheard())
-                self._heard.exception()  # nobody may wait for it
+                self._heard.exception()  # retrieved, because there may be no waiter
 
     async def _publish(self) -> None:
         session, zero = self._session, self._zero
@@ -205,11 +205,11 @@ class Repetition:
 
 _log = logging.getLogger("rosld")
 _OPEN_SECONDS = 5.0
-"""Seconds that a subscriber of one topic is waited for before the next topic is advertised."""
+"""Seconds to wait for a subscriber of one topic before the next topic is advertised."""
 
 
 class ReadyPublications:
-    """Advertises the velocity topics of a robot as they come, and keeps them; belongs to the server's loop."""
+    """Advertiser of a robot's velocity topics as they appear; belongs to the server's loop."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -218,12 +218,12 @@ class ReadyPublications:
         self._failures: dict[str, str] = {}
 
     def start(self) -> None:
-        """Advertise what there is now, and from now on what comes."""
+        """Advertise the present topics, and new ones as they appear."""
         self._watch = self._session.changes.watch(self._advertising.wake)
         self._advertising.start()
 
     async def stop(self) -> None:
-        """Advertise nothing more; what is advertised goes with the adapter. Idempotent."""
+        """Stop advertising more; closing the adapter withdraws the rest. Idempotent."""
         if self._watch is not None:
             self._watch.close()
         await self._advertising.stop()

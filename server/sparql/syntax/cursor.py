@@ -135,9 +135,7 @@ class Cursor:
         return iri
 
     def iri(self, token: Token) -> str:
-        """Return the IRI of a token. Raises a Problem 413 if all IRIs are too long in total for the size of the
-        text.
-        """
+        """Return the IRI of a token. Raises a Problem 413 if all IRIs together are too long for the text's size."""
         iri = self._resolve(token) if token.kind is Kind.IRI else self._expand(token)
         self._left -= len(iri)
         if self._left < 0:

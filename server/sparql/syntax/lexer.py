@@ -88,9 +88,7 @@ _NO_STEPS = frozenset({".", ",", ";", "^^"})
 
 
 def tokens(text: str, at: int = 0, *, spaces: bool = True) -> Iterator[Token]:
-    """Yield the tokens from `at`, comments included; with `spaces`, their texts joined are the text, even if
-    invalid.
-    """
+    """Yield the tokens from `at`, comments included; with `spaces`, their texts join to the text, even if invalid."""
     seen = 0
     while at < len(text):
         if not spaces and (space := _SPACE.match(text, at)):

@@ -88,13 +88,12 @@ class ActivityContainer(Resource):
     title = TITLE
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(
-        self, space: Space, states: VersionCache[State], receipts: Journal, place: PagePosition | None = None
-    ) -> None:
+    _place: PagePosition | None = None
+
+    def __init__(self, space: Space, states: VersionCache[State], receipts: Journal) -> None:
         super().__init__(space, space.container("activity"))
         self.states = states
         self.receipts = receipts
-        self._place = place
 
     @property
     def variant_key(self) -> PagePosition | None:
@@ -108,7 +107,7 @@ class ActivityContainer(Resource):
             return NewestReceipt(self.space, self.receipts, exchange.permissions)
         token = exchange.query.get("page")
         if token is not None:
-            return ActivityContainer(self.space, self.states, self.receipts, parse_position(token))
+            return self.variant(_place=parse_position(token))
         require_page(exchange, self.url, len(self.receipts))
         return self
 

@@ -62,15 +62,13 @@ class BagMessages(Resource):
     is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(
-        self, session: Session, states: VersionCache[State], recording: Recording, page: int | None = None
-    ) -> None:
-        base = session.space.bag_messages(recording.name)
-        super().__init__(session.space, base if page is None else f"{base}?page={page}")
+    number: int | None = None
+
+    def __init__(self, session: Session, states: VersionCache[State], recording: Recording) -> None:
+        super().__init__(session.space, session.space.bag_messages(recording.name))
         self.session = session
         self.states = states
         self.recording = recording
-        self.number = page
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(f"The messages of {self.recording.name}", query=(FORMAT, _PAGE, *PARAMETERS))
@@ -101,7 +99,7 @@ class BagMessages(Resource):
             raise Problem(404, f"?page={wanted}: the pages of {self.recording.name} are {first} to {last}.")
         if int(wanted) < first:
             raise Problem(410, f"?page={wanted}: the oldest messages were removed, the pages are {first} to {last}.")
-        return BagMessages(self.session, self.states, self.recording, int(wanted))
+        return self.variant(url=f"{self.url}?page={int(wanted)}", number=int(wanted))
 
 
 class BagMessage(Resource):

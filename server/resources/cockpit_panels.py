@@ -195,7 +195,7 @@ class PanelReader:
     async def _resource(self, url: str) -> Resource:
         found = self._find(url)
         if isinstance(found, DiagnosticsResource):
-            found = DiagnosticsResource(found.session, found.history, found.level_times, "", self._permissions)
+            found = found.select("", self._permissions)
         await found.prepare()
         return found
 

@@ -40,7 +40,6 @@ from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS
 from rosld.server.rest.interaction import choose_name
-from rosld.server.rest.paging import ALL_PARTS, ContainerParts, PagePosition
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem
 from rosld.server.rest.resource import RDF_SOURCE as RDF_SOURCE_LINK
 from rosld.server.rest.resource import RESOURCE, Answer, CreatedAnswer, Resource
@@ -311,20 +310,9 @@ class CockpitContainer(ContainerResource):
 
     takes_forms = True
 
-    def __init__(
-        self,
-        sources: CockpitSources,
-        parts: ContainerParts = ALL_PARTS,
-        place: PagePosition | None = None,
-    ) -> None:
-        super().__init__(sources.documents, ROUTE, parts, place)
+    def __init__(self, sources: CockpitSources) -> None:
+        super().__init__(sources.documents, ROUTE)
         self._sources = sources
-
-    async def select_variant(self, exchange: Exchange) -> Resource:
-        found = await super().select_variant(exchange)
-        if type(found) is ContainerResource:
-            return CockpitContainer(self._sources, found._parts, found._place)
-        return found
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("The cockpits", query=(FORMAT, PAGE))

@@ -14,7 +14,7 @@ from rosld.adapters.base import MessageFilter, Watch
 from rosld.adapters.model import Graph, MessageSchema, RosError, TypeRef
 from rosld.ontology.describe_views import PartState, diagnostics_document
 from rosld.ontology.literals import date_time
-from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.auth.permissions import Permissions
 from rosld.server.history.history import History
 from rosld.server.html.forms import Form
 from rosld.server.html.page import Csrf, DiagnosticsPage, Notice
@@ -87,21 +87,13 @@ class DiagnosticsResource(Resource):
     title = "Diagnostics"
     links = (RESOURCE, RDF_SOURCE)
 
-    def __init__(
-        self,
-        session: Session,
-        history: History,
-        level_times: LevelTimes,
-        name: str = "",
-        permissions: Permissions = ALLOW_ALL,
-    ) -> None:
-        base = f"{session.space.base}diagnostics"
-        super().__init__(session.space, f"{base}?name={quote(name, safe='')}" if name else base)
+    name = ""
+
+    def __init__(self, session: Session, history: History, level_times: LevelTimes) -> None:
+        super().__init__(session.space, f"{session.space.base}diagnostics")
         self.session = session
         self.history = history
         self.level_times = level_times
-        self.name = name
-        self._permissions = permissions
         self.states: Sequence[DiagnosticState] = ()
         self._changes: Sequence[LevelChange] = ()
 
@@ -110,13 +102,12 @@ class DiagnosticsResource(Resource):
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the requested part, as the agent may see it."""
-        return DiagnosticsResource(
-            self.session,
-            self.history,
-            self.level_times,
-            exchange.query.get("name", "")[:_MAX_NAME],
-            exchange.permissions,
-        )
+        return self.select(exchange.query.get("name", "")[:_MAX_NAME], exchange.permissions)
+
+    def select(self, name: str, permissions: Permissions) -> DiagnosticsResource:
+        """Return the part of a name, or the whole without one, as an agent may see it."""
+        url = f"{self.url}?name={quote(name, safe='')}" if name else self.url
+        return self.variant(url=url, name=name, _permissions=permissions)
 
     def _topics(self, graph: Graph) -> Sequence[str]:
         """The topics of diagnostics that the agent may read."""

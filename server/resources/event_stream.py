@@ -86,6 +86,8 @@ class EventStreamResource(Resource):
 
     kind = "Event stream"
     is_cacheable = False
+    _profile = StreamProfile.RECORD
+    _suffix = ""
 
     def __init__(
         self,
@@ -94,16 +96,13 @@ class EventStreamResource(Resource):
         history: History,
         recording: Recording,
         page: PageNumber | None = None,
-        query: str = "",
     ) -> None:
         self.session = session
         self.states = states
         self.history = history
         self.recording = recording
         self._page = page
-        self._profile = StreamProfile.RECORD
-        self._suffix = query
-        super().__init__(session.space, _url(session.space, recording, page) + query)
+        super().__init__(session.space, _url(session.space, recording, page))
         self.shape = "EventStream" if page is None else "StreamPage"
         self.title = f"Messages of {recording.name}"
 
@@ -124,10 +123,9 @@ class EventStreamResource(Resource):
         if asked is not None and found is None:
             raise Problem(406, f"?{PROFILE_QUERY}={asked[:60]} is unknown; there are {', '.join(_PROFILES)}.")
         suffix = "" if asked is None or found is None else f"?{PROFILE_QUERY}={_short_name(found)}"
-        chosen = EventStreamResource(self.session, self.states, self.history, self.recording, self._page, suffix)
-        chosen._profile = StreamProfile(found) if found else StreamProfile.RECORD
-        chosen.links = (RESOURCE, RDF_SOURCE, Link(chosen._profile.value, "profile"))
-        return chosen
+        profile = StreamProfile(found) if found else StreamProfile.RECORD
+        links = (RESOURCE, RDF_SOURCE, Link(profile.value, "profile"))
+        return self.variant(url=self.url + suffix, links=links, _profile=profile, _suffix=suffix)
 
     async def state(self) -> State:
         recording, page = self.recording, self._page

@@ -21,7 +21,6 @@ from rosld.ontology.describe_search import (
 )
 from rosld.ontology.document import Document
 from rosld.ontology.vocab import ros
-from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html.forms import Form
 from rosld.server.html.page import Csrf, Notice, SearchPage, Thumbnail
 from rosld.server.html.render import render_search
@@ -100,7 +99,10 @@ _RESULTS: JsonSchema = {
 class FindResource(Resource):
     """The search, or what one search found for one agent."""
 
-    kind = "Search"
+    kind = title = "Search"
+    shape = "Source"
+    _text = ""
+    _subscribes = False
     links = (RESOURCE, RDF_SOURCE)
 
     def __init__(
@@ -110,23 +112,13 @@ class FindResource(Resource):
         latest_values: LatestValues,
         property_reader: PropertyReader,
         finder: Finder,
-        query: str = "",
-        permissions: Permissions = ALLOW_ALL,
-        *,
-        subscribes: bool = False,
     ) -> None:
-        asked = f"?q={quote(query, safe='')}{'&values=true' if subscribes else ''}" if query else ""
-        super().__init__(session.space, f"{session.space.base}find{asked}")
-        self.shape = "SearchResults" if query else "Source"
-        self.title = query or "Search"
+        super().__init__(session.space, f"{session.space.base}find")
         self.session = session
         self.affordances = affordances
         self.latest_values = latest_values
         self.property_reader = property_reader
         self._finder = finder
-        self._text = query
-        self._permissions = permissions
-        self._subscribes = subscribes
         self._results: Sequence[SearchResult] = ()
         self._pictures: Mapping[str, Thumbnail] = {}
         self._total = 0
@@ -142,16 +134,11 @@ class FindResource(Resource):
         except ValueError as error:
             raise Problem(400, f"?q= cannot be searched for: {error}. Send fewer.") from error
         subscribes = exchange.query_flag("values")
-        return FindResource(
-            self.session,
-            self.affordances,
-            self.latest_values,
-            self.property_reader,
-            self._finder,
-            query,
-            exchange.permissions,
-            subscribes=subscribes,
-        )
+        found = self.variant(_text=query, _permissions=exchange.permissions, _subscribes=subscribes)
+        if query:
+            found.url = f"{self.url}?q={quote(query, safe='')}{'&values=true' if subscribes else ''}"
+            found.shape, found.title = "SearchResults", query
+        return found
 
     async def state(self) -> State:
         if not self._text:

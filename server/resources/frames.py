@@ -12,7 +12,6 @@ from rosld.ontology.describe_views import Frame, frames_document
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
 from rosld.server.auth.errors import not_found
-from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html.forms import Form
 from rosld.server.html.page import Csrf, FramesPage, Notice
 from rosld.server.html.render import render_frames
@@ -63,13 +62,10 @@ class FramesResource(Resource):
     title = "Frames"
     links = (RESOURCE, RDF_SOURCE)
 
-    def __init__(
-        self, space: Space, adapter: AuditedAdapter, scene: Scene, permissions: Permissions = ALLOW_ALL
-    ) -> None:
+    def __init__(self, space: Space, adapter: AuditedAdapter, scene: Scene) -> None:
         super().__init__(space, f"{space.base}frames")
         self.adapter = adapter
         self.scene = scene
-        self._permissions = permissions
         self._nodes: Sequence[FrameNode] = ()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -79,7 +75,7 @@ class FramesResource(Resource):
         """The frames as the agent may see them. Raises a Problem where it may not see the transforms."""
         if not all(exchange.permissions.may_read(self.space.topic(each)) for each in TOPICS):
             raise not_found()
-        return FramesResource(self.space, self.adapter, self.scene, exchange.permissions)
+        return self.variant(_permissions=exchange.permissions)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         """Return a polling watch, because moving frames change all the time."""

@@ -13,7 +13,6 @@ from rosld.adapters.model import Graph, Topic
 from rosld.ontology.describe_graph import edges_document, node_views
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
-from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.diagrams import dot, svg
 from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, draw_graph, fold, namespaces_of
 from rosld.server.html.forms import Form
@@ -83,9 +82,6 @@ _PLAIN: JsonSchema = {
 }
 
 
-_WHOLE = Selection()
-
-
 class GraphResource(Resource):
     """The computation graph as a drawing, or a part of it, as one agent may see it."""
 
@@ -94,17 +90,12 @@ class GraphResource(Resource):
     title = "Graph"
     links = (RESOURCE, RDF_SOURCE)
 
-    def __init__(
-        self, session: Session, instance_id: str, selection: Selection = _WHOLE, permissions: Permissions = ALLOW_ALL
-    ) -> None:
-        asked = {"below": quote(selection.below, safe="/"), "all": "true" if selection.everything else ""}
-        query = "&".join(f"{name}={value}" for name, value in asked.items() if value)
-        self._base = f"{session.space.base}graph"
-        super().__init__(session.space, f"{self._base}?{query}" if query else self._base)
+    _selection = Selection()
+
+    def __init__(self, session: Session, instance_id: str) -> None:
+        super().__init__(session.space, f"{session.space.base}graph")
         self.session = session
         self.instance_id = instance_id
-        self._selection = selection
-        self._permissions = permissions
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem("Who talks to whom", (*OFFERS, *_DRAWINGS.values()), plain=_PLAIN, query=_PARAMETERS)
@@ -114,9 +105,11 @@ class GraphResource(Resource):
         below = exchange.query.get("below", "")
         if below and (not below.startswith("/") or len(below) > _MAX_NAME):
             raise Problem(400, f"?below={below[:40]}: a name of the robot, such as /camera.")
-        return GraphResource(
-            self.session, self.instance_id, Selection(below, exchange.query_flag("all")), exchange.permissions
-        )
+        everything = exchange.query_flag("all")
+        asked = {"below": quote(below, safe="/"), "all": "true" if everything else ""}
+        query = "&".join(f"{name}={value}" for name, value in asked.items() if value)
+        url = f"{self.url}?{query}" if query else self.url
+        return self.variant(url=url, _selection=Selection(below, everything), _permissions=exchange.permissions)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         """Return a watch of the graph; rates change all the time, and are polled."""
@@ -178,7 +171,7 @@ class GraphResource(Resource):
         headers = {**resource_headers(self), "x-content-type-options": "nosniff"}
         if media_type == svg.MEDIA_TYPE:
             headers["content-security-policy"] = _POLICY
-            text = self._svg(fold(diagram, self._base), Site(self.space.base, "").href, alone=True)
+            text = self._svg(fold(diagram, f"{self.space.base}graph"), Site(self.space.base, "").href, alone=True)
         else:
             text = dot.write_dot(diagram)
         data, name = text.encode("utf-8", "replace"), "svg" if media_type == svg.MEDIA_TYPE else "dot"
@@ -190,7 +183,7 @@ class GraphResource(Resource):
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         diagram = self._diagram(self._graph())
-        folded = fold(diagram, self._base)
+        folded = fold(diagram, f"{self.space.base}graph")
         problems = [(each.url, words) for each, words in diagram.problems[:_MAX_PROBLEMS]]
         return render_graph(
             GraphPage(

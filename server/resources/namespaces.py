@@ -187,6 +187,8 @@ class NamespaceContainer(Resource):
     kind = "Namespace"
     shape = "Container"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+    _place: PagePosition | None = None
+    _hidden = False
 
     def __init__(
         self,
@@ -195,9 +197,6 @@ class NamespaceContainer(Resource):
         latest_values: LatestValues,
         route: str,
         namespace: tuple[str, ...],
-        place: PagePosition | None = None,
-        *,
-        hidden: bool = False,
     ) -> None:
         super().__init__(session.space, session.space.container(route, namespace))
         self.title = names.join(namespace) if namespace else route.capitalize()
@@ -206,13 +205,14 @@ class NamespaceContainer(Resource):
         self.latest_values = latest_values
         self.route = route
         self.namespace = namespace
-        self._place = place
-        self._hidden = hidden
-        self._sequence = with_hidden(self.url) if hidden else self.url
 
     @property
     def variant_key(self) -> tuple[PagePosition | None, bool]:
         return self._place, self._hidden
+
+    @property
+    def _sequence(self) -> str:
+        return with_hidden(self.url) if self._hidden else self.url
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the page that `?page=` asks for, the first of many pages (303)."""
@@ -220,9 +220,7 @@ class NamespaceContainer(Resource):
             return self
         hidden, token = exchange.query_flag("hidden"), exchange.query.get("page")
         place = None if token is None else parse_named_position(token)
-        asked = NamespaceContainer(
-            self.session, self.states, self.latest_values, self.route, self.namespace, place, hidden=hidden
-        )
+        asked = self.variant(_place=place, _hidden=hidden)
         if place is None:
             require_page(exchange, self.url, count_members(asked._members(asked._listed())))
         return asked

@@ -45,6 +45,8 @@ class ParameterContainer(ParameterBase):
 
     kind = "Parameters"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+    _place: PagePosition | None = None
+    _hidden = False
 
     def __init__(
         self,
@@ -52,20 +54,18 @@ class ParameterContainer(ParameterBase):
         limit_checks: LimitChecks,
         states: VersionCache[State],
         namespace: tuple[str, ...],
-        place: PagePosition | None = None,
-        *,
-        hidden: bool = False,
     ) -> None:
         super().__init__(session, limit_checks, states, names.join(namespace))
         self.url = session.space.container("parameters", namespace)
         self.namespace = namespace
-        self._place = place
-        self._hidden = hidden
-        self._sequence = with_hidden(self.url) if hidden else self.url
 
     @property
     def variant_key(self) -> tuple[PagePosition | None, bool]:
         return self._place, self._hidden
+
+    @property
+    def _sequence(self) -> str:
+        return with_hidden(self.url) if self._hidden else self.url
 
     @property
     def query(self) -> str:

@@ -289,9 +289,7 @@ class ParameterTree(ParameterContainer):
             return self
         token = exchange.query.get("page")
         place = None if token is None else parse_named_position(token)
-        asked = ParameterTree(
-            self.session, self.limit_checks, self.states, self.namespace, place, hidden=exchange.query_flag("hidden")
-        )
+        asked = self.variant(_place=place, _hidden=exchange.query_flag("hidden"))
         members = asked._listed().members
         if place is None and members is not None and not _wants_value(exchange):
             require_page(exchange, self.url, count_members(members))

@@ -15,7 +15,7 @@ from rosld.ontology.describe_views import PlottedNumber, plot_document
 from rosld.ontology.document import Document
 from rosld.ontology.fields import number_type
 from rosld.server.auth.errors import not_found
-from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.auth.permissions import Permissions
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS
 from rosld.server.events.query_params import EVENT_STREAM, stream_is_preferred
@@ -146,6 +146,7 @@ class PlotResource(Resource):
     shape = "Plot"
     links = (RESOURCE, RDF_SOURCE)
     is_cacheable = False
+    references: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -153,16 +154,12 @@ class PlotResource(Resource):
         affordances: AffordanceService[State],
         history: History,
         broadcasters: Broadcasters,
-        references: Sequence[str] = (),
-        permissions: Permissions = ALLOW_ALL,
     ) -> None:
-        self.references = tuple(references)
-        super().__init__(session.space, f"{session.space.base}plot{plot_query(references)}")
+        super().__init__(session.space, f"{session.space.base}plot")
         self.session = session
         self.affordances = affordances
         self.history = history
         self._broadcasters = broadcasters
-        self._permissions = permissions
         self._numbers: Sequence[PlottedNumber] = ()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -177,9 +174,8 @@ class PlotResource(Resource):
             raise Problem(
                 400, f"?y= is there {len(references)} times: at most {MAX_NUMBERS} numbers are drawn together."
             )
-        return PlotResource(
-            self.session, self.affordances, self.history, self._broadcasters, references, exchange.permissions
-        )
+        url = self.url + plot_query(references)
+        return self.variant(url=url, references=tuple(references), _permissions=exchange.permissions)
 
     def document(self) -> Document:
         """Return the document without a selection."""

@@ -58,7 +58,6 @@ from rosld.server.resources.sparql_endpoint import (
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.pages import PageRenderer
-from rosld.server.rest.paging import ALL_PARTS, ContainerParts, PagePosition
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
 from rosld.server.rest.resource import READ, Resource
 from rosld.server.rest.responses import RawResponse, resource_headers
@@ -323,24 +322,14 @@ class AbsentQueryResource(AbsentResource):
 class QueryContainer(ContainerResource):
     """`/queries/`: stored queries, and those that come with rosld."""
 
-    def __init__(
-        self,
-        documents: Documents,
-        queries: StoredQueries,
-        path: str,
-        parts: ContainerParts = ALL_PARTS,
-        place: PagePosition | None = None,
-    ) -> None:
-        super().__init__(documents, path, parts, place)
+    def __init__(self, documents: Documents, queries: StoredQueries, path: str) -> None:
+        super().__init__(documents, path)
         self.queries = queries
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method == "POST":
             await _require_size(exchange)
-        found = await super().select_variant(exchange)
-        if type(found) is ContainerResource:
-            return QueryContainer(self.documents, self.queries, self.path, found._parts, found._place)
-        return found
+        return await super().select_variant(exchange)
 
     def is_taken(self, name: str) -> bool:
         return name in self.queries.shipped or super().is_taken(name)

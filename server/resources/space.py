@@ -17,7 +17,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, statements, text, triples_about
 from rosld.ontology.vocab import dcterms, rdfs
 from rosld.server.auth.errors import not_found
-from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.auth.permissions import Permissions
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS
 from rosld.server.events.query_params import EVENT_STREAM, stream_is_preferred
@@ -183,6 +183,9 @@ class SpaceResource(Resource):
     title = "Space"
     links = (RESOURCE, RDF_SOURCE_LINK)
     is_cacheable = False
+    frame = ""
+    references: tuple[str, ...] = ()
+    is_3d = False
 
     def __init__(
         self,
@@ -191,22 +194,13 @@ class SpaceResource(Resource):
         history: History,
         broadcasters: Broadcasters,
         goals: GoalTargets,
-        frame: str = "",
-        references: Sequence[str] = (),
-        permissions: Permissions = ALLOW_ALL,
-        *,
-        is_3d: bool = False,
     ) -> None:
-        self.frame = frame
-        self.references = tuple(references)
-        self.is_3d = is_3d
-        super().__init__(session.space, f"{session.space.base}space{space_query(frame, references, is_3d=is_3d)}")
+        super().__init__(session.space, f"{session.space.base}space")
         self.session = session
         self.scene = scene
         self.history = history
         self._broadcasters = broadcasters
         self._goals = goals
-        self._permissions = permissions
         self._topics: Sequence[SpaceTopic] = ()
         self._frames: Sequence[str] = ()
         self._fixed = ""
@@ -227,16 +221,13 @@ class SpaceResource(Resource):
         view = exchange.query.get("view", "above")
         if view not in _VIEWS:
             raise Problem(400, f"?view={view[:60]}: there are {' and '.join(_VIEWS)}.")
-        return SpaceResource(
-            self.session,
-            self.scene,
-            self.history,
-            self._broadcasters,
-            self._goals,
-            frame,
-            references,
-            exchange.permissions,
-            is_3d=view == VIEW_3D,
+        is_3d = view == VIEW_3D
+        return self.variant(
+            url=self.url + space_query(frame, references, is_3d=is_3d),
+            frame=frame,
+            references=tuple(references),
+            is_3d=is_3d,
+            _permissions=exchange.permissions,
         )
 
     def document(self) -> Document:

@@ -30,7 +30,6 @@ from rosld.server.resources.ldp.representation import all_members
 from rosld.server.resources.ldp.routes import stored_route
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.paging import ALL_PARTS, ContainerParts, PagePosition
 from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
 from rosld.server.rest.state import State
@@ -65,15 +64,16 @@ class TypeResource(Resource):
     kind = "Type"
     shape = "Type"
 
-    def __init__(self, session: Session, states: VersionCache[State], name: str, hash: str | None = None) -> None:
-        super().__init__(session.space, session.space.type(TypeRef(name, hash)))
+    def __init__(self, session: Session, states: VersionCache[State], name: str) -> None:
+        super().__init__(session.space, session.space.type(name))
         self.session = session
         self.states = states
-        self.ref = TypeRef(name, hash)
+        self.ref = TypeRef(name)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         hash = exchange.query.get("hash")
-        return self if hash is None else TypeResource(self.session, self.states, self.ref.name, hash)
+        ref = TypeRef(self.ref.name, hash)
+        return self if hash is None else self.variant(url=self.space.type(ref), ref=ref)
 
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
@@ -285,22 +285,9 @@ class PackageRedirect(Resource):
 class LimitsContainer(ContainerResource):
     """`/shapes/`: the packages with the shapes of their types, and the limits that clients keep."""
 
-    def __init__(
-        self,
-        adapter: AuditedAdapter,
-        documents: Documents,
-        path: str,
-        parts: ContainerParts = ALL_PARTS,
-        place: PagePosition | None = None,
-    ) -> None:
-        super().__init__(documents, path, parts, place)
+    def __init__(self, adapter: AuditedAdapter, documents: Documents, path: str) -> None:
+        super().__init__(documents, path)
         self.adapter = adapter
-
-    async def select_variant(self, exchange: Exchange) -> Resource:
-        found = await super().select_variant(exchange)
-        if type(found) is ContainerResource:
-            return LimitsContainer(self.adapter, self.documents, self.path, found._parts, found._place)
-        return found
 
     def is_taken(self, name: str) -> bool:
         return name in SHAPES_GRAPHS or name in _packages(self.adapter) or super().is_taken(name)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Hashable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 from pyoxigraph import Triple
 from starlette.responses import Response
@@ -67,6 +67,7 @@ class StorageWrite:
 Plan: TypeAlias = "RobotWrite | StorageWrite"
 
 
+R = TypeVar("R", bound="Resource")
 READ = frozenset({"GET", "HEAD", "OPTIONS"})
 ABSENT = frozenset({"OPTIONS"})
 """What is answered of what is not there, and is not made by a write to its URL."""
@@ -247,6 +248,12 @@ class Resource:
     def navigation_links(self) -> tuple[SequenceLink, ...]:
         """Return the neighbours that its page links to."""
         return ()
+
+    def variant(self: R, **changes: object) -> R:
+        """Return a copy with other values of some attributes, such as a page or a selection."""
+        made = object.__new__(type(self))
+        made.__dict__.update(self.__dict__, **changes)
+        return made
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the resource that query and preferences ask for: a page of this one, a variant, itself."""

@@ -148,13 +148,12 @@ class ContainerResource(RdfSourceResource):
     in_turn = frozenset({"PUT", "PATCH"})
     takes_forms = False
 
-    def __init__(
-        self, documents: Documents, path: str, parts: ContainerParts = ALL_PARTS, place: PagePosition | None = None
-    ) -> None:
+    _parts: ContainerParts = ALL_PARTS
+    _place: PagePosition | None = None
+
+    def __init__(self, documents: Documents, path: str) -> None:
         super().__init__(documents, path)
         self.accepts = {"POST": self.accepted_media_types, "PUT": RDF_BODIES, "PATCH": (SPARQL_UPDATE, N3_PATCH)}
-        self._parts = parts
-        self._place = place
         record = documents.records.get(path)
         self.links = model_links(record.model if record is not None else Model.BASIC_CONTAINER)
 
@@ -178,10 +177,10 @@ class ContainerResource(RdfSourceResource):
         parts = select_parts(exchange.prefer) if exchange.header("prefer") is not None else ALL_PARTS
         page = exchange.query.get("page")
         if page is not None:
-            return ContainerResource(self.documents, self.path, parts, parse_position(page))
+            return self.variant(_parts=parts, _place=parse_position(page))
         if parts.containment or parts.membership:
             require_page(exchange, self.url, self.require_record().count)
-        return self if parts is ALL_PARTS else ContainerResource(self.documents, self.path, parts)
+        return self if parts is ALL_PARTS else self.variant(_parts=parts)
 
     async def state(self) -> State:
         record = self.require_record()

@@ -7,18 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.ontology.body import index_triples, parse_json
+from rosld.ontology.document import Document
 from rosld.server.auth.permissions import Permissions
+from rosld.server.history.history import History
 from rosld.server.html.forms import Form
 from rosld.server.html.offer import forms_of
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
+from rosld.server.hypermedia.catalogue import Property
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.json_schema import (
     Json,
@@ -33,9 +37,9 @@ from rosld.server.hypermedia.value import shape_url
 from rosld.server.hypermedia.view_documents import complex_document, complex_json
 from rosld.server.hypermedia.views import ComplexView
 from rosld.server.patches.patch import apply_update
-from rosld.server.resources.accepted_shape import CommandResource
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.memento import PAST
+from rosld.server.resources.past_resources import PastReadings, TimeGate
 from rosld.server.resources.property_writes import (
     MemberChange,
     carry_out_all,
@@ -62,13 +66,14 @@ from rosld.server.rest.resource import (
 )
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
+from rosld.server.runtime.version_cache import VersionCache
 
 _MANY_MEMBERS = 40
 """Members from which messages among them are described at their own URLs alone: hundreds of them are megabytes."""
 _FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS, TD]})
 
 
-class ComplexResource(CommandResource):
+class ComplexResource(TimeGate):
     """A complex resource: a namespace, or what a mapping says of a path."""
 
     kind = "Complex resource"
@@ -81,26 +86,19 @@ class ComplexResource(CommandResource):
         affordances: AffordanceService[State],
         limit_checks: LimitChecks,
         things: ThingDescriptions,
+        states: VersionCache[State],
+        history: History,
         path: str,
     ) -> None:
-        super().__init__(session.space, url_of(path, session.space))
+        super().__init__(session, affordances, limit_checks, things, states, history, path)
         self.title = path if path != "/" else "Resources"
-        self.session = session
-        self.affordances = affordances
-        self.limit_checks = limit_checks
-        self.things = things
-        self.path = path
-        self.links = (
-            RESOURCE,
-            RDF_SOURCE,
-            BASIC_CONTAINER,
-            Link(f"{self.url}?format={TD}", "describedby", type=MEDIA_TYPE),
-        )
+        thing = Link(f"{self.url}?format={TD}", "describedby", type=MEDIA_TYPE)
+        self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, thing, *self._gate)
 
     @property
     def also_changes(self) -> Sequence[str]:
         tree = self.affordances.cached_tree() or self.affordances.last_tree
-        plan = None if tree is None else tree.complex(self.path)
+        plan = None if tree is None else tree.complex(self.name)
         return () if plan is None else [url_of(one.url_name or one.source.name, self.space) for one in plan.members]
 
     @property
@@ -112,7 +110,7 @@ class ComplexResource(CommandResource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         offers, tree = self.affordances, self.affordances.cached_tree() or self.affordances.last_tree
-        plan = None if tree is None else tree.complex(self.path)
+        plan = None if tree is None else tree.complex(self.name)
         read: dict[str, Json] = {}
         sent: dict[str, Json] = {}
         members: dict[str, str] = {}
@@ -127,7 +125,7 @@ class ComplexResource(CommandResource):
                 sent[one.name] = patch_schema(taken)
         patch: JsonSchema = {"type": "object", "properties": sent, "additionalProperties": False}
         return PathItem(
-            f"The resource {self.path}",
+            f"The resource {self.name}",
             (*OFFERS, MEDIA_TYPE),
             {"type": "object", "properties": read},
             (_FORMAT, *PAST, *(replace(one, about=f"Of a Thing Description. {one.about}") for one in PART_QUERY)),
@@ -137,7 +135,7 @@ class ComplexResource(CommandResource):
 
     def methods(self) -> frozenset[str]:
         tree = self.affordances.cached_tree()
-        plan = tree.complex(self.path) if tree is not None else None
+        plan = tree.complex(self.name) if tree is not None else None
         if plan is None or self.session.settings.read_only:
             return READ
         return READ | {"PATCH"} if any(self.affordances.is_writable(one.source) for one in plan.members) else READ
@@ -152,7 +150,7 @@ class ComplexResource(CommandResource):
         if self.session.settings.read_only:
             return "This server is read-only."
         if method == "PATCH":
-            return f"No member of {self.path} can be written now."
+            return f"No member of {self.name} can be written now."
         return f"A complex resource is read with GET and written with PATCH; it does not answer {method}."
 
     async def state(self) -> State:
@@ -163,7 +161,7 @@ class ComplexResource(CommandResource):
 
     def outline(self, tree: ResourceTree) -> State | None:
         """Return the state without the members' values; None where what is on offer depends on values."""
-        plan = tree.complex(self.path)
+        plan = tree.complex(self.name)
         if plan is None or plan.is_conditional:
             return None
         return self._state_of(plan, self.affordances.unread(tree, plan.reads))
@@ -185,37 +183,55 @@ class ComplexResource(CommandResource):
         times = [one.read_ns for one in own if one.read_ns is not None and one.fresh_until is not None]
         shapes = (shape_url(member.reading, member.field, self.space) for member in view.members)
         return State(
-            lambda: complex_document(
-                view, self.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
-            ),
+            partial(self._document, view),
             lambda: complex_json(view, self.session.lifting),
             received_ns=min(times, default=None),
             max_age=0 if plan.is_conditional else self.affordances.max_age(own),
             view=view,
+            headers=self._headers,
             shapes=tuple(dict.fromkeys(url for url in shapes if url is not None)),
         )
+
+    async def past_state(self, readings: PastReadings) -> State:
+        _, plan = await self._plan()
+        snapshot, plan = await readings.snapshot(plan.reads), replace(plan, exists_when=())
+        view = self.affordances.complex_view(plan, snapshot)
+        members = tuple(
+            replace(each, affordance=replace(each.affordance, write=False, observe=False)) for each in view.members
+        )
+        view = replace(view, members=members, actions=())
+        return replace(
+            self._state_of(plan, snapshot),
+            describe=partial(self._document, view),
+            plain=lambda: complex_json(view, self.session.lifting),
+            view=view,
+        )
+
+    async def recorded_properties(self) -> Sequence[Property]:
+        _, plan = await self._plan()
+        return [each.source for each in plan.members]
+
+    def _document(self, view: ComplexView) -> Document:
+        simulated = self.session.graph.simulated_time
+        return complex_document(view, self.space, self.session.lifting, simulated_time=simulated)
 
     def redact(self, state: State, permissions: Permissions) -> State:
         view = state.view
         assert isinstance(view, ComplexView)
         left = view.redact(permissions)
         return state.redact(
-            permissions,
-            lambda: complex_document(
-                left, self.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
-            ),
-            lambda: complex_json(left, self.session.lifting),
+            permissions, partial(self._document, left), lambda: complex_json(left, self.session.lifting)
         )
 
     async def _plan(self) -> tuple[ResourceTree, ComplexPlan]:
         tree = await self.affordances.tree()
-        plan = tree.complex(self.path)
+        plan = tree.complex(self.name)
         if plan is not None:
             return tree, plan
-        name = self.path[:-1]
+        name = self.name[:-1]
         if tree.property(name) is not None or tree.action(name) is not None:
             raise permanent_redirect(url_of(name, self.space))
-        raise Problem(404, f"There is no resource {self.path}.")
+        raise Problem(404, f"There is no resource {self.name}.")
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if not wants_thing(exchange):
@@ -226,7 +242,7 @@ class ComplexResource(CommandResource):
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         tree = await self.affordances.tree()
-        plan = tree.complex(self.path)
+        plan = tree.complex(self.name)
         return None if plan is None else await self.affordances.watch(plan.reads, wake)
 
     async def forms(self) -> Sequence[Form]:
@@ -238,7 +254,7 @@ class ComplexResource(CommandResource):
         tree, plan = await self._plan()
         data = await exchange.body()
         named = tuple(member.source.name for member in plan.members)
-        async with self.affordances.lock(tree, self.path, *named, modified=named):
+        async with self.affordances.lock(tree, self.name, *named, modified=named):
             snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
             changes = self._changes(exchange.media_type, plan, snapshot, data)
             return await carry_out_all(
@@ -264,12 +280,12 @@ class ComplexResource(CommandResource):
             await carry_out_all(self.session, writes)
             return True
 
-        return RobotWrite(f"write {', '.join(name for name, _ in writes) or 'nothing'} of {self.path}", carried_out_all)
+        return RobotWrite(f"write {', '.join(name for name, _ in writes) or 'nothing'} of {self.name}", carried_out_all)
 
     def affected_names(self, tree: ResourceTree) -> tuple[str, ...]:
         """Return the names that a write through its graph concerns."""
-        plan = tree.complex(self.path)
-        return (self.path, *(member.source.name for member in plan.members)) if plan is not None else (self.path,)
+        plan = tree.complex(self.name)
+        return (self.name, *(member.source.name for member in plan.members)) if plan is not None else (self.name,)
 
     def _changes(self, media_type: str, plan: ComplexPlan, snapshot: Snapshot, data: bytes) -> Sequence[MemberChange]:
         view = self.affordances.complex_view(plan, snapshot)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Hashable, Sequence
 from datetime import datetime, timezone
 from email.utils import format_datetime, parsedate_to_datetime
 from typing import TypeVar
+from urllib.parse import quote
 
 from starlette.responses import Response
 
@@ -16,6 +17,7 @@ from rosld.adapters.model import Sample
 from rosld.ontology.describe_views import time_map_document
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
+from rosld.server.auth.permissions import Permissions
 from rosld.server.history.history import History
 from rosld.server.http.fields import Link, render_links
 from rosld.server.http.negotiation import choose_offer
@@ -23,7 +25,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.path_item import QueryParameter
-from rosld.server.rest.resource import Resource
+from rosld.server.rest.resource import Motion, Resource
 from rosld.server.rest.responses import resource_headers
 from rosld.server.rest.state import State
 
@@ -111,6 +113,55 @@ async def negotiate_topic(space: Space, history: History, topic: str, accept_dat
     ends = [("first memento", first), ("last memento", last), ("memento", at)]
     links = [_memento(url, rel, each.received_ns) for rel, each in ends]
     return found(memento_url(url, at.received_ns), (*timegate_links(url), *links))
+
+
+class Memento(Resource):
+    """A resource as it was at a time: nothing is written, nothing changes."""
+
+    is_cacheable = False
+
+    def __init__(
+        self,
+        now: Resource,
+        kind: str,
+        text: str,
+        state: Callable[[], Awaitable[State]],
+        get: Callable[[Resource, Exchange], Awaitable[Response | Motion | None]],
+    ) -> None:
+        """`text` is the time in the query, `state` reads the state of then, `get` a part of it."""
+        super().__init__(now.space, now.url)
+        self.kind = kind
+        self.title = now.title
+        self.links = tuple(dict.fromkeys((*now.links, *timegate_links(now.url))))
+        self._now = now
+        self._text = text
+        self._state = state
+        self._get = get
+
+    @property
+    def variant_key(self) -> Hashable:
+        return self._text
+
+    @property
+    def query(self) -> str:
+        return f"at={quote(self._text, safe=':')}"
+
+    @property
+    def conforms_to(self) -> Sequence[str]:
+        return self._now.conforms_to
+
+    @property
+    def constrained_by(self) -> str | None:
+        return self._now.constrained_by
+
+    async def state(self) -> State:
+        return await self._state()
+
+    def redact(self, state: State, permissions: Permissions) -> State:
+        return self._now.redact(state, permissions)
+
+    async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
+        return await self._get(self, exchange)
 
 
 class TimeMap(Resource):

@@ -7,28 +7,26 @@ then, and whether a mapping had it on offer is not judged.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from urllib.parse import quote
 
 from starlette.responses import Response
 
 from rosld.adapters.model import RosError
 from rosld.server.history.history import History
-from rosld.server.html.forms import Form
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource, source_url
-from rosld.server.hypermedia.resource_tree import ComplexPlan, PropertyPlan
+from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.source_reader import decode_value
 from rosld.server.hypermedia.value import Reading
-from rosld.server.hypermedia.view_documents import complex_document, complex_json, property_document, property_json
-from rosld.server.resources.complex_resource import ComplexResource
+from rosld.server.resources.accepted_shape import CommandResource
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.memento import (
     SETTLED_NS,
     VARY,
+    Memento,
     found,
     is_recorded,
     memento_datetime,
@@ -38,11 +36,10 @@ from rosld.server.resources.memento import (
     time_map_of,
     timegate_links,
 )
-from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.series import read_time
 from rosld.server.resources.things import ThingDescriptions
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.resource import READ, Resource
+from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.runtime.version_cache import VersionCache
@@ -81,137 +78,8 @@ class PastReadings:
         return Reading(property.name, found.value, found.failure, found.read_ns, about=about if found.failure else ())
 
 
-class _PastResource(Resource):
-    """Base of the mementos of properties and complex resources: nothing is written, nothing changes."""
-
-    kind = "Resource as it was"
-    is_cacheable = False
-    _history: History
-    _at_ns: int
-    _text: str
-    """The time as it was asked for."""
-
-    def _set_time(self, history: History, at_ns: int, text: str) -> None:
-        self.links = (*self.links, *timegate_links(self.url))
-        self._history, self._at_ns, self._text = history, at_ns, text
-
-    @property
-    def variant_key(self) -> Hashable:
-        return self._text
-
-    @property
-    def query(self) -> str:
-        return f"at={quote(self._text, safe=':')}"
-
-    def methods(self) -> frozenset[str]:
-        return READ
-
-    async def watch(self, wake: Callable[[], None]) -> None:
-        """The past changes no more."""
-
-    async def forms(self) -> Sequence[Form]:
-        return ()
-
-
-class PastMember(_PastResource, MemberResource):
-    """A property as it was at a time: a memento of it (RFC 7089)."""
-
-    def __init__(self, now: MemberResource, history: History, at_ns: int, text: str) -> None:
-        MemberResource.__init__(self, now.session, now.affordances, now.limit_checks, now.things, now.states, now.name)
-        self._set_time(history, at_ns, text)
-
-    async def state(self) -> State:
-        tree = await self.affordances.tree()
-        plan = tree.property(self.name)
-        if plan is None:
-            raise Problem(404, f"{self.name} is an action: nothing is recorded of it.")
-        readings = PastReadings(self.session, self.affordances, self._history, self._at_ns)
-        snapshot = await readings.snapshot(plan.reads)
-        return _settle(self._as_it_was(replace(plan, exists_when=()), snapshot), self._at_ns)
-
-    def _as_it_was(self, plan: PropertyPlan, snapshot: Snapshot) -> State:
-        view = self.affordances.property_view(plan, snapshot)
-        view = replace(view, affordance=replace(view.affordance, write=False, observe=False))
-        return replace(
-            self._state_of(plan, snapshot),
-            describe=lambda: property_document(
-                view, self.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
-            ),
-            plain=lambda: property_json(view, self.session.lifting),
-            view=None,
-        )
-
-
-class PastComplex(_PastResource, ComplexResource):
-    """A complex resource as it was at a time: a memento of it (RFC 7089)."""
-
-    def __init__(self, now: ComplexResource, history: History, at_ns: int, text: str) -> None:
-        ComplexResource.__init__(self, now.session, now.affordances, now.limit_checks, now.things, now.path)
-        self._set_time(history, at_ns, text)
-
-    async def state(self) -> State:
-        _, plan = await self._plan()
-        readings = PastReadings(self.session, self.affordances, self._history, self._at_ns)
-        snapshot = await readings.snapshot(plan.reads)
-        return _settle(self._as_it_was(replace(plan, exists_when=()), snapshot), self._at_ns)
-
-    def _as_it_was(self, plan: ComplexPlan, snapshot: Snapshot) -> State:
-        view = self.affordances.complex_view(plan, snapshot)
-        members = tuple(
-            replace(each, affordance=replace(each.affordance, write=False, observe=False)) for each in view.members
-        )
-        view = replace(view, members=members, actions=())
-        return replace(
-            self._state_of(plan, snapshot),
-            describe=lambda: complex_document(
-                view, self.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
-            ),
-            plain=lambda: complex_json(view, self.session.lifting),
-            view=view,
-        )
-
-    async def custom_get(self, exchange: Exchange) -> Response | None:
-        return None
-
-
-class _TimeGate(Resource):
-    """Base of properties and complex resources that are the TimeGates of their mementos (RFC 7089)."""
-
-    session: Session
-    history: History
-
-    def _set_history(self, history: History) -> None:
-        self.history = history
-        if history.is_kept:
-            self.links = (*self.links, *timegate_links(self.url))
-
-    async def state(self) -> State:
-        """Return the current state, with headers against caching for requests of other times."""
-        state = await super().state()
-        return replace(state, headers={**state.headers, "vary": VARY}) if self.history.is_kept else state
-
-    async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the state at `?at=TIME` or Accept-Datetime, or the `?timemap`."""
-        if asks_for_time_map(self.history, exchange):
-            topics = _recorded_topics(self.history, await self._sources())
-            return time_map_of(self.space, self.history, self.url, self._name, topics, exchange)
-        asked = asked_time(self.history, self.url, exchange)
-        return await super().select_variant(exchange) if asked is None else self._memento(*asked)
-
-    @property
-    def _name(self) -> str:
-        raise NotImplementedError
-
-    async def _sources(self) -> Sequence[Property]:
-        """The properties whose topics tell what it was."""
-        raise NotImplementedError
-
-    def _memento(self, at_ns: int, text: str) -> Resource:
-        raise NotImplementedError
-
-
-class MemberTimeGate(_TimeGate, MemberResource):
-    """A property or an action, which is the TimeGate of its mementos."""
+class TimeGate(CommandResource):
+    """Base of properties and complex resources, which are the TimeGates of their mementos (RFC 7089)."""
 
     def __init__(
         self,
@@ -223,46 +91,57 @@ class MemberTimeGate(_TimeGate, MemberResource):
         history: History,
         name: str,
     ) -> None:
-        MemberResource.__init__(self, session, affordances, limit_checks, things, states, name)
-        self._set_history(history)
+        super().__init__(session.space, url_of(name, session.space))
+        self.title = self.name = name
+        self.session = session
+        self.affordances = affordances
+        self.limit_checks = limit_checks
+        self.things = things
+        self.states = states
+        self.history = history
+        self._gate = timegate_links(self.url) if history.is_kept else ()
+        self.links = (*self.links, *self._gate)
+        self._headers = {"vary": VARY} if history.is_kept else {}
+        """Headers of the current state, against caching for requests of other times."""
 
-    @property
-    def _name(self) -> str:
-        return self.name
+    async def past_state(self, readings: PastReadings) -> State:
+        """Return the state that follows from former readings. Raises a 404 Problem if it has no past."""
+        raise NotImplementedError
 
-    async def _sources(self) -> Sequence[Property]:
-        plan = (await self.affordances.tree()).property(self.name)
-        return () if plan is None else (plan.source,)
+    async def recorded_properties(self) -> Sequence[Property]:
+        """Return the properties whose topics tell what it was."""
+        raise NotImplementedError
 
-    def _memento(self, at_ns: int, text: str) -> PastMember:
-        return PastMember(self, self.history, at_ns, text)
+    async def get_part(self, resource: Resource, exchange: Exchange) -> Response | None:
+        """Return a requested part of the state of this resource, or of a memento."""
+        return None
 
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """Return the state at `?at=TIME` or Accept-Datetime, or the `?timemap`."""
+        if asks_for_time_map(self.history, exchange):
+            topics = _recorded_topics(self.history, await self.recorded_properties())
+            return time_map_of(self.space, self.history, self.url, self.name, topics, exchange)
+        asked = asked_time(self.history, self.url, exchange)
+        if asked is None:
+            return await super().select_variant(exchange)
+        at_ns, text = asked
+        await self.prepare()
+        return Memento(self, "Resource as it was", text, partial(self._state_at, at_ns), self.get_part)
 
-class ComplexTimeGate(_TimeGate, ComplexResource):
-    """A complex resource, which is the TimeGate of its mementos."""
-
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        limit_checks: LimitChecks,
-        things: ThingDescriptions,
-        history: History,
-        path: str,
-    ) -> None:
-        ComplexResource.__init__(self, session, affordances, limit_checks, things, path)
-        self._set_history(history)
-
-    @property
-    def _name(self) -> str:
-        return self.path
-
-    async def _sources(self) -> Sequence[Property]:
-        _, plan = await self._plan()
-        return [each.source for each in plan.members]
-
-    def _memento(self, at_ns: int, text: str) -> PastComplex:
-        return PastComplex(self, self.history, at_ns, text)
+    async def _state_at(self, at_ns: int) -> State:
+        """Return a former state with the headers of a memento, once nothing can change it any more."""
+        state = await self.past_state(PastReadings(self.session, self.affordances, self.history, at_ns))
+        is_settled = at_ns < time.time_ns() - SETTLED_NS
+        headers = {"memento-datetime": memento_datetime(at_ns)} if is_settled else {}
+        return replace(
+            state,
+            headers={**headers, "vary": VARY},
+            received_ns=None,
+            max_age=0,
+            token=None,
+            renderings={},
+            redactions={},
+        )
 
 
 def asked_time(history: History, url: str, exchange: Exchange) -> tuple[int, str] | None:
@@ -299,15 +178,6 @@ def _recorded_topic(history: History, property: Property) -> str | None:
 def _recorded_topics(history: History, properties: Sequence[Property]) -> frozenset[str]:
     found = (_recorded_topic(history, each) for each in properties)
     return frozenset(each for each in found if each is not None)
-
-
-def _settle(state: State, at_ns: int) -> State:
-    """Return a state with the headers of a memento, once nothing can change it any more."""
-    is_settled = at_ns < time.time_ns() - SETTLED_NS
-    headers = {"memento-datetime": memento_datetime(at_ns)} if is_settled else {}
-    return replace(
-        state, headers={**headers, "vary": VARY}, received_ns=None, max_age=0, token=None, renderings={}, redactions={}
-    )
 
 
 def _unknown(property: Property) -> str:

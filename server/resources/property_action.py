@@ -6,6 +6,8 @@ A property is read with GET and written with PUT and PATCH, an action is invoked
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 
 from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
@@ -20,7 +22,8 @@ from rosld.server.html.forms import Form
 from rosld.server.html.offer import action_form, cancel_forms, property_form
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import ROBOT_SAID, Problem
-from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
+from rosld.server.hypermedia.affordance_service import Snapshot
+from rosld.server.hypermedia.catalogue import Property
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.json_schema import (
     ANYTHING,
@@ -42,7 +45,6 @@ from rosld.server.hypermedia.view_documents import action_document, property_doc
 from rosld.server.hypermedia.views import PropertyView
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.accepted_shape import (
-    CommandResource,
     has_property_shape,
     message_shape,
     property_shape,
@@ -51,8 +53,9 @@ from rosld.server.resources.accepted_shape import (
 )
 from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.complex_resource import ComplexResource
-from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks, is_strict
+from rosld.server.resources.limit_checks import STRICTNESS, is_strict
 from rosld.server.resources.memento import PAST
+from rosld.server.resources.past_resources import PastReadings, TimeGate
 from rosld.server.resources.property_writes import (
     plan_property_write,
     read_fresh_state,
@@ -62,16 +65,13 @@ from rosld.server.resources.property_writes import (
     write_response,
 )
 from rosld.server.resources.services import ServiceResource, call_problem, refusal_problem
-from rosld.server.resources.things import ThingDescriptions
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
-from rosld.server.rest.resource import ABSENT, READ, Answer, Plan, RobotWrite, ShownAnswer, permanent_redirect
+from rosld.server.rest.resource import ABSENT, READ, Answer, Plan, Resource, RobotWrite, ShownAnswer, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.calls import CallOutcome
-from rosld.server.robot.session import Session
 from rosld.server.runtime.dry_run import expect_status
-from rosld.server.runtime.version_cache import VersionCache
 
 _INVOKES = "Invokes the action; what is shown then is the resource that it belongs to."
 _SENDS_A_GOAL = "Sends a goal, which is what is made; 409 where it is rejected."
@@ -79,7 +79,7 @@ _CANCELS = "Has the goals canceled that were sent from here and have not ended; 
 _OTHERS = QueryParameter("others", "Whether goals that others sent are canceled, too.", {"type": "boolean"})
 
 
-class MemberResource(CommandResource):
+class MemberResource(TimeGate):
     """A property, an action, or a name that is both."""
 
     kind = "Resource"
@@ -88,24 +88,6 @@ class MemberResource(CommandResource):
         "PATCH": (MERGE_PATCH, SPARQL_UPDATE),
         "POST": (*RDF_BODIES, JSON),
     }
-
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        limit_checks: LimitChecks,
-        things: ThingDescriptions,
-        states: VersionCache[State],
-        name: str,
-    ) -> None:
-        super().__init__(session.space, url_of(name, session.space))
-        self.title = name
-        self.session = session
-        self.affordances = affordances
-        self.limit_checks = limit_checks
-        self.things = things
-        self.states = states
-        self.name = name
 
     async def prepare(self) -> None:
         tree = await self.affordances.tree()
@@ -255,19 +237,40 @@ class MemberResource(CommandResource):
         view = self.affordances.property_view(plan, snapshot)
         shape = shape_url(view.reading, view.field, self.space)
         return State(
-            lambda: property_document(
-                view, self.space, self.session.lifting, simulated_time=self.session.graph.simulated_time
-            ),
+            partial(self._document, view),
             lambda: property_json(view, self.session.lifting),
             received_ns=view.reading.read_ns,
             max_age=0 if plan.is_conditional else self.affordances.max_age((view.reading,)),
             view=view,
+            headers=self._headers,
             shapes=() if shape is None else (shape,),
         )
 
+    async def past_state(self, readings: PastReadings) -> State:
+        plan = (await self.affordances.tree()).property(self.name)
+        if plan is None:
+            raise Problem(404, f"{self.name} is an action: nothing is recorded of it.")
+        snapshot, plan = await readings.snapshot(plan.reads), replace(plan, exists_when=())
+        view = self.affordances.property_view(plan, snapshot)
+        view = replace(view, affordance=replace(view.affordance, write=False, observe=False))
+        return replace(
+            self._state_of(plan, snapshot),
+            describe=partial(self._document, view),
+            plain=lambda: property_json(view, self.session.lifting),
+            view=None,
+        )
+
+    async def recorded_properties(self) -> Sequence[Property]:
+        plan = (await self.affordances.tree()).property(self.name)
+        return () if plan is None else (plan.source,)
+
+    def _document(self, view: PropertyView) -> Document:
+        simulated = self.session.graph.simulated_time
+        return property_document(view, self.space, self.session.lifting, simulated_time=simulated)
+
     def _shown_action(self, plan: ActionPlan, snapshot: Snapshot) -> State:
         view = self.affordances.action_view(plan, snapshot)
-        return State(lambda: action_document(view, self.space, self.session.lifting), view=view)
+        return State(lambda: action_document(view, self.space, self.session.lifting), view=view, headers=self._headers)
 
     def _missing(self, tree: ResourceTree) -> Problem:
         """308 to the complex resource of that name, or to the property that a mapping calls so here; else 404."""
@@ -288,10 +291,13 @@ class MemberResource(CommandResource):
         return None if plan is None else await self.affordances.watch(plan.reads, wake)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
+        return await self.get_part(self, exchange)
+
+    async def get_part(self, resource: Resource, exchange: Exchange) -> Response | None:
         """`?field=PATH`: the bytes of one field of the value; a 404 Problem where there is none."""
         if b"field=" not in exchange.request.scope["query_string"] or "field" not in exchange.query:
             return None
-        view, path = (await self.state()).view, exchange.query["field"]
+        view, path = (await resource.state()).view, exchange.query["field"]
         value = view.reading.value if isinstance(view, PropertyView) else None
         if not isinstance(value, MessageValue):
             raise Problem(404, f"{self.name} has no message, so no field {path!r}.")
@@ -477,7 +483,9 @@ class MemberResource(CommandResource):
         """The complex resource as it is after an action; the one above where the action has ended its own."""
         call = Link(self.space.call(outcome.call.id), ros.Call.value)
         while True:
-            resource = ComplexResource(self.session, self.affordances, self.limit_checks, self.things, path)
+            resource = ComplexResource(
+                self.session, self.affordances, self.limit_checks, self.things, self.states, self.history, path
+            )
             try:
                 return ShownAnswer(resource, await resource.state(), (call,))
             except Problem as problem:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import re
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import cast
-from urllib.parse import quote
 
 from pyoxigraph import Triple
 from starlette.responses import Response
@@ -36,6 +36,7 @@ from rosld.server.resources.memento import (
     SETTLED_NS,
     TIMEMAP,
     VARY,
+    Memento,
     is_recorded,
     memento_datetime,
     negotiate_topic,
@@ -345,7 +346,15 @@ class TopicResource(NamedResource[Topic]):
         if sample is None:
             since = date_time(0, self.history.recording.start_ns)
             raise Problem(404, f"Nothing is recorded of {self.name} until {text[:60]}: the history begins at {since}.")
-        return PastTopic(self, sample, text, is_settled=at < now - SETTLED_NS)
+        state = partial(self._past_state, sample, is_settled=at < now - SETTLED_NS)
+        return Memento(self, "Topic as it was", text, state, partial(self._get_part, sample))
+
+    async def _past_state(self, sample: Sample, *, is_settled: bool) -> State:
+        """Return the state with the message that was the newest then."""
+        decoded = await decode(self.session.schemas, sample)
+        state = self._state(self.found or Topic(self.name), TopicView((sample,)), [decoded])
+        headers = {"memento-datetime": memento_datetime(sample.received_ns)} if is_settled else {}
+        return replace(state, headers={**headers, "vary": VARY}, received_ns=None)
 
     @property
     def is_picture(self) -> bool:
@@ -364,41 +373,34 @@ class TopicResource(NamedResource[Topic]):
 
         Raises a 404 Problem where there is no message or no such field.
         """
-        if cloud_is_preferred(exchange, is_cloud=self.is_cloud):
-            return await self._cloud(exchange)
-        wanted = picture_type(exchange, is_picture=self.is_picture)
-        if wanted is not None:
-            return await self._picture(exchange, wanted)
-        if b"field=" not in exchange.request.scope["query_string"] or "field" not in exchange.query:
+        return await self._get_part(None, self, exchange)
+
+    async def _get_part(
+        self, recorded: Sample | None, resource: Resource, exchange: Exchange
+    ) -> Response | Motion | None:
+        """Return the requested part of the newest message, or of a recorded one."""
+        is_cloud = cloud_is_preferred(exchange, is_cloud=self.is_cloud)
+        wanted = None if is_cloud else picture_type(exchange, is_picture=self.is_picture)
+        has_field = b"field=" in exchange.request.scope["query_string"] and "field" in exchange.query
+        if not is_cloud and wanted is None and not has_field:
             return None
-        if self.found is None:
-            raise self.missing()
-        view = await self.session.topics.read(self.name, wait_for_publisher=True)
-        if view.newest is None:
-            raise Problem(404, f"{self.name} has no message yet, so no field {exchange.query['field']!r}.")
-        return await field_response(self.session.schemas, view.newest, exchange.query["field"])
-
-    async def _picture(self, exchange: Exchange, wanted: str) -> Response | Motion:
-        if self.found is None:
-            raise self.missing()
-        require_picture(self.name, self.found.types)
-        view = await self.session.topics.read(self.name, wait_for_publisher=True)
-        if wanted == MOTION:
-            return await picture_motion(self.session, self.pictures, self.name, view.newest, exchange)
-        if view.newest is None:
-            raise Problem(404, f"{self.name} has no message yet, so no picture.")
-        return await picture_response(
-            self, self.session.schemas, self.pictures, self.name, view.newest, exchange, wanted
-        )
-
-    async def _cloud(self, exchange: Exchange) -> Response:
-        if self.found is None:
-            raise self.missing()
-        require_cloud(self.name, self.found.types)
-        view = await self.session.topics.read(self.name, wait_for_publisher=True)
-        if view.newest is None:
-            raise Problem(404, f"{self.name} has no message yet, so no points.")
-        return await cloud_response(self, self.session.schemas, self.pictures, self.name, view.newest, exchange)
+        types = self.require().types if recorded is None else (recorded.schema,)
+        if is_cloud:
+            require_cloud(self.name, types)
+        elif wanted is not None:
+            require_picture(self.name, types)
+        schemas, pictures, name = self.session.schemas, self.pictures, self.name
+        newest = recorded or (await self.session.topics.read(name, wait_for_publisher=True)).newest
+        if wanted == MOTION and recorded is None:
+            return await picture_motion(self.session, pictures, name, newest, exchange)
+        if newest is None:
+            part = "points" if is_cloud else "picture" if wanted else f"field {exchange.query['field']!r}"
+            raise Problem(404, f"{name} has no message yet, so no {part}.")
+        if is_cloud:
+            return await cloud_response(resource, schemas, pictures, name, newest, exchange)
+        if wanted is not None:
+            return await picture_response(resource, schemas, pictures, name, newest, exchange, wanted)
+        return await field_response(schemas, newest, exchange.query["field"])
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         if self.unwritable_reason() is not None:
@@ -436,59 +438,6 @@ class TopicResource(NamedResource[Topic]):
         """Stop advertising the topic."""
         await self.session.adapter.unadvertise(self.name)
         return Response(status_code=204)
-
-
-class PastTopic(TopicResource):
-    """A topic as it was at a time: a memento of it (RFC 7089), once that time is settled."""
-
-    kind = "Topic as it was"
-    is_cacheable = False
-
-    def __init__(self, now: TopicResource, sample: Sample, text: str, *, is_settled: bool) -> None:
-        super().__init__(now.session, now.limit_checks, now.states, now.history, now.holds, now.pictures, now.name)
-        self.links = (*self.links, *timegate_links(self.url))
-        self._sample = sample
-        self._text = text
-        self._is_settled = is_settled
-
-    @property
-    def variant_key(self) -> Hashable:
-        return self._text
-
-    @property
-    def query(self) -> str:
-        return f"at={quote(self._text, safe=':')}"
-
-    async def prepare(self) -> None:
-        """All is known."""
-
-    def methods(self) -> frozenset[str]:
-        return READ
-
-    async def state(self) -> State:
-        """The topic with the message that was its newest then."""
-        topic = self.session.graph.topics.get(self.name) or Topic(self.name)
-        decoded = await decode(self.session.schemas, self._sample)
-        state = self._state(topic, TopicView((self._sample,)), [decoded])
-        headers = {"memento-datetime": memento_datetime(self._sample.received_ns)} if self._is_settled else {}
-        return replace(state, headers={**headers, "vary": VARY}, received_ns=None)
-
-    async def forms(self) -> Sequence[Form]:
-        return ()
-
-    async def custom_get(self, exchange: Exchange) -> Response | None:
-        """`?field=PATH` of the message that was the newest then, or its picture or points."""
-        if cloud_is_preferred(exchange, is_cloud=self.is_cloud):
-            return await cloud_response(self, self.session.schemas, self.pictures, self.name, self._sample, exchange)
-        wanted = picture_type(exchange, is_picture=self.is_picture)
-        if wanted is not None:
-            require_picture(self.name, (self._sample.schema,))
-            return await picture_response(
-                self, self.session.schemas, self.pictures, self.name, self._sample, exchange, wanted
-            )
-        if "field" not in exchange.query:
-            return None
-        return await field_response(self.session.schemas, self._sample, exchange.query["field"])
 
 
 def _writing_methods(graph: Graph, name: str) -> frozenset[str]:

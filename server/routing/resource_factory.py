@@ -35,7 +35,6 @@ from rosld.server.resources.namespaces import NamespaceContainer
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import OntologyResource, ontology_route
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
-from rosld.server.resources.past_resources import ComplexTimeGate, MemberTimeGate
 from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.queries import QueryRunner, query_route
 from rosld.server.resources.recording_trigger import RecordingTriggers
@@ -186,29 +185,24 @@ class ResourceFactory:
     # Resources of levels two and three
 
     def complex(self, path: str) -> ComplexResource:
-        return ComplexResource(self.session, self.affordances, self.limit_checks, self._things, path)
+        return ComplexResource(
+            self.session, self.affordances, self.limit_checks, self._things, self.states, self.history, path
+        )
 
     def member(self, name: str) -> MemberResource:
-        return MemberResource(self.session, self.affordances, self.limit_checks, self._things, self.states, name)
+        return MemberResource(
+            self.session, self.affordances, self.limit_checks, self._things, self.states, self.history, name
+        )
 
     def resource_at(self, location: Location) -> Resource:
-        """Return a resource below `/resources/`, as the TimeGate of its mementos (RFC 7089)."""
+        """Return a resource below `/resources/`."""
         if location.is_container:
-            path = path_of(location.segments)
-            return ComplexTimeGate(self.session, self.affordances, self.limit_checks, self._things, self.history, path)
+            return self.complex(path_of(location.segments))
         if not location.segments:
             raise permanent_redirect(self.session.space.container("resources"))
         if not location.segments[-1]:
             raise Problem(404, f"No resource is called {location.name}: its own name would be empty.")
-        return MemberTimeGate(
-            self.session,
-            self.affordances,
-            self.limit_checks,
-            self._things,
-            self.states,
-            self.history,
-            location.name,
-        )
+        return self.member(location.name)
 
     def robot_thing(self, location: Location) -> RobotThing:
         """The Thing Description of the robot at `/.well-known/wot`; 404 at other locations below `/.well-known/`."""

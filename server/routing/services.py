@@ -91,12 +91,13 @@ class Services:
     def _validators(self, records: Records) -> Mapping[str, Validator]:
         """Return the validators of documents by route, which also put documents into force."""
         space, announce = self.session.space, self.session.changes.emit
-        return {
-            ROUTE: MappingValidator(self.mappings, space, announce),
-            stored_queries.ROUTE: QueryValidator(self.queries, records, space, announce),
-            active_limits.ROUTE: LimitsValidator(self.active_limits, self.states, space, announce),
-            stored_cockpits.ROUTE: CockpitValidator(space),
-        }
+        validators: Sequence[Validator] = (
+            MappingValidator(self.mappings, space, announce),
+            QueryValidator(self.queries, records, space, announce),
+            LimitsValidator(self.active_limits, self.states, space, announce),
+            CockpitValidator(space),
+        )
+        return {each.route: each for each in validators}
 
     async def _is_at_rest(self, command: StopCommand) -> bool:
         """Whether what a mapping's stop is about says, read now, that it is at rest."""

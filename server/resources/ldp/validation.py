@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from functools import partial
 
 from rosld.ontology.urls import Space
 from rosld.server.http.problem import Problem
@@ -33,188 +33,156 @@ MAX_BYTES = 4 * 1024 * 1024
 """Bytes of N-Triples that a mapping, or limits, may say: some 40,000 triples."""
 
 
-class Validator(Protocol):
-    """Says which documents may be stored below a route."""
+class Validator:
+    """Says which documents may be stored directly below a route, and puts them into force."""
 
+    route: str
     shape: str
     """The name, below `/shapes/`, of what constrains it."""
-    media_types: Sequence[str]
+    media_types: Sequence[str] = RDF_BODIES
     """The media types of what may be made."""
+    what: str
+    """What its documents are, for the 409 Problem of anything else."""
+
+    def __init__(self, space: Space, lock: asyncio.Lock, announce: Callable[[], None]) -> None:
+        """`announce` tells that other documents are in force; `lock` is held while a write is validated and done."""
+        self._space = space
+        self.lock = lock
+        self._announce = announce
 
     @property
     def conforms_to(self) -> Sequence[str]:
         """The URLs of the shapes of what its documents say, beside that of all that is kept."""
-        ...
-
-    @property
-    def lock(self) -> asyncio.Lock:
-        """Held while a write is validated and done."""
-        ...
+        return (self._space.shape(self.shape),)
 
     async def validate(self, write: Write) -> Callable[[], None]:
         """Return what to call once a write is done. Raises Problems and LoweringError for one that must not be done."""
-        ...
-
-
-class MappingValidator:
-    """Validates mapping documents, which are in force once they are stored."""
-
-    shape = "mapping"
-    media_types: Sequence[str] = RDF_BODIES
-
-    def __init__(self, mappings: Mappings, space: Space, announce: Callable[[], None]) -> None:
-        """`announce` tells that other mappings are in force."""
-        self._mappings = mappings
-        self._space = space
-        self._announce = announce
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self._space.shape(self.shape),)
-
-    @property
-    def lock(self) -> asyncio.Lock:
-        return self._mappings.lock
-
-    async def validate(self, write: Write) -> Callable[[], None]:
         url = self._space.base + write.path
         if isinstance(write, Remove):
-            return self._announce_after(lambda: self._mappings.remove(url))
-        if write.model is not Model.RDF_SOURCE or "/" in write.path.removeprefix(MAPPINGS):
-            container = self._space.base + MAPPINGS
-            raise Problem(
-                409, f"A mapping is an RDF source directly under {container}: files and containers have no place there."
-            )
-        document = await asyncio.to_thread(stored_mapping, _unpack(write), url)  # a large one takes its time
-        self._mappings.check(document)
-        return self._announce_after(lambda: self._mappings.replace(document))
+            act = self.removal(url)
+        else:
+            if not self.is_allowed(write) or "/" in write.path.removeprefix(self.route):
+                container = self._space.base + self.route
+                raise Problem(409, f"{self.what} directly under {container}: nothing else has a place there.")
+            act = await self.check(write, url)
 
-    def _announce_after(self, act: Callable[[], None]) -> Callable[[], None]:
-        def sequel() -> None:
+        def done() -> None:
             act()
             self._announce()
 
-        return sequel
+        return done
+
+    def is_allowed(self, put: Put) -> bool:
+        """Whether a document is of the kind that the route takes."""
+        return put.model is Model.RDF_SOURCE
+
+    def removal(self, url: str) -> Callable[[], None]:
+        """Return what to do once the document at a URL is removed."""
+        return _nothing
+
+    async def check(self, put: Put, url: str) -> Callable[[], None]:
+        """Return what to do once a document is stored. Raises Problems and LoweringError."""
+        raise NotImplementedError
 
 
-class QueryValidator:
+class MappingValidator(Validator):
+    """Validates mapping documents, which are in force once they are stored."""
+
+    route = MAPPINGS
+    shape = "mapping"
+    what = "A mapping is an RDF source"
+
+    def __init__(self, mappings: Mappings, space: Space, announce: Callable[[], None]) -> None:
+        super().__init__(space, mappings.lock, announce)
+        self._mappings = mappings
+
+    def removal(self, url: str) -> Callable[[], None]:
+        return partial(self._mappings.remove, url)
+
+    async def check(self, put: Put, url: str) -> Callable[[], None]:
+        document = await asyncio.to_thread(stored_mapping, _unpack(put), url)  # a large one takes its time
+        self._mappings.check(document)
+        return partial(self._mappings.replace, document)
+
+
+class QueryValidator(Validator):
     """Validates stored queries, which are stored byte for byte and parsed when they are run."""
 
+    route = QUERIES
     shape = "query"
     media_types: Sequence[str] = (QUERY_MEDIA_TYPE,)
+    what = f"A stored query is {QUERY_MEDIA_TYPE}"
 
     def __init__(self, queries: StoredQueries, records: Records, space: Space, announce: Callable[[], None]) -> None:
-        """`announce` tells that other queries are kept."""
+        super().__init__(space, queries.lock, announce)
         self._queries = queries
         self._records = records
-        self._space = space
-        self._announce = announce
 
     @property
     def conforms_to(self) -> Sequence[str]:
         return (self._space.document_shape("Query"),)
 
-    @property
-    def lock(self) -> asyncio.Lock:
-        return self._queries.lock
+    def is_allowed(self, put: Put) -> bool:
+        return put.blob is not None
 
-    async def validate(self, write: Write) -> Callable[[], None]:
-        if isinstance(write, Put):
-            await self._permissions(write)
-        return self._announce
-
-    async def _permissions(self, put: Put) -> None:
-        if put.blob is None or "/" in put.path.removeprefix(QUERIES):
-            container = self._space.base + QUERIES
-            raise Problem(
-                409, f"A stored query is {QUERY_MEDIA_TYPE} directly under {container}: nothing else has a place there."
-            )
-        before = self._records.get(put.path)
-        if before is not None and before.blob == put.blob:
-            return  # its description changes
-        try:
-            await asyncio.to_thread(self._queries.check, put.path, put.blob)  # a long one takes its time
-        except ValueError as error:
-            self._records.discard(put.blob)
-            raise Problem(422, f"This is no stored query: {error}.") from error
+    async def check(self, put: Put, url: str) -> Callable[[], None]:
+        before, blob = self._records.get(put.path), put.blob
+        if blob is not None and (before is None or before.blob != blob):  # else its description changes
+            try:
+                await asyncio.to_thread(self._queries.check, put.path, blob)  # a long one takes its time
+            except ValueError as error:
+                self._records.discard(blob)
+                raise Problem(422, f"This is no stored query: {error}.") from error
+        return _nothing
 
 
-class LimitsValidator:
+class LimitsValidator(Validator):
     """Validates limits, which bound what may be written once they are stored."""
 
+    route = SHAPES
     shape = "limits"
-    media_types: Sequence[str] = RDF_BODIES
+    what = "Limits are an RDF source"
 
     def __init__(
         self, limits: ActiveLimits, states: VersionCache[State], space: Space, announce: Callable[[], None]
     ) -> None:
-        """`announce` tells that other limits are in force."""
+        super().__init__(space, limits.lock, announce)
         self._limits = limits
         self._states = states
-        self._space = space
-        self._announce = announce
 
     @property
     def conforms_to(self) -> Sequence[str]:
         return (SHACL_SHACL,)
 
-    @property
-    def lock(self) -> asyncio.Lock:
-        return self._limits.lock
+    def removal(self, url: str) -> Callable[[], None]:
+        return partial(self._change, partial(self._limits.remove, url))
 
-    async def validate(self, write: Write) -> Callable[[], None]:
-        limits, url = self._limits, self._space.base + write.path
-        if isinstance(write, Remove):
-            return self._announce_after(lambda: limits.remove(url))
-        if write.model is not Model.RDF_SOURCE or "/" in write.path.removeprefix(SHAPES):
-            container = self._space.base + SHAPES
-            raise Problem(409, f"Limits are an RDF source directly under {container}: nothing else has a place there.")
+    async def check(self, put: Put, url: str) -> Callable[[], None]:
         try:
-            graph = await asyncio.to_thread(limits.check, url, _unpack(write))  # a large one takes its time
+            graph = await asyncio.to_thread(self._limits.check, url, _unpack(put))  # a large one takes its time
         except ValueError as error:
             words = f"These limits cannot be put in force: {error}. Relative IRIs are relative to {url}."
             raise Problem(422, words) from error
-        return self._announce_after(lambda: limits.replace(url, graph))
+        return partial(self._change, partial(self._limits.replace, url, graph))
 
-    def _announce_after(self, act: Callable[[], None]) -> Callable[[], None]:
-        def sequel() -> None:
-            act()
-            self._states.clear()  # bounds are part of what resources say of themselves
-            self._announce()
-
-        return sequel
+    def _change(self, change: Callable[[], None]) -> None:
+        change()
+        self._states.clear()  # bounds are part of what resources say of themselves
 
 
-class CockpitValidator:
+class CockpitValidator(Validator):
     """Validates cockpits, which are pages once they are stored."""
 
+    route = COCKPITS
     shape = "cockpit"
-    media_types: Sequence[str] = RDF_BODIES
+    what = "A cockpit is an RDF source"
 
     def __init__(self, space: Space) -> None:
-        self._space = space
-        self._lock = asyncio.Lock()
+        super().__init__(space, asyncio.Lock(), _nothing)
 
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (self._space.shape(self.shape),)
-
-    @property
-    def lock(self) -> asyncio.Lock:
-        return self._lock
-
-    async def validate(self, write: Write) -> Callable[[], None]:
-        if isinstance(write, Put):
-            await self._check(write)
+    async def check(self, put: Put, url: str) -> Callable[[], None]:
+        await asyncio.to_thread(check_cockpit, _unpack(put), url)
         return _nothing
-
-    async def _check(self, put: Put) -> None:
-        container = self._space.base + COCKPITS
-        if put.model is not Model.RDF_SOURCE or "/" in put.path.removeprefix(COCKPITS):
-            raise Problem(
-                409, f"A cockpit is an RDF source directly under {container}: files and containers have no place there."
-            )
-        await asyncio.to_thread(check_cockpit, _unpack(put), self._space.base + put.path)
 
 
 def _nothing() -> None:

@@ -17,7 +17,6 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, Setter, TopicSource, Writer
-from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.hypermedia.property_writer import current_writer
 from rosld.server.hypermedia.resource_tree import PropertyPlan
 from rosld.server.hypermedia.value import layouts, scalar_field, select_fields
@@ -47,6 +46,7 @@ class AcceptedShape(Resource):
     """The shape of what may be written to a resource."""
 
     kind = "Shape"
+    item = PathItem("The shape of what may be written", has_shape=True)
     is_cacheable = False
 
     def __init__(self, of: Resource, describe: Callable[[str], Awaitable[Document | None]]) -> None:
@@ -57,9 +57,6 @@ class AcceptedShape(Resource):
     @property
     def conforms_to(self) -> Sequence[str]:
         return (SHACL_SHACL,)
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The shape of what may be written", has_shape=True)
 
     async def state(self) -> State:
         if await self._of.current_methods() == ABSENT:

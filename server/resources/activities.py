@@ -19,7 +19,7 @@ from rosld.server.html.page import Cell, MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING, MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.receipts.journal import Journal, JournalEntry, NoSuchReceipt
 from rosld.server.resources.listings import time_cell
 from rosld.server.rest.exchange import Exchange
@@ -50,6 +50,7 @@ class ActivityResource(Resource):
 
     kind = "Activity"
     shape = "Write"
+    item = PathItem("The receipt of a write", plain=ANYTHING)
 
     def __init__(
         self, space: Space, settings: Settings, states: VersionCache[State], receipts: Journal, id: str
@@ -63,9 +64,6 @@ class ActivityResource(Resource):
 
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The receipt of a write", plain=ANYTHING)
 
     async def state(self) -> State:
         try:
@@ -86,6 +84,7 @@ class ActivityContainer(Resource):
     kind = "Activity"
     shape = "Container"
     title = TITLE
+    item = PathItem("The receipts of writes, the newest first", plain=ANYTHING, is_paged=True)
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     _place: PagePosition | None = None
@@ -110,9 +109,6 @@ class ActivityContainer(Resource):
             return self.variant(_place=parse_position(token))
         require_page(exchange, self.url, len(self.receipts))
         return self
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The receipts of writes, the newest first", plain=ANYTHING, is_paged=True)
 
     async def state(self) -> State:
         version = self.receipts.version

@@ -206,12 +206,10 @@ class UnreadableBag(Resource):
         self.settings = settings
         self.recordings = recordings
         self.name = name
+        self.item = PathItem(f"The file {self.name}, which cannot be opened")
 
     def methods(self) -> frozenset[str]:
         return ABSENT if self.settings.read_only else ABSENT | {"DELETE"}
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(f"The file {self.name}, which cannot be opened")
 
     async def state(self) -> State:
         raise Problem(404, f"{self.recordings.unreadable[self.name].problem}. DELETE removes its file.")

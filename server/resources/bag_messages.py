@@ -18,7 +18,7 @@ from rosld.ontology.literals import date_time
 from rosld.server.html.page import SequenceLink
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING, MessageSchemas
+from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.bag_selection import (
     PARAMETERS,
@@ -69,9 +69,7 @@ class BagMessages(Resource):
         self.session = session
         self.states = states
         self.recording = recording
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(f"The messages of {self.recording.name}", query=(FORMAT, _PAGE, *PARAMETERS))
+        self.item = PathItem(f"The messages of {self.recording.name}", query=(FORMAT, _PAGE, *PARAMETERS))
 
     async def state(self) -> State:
         recording, space, page = self.recording, self.space, self.number
@@ -120,6 +118,7 @@ class BagMessage(Resource):
         self.index = index
         self.title = f"{recording.name}, message {index}"
         self.links = (*Resource.links, *(Link(step.url, step.rel) for step in self.navigation_links()))
+        self.item = PathItem(f"A message of {self.recording.name}", FIELD_READS, ANYTHING, (FORMAT, FIELD))
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
         """Return the messages before and after, first and last (RFC 8288)."""
@@ -137,9 +136,6 @@ class BagMessage(Resource):
             raise Problem(410 if self.index < self.recording.first else 404, error.sentence) from error
         await learn_type(self.session.schemas, self.recording, message)
         return message
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(f"A message of {self.recording.name}", FIELD_READS, ANYTHING, (FORMAT, FIELD))
 
     async def state(self) -> State:
         known = self.states.find(self.url, 0)
@@ -205,9 +201,7 @@ class BagMoment(BagSelection):
         self._own = session.space.bag_moment(recording.name) + (f"?{query}" if query else "")
         super().__init__(session, recording, MessageFilter(), 0, query, detail)
         self.title = f"{recording.name} at {date_time(0, at_ns)}"
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(f"{self.recording.name} at one moment", query=(FORMAT, _TIME, _TOPIC))
+        self.item = PathItem(f"{self.recording.name} at one moment", query=(FORMAT, _TIME, _TOPIC))
 
     @property
     def conforms_to(self) -> Sequence[str]:

@@ -130,6 +130,7 @@ class BagResource(Resource):
         self.states = states
         self.recordings = recordings
         self.recording = recording
+        self.item = PathItem(f"The recording {self.recording.name}")
 
     def methods(self) -> frozenset[str]:
         is_own = self.recording.name in self.recordings.finished and not self.settings.read_only
@@ -144,9 +145,6 @@ class BagResource(Resource):
         if method == "PATCH" and self.recording.name in self.recordings.finished:
             return f"The recording {self.recording.name} has ended: nothing of it can be changed."
         return super().deny_reason(method)
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(f"The recording {self.recording.name}")
 
     async def state(self) -> State:
         recording, history = self.recording, self.recordings.history

@@ -238,9 +238,7 @@ class StorageDescription(DescribedResource):
     kind = "Storage description"
     shape = "Subscriptions"
     title = "Notifications"
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("Where the subscription services are", plain=OBJECT)
+    item = PathItem("Where the subscription services are", plain=OBJECT)
 
     def document(self) -> Document:
         return description_document(self.url, self.space.base, self.notifications.services)
@@ -255,10 +253,8 @@ class WellKnownContainer(DescribedResource):
     kind = "Well-known resources"
     shape = "Container"
     title = "Well-known resources"
+    item = PathItem("What is well known here")
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("What is well known here")
 
     def document(self) -> Document:
         described = self.notifications.description
@@ -271,10 +267,8 @@ class ServiceContainer(DescribedResource):
     kind = "Subscription services"
     shape = "Container"
     title = "Subscription services"
+    item = PathItem("The subscription services")
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The subscription services")
 
     def document(self) -> Document:
         return container_document(self.url, [one.url for one in self.notifications.services], self.title)

@@ -26,7 +26,6 @@ from rosld.server.http.body import FORM
 from rosld.server.http.conditional import digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.policies.stored_cockpits import DEFAULT, ROUTE, cockpit_titles
 from rosld.server.resources.cockpit_panels import CockpitSources, PanelReader
 from rosld.server.resources.default_cockpit import default_cockpit
@@ -232,15 +231,13 @@ class DefaultCockpit(Resource):
 
     kind = "Cockpit"
     title = "Default cockpit"
+    item = PathItem("The cockpit that is made from what the robot has", query=(FORMAT,))
     links = (RESOURCE, RDF_SOURCE_LINK)
 
     def __init__(self, sources: CockpitSources) -> None:
         super().__init__(sources.session.space, sources.session.space.cockpit(DEFAULT))
         self.documents = sources.documents
         self._sources = sources
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The cockpit that is made from what the robot has", query=(FORMAT,))
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -308,14 +305,12 @@ class ShownDefault(_ShownPage, DefaultCockpit):
 class CockpitContainer(ContainerResource):
     """`/cockpit/`: stored cockpits. Its page also lists the default cockpit, and makes copies."""
 
+    item = PathItem("The cockpits", query=(FORMAT, PAGE))
     takes_forms = True
 
     def __init__(self, sources: CockpitSources) -> None:
         super().__init__(sources.documents, ROUTE)
         self._sources = sources
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The cockpits", query=(FORMAT, PAGE))
 
     def is_taken(self, name: str) -> bool:
         return name == DEFAULT or super().is_taken(name)

@@ -22,7 +22,7 @@ from rosld.server.html.render import render_diagnostics
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.messages import decode
 from rosld.server.rest.exchange import Exchange
@@ -85,6 +85,7 @@ class DiagnosticsResource(Resource):
     kind = "Diagnostics"
     shape = "Source"
     title = "Diagnostics"
+    item = PathItem("What the parts of the robot say of themselves", plain=_PLAIN, query=(_NAME, FORMAT))
     links = (RESOURCE, RDF_SOURCE)
 
     name = ""
@@ -96,9 +97,6 @@ class DiagnosticsResource(Resource):
         self.level_times = level_times
         self.states: Sequence[DiagnosticState] = ()
         self._changes: Sequence[LevelChange] = ()
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("What the parts of the robot say of themselves", plain=_PLAIN, query=(_NAME, FORMAT))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the requested part, as the agent may see it."""

@@ -18,7 +18,7 @@ from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import OBJECT, MessageSchemas
+from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
@@ -47,6 +47,7 @@ class EntryResource(Resource):
 
     kind = "Robot"
     shape = "Graph"
+    item = PathItem("The robot, with links to everything")
 
     def __init__(
         self,
@@ -108,9 +109,6 @@ class EntryResource(Resource):
         topics.sort(key=lambda topic: (topic.name in RESERVED, len(topic.name), topic.name))
         return self.space.topic(topics[0].name) if topics else None
 
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The robot, with links to everything")
-
     async def state(self) -> State:
         capabilities, problems = self.session.adapter.capabilities, self.problems()
         graph, system = listed_graph(self.session.graph, capabilities), capabilities.system
@@ -128,14 +126,12 @@ class GuideResource(Resource):
     """The guide for language models, which is the same for as long as the server runs."""
 
     kind = "Guide"
+    item = PathItem("What a language model needs to know", (MEDIA_TYPE,), OBJECT, (), streams=False)
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
     def __init__(self, space: Space, name: str, *, read_only: bool) -> None:
         super().__init__(space, f"{space.base}llms.txt")
         self._data = guide_text(name, space, read_only=read_only).encode("utf-8")
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("What a language model needs to know", (MEDIA_TYPE,), OBJECT, (), streams=False)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if choose_offer(exchange.accept, (MEDIA_TYPE, "text/markdown")) is None:

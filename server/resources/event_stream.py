@@ -20,7 +20,6 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import PROFILE_QUERY, VARY_PROFILE, choose_profile
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.resources.bag_selection import DecodedRecord, decode_records, record_document
 from rosld.server.resources.messages import lift_sample
 from rosld.server.rest.exchange import Exchange
@@ -105,13 +104,11 @@ class EventStreamResource(Resource):
         super().__init__(session.space, _url(session.space, recording, page))
         self.shape = "EventStream" if page is None else "StreamPage"
         self.title = f"Messages of {recording.name}"
+        self.item = PathItem(f"The messages of {self.recording.name} as an event stream", query=(FORMAT, PROFILE))
 
     @property
     def variant_key(self) -> Hashable:
         return self._profile
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(f"The messages of {self.recording.name} as an event stream", query=(FORMAT, PROFILE))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The stream in the profile that the request prefers; one named in the query is in the URLs of all pages.

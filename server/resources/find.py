@@ -30,7 +30,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.brief_value import LatestValue, LatestValues, brief_json
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, TopicSource
-from rosld.server.hypermedia.json_schema import TEXT, URI, Json, JsonSchema, MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, Json, JsonSchema
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.type_inference import is_light
 from rosld.server.hypermedia.value import Reading
@@ -101,6 +101,7 @@ class FindResource(Resource):
 
     kind = title = "Search"
     shape = "Source"
+    item = PathItem("The search", plain=_RESULTS, query=(_QUERY, _VALUES, FORMAT))
     _text = ""
     _subscribes = False
     links = (RESOURCE, RDF_SOURCE)
@@ -122,9 +123,6 @@ class FindResource(Resource):
         self._results: Sequence[SearchResult] = ()
         self._pictures: Mapping[str, Thumbnail] = {}
         self._total = 0
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The search", plain=_RESULTS, query=(_QUERY, _VALUES, FORMAT))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the search for what `?q=` says, as the agent may see it. Raises a 400 Problem for too many words."""

@@ -17,7 +17,7 @@ from rosld.server.html.page import Csrf, FramesPage, Notice
 from rosld.server.html.render import render_frames
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
-from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, nullable
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
@@ -60,6 +60,7 @@ class FramesResource(Resource):
     kind = "Frames"
     shape = "Source"
     title = "Frames"
+    item = PathItem("The frames of the robot, each with its parent", plain=_PLAIN)
     links = (RESOURCE, RDF_SOURCE)
 
     def __init__(self, space: Space, adapter: AuditedAdapter, scene: Scene) -> None:
@@ -67,9 +68,6 @@ class FramesResource(Resource):
         self.adapter = adapter
         self.scene = scene
         self._nodes: Sequence[FrameNode] = ()
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The frames of the robot, each with its parent", plain=_PLAIN)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The frames as the agent may see them. Raises a Problem where it may not see the transforms."""

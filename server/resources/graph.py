@@ -22,7 +22,7 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
@@ -88,6 +88,7 @@ class GraphResource(Resource):
     kind = "Computation graph"
     shape = "Source"
     title = "Graph"
+    item = PathItem("Who talks to whom", (*OFFERS, *_DRAWINGS.values()), plain=_PLAIN, query=_PARAMETERS)
     links = (RESOURCE, RDF_SOURCE)
 
     _selection = Selection()
@@ -96,9 +97,6 @@ class GraphResource(Resource):
         super().__init__(session.space, f"{session.space.base}graph")
         self.session = session
         self.instance_id = instance_id
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("Who talks to whom", (*OFFERS, *_DRAWINGS.values()), plain=_PLAIN, query=_PARAMETERS)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the part that the query asks for, as the agent may see it. Raises a 400 Problem."""

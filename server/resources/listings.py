@@ -17,7 +17,6 @@ from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space
 from rosld.server.html.page import Cell, MemberColumns
 from rosld.server.http.conditional import digest
-from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
@@ -65,13 +64,10 @@ class ListingResource(Resource):
         self.kind = name.capitalize()
         self.title = self.kind
         self._states = states
-        self._summary = summary
         self._columns = columns
         self._members = members
         self._changes = changes
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(self._summary)
+        self.item = PathItem(summary)
 
     async def state(self) -> State:
         """Return the state, which changes with that of each member because the page shows it."""

@@ -23,7 +23,6 @@ from rosld.server.dataset.remote_store import RemoteStore
 from rosld.server.dataset.replication import Mirror, ReplicationStatus
 from rosld.server.http.origin import is_loopback
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
@@ -171,13 +170,11 @@ class ReplicationResource(Resource):
     """The progress of the replication to another store."""
 
     kind = "Mirror"
+    item = PathItem("The mirror of the dataset in another store")
 
     def __init__(self, space: Space, mirror: Mirror) -> None:
         super().__init__(space, space.base + ROUTE)
         self._mirror = mirror
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The mirror of the dataset in another store")
 
     async def state(self) -> State:
         status = self._mirror.status

@@ -18,7 +18,6 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.brief_value import LatestValue, LatestValues
-from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.resources.member_outlines import action_cells, member_outlines, service_cells, topic_cells
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import (
@@ -205,6 +204,7 @@ class NamespaceContainer(Resource):
         self.latest_values = latest_values
         self.route = route
         self.namespace = namespace
+        self.item = PathItem(self.route.capitalize(), query=LISTING_PARAMETERS, is_paged=True)
 
     @property
     def variant_key(self) -> tuple[PagePosition | None, bool]:
@@ -227,9 +227,6 @@ class NamespaceContainer(Resource):
 
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(self.route.capitalize(), query=LISTING_PARAMETERS, is_paged=True)
 
     async def state(self) -> State:
         now = self._listed()

@@ -6,7 +6,6 @@ from rosld.ontology.document import Document
 from rosld.ontology.modules import CORE, MODULES, module_url, served_triples
 from rosld.ontology.urls import Location, Space
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import Resource, permanent_redirect
 from rosld.server.rest.state import State
@@ -24,9 +23,9 @@ class OntologyResource(Resource):
         self.title = "Ontology" if name == CORE else f"Ontology: {name}"
         self.states = states
         self.name = name
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The core of the ontology" if self.name == CORE else f"A module of the ontology: {self.name}")
+        self.item = PathItem(
+            "The core of the ontology" if self.name == CORE else f"A module of the ontology: {self.name}"
+        )
 
     async def state(self) -> State:
         return self.states.get_or_make(self.url, 0, lambda: State(self.document))

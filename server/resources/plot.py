@@ -31,7 +31,7 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.catalogue import TopicSource
-from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema
 from rosld.server.resources.memento import is_recorded
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
@@ -144,6 +144,7 @@ class PlotResource(Resource):
 
     kind = "Plot"
     shape = "Plot"
+    item = PathItem("A plot of numbers over time", (*OFFERS, EVENT_STREAM), _PLAIN, query=_PARAMETERS, streams=False)
     links = (RESOURCE, RDF_SOURCE)
     is_cacheable = False
     references: tuple[str, ...] = ()
@@ -161,11 +162,6 @@ class PlotResource(Resource):
         self.history = history
         self._broadcasters = broadcasters
         self._numbers: Sequence[PlottedNumber] = ()
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(
-            "A plot of numbers over time", (*OFFERS, EVENT_STREAM), _PLAIN, query=_PARAMETERS, streams=False
-        )
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the plot of what the `y` say, as far as the agent may see it. Raises Problems."""

@@ -322,6 +322,8 @@ class AbsentQueryResource(AbsentResource):
 class QueryContainer(ContainerResource):
     """`/queries/`: stored queries, and those that come with rosld."""
 
+    item = PathItem("The stored queries", query=(FORMAT, PAGE))
+
     def __init__(self, documents: Documents, queries: StoredQueries, path: str) -> None:
         super().__init__(documents, path)
         self.queries = queries
@@ -336,9 +338,6 @@ class QueryContainer(ContainerResource):
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         return self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("The stored queries", query=(FORMAT, PAGE))
 
     async def state(self) -> State:
         kept = await super().state()

@@ -219,6 +219,7 @@ class CallResource(KeptResource[Call]):
     """One call of a service."""
 
     kind = shape = "Call"
+    item = PathItem("A call of a service", plain=_CALL, writes={"DELETE": WriteMethod(done=(204,))})
 
     def __init__(self, session: Session, states: VersionCache[State], id: str) -> None:
         super().__init__(session, states, session.space.call(id), id)
@@ -227,9 +228,6 @@ class CallResource(KeptResource[Call]):
 
     def find(self) -> Call:
         return self.session.calls.find(self.id)
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("A call of a service", plain=_CALL, writes={"DELETE": WriteMethod(done=(204,))})
 
     def methods(self) -> frozenset[str]:
         return READ if self.session.settings.read_only else READ | {"DELETE"}

@@ -30,7 +30,7 @@ from rosld.server.html.render import render_space
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema
 from rosld.server.pictures.form import OCCUPANCY_GRID
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.namespaces import listed_graph
@@ -181,6 +181,7 @@ class SpaceResource(Resource):
     kind = "View of space"
     shape = "Source"
     title = "Space"
+    item = PathItem("What is in space", (*OFFERS, EVENT_STREAM), _PLAIN, query=_PARAMETERS, streams=False)
     links = (RESOURCE, RDF_SOURCE_LINK)
     is_cacheable = False
     frame = ""
@@ -204,9 +205,6 @@ class SpaceResource(Resource):
         self._topics: Sequence[SpaceTopic] = ()
         self._frames: Sequence[str] = ()
         self._fixed = ""
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("What is in space", (*OFFERS, EVENT_STREAM), _PLAIN, query=_PARAMETERS, streams=False)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the view that `frame` and `show` ask for, as far as the agent may see it. Raises Problems."""

@@ -11,7 +11,7 @@ from rosld.ontology.urls import Space
 from rosld.server.html.frame import ASSETS
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.fields import Link
-from rosld.server.hypermedia.json_schema import OBJECT, MessageSchemas
+from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import LDP, RESOURCE, Resource
@@ -32,10 +32,7 @@ class FileResource(Resource):
         super().__init__(space, space.base + name)
         self._data = data
         self._media_type = media_type
-        self._summary = summary
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(self._summary, (self._media_type.partition(";")[0],), OBJECT, (), streams=False)
+        self.item = PathItem(summary, (media_type.partition(";")[0],), OBJECT, (), streams=False)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         etag = ETag(digest(self._data), "bin")

@@ -19,7 +19,7 @@ from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.json_schema import OBJECT, MessageSchemas
+from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE, ThingLink, thing_description
 from rosld.server.hypermedia.thing_graph import thing_document
@@ -239,17 +239,15 @@ class RobotThing(Resource):
     """`/.well-known/wot`: where WoT clients look for the Thing Description of a host (WoT Discovery 6.3)."""
 
     kind = "Thing Description"
+    item = PathItem(
+        "The Thing Description of the whole robot", (MEDIA_TYPE, *RDF_BODIES), OBJECT, PART_QUERY, streams=False
+    )
     links = (RESOURCE,)
 
     def __init__(self, space: Space, affordances: AffordanceService[State], things: ThingDescriptions) -> None:
         super().__init__(space, f"{space.base}.well-known/wot")
         self.affordances = affordances
         self.things = things
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(
-            "The Thing Description of the whole robot", (MEDIA_TYPE, *RDF_BODIES), OBJECT, PART_QUERY, streams=False
-        )
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         tree = await self.affordances.tree()

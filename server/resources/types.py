@@ -63,6 +63,7 @@ class TypeResource(Resource):
 
     kind = "Type"
     shape = "Type"
+    item = PathItem("One of the types", query=(FORMAT, _HASH))
 
     def __init__(self, session: Session, states: VersionCache[State], name: str) -> None:
         super().__init__(session.space, session.space.type(name))
@@ -78,9 +79,6 @@ class TypeResource(Resource):
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
 
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("One of the types", query=(FORMAT, _HASH))
-
     async def state(self) -> State:
         schema = await schema_of(self.session.schemas, self.ref)
         variants = tuple(ref for ref in known_types(self.session.adapter) if ref.name == self.ref.name)
@@ -95,6 +93,7 @@ class ShapeResource(Resource):
     """The SHACL shape of one type."""
 
     kind = "Shape"
+    item = PathItem("One of the shapes")
 
     def __init__(self, space: Space, schemas: Schemas, states: VersionCache[State], name: str) -> None:
         super().__init__(space, space.shape(name))
@@ -104,9 +103,6 @@ class ShapeResource(Resource):
 
     async def current_methods(self) -> frozenset[str]:
         return await self.methods_if_there()
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("One of the shapes")
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -138,9 +134,7 @@ class ShapesGraphResource(Resource):
         self.limit_checks = limit_checks
         self.states = states
         self.title = name
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem(_SUMMARIES[self.title])
+        self.item = PathItem(_SUMMARIES[self.title])
 
     def deny_reason(self, method: str) -> str:
         return _deny_reason(self.space, self.session.settings, self.url, method)
@@ -285,15 +279,14 @@ class PackageRedirect(Resource):
 class LimitsContainer(ContainerResource):
     """`/shapes/`: the packages with the shapes of their types, and the limits that clients keep."""
 
+    item = PathItem("Shapes", query=(FORMAT, PAGE))
+
     def __init__(self, adapter: AuditedAdapter, documents: Documents, path: str) -> None:
         super().__init__(documents, path)
         self.adapter = adapter
 
     def is_taken(self, name: str) -> bool:
         return name in SHAPES_GRAPHS or name in _packages(self.adapter) or super().is_taken(name)
-
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        return PathItem("Shapes", query=(FORMAT, PAGE))
 
     async def state(self) -> State:
         kept = await super().state()

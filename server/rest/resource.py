@@ -84,6 +84,8 @@ class Resource:
     kind = "Resource"
     shape = ""
     """The name of the shape of its documents, in `/shapes/documents`."""
+    item: PathItem | None = None
+    """Its path item for `/openapi.json`, if that is always the same."""
     links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE)
     accepts: Mapping[str, Sequence[str]] = {}
     """The media types that PUT, POST and PATCH take, by method."""
@@ -153,7 +155,7 @@ class Resource:
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         """Return the path item for `/openapi.json`; `schemas` collects those of messages."""
-        return PathItem(self.kind)
+        return self.item or PathItem(self.kind)
 
     def deny_reason(self, method: str) -> str:
         """Why a verb is not allowed, in a sentence for a 405."""

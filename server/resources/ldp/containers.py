@@ -164,7 +164,7 @@ class ContainerResource(RdfSourceResource):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         summary = _SUMMARIES.get(self.path, "A container")
         post = WriteMethod(is_body_required=False)
-        return PathItem(summary, is_paged=True, writes={"POST": post, "DELETE": DELETES})
+        return self.item or PathItem(summary, is_paged=True, writes={"POST": post, "DELETE": DELETES})
 
     def methods(self) -> frozenset[str]:
         is_root = self.path.count("/") == 1

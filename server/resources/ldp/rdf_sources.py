@@ -61,6 +61,7 @@ class RdfSourceResource(StoredResource):
     """An RDF source."""
 
     kind = "RDF source"
+    shape = "Source"
     writes = frozenset({"PUT", "POST", "PATCH", "DELETE"})
     in_turn = frozenset({"POST", "PATCH"})
     accepts: Mapping[str, Sequence[str]] = {
@@ -81,7 +82,7 @@ class RdfSourceResource(StoredResource):
     @property
     def conforms_to(self) -> Sequence[str]:
         validator = self.documents.validator_of(self.path)
-        return (self.space.document_shape("Source"), *(() if validator is None else validator.conforms_to))
+        return (*super().conforms_to, *(() if validator is None else validator.conforms_to))
 
     async def state(self) -> State:
         state = state_of(self.documents, self.require_record())
@@ -267,6 +268,7 @@ class DescriptionResource(RdfSourceResource):
     """The description of a file, at its URL and `.meta`: it comes and goes with the file (LDP 4.2.1.6, 5.2.3.12)."""
 
     kind = "Description"
+    shape = "File"
     writes = frozenset({"PUT", "POST", "PATCH"})
     in_turn = frozenset({"PUT", "POST", "PATCH"})
 
@@ -274,11 +276,6 @@ class DescriptionResource(RdfSourceResource):
         super().__init__(documents, path.removesuffix(META))
         self.url = documents.space.base + path
         self.title = "/" + path
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        validator = self.documents.validator_of(self.path)
-        return (self.space.document_shape("File"), *(() if validator is None else validator.conforms_to))
 
     async def forms(self) -> Sequence[Form]:
         return ()

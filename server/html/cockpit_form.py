@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeAlias
 
 from rosld.ontology.cockpit import COLUMNS, Cockpit, GridArea, Panel, PanelKind
@@ -55,10 +55,6 @@ class EditForm:
     violations: tuple[Violation, ...] = ()
     controls: ClassVar[tuple[Control, ...]] = ()
 
-    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> EditForm:
-        """Return the same form as it was sent."""
-        return replace(self, submitted=tuple(pairs), violations=tuple(violations))
-
     @property
     def title(self) -> str:
         """The title of the cockpit."""
@@ -88,16 +84,6 @@ class CopyForm:
     submitted: Pairs | None = None
     violations: tuple[Violation, ...] = ()
 
-    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> CopyForm:
-        """Return the same form as it was sent."""
-        given = dict(pairs)
-        return replace(
-            self,
-            source=given.get("source", self.source),
-            submitted=tuple(pairs),
-            violations=tuple(violations),
-        )
-
     @property
     def controls(self) -> tuple[Control, ...]:
         """The inputs of the form."""
@@ -105,7 +91,7 @@ class CopyForm:
         error = escape_controls("; ".join(each.message for each in self.violations))
         return (
             Input("name", "name", "text", escape_controls(given.get("name", "")), error=error, maxlength="100"),
-            Input("source", "copy of", "text", escape_controls(self.source), maxlength="1000"),
+            Input("source", "copy of", "text", escape_controls(given.get("source", self.source)), maxlength="1000"),
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import TypeAlias, cast
 
 from rosld.adapters.model import Field, FieldType, MessageSchema, Nested, Primitive
@@ -11,7 +12,7 @@ from rosld.ontology.body import BodyError, parse_json
 from rosld.ontology.literals import STRINGS
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import xsd
-from rosld.server.html.forms import CHOICE_FIELD, METHOD_FIELD, PARAMETER_TYPES, TYPE_FIELD, VALUE_FIELD
+from rosld.server.html.forms import METHOD_FIELD, PARAMETER_TYPES, TYPE_FIELD, VALUE_FIELD
 from rosld.server.html.inputs import FLOATS, MAX_TEXT, is_base64, is_fieldset
 from rosld.server.html.values import NUMBERS
 from rosld.server.http.origin import CSRF_FIELD
@@ -49,51 +50,26 @@ def split_query(pairs: Iterable[tuple[str, str]]) -> tuple[dict[str, str], list[
     return query, rest
 
 
-def split_choices(pairs: Iterable[tuple[str, str]]) -> tuple[list[str], list[tuple[str, str]]]:
-    """The names that are ticked in a form, and its other pairs."""
-    names: list[str] = []
-    rest: list[tuple[str, str]] = []
-    for name, value in pairs:
-        if name == CHOICE_FIELD:
-            names.append(value)
-        else:
-            rest.append((name, value))
-    return names, rest
-
-
-def parse_form(schema: MessageSchema, pairs: Iterable[tuple[str, str]]) -> JsonValue:
-    """The plain JSON of the message that a form was filled with, for `lowerer(schema).from_json`.
-
-    `pairs` are names (paths of fields) and texts, the hidden ones taken out. An unchecked box sends nothing and is
-    false; anything else that is missing, that no input of the form has sent, or that is no value of its type is a
-    violation. Line ends are LF: browsers send CR LF whatever was typed. Raises LoweringError with all violations.
-    """
-    return _parse_message(schema, schema.type.fields, pairs)
-
-
-def _parse_message(schema: MessageSchema, fields: Iterable[Field], pairs: Iterable[tuple[str, str]]) -> JsonValue:
-    reading = _Reading(schema, *_by_name(pairs))
-    value = reading.message(fields, "")
-    reading.refuse_the_rest()
-    if reading.violations:
-        raise LoweringError(*reading.violations)
-    return value
-
-
 def parse_value(shape: ValueShape, pairs: Iterable[tuple[str, str]]) -> JsonValue:
     """The plain JSON of the value that a `ValueForm` was filled with: the bare scalar, or an object of its fields.
 
-    As `parse_form` otherwise. Bounds are not judged here: the shape does that, whoever wrote the value.
+    `pairs` are names (paths of fields) and texts, the hidden ones taken out. An unchecked box sends nothing and is
+    false; anything else that is missing, that no input of the form has sent, or that is no value of its type is a
+    violation. Line ends are LF: browsers send CR LF whatever was typed. Bounds are not judged here: the shape does
+    that, whoever wrote the value. Raises LoweringError with all violations.
     """
+    reading = _Reading(pairs)
     match shape:
         case MessageShape(schema, fields):
-            return _parse_message(schema, fields, pairs)
+            return reading.end(reading.message(schema, fields, ""), schema.ref.name)
         case ScalarShape(kind, bounds):
-            return _parse_one(pairs, _reader(kind), "" if kind.name == "bool" and not bounds.choices else None)
+            unsent = "" if kind.name == "bool" and not bounds.choices else None
+            return reading.end(reading.value(VALUE_FIELD, _reader(kind), unsent))
         case OpenShape(bounds) if bounds.choices:
-            return _parse_one(pairs, lambda text: _read_choice(bounds, text), None)
+            return reading.end(reading.value(VALUE_FIELD, partial(_read_choice, bounds)))
         case OpenShape():
-            return parse_parameter(pairs)
+            kind_name = reading.texts.pop(TYPE_FIELD, "")
+            return reading.end(reading.value(VALUE_FIELD, partial(_read_parameter, kind_name), ""))
 
 
 def parse_choice(name: str, pairs: Iterable[tuple[str, str]]) -> JsonValue:
@@ -101,31 +77,8 @@ def parse_choice(name: str, pairs: Iterable[tuple[str, str]]) -> JsonValue:
 
     Raises LoweringError where it is missing, or where there are other fields.
     """
-    texts, violations = _by_name(pairs)
-    text = texts.pop(name, None)
-    if text is None:
-        violations.append(Violation(name, "is missing", None))
-    violations += [Violation(other, "is no field of this form", value) for other, value in texts.items()]
-    if violations:
-        raise LoweringError(*violations)
-    return {name: text}
-
-
-def _parse_one(pairs: Iterable[tuple[str, str]], reader: _Reader, unsent: str | None) -> JsonValue:
-    """Return the one value of a form; `unsent` is what a browser means that has sent none."""
-    texts, violations = _by_name(pairs)
-    text = texts.pop(VALUE_FIELD, unsent)
-    violations += [Violation(name, "is no field of this form", value) for name, value in texts.items()]
-    value: JsonValue = None
-    try:
-        if text is None:
-            raise ValueError("is missing")
-        value = reader(text)
-    except ValueError as error:
-        violations.append(Violation(VALUE_FIELD, str(error), text))
-    if violations:
-        raise LoweringError(*violations)
-    return value
+    reading = _Reading(pairs)
+    return reading.end({name: reading.value(name, str)})
 
 
 def _read_choice(bounds: Bounds, text: str) -> JsonValue:
@@ -138,51 +91,47 @@ def _read_choice(bounds: Bounds, text: str) -> JsonValue:
     return _read_parameter("number", text) if chosen.datatype in NUMBERS else text
 
 
-def _by_name(pairs: Iterable[tuple[str, str]]) -> tuple[dict[str, str], list[Violation]]:
-    texts: dict[str, str] = {}
-    violations: list[Violation] = []
-    for name, text in pairs:
-        if name in texts:
-            violations.append(Violation(name, "is given twice", text))
-        texts.setdefault(name, text)
-    return texts, violations
-
-
 class _Reading:
     """A form being read: `texts` are those not yet taken."""
 
-    def __init__(self, schema: MessageSchema, texts: dict[str, str], violations: list[Violation]) -> None:
-        self.schema = schema
-        self.texts = texts
-        self.violations = violations
+    def __init__(self, pairs: Iterable[tuple[str, str]]) -> None:
+        self.texts: dict[str, str] = {}
+        self.violations: list[Violation] = []
+        for name, text in pairs:
+            if name in self.texts:
+                self.violations.append(Violation(name, "is given twice", text))
+            self.texts.setdefault(name, text)
 
-    def message(self, fields: Iterable[Field], prefix: str) -> JsonValue:
-        """Return the fields of a message."""
-        return {each.name: self.field(each.type, f"{prefix}{each.name}") for each in fields}
+    def message(self, schema: MessageSchema, fields: Iterable[Field], prefix: str) -> JsonValue:
+        """Return fields of a message: each is a fieldset, or the text of one input."""
+        found: dict[str, JsonValue] = {}
+        for field in fields:
+            path, kind = f"{prefix}{field.name}", field.type
+            if is_fieldset(schema, kind):
+                assert isinstance(kind, Nested)
+                found[field.name] = self.message(schema, schema.types[kind.name].fields, f"{path}.")
+            else:
+                found[field.name] = self.value(path, _reader(kind), "" if kind == Primitive("bool") else None)
+        return found
 
-    def field(self, kind: FieldType, path: str) -> JsonValue:
-        """One field: a fieldset, or the text of one input."""
-        if is_fieldset(self.schema, kind):
-            assert isinstance(kind, Nested)
-            return self.message(self.schema.types[kind.name].fields, f"{path}.")
-        text = self.texts.pop(path, None)
-        if text is None and kind != Primitive("bool"):
-            self.violations.append(Violation(path, "is missing", None))
-            return None
-        return self._read(path, text, _reader(kind))
-
-    def _read(self, path: str, text: str | None, reader: _Reader) -> JsonValue:
+    def value(self, name: str, reader: _Reader, unsent: str | None = None) -> JsonValue:
+        """Return the value of one input; `unsent` is what a browser means that has sent none."""
+        text = self.texts.pop(name, unsent)
         try:
-            return reader(text or "")
+            if text is None:
+                raise ValueError("is missing")
+            return reader(text)
         except ValueError as error:
-            self.violations.append(Violation(path, str(error), text))
+            self.violations.append(Violation(name, str(error), text))
             return None
 
-    def refuse_the_rest(self) -> None:
-        """Add violations for inputs that the form does not have."""
-        self.violations.extend(
-            Violation(name, f"is no field of {self.schema.ref.name}", text) for name, text in self.texts.items()
-        )
+    def end(self, value: JsonValue, form: str = "this form") -> JsonValue:
+        """Return the value. Raises LoweringError for violations, and for inputs that the form does not have."""
+        rest = (Violation(name, f"is no field of {form}", text) for name, text in self.texts.items())
+        violations = (*self.violations, *rest)
+        if violations:
+            raise LoweringError(*violations)
+        return value
 
 
 def _reader(kind: FieldType) -> _Reader:
@@ -241,21 +190,6 @@ def _read_json(text: str) -> JsonValue:
         return cast(JsonValue, parse_json(text.replace("\r\n", "\n").encode("utf-8", "surrogatepass")))
     except BodyError as error:
         raise ValueError(str(error)) from None
-
-
-def parse_parameter(pairs: Iterable[tuple[str, str]]) -> JsonValue:
-    """The value that a parameter's form was filled with; raises LoweringError naming what does not fit."""
-    texts, violations = _by_name(pairs)
-    kind, text = texts.pop(TYPE_FIELD, ""), texts.pop(VALUE_FIELD, "")
-    violations += [Violation(name, "is no field of this form", value) for name, value in texts.items()]
-    value: JsonValue = None
-    try:
-        value = _read_parameter(kind, text)
-    except ValueError as error:
-        violations.append(Violation(VALUE_FIELD, str(error), text))
-    if violations:
-        raise LoweringError(*violations)
-    return value
 
 
 def _read_parameter(kind: str, text: str) -> JsonValue:

@@ -31,7 +31,7 @@ from rosld.server.html.inputs import (
 )
 from rosld.server.html.labels import NameGroup, group_names, unit_symbol
 from rosld.server.html.view import escape_controls
-from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
+from rosld.shapes.value import Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 
 METHOD_FIELD = "method"
 CHOICE_FIELD = "?choice"
@@ -50,7 +50,6 @@ class NameChoices:
     field: str
     title: str
     urls: Mapping[str, str]
-    ticked: frozenset[str] = frozenset()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -63,133 +62,13 @@ class NameChoices:
         return group_names(self.names, lambda name: name)
 
 
-@dataclass(frozen=True, slots=True)
-class MessageForm:
-    """A form for a message: publish it, or call a service with it.
-
-    `value` (plain JSON, None for ROS's defaults) is what it is filled with at first, `typed` what was typed into it
-    when it was sent and did not fit, `violations` why. `choices` are names that one of its texts may have; `folded` are
-    the names of fields that few need.
-    """
-
-    template: ClassVar[str] = "message"
-    schema: MessageSchema
-    method: Method = "PUT"
-    title: str = "Publish a message"
-    button: str = "Publish"
-    value: Json = None
-    action: str = ""
-    about: str = ""
-    submitted: Pairs | None = None
-    violations: tuple[Violation, ...] = ()
-    choices: NameChoices | None = None
-    folded: frozenset[str] = frozenset()
-
-    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> MessageForm:
-        """The same form as it was sent, with what does not fit beside its fields."""
-        ticked = frozenset(text for name, text in pairs if name == CHOICE_FIELD)
-        choices = None if self.choices is None else replace(self.choices, ticked=ticked)
-        return replace(self, submitted=tuple(pairs), violations=tuple(violations), choices=choices)
-
-    def with_choices_of(self, may_read: Callable[[str], bool]) -> MessageForm:
-        """The same form with no name of what its reader may not read."""
-        if self.choices is None:
-            return self
-        urls = {name: url for name, url in self.choices.urls.items() if may_read(url)}
-        return replace(self, choices=replace(self.choices, urls=urls))
-
-    @property
-    def controls(self) -> tuple[Control, ...]:
-        """Its inputs: those of the message, and those of the query, with names beginning with `?`."""
-        filling = _filling(self.submitted, self.violations)
-        return controls(self.schema, self.schema.type.fields, self.value, filling)
-
-
-@dataclass(frozen=True, slots=True)
-class HoldTerms:
-    """The defaults and maxima of a hold's rate (Hz) and time (s), and what is published at its end by default."""
-
-    rate: float
-    max_rate: float
-    time: float
-    max_time: float
-    then: str
-
-
-@dataclass(frozen=True, slots=True)
-class HoldForm:
-    """A form that holds a topic: the message, and in the query how often it is published and what becomes of that.
-
-    `pad` is there where the topic commands a velocity. `bounds` are those of fields by their paths. The other fields
-    are as those of a `MessageForm`.
-    """
-
-    template: ClassVar[str] = "hold"
-    schema: MessageSchema
-    terms: HoldTerms
-    method: Method = "POST"
-    title: str = "Hold the topic"
-    button: str = "Hold"
-    value: Json = None
-    action: str = ""
-    about: str = ""
-    submitted: Pairs | None = None
-    violations: tuple[Violation, ...] = ()
-    bounds: Mapping[str, Bounds] = field(default_factory=dict)
-    pad: DrivePad | None = None
-
-    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> HoldForm:
-        """The same form as it was sent, with what does not fit beside its fields."""
-        return replace(self, submitted=tuple(pairs), violations=tuple(violations))
-
-    @property
-    def controls(self) -> tuple[Control, ...]:
-        """Its inputs: the message's, and those of the query, whose names begin with a question mark."""
-        filling, terms = replace(_filling(self.submitted, self.violations), bounds=self.bounds), self.terms
-        return (
-            *controls(self.schema, self.schema.type.fields, self.value, filling),
-            _query_number("?rate", "rate", terms.rate, terms.max_rate, "Hz", filling),
-            _query_number("?for", "for", terms.time, terms.max_time, "s", filling),
-            Input("?then", "at the end", "select", filling.text("?then", terms.then), options=("zero", "none")),
-        )
-
-
-def _query_number(name: str, label: str, value: float, most: float, unit: str, filling: InputValues) -> Input:
-    """Return the input for a number in the query, with a maximum."""
-    text = filling.text(name, f"{value:g}")
-    return Input(name, label, "number", escape_controls(text), min="0.1", max=f"{most:g}", step="0.1", unit=unit)
-
-
-@dataclass(frozen=True, slots=True)
-class ParameterForm:
-    """A form for a parameter's value: one input by the type of the present `value`, which None leaves open."""
-
-    template: ClassVar[str] = "parameter"
-    value: Json = None
-    method: Method = "PUT"
-    title: str = "Set the parameter"
-    button: str = "Set"
-    action: str = ""
-    about: str = ""
-    submitted: Pairs | None = None
-    violations: tuple[Violation, ...] = ()
-
-    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> ParameterForm:
-        """The same form as it was sent, with what does not fit beside its field."""
-        return replace(self, submitted=tuple(pairs), violations=tuple(violations))
-
-    @property
-    def controls(self) -> tuple[Control, ...]:
-        """Its inputs: the type, and the value."""
-        return _open_controls(self.value, self.submitted, self.violations)
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ValueForm:
-    """A form for the value of a property, drawn from its shape; `label` is what one input is called.
+    """A form for a value of a shape: a message to publish or to call a service with, a property's, a parameter's.
 
-    `value` (plain JSON, None where there is none) is what it is filled with at first. The other fields are as those of
-    a `MessageForm`.
+    `value` (plain JSON, None for ROS's defaults) is what it is filled with at first, `submitted` what was typed into it
+    when it was sent and did not fit, `violations` why. `label` is what the input of a scalar is called. `choices` are
+    names that one of its texts may have; `folded` are the names of fields that few need.
     """
 
     template: ClassVar[str] = "value"
@@ -202,11 +81,21 @@ class ValueForm:
     about: str = ""
     submitted: Pairs | None = None
     violations: tuple[Violation, ...] = ()
-    label: str = "value"
+    label: str = ""
+    choices: NameChoices | None = None
+    folded: frozenset[str] = frozenset()
 
-    def with_submitted(self, pairs: Pairs, violations: Iterable[Violation]) -> ValueForm:
-        """The same form as it was sent, with what does not fit beside its fields."""
-        return replace(self, submitted=tuple(pairs), violations=tuple(violations))
+    def with_choices_of(self, may_read: Callable[[str], bool]) -> ValueForm:
+        """The same form with no name of what its reader may not read."""
+        if self.choices is None:
+            return self
+        urls = {name: url for name, url in self.choices.urls.items() if may_read(url)}
+        return replace(self, choices=replace(self.choices, urls=urls))
+
+    @property
+    def ticked(self) -> frozenset[str]:
+        """The names among its choices that were ticked."""
+        return frozenset(text for name, text in self.submitted or () if name == CHOICE_FIELD)
 
     @property
     def type(self) -> str:
@@ -222,26 +111,78 @@ class ValueForm:
     @property
     def controls(self) -> tuple[Control, ...]:
         """Its inputs."""
-        match self.shape:
-            case MessageShape(schema, fields, bounds):
-                filling = replace(_filling(self.submitted, self.violations), bounds=bounds)
-                return controls(schema, fields, self.value, filling)
-            case ScalarShape(kind, bounds, measure):
-                filling = self._of_one(bounds)
-                return (scalar_input(kind, self.label, VALUE_FIELD, self.value, filling, _symbol(measure)),)
-            case OpenShape(bounds, measure) if bounds.choices:
-                present = _parameter_text(self.value)
-                filling = self._of_one(bounds)
-                return (choice_input(None, self.label, VALUE_FIELD, present, bounds, filling, _symbol(measure)),)
-            case OpenShape(bounds, measure):
-                of_type, value = _open_controls(self.value, self.submitted, self.violations)
-                note = " ".join(filter(None, (value.note, escape_controls(describe_bounds(bounds)))))
-                return (of_type, replace(value, note=note, unit=_symbol(measure)))
+        shape, filling = self.shape, self._filling()
+        if isinstance(shape, MessageShape):
+            return controls(shape.schema, shape.fields, self.value, filling)
+        label, unit = self.label or "value", _symbol(shape.measure)
+        if isinstance(shape, ScalarShape):
+            return (scalar_input(shape.kind, label, VALUE_FIELD, self.value, filling, unit),)
+        if shape.bounds.choices:
+            return (choice_input(None, label, VALUE_FIELD, _parameter_text(self.value), shape.bounds, filling, unit),)
+        return _open_controls(self.value, filling, unit)
 
-    def _of_one(self, bounds: Bounds) -> InputValues:
-        """What the one input of a scalar is filled with: nothing that does not fit can be about anything else."""
-        typed = dict(self.submitted) if self.submitted is not None else None if self.value is not None else {}
-        return InputValues(typed, _errors(self.violations), {VALUE_FIELD: bounds})
+    def _filling(self) -> InputValues:
+        """Return the values of its inputs: of a single one, whatever does not fit is about that."""
+        typed, shape = None if self.submitted is None else dict(self.submitted), self.shape
+        if isinstance(shape, MessageShape):
+            return InputValues(typed, _errors((each.path, each) for each in self.violations), shape.bounds)
+        errors = _errors((VALUE_FIELD, each) for each in self.violations)
+        if typed is None and self.value is None and (isinstance(shape, ScalarShape) or shape.bounds.choices):
+            typed = {}
+        return InputValues(typed, errors, {VALUE_FIELD: shape.bounds})
+
+
+def message_form(
+    schema: MessageSchema,
+    method: Method = "PUT",
+    title: str = "Publish a message",
+    button: str = "Publish",
+    *,
+    value: Json = None,
+    about: str = "",
+) -> ValueForm:
+    """Return the form for a message: publish it, or call a service with it."""
+    return ValueForm(MessageShape(schema, schema.type.fields), method, title, button, value, about=about)
+
+
+@dataclass(frozen=True, slots=True)
+class HoldTerms:
+    """The defaults and maxima of a hold's rate (Hz) and time (s), and what is published at its end by default."""
+
+    rate: float
+    max_rate: float
+    time: float
+    max_time: float
+    then: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoldForm(ValueForm):
+    """A form that holds a topic: the message, and in the query how often it is published and what becomes of that.
+
+    `pad` is there where the topic commands a velocity.
+    """
+
+    template: ClassVar[str] = "hold"
+    terms: HoldTerms
+    pad: DrivePad | None = None
+
+    @property
+    def controls(self) -> tuple[Control, ...]:
+        """Its inputs: the message's, and those of the query, whose names begin with a question mark."""
+        filling, terms = self._filling(), self.terms
+        return (
+            *super().controls,
+            _query_number("?rate", "rate", terms.rate, terms.max_rate, "Hz", filling),
+            _query_number("?for", "for", terms.time, terms.max_time, "s", filling),
+            Input("?then", "at the end", "select", filling.text("?then", terms.then), options=("zero", "none")),
+        )
+
+
+def _query_number(name: str, label: str, value: float, most: float, unit: str, filling: InputValues) -> Input:
+    """Return the input for a number in the query, with a maximum."""
+    text = filling.text(name, f"{value:g}")
+    return Input(name, label, "number", escape_controls(text), min="0.1", max=f"{most:g}", step="0.1", unit=unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,35 +219,42 @@ class ChoiceForm:
     violations: ClassVar[tuple[Violation, ...]] = ()
 
 
-Form: TypeAlias = MessageForm | HoldForm | ParameterForm | ValueForm | DeleteForm | ChoiceForm | EditForm | CopyForm
+Form: TypeAlias = ValueForm | DeleteForm | ChoiceForm | EditForm | CopyForm
 
 
-def _filling(typed: Pairs | None, violations: Iterable[Violation]) -> InputValues:
+def _errors(violations: Iterable[tuple[str, Violation]]) -> Mapping[str, str]:
+    """Return violations as sentences, by the names of their inputs."""
     errors: dict[str, str] = {}
-    for violation in violations:
-        known = errors.get(violation.path)
-        errors[violation.path] = f"{known}; {violation.with_quote}" if known else violation.with_quote
-    return InputValues(None if typed is None else dict(typed), errors)
-
-
-def _errors(violations: Iterable[Violation]) -> Mapping[str, str]:
-    text = "; ".join(violation.with_quote for violation in violations)
-    return {VALUE_FIELD: text} if text else {}
+    for path, violation in violations:
+        known = errors.get(path)
+        errors[path] = f"{known}; {violation.with_quote}" if known else violation.with_quote
+    return errors
 
 
 def _symbol(measure: Measure) -> str:
     return "" if measure.unit is None else escape_controls(unit_symbol(measure.unit.value))
 
 
-def _open_controls(value: Json, pairs: Pairs | None, violations: Iterable[Violation]) -> tuple[Input, Input]:
+def _open_controls(value: Json, filling: InputValues, unit: str) -> tuple[Input, Input]:
     """Return the type, and the value."""
-    typed = None if pairs is None else dict(pairs)
+    typed = filling.submitted
     kind = parameter_type_of(value) if typed is None else typed.get(TYPE_FIELD, "string")
-    text = _parameter_text(value) if typed is None else typed.get(VALUE_FIELD, "")
-    error = escape_controls("; ".join(violation.with_quote for violation in violations))
+    text = filling.text(VALUE_FIELD, _parameter_text(value))
+    is_too_long = len(text) > MAX_TEXT
+    too_long = "The present value is too long to be edited here." if is_too_long else ""
+    several = kind == "JSON" or "\n" in text or is_too_long
     return (
         Input(TYPE_FIELD, "type", "select", kind, options=PARAMETER_TYPES),
-        replace(_parameter_input(kind, text), error=error),
+        Input(
+            VALUE_FIELD,
+            "value",
+            "textarea" if several else "text",
+            "" if is_too_long else escape_controls(text),
+            note=escape_controls(" ".join(filter(None, (too_long, describe_bounds(filling.bounds[VALUE_FIELD]))))),
+            error=filling.error(VALUE_FIELD),
+            required=is_too_long,
+            unit=unit,
+        ),
     )
 
 
@@ -329,10 +277,3 @@ def _parameter_text(value: Json) -> str:
     if isinstance(value, int | float):
         return number_text(value)
     return editable_json(value, indent=2)
-
-
-def _parameter_input(kind: str, text: str) -> Input:
-    if len(text) > MAX_TEXT:
-        return Input(VALUE_FIELD, "value", "textarea", note="The present value is too long to be edited here.")
-    several = kind == "JSON" or "\n" in text
-    return Input(VALUE_FIELD, "value", "textarea" if several else "text", escape_controls(text), required=False)

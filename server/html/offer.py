@@ -12,7 +12,7 @@ from typing import ClassVar, TypeAlias
 from pyoxigraph import NamedNode
 
 from rosld.ontology.vocab import ros
-from rosld.server.html.forms import DeleteForm, Form, MessageForm, ValueForm
+from rosld.server.html.forms import DeleteForm, Form, ValueForm, message_form
 from rosld.server.html.labels import NameGroup, capitalize, group_names, label, split_words, unit_symbol
 from rosld.server.html.page import Csrf, Offer
 from rosld.server.html.site import Anchor, Site, readable_path
@@ -348,12 +348,12 @@ def is_scalar_member(member: Member) -> bool:
     return member.affordance.write and member.field is None and isinstance(member.affordance.shape, ScalarShape)
 
 
-def action_form(affordance: ActionAffordance) -> MessageForm | None:
+def action_form(affordance: ActionAffordance) -> ValueForm | None:
     """Return the form that invokes an action (a bare button without a request), or None if it cannot be invoked."""
     if affordance.request is None:
         return None
     button = affordance.title or capitalize(split_words(affordance.name))
-    return MessageForm(affordance.request, "POST", affordance.title or affordance.name, button)
+    return message_form(affordance.request, "POST", affordance.title or affordance.name, button)
 
 
 def cancel_forms(affordance: ActionAffordance) -> tuple[DeleteForm, ...]:
@@ -363,5 +363,5 @@ def cancel_forms(affordance: ActionAffordance) -> tuple[DeleteForm, ...]:
     return (DeleteForm("Cancel", "Cancel the goal", "Cancels every goal that was sent from here and has not ended."),)
 
 
-def _once(form: MessageForm | None, action: str = "") -> tuple[MessageForm, ...]:
+def _once(form: ValueForm | None, action: str = "") -> tuple[ValueForm, ...]:
     return () if form is None else (replace(form, action=action),)

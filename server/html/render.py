@@ -18,7 +18,7 @@ from rosld.ontology.vocab import PREFIXES, ldp, rdf, ros, td
 from rosld.server.html.cockpit import LEVELS, CockpitPage, panel_views
 from rosld.server.html.cockpit_form import kinds_of_panels
 from rosld.server.html.description import describe, first_text, group_sections, objects_of
-from rosld.server.html.forms import Form, ValueForm
+from rosld.server.html.forms import Form
 from rosld.server.html.frame import is_refreshed, page_frame, render_template
 from rosld.server.html.graphics import PlotRow, SpaceRow, frame_row, plot_config, plot_query, pose_words, space_query
 from rosld.server.html.listing import container_table, parameter_columns, parameters_below
@@ -127,9 +127,9 @@ def _commands_velocity(document: Document, site: Site) -> bool:
 
 
 def _fitting(page: Page) -> Iterator[Form]:
-    """The forms without those for the value of a property that must not be written now, which its offer says."""
+    """The forms without that for the value of a property that must not be written now, which its offer says."""
     locked = isinstance(page.offer, PropertyView) and not page.offer.affordance.write
-    return (form for form in page.forms if not (locked and isinstance(form, ValueForm)))
+    return (form for form in page.forms if not (locked and form.method == "PUT"))
 
 
 def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:

@@ -32,7 +32,7 @@ from rosld.server.html.cockpit import (
     WordsContent,
 )
 from rosld.server.html.cockpit_form import EditForm
-from rosld.server.html.forms import Form, HoldForm, MessageForm
+from rosld.server.html.forms import Form, HoldForm, ValueForm
 from rosld.server.html.graphics import picture_view, space_query
 from rosld.server.html.labels import capitalize, split_words
 from rosld.server.html.offer import forms_of
@@ -356,7 +356,7 @@ def _with_action(form: Form, url: str, location: Location) -> Form:
     """Return a form that posts to a URL from any page, with a description."""
     if form.action or isinstance(form, EditForm):
         return form
-    if isinstance(form, MessageForm) and location.kind == "services":
+    if isinstance(form, ValueForm) and location.kind == "services":
         name = capitalize(split_words(location.segments[-1]))
         return replace(form, action=url, title=location.name, button=name)
     return replace(form, action=url)

@@ -56,7 +56,7 @@ from rosld.server.robot.velocity import passes_stop, zero_message
 from rosld.server.robot.write_policy import PublishLimiter
 from rosld.server.runtime.dry_run import expect_status
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
-from rosld.shapes.value import Bounds
+from rosld.shapes.value import Bounds, MessageShape
 
 ZERO, NONE = "zero", "none"
 _FORM_TIME = 5.0
@@ -126,12 +126,13 @@ def hold_form(
     is_velocity = schema.ref.name in TWISTS
     most, longest = min(MAX_RATE, session.limiter.rate), session.settings.hold_time
     return HoldForm(
-        schema,
-        HoldTerms(min(RATE, most), most, min(_FORM_TIME, longest), longest, ZERO if is_velocity else NONE),
+        shape=MessageShape(schema, schema.type.fields, bounds),
+        method="POST",
+        button="Hold",
+        terms=HoldTerms(min(RATE, most), most, min(_FORM_TIME, longest), longest, ZERO if is_velocity else NONE),
         title=f"Drive by {topic}" if schema.ref.name in COMMANDS else "Hold the topic",
         about="It is published at that rate for as many seconds, or until the hold is ended on its own page.",
         value=zero if is_velocity else latest,
-        bounds=bounds,
         pad=drive_pad(topic, schema, bounds, zero, session.limiter.rate),
     )
 

@@ -17,7 +17,7 @@ from rosld.ontology.triples import text, triples_about
 from rosld.ontology.vocab import rdfs, ros
 from rosld.server.auth.enforcement import require_subtree
 from rosld.server.events.query_params import EVENT_STREAM
-from rosld.server.html.forms import DeleteForm, Form, ParameterForm, ValueForm
+from rosld.server.html.forms import DeleteForm, Form, ValueForm
 from rosld.server.html.view import escape_controls
 from rosld.server.http.conditional import digest
 from rosld.server.http.negotiation import choose_offer
@@ -50,15 +50,14 @@ from rosld.shapes.value import OpenShape
 
 def parameter_form(value: Json, descriptor: Descriptor | None, note: str | None) -> Form:
     """Return the form for a value by the declaration of the parameter, or an open one without."""
+    title = "Set the parameter"
     if descriptor is None:
-        return ParameterForm(value, about=note or "")
+        return ValueForm(OpenShape(), title=title, value=value, about=note or "")
     choices = "; ".join(choice_words(descriptor))
     words = (descriptor.description, descriptor.constraints, f"{choices}." if choices else "")
     about = escape_controls(" ".join(filter(None, words)))
-    shape = declared_shape(descriptor)
-    if isinstance(shape, OpenShape) or isinstance(value, dict | list):
-        return ParameterForm(value, about=about)
-    return ValueForm(shape, value=value, title="Set the parameter", about=about)
+    shape = OpenShape() if isinstance(value, dict | list) else declared_shape(descriptor)
+    return ValueForm(shape, title=title, value=value, about=about)
 
 
 _AT_START = "Kept by the parameter server: nodes may read it only when they start."

@@ -16,10 +16,11 @@ from rosld.ontology.body import MEDIA_TYPES as RDF_TYPES
 from rosld.ontology.body import RdfBody, Subject, parse_body
 from rosld.ontology.vocab import ros
 from rosld.server.history.recording_orders import RecordingOrder, Trigger
-from rosld.server.html.forms import MessageForm, NameChoices
+from rosld.server.html.forms import NameChoices, ValueForm
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT, JsonSchema
 from rosld.server.rest.formats import JSON
+from rosld.shapes.value import MessageShape
 
 _FIELDS = """string name
 float64 duration
@@ -42,10 +43,11 @@ def _schema() -> MessageSchema:
     return TypeLibrary(ros_version=2, folders=()).learn_message("rosld/msg/Recording", _FIELDS)
 
 
-def recording_form(topics: Mapping[str, str]) -> MessageForm:
+def recording_form(topics: Mapping[str, str]) -> ValueForm:
     """Return the form; `topics` are those that there are, with their URLs."""
-    return MessageForm(
-        _schema(),
+    schema = _schema()
+    return ValueForm(
+        MessageShape(schema, schema.type.fields),
         method="POST",
         title="Record",
         button="Record",

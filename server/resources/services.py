@@ -32,7 +32,7 @@ from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
 from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
-from rosld.server.html.forms import DeleteForm, Form, MessageForm
+from rosld.server.html.forms import DeleteForm, Form, message_form
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, nullable
 from rosld.server.hypermedia.value import refusal_text
@@ -112,7 +112,7 @@ class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
         if "POST" not in self.methods():
             return ()
         try:
-            return (MessageForm(self.part(await self.schema()), "POST", *self.form),)
+            return (message_form(self.part(await self.schema()), "POST", *self.form),)
         except (Problem, RosError):
             return ()
 

@@ -22,7 +22,7 @@ from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
 from rosld.server.history.history import History
-from rosld.server.html.forms import DeleteForm, Form, MessageForm
+from rosld.server.html.forms import DeleteForm, Form, message_form
 from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
@@ -298,12 +298,12 @@ class TopicResource(NamedResource[Topic]):
     async def _message_forms(self, schema: MessageSchema) -> Sequence[Form]:
         """The forms that publish and hold, that with a pad first; while the robot is stopped what publishes zero."""
         if self.session.is_stopped:
-            return (MessageForm(schema, title="Publish zero", about="The robot is stopped: nothing else passes."),)
+            return (message_form(schema, title="Publish zero", about="The robot is stopped: nothing else passes."),)
         latest = await self._latest_json()
         hold = hold_form(
             self.session, self.name, schema, latest, await self.limit_checks.topic_bounds(self.name, schema)
         )
-        publish = MessageForm(schema, value=latest)
+        publish = message_form(schema, value=latest)
         return (publish, hold) if hold.pad is None else (hold, publish)
 
     async def _latest_json(self) -> Json:

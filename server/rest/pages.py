@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime, timezone
 from functools import partial
 from urllib.parse import parse_qsl, urlsplit
@@ -19,14 +20,11 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html.cockpit_form import CopyForm, EditForm, parse_copy, parse_edit
 from rosld.server.html.form_parser import (
     parse_choice,
-    parse_form,
-    parse_parameter,
     parse_value,
-    split_choices,
     split_hidden,
     split_query,
 )
-from rosld.server.html.forms import ChoiceForm, DeleteForm, Form, HoldForm, MessageForm, ParameterForm, ValueForm
+from rosld.server.html.forms import CHOICE_FIELD, ChoiceForm, DeleteForm, Form, HoldForm, ValueForm
 from rosld.server.html.page import Csrf, Notice, NoticeLevel, NoticeLink, ProblemPage, receipt_notice
 from rosld.server.html.render import render_page, render_problem
 from rosld.server.html.site import HEADERS, SECTIONS, Site
@@ -135,7 +133,7 @@ class PageRenderer:
                 words = f"This page shows the first {shown:,} of {excerpt.total:,} triples."
                 notices = (*notices, Notice(words, link=NoticeLink("?format=ttl", "All of them, as Turtle")))
         may_read = permissions.may_read
-        forms = [each.with_choices_of(may_read) if isinstance(each, MessageForm) else each for each in forms]
+        forms = [each.with_choices_of(may_read) if isinstance(each, ValueForm) else each for each in forms]
         page = resource.page(self.site_for(permissions), state, forms, self._csrf(resource, permissions), notices)
         if isinstance(page, bytes):
             return page
@@ -201,9 +199,10 @@ class PageRenderer:
         notice = Notice(
             _sentence(len(fields)) if fields else problem.with_quotes, NoticeLevel.ERROR, problem.violations
         )
-        again = (
-            await resource.forms() if isinstance(form, ChoiceForm) else [form.with_submitted(refusal.submitted, fields)]
-        )
+        if isinstance(form, ChoiceForm):
+            again = await resource.forms()
+        else:
+            again = [replace(form, submitted=refusal.submitted, violations=fields)]
         try:
             state = await resource.state()
             state = state if permissions.is_unrestricted else resource.redact(state, permissions)
@@ -285,17 +284,12 @@ def _value(form: Form, typed: Sequence[tuple[str, str]]) -> object:
         return parse_copy(typed)
     if isinstance(form, ChoiceForm):
         return parse_choice(form.name, typed)
-    if isinstance(form, ParameterForm):
-        return parse_parameter(typed)
-    if isinstance(form, ValueForm):
+    if form.choices is None:
         return parse_value(form.shape, typed)
-    if isinstance(form, MessageForm) and form.choices is not None:
-        names, typed = split_choices(typed)
-        value = parse_form(form.schema, typed)
-        assert isinstance(value, dict)
-        field = form.choices.field
-        return {**value, field: " ".join([str(value[field]), *names])}
-    return parse_form(form.schema, typed)
+    value = parse_value(form.shape, [pair for pair in typed if pair[0] != CHOICE_FIELD])
+    assert isinstance(value, dict)
+    field, names = form.choices.field, [name for each, name in typed if each == CHOICE_FIELD]
+    return {**value, field: " ".join([str(value[field]), *names])}
 
 
 def _moment(nanoseconds: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from pyoxigraph import Literal, NamedNode, Triple
 
@@ -12,7 +13,7 @@ from rosld.ontology.lift import LiftSettings
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import av, ldp, rdf, rdfs, ros
-from rosld.server.html.forms import DeleteForm, MessageForm, ParameterForm
+from rosld.server.html.forms import DeleteForm, ValueForm, message_form
 from rosld.server.html.offer import forms_of
 from rosld.server.html.page import MemberColumns, Notice, NoticeLevel, Page
 from rosld.server.html.site import Site
@@ -57,8 +58,10 @@ def hostile_page() -> Page:
         (ldp.contains, f"{url}/%22onload%3D%22"),
     )
     messages = (lifted("#message", kind, {"data": HOSTILE.replace("\x00", "")}, "nodes/%3Cb%3E"),)
-    form = MessageForm(kind, title=HOSTILE, button=HOSTILE, value={"data": HOSTILE}, about=HOSTILE).with_submitted(
-        [("data", HOSTILE)], [Violation("data", HOSTILE, HOSTILE), Violation(HOSTILE, HOSTILE, HOSTILE)]
+    form = replace(
+        message_form(kind, title=HOSTILE, button=HOSTILE, value={"data": HOSTILE}, about=HOSTILE),
+        submitted=(("data", HOSTILE),),
+        violations=(Violation("data", HOSTILE, HOSTILE), Violation(HOSTILE, HOSTILE, HOSTILE)),
     )
     return Page(
         Site(BASE, HOSTILE, system=HOSTILE, stale=HOSTILE),
@@ -66,7 +69,7 @@ def hostile_page() -> Page:
         HOSTILE,
         Document(url, tuple(triples), messages),
         ("GET", "PUT", "DELETE"),
-        (form, ParameterForm(HOSTILE), DeleteForm(HOSTILE, HOSTILE, HOSTILE)),
+        (form, ValueForm(OpenShape(), value=HOSTILE), DeleteForm(HOSTILE, HOSTILE, HOSTILE)),
         csrf=lambda _: '"><script>',
         notices=(Notice(HOSTILE, NoticeLevel.ERROR, (Violation(HOSTILE, HOSTILE, HOSTILE),)),),
         listing=MemberColumns((HOSTILE,), {f"{url}/%22onload%3D%22": (HOSTILE,)}),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from html.parser import HTMLParser
@@ -34,8 +34,8 @@ from rosld.ontology.lift import lifter
 from rosld.ontology.literals import OCTETS, STRINGS
 from rosld.ontology.lower import lowerer
 from rosld.ontology.violations import LoweringError, Violation
-from rosld.server.html.form_parser import parse_form, parse_parameter, parse_value, split_hidden
-from rosld.server.html.forms import DeleteForm, Form, MessageForm, ParameterForm, ValueForm
+from rosld.server.html.form_parser import JsonValue, parse_value, split_hidden
+from rosld.server.html.forms import DeleteForm, Form, ValueForm, message_form
 from rosld.server.html.inputs import Json
 from rosld.server.html.page import Page
 from rosld.server.html.render import render_page
@@ -52,6 +52,15 @@ TYPES = (
     "sensor_msgs/msg/PointField", "diagnostic_msgs/msg/DiagnosticArray", "tf2_msgs/msg/TFMessage",
     "nav_msgs/msg/Odometry",
 )  # fmt: skip
+
+
+def refilled(form: ValueForm, pairs: list[tuple[str, str]], violations: Iterable[Violation]) -> ValueForm:
+    """The form as it was sent."""
+    return replace(form, submitted=tuple(pairs), violations=tuple(violations))
+
+
+def parse_form(kind: MessageSchema, pairs: list[tuple[str, str]]) -> JsonValue:
+    return parse_value(MessageShape(kind, kind.type.fields), pairs)
 
 
 @lru_cache
@@ -157,13 +166,13 @@ def test_a_form_sent_untouched_means_the_message_it_was_filled_with(data: st.Dat
     value = data.draw(values(Nested(kind.ref.name), kind))
     expected = lowerer(kind).from_json(value)
     plain = json.loads(lifter(kind).json(expected, URL))
-    read = lowerer(kind).from_json(parse_form(kind, sent(MessageForm(kind, value=plain))))
+    read = lowerer(kind).from_json(parse_form(kind, sent(message_form(kind, value=plain))))
     assert octets(kind, read) == octets(kind, expected)
 
 
 def test_an_empty_form_means_ros_defaults() -> None:
     for kind in map(schema, TYPES):
-        read = lowerer(kind).from_json(parse_form(kind, sent(MessageForm(kind))))
+        read = lowerer(kind).from_json(parse_form(kind, sent(message_form(kind))))
         assert octets(kind, read) == octets(kind, lowerer(kind).from_json({}, defaults=True)), kind.ref
 
 
@@ -173,9 +182,9 @@ def test_whatever_is_sent_is_json_or_refused_with_violations(
     name: str, strange: list[tuple[str, str]], data: st.DataObject
 ) -> None:
     kind = schema(name)
-    fair = [(path, data.draw(st.one_of(texts(), st.just(text)))) for path, text in sent(MessageForm(kind))]
+    fair = [(path, data.draw(st.one_of(texts(), st.just(text)))) for path, text in sent(message_form(kind))]
     violations = refusal(kind, fair + strange)
-    assert page(MessageForm(kind).with_submitted(fair, violations)).forms == 1
+    assert page(refilled(message_form(kind), fair, violations)).forms == 1
 
 
 def refusal(kind: MessageSchema, pairs: list[tuple[str, str]]) -> tuple[Violation, ...]:
@@ -191,7 +200,7 @@ def test_what_was_typed_stands_in_the_form_again_beside_what_does_not_fit() -> N
     kind = schema("geometry_msgs/msg/TwistStamped")
     typed = [("header.frame_id", "base"), ("twist.linear.x", "fast")]
     wrong = (Violation("twist.linear.x", "must be a number", "fast"),)
-    form = MessageForm(kind, value={"twist": {"linear": {"x": 0.2}}}).with_submitted(typed, wrong)
+    form = refilled(message_form(kind, value={"twist": {"linear": {"x": 0.2}}}), typed, wrong)
     body = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), ("GET", "PUT"), (form,))).decode()
     inputs = {each["name"]: each for each in Browser(body).inputs}
     assert inputs["twist.linear.x"]["value"] == "fast"
@@ -222,7 +231,7 @@ def test_a_text_that_is_no_value_is_refused_by_its_path() -> None:
         assert (found.path, found.value, words in found.message) == ("data", text, True), (name, text[:9])
     kind = schema("sensor_msgs/msg/JointState")
     for text in ("", "[1, 2", "[" * 5000, "[NaN]", '{"a":1,"a":2}'):
-        pairs = [(name, text if name == "position" else given) for name, given in sent(MessageForm(kind))]
+        pairs = [(name, text if name == "position" else given) for name, given in sent(message_form(kind))]
         assert [each.path for each in violations_of(kind, pairs)] == ["position"]
 
 
@@ -236,8 +245,8 @@ def test_missing_unknown_and_repeated_fields_are_refused_together() -> None:
 
 
 def test_headers_and_covariances_are_folded_unless_they_do_not_fit_and_sent_all_the_same() -> None:
-    form = MessageForm(schema("nav_msgs/msg/Odometry"))
-    wrong = form.with_submitted(sent(form), [Violation("header.stamp.sec", "is no number", "x")])
+    form = message_form(schema("nav_msgs/msg/Odometry"))
+    wrong = refilled(form, sent(form), [Violation("header.stamp.sec", "is no number", "x")])
     folded = []
     for each in (form, wrong):
         drawn = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), ("PUT",), (each,))).decode()
@@ -249,7 +258,7 @@ def test_headers_and_covariances_are_folded_unless_they_do_not_fit_and_sent_all_
 
 def test_a_field_called_method_or_csrf_is_a_field() -> None:
     kind = LIBRARY.learn_message("odd_msgs/msg/Odd", "string method\nstring csrf\n")
-    form = MessageForm(kind, value={"method": "none", "csrf": "none either"})
+    form = message_form(kind, value={"method": "none", "csrf": "none either"})
     assert parse_form(kind, sent(form)) == {"method": "none", "csrf": "none either"}
 
 
@@ -263,7 +272,7 @@ def test_types_that_nest_without_end_in_sight_have_forms_of_finite_size() -> Non
     types = {f"deep_msgs/msg/L{level}": twice(f"deep_msgs/msg/L{level}", level + 1) for level in range(40)}
     types["deep_msgs/msg/L40"] = MessageType("deep_msgs/msg/L40", (Field("x", Primitive("int8"), "x"),))
     kind = replace(schema("std_msgs/msg/Empty"), ref=TypeRef("deep_msgs/msg/L0", "0"), types=types)
-    inputs = page(MessageForm(kind, value={})).inputs
+    inputs = page(message_form(kind, value={})).inputs
     assert [each["tag"] for each in inputs if each.get("name") in ("a", "b")] == ["textarea", "textarea"]
     assert len(inputs) < 10
 
@@ -271,14 +280,14 @@ def test_types_that_nest_without_end_in_sight_have_forms_of_finite_size() -> Non
 def test_what_is_elided_or_too_long_is_left_to_be_typed() -> None:
     kind = schema("sensor_msgs/msg/JointState")
     elided: Json = {"elided": True, "length": 70000, "href": "?field=position"}
-    inputs = {each.get("name"): each for each in page(MessageForm(kind, value={"position": elided})).inputs}
+    inputs = {each.get("name"): each for each in page(message_form(kind, value={"position": elided})).inputs}
     assert "required" in inputs["position"]
-    pairs = dict(sent(MessageForm(kind, value={"position": elided, "velocity": [0.123456789] * 9000})))
+    pairs = dict(sent(message_form(kind, value={"position": elided, "velocity": [0.123456789] * 9000})))
     assert pairs["position"] == pairs["velocity"] == ""
 
 
 def test_strings_that_a_browser_would_change_are_not_offered_to_be_changed() -> None:
-    form = MessageForm(schema("std_msgs/msg/String"), value={"data": "bell\x07 and return\r"})
+    form = message_form(schema("std_msgs/msg/String"), value={"data": "bell\x07 and return\r"})
     assert dict(sent(form)) == {"data": ""}
 
 
@@ -290,15 +299,15 @@ def test_inputs_follow_the_type_of_their_field() -> None:
         ("std_msgs/msg/Bool", {"type": "checkbox", "value": "true"}),
         ("std_msgs/msg/String", {"type": "text"}),
     ):
-        found = next(each for each in page(MessageForm(schema(name))).inputs if each["name"] == "data")
+        found = next(each for each in page(message_form(schema(name))).inputs if each["name"] == "data")
         assert {key: found.get(key) for key in attributes} == attributes, name
 
 
 def forms() -> Iterator[Form]:
     kind = schema("std_msgs/msg/String")
-    yield MessageForm(kind, "PUT")
-    yield MessageForm(kind, "POST", "Call", "Call")
-    yield ParameterForm(1.5)
+    yield message_form(kind, "PUT")
+    yield message_form(kind, "POST", "Call", "Call")
+    yield ValueForm(OpenShape(), value=1.5)
     yield DeleteForm()
 
 
@@ -322,17 +331,14 @@ JSON = st.recursive(
 def test_a_parameter_form_sent_untouched_means_the_present_value(value: object) -> None:
     if isinstance(value, int) and abs(value) >= 10**39:
         return
-    for read in (
-        parse_parameter(sent(ParameterForm(value))),  # type: ignore[arg-type]
-        parse_value(OpenShape(), sent(ValueForm(OpenShape(), value=value))),  # type: ignore[arg-type]
-    ):
-        assert (read, type(read)) == (value, type(value))
+    read = parse_value(OpenShape(), sent(ValueForm(OpenShape(), value=value)))  # type: ignore[arg-type]
+    assert (read, type(read)) == (value, type(value))
 
 
 def test_violations_of_the_elements_of_an_array_stand_beside_the_array() -> None:
     kind = schema("sensor_msgs/msg/JointState")
-    pairs = sent(MessageForm(kind))
-    form = MessageForm(kind).with_submitted(pairs, [Violation("position.3", "expected a float64", "x")])
+    pairs = sent(message_form(kind))
+    form = refilled(message_form(kind), pairs, [Violation("position.3", "expected a float64", "x")])
     body = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), ("PUT",), (form,))).decode()
     assert "position.3: expected a float64" in body
 
@@ -398,7 +404,7 @@ def test_a_value_that_is_none_is_refused() -> None:
         with pytest.raises(LoweringError) as refusal:
             parse_value(shape, pairs)
         assert any(words in each.message for each in refusal.value.violations), words
-        assert page(ValueForm(shape).with_submitted(pairs, refusal.value.violations)).forms == 1
+        assert page(refilled(ValueForm(shape), pairs, refusal.value.violations)).forms == 1
 
 
 @settings(max_examples=30)
@@ -413,7 +419,7 @@ def test_whatever_is_sent_for_a_value_is_read_or_refused(
             parse_value(shape, pairs)
         except LoweringError as error:
             violations = error.violations
-        assert page(ValueForm(shape).with_submitted(pairs, violations)).forms == 1
+        assert page(refilled(ValueForm(shape), pairs, violations)).forms == 1
 
 
 def test_bounds_of_fields_are_attributes_of_their_inputs() -> None:

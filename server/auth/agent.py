@@ -1,4 +1,4 @@
-"""The agent that a request comes from."""
+"""Agents, which make requests."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Agent:
-    """An agent. `name` is what pages and receipts call them; `webid` is their URL where they have one."""
+    """An agent. `name` is used on pages and receipts; `webid` is the agent's URL, if any."""
 
     name: str
     webid: str | None = None
 
 
 ANONYMOUS = Agent("anybody")
-"""Who asks without saying who they are."""
+"""Agent of unauthenticated requests."""

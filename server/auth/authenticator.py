@@ -1,4 +1,4 @@
-"""Authenticator: from the Authorization field of a request to its agent and their rights; reads its file again."""
+"""Authenticator, which maps the Authorization field of a request to its agent, and reloads its file after changes."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from rosld.server.auth.tokens import parse_credentials
 from rosld.server.runtime.tasks import Signal
 
 _POLL_SECONDS = 1.0
-"""Seconds between looks at whether the file has changed."""
+"""Seconds between checks for changes of the file."""
 _MAX_AGENTS = 1000
-"""Agents whose permissions are cached."""
+"""Maximum number of agents whose permissions are cached."""
 _log = logging.getLogger("rosld")
 _Stamp: TypeAlias = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class AuthContext:
-    """The permissions of a request's agent, whether these still hold (a stream outlasts them), and those of anybody."""
+    """The permissions of a request's agent, whether they still hold (a stream outlasts them), and anonymous ones."""
 
     permissions: Permissions
     is_valid: Callable[[], bool]
@@ -43,11 +43,11 @@ def _always() -> bool:
 
 
 UNRESTRICTED = AuthContext(ALLOW_ALL, _always, ALLOW_ALL)
-"""Everybody, where there is no authentication."""
+"""Context of all requests if there is no authentication."""
 
 
 class Authenticator:
-    """Authenticates the requests of one server. Belongs to one loop. Raises ValueError on an unreadable file."""
+    """Authenticator of one server's requests. Belongs to one loop. Raises ValueError for an invalid file."""
 
     def __init__(self, path: Path, space: Space, types: TypesAt, about: AboutAt) -> None:
         self._path = path
@@ -59,17 +59,17 @@ class Authenticator:
         if self.config.issuers:
             require_library()
         self.changed = Signal()
-        """Given when rights may have changed."""
+        """Signal of possibly changed rights."""
         self._verifier = TokenVerifier()
         self._judges: dict[Agent, Permissions] = {}
 
     @property
     def anonymous(self) -> AuthContext:
-        """The session of an agent without credentials."""
+        """Context of unauthenticated requests."""
         return self._auth_context(ANONYMOUS, lambda: ANONYMOUS, None)
 
     async def authenticate(self, field: str | None) -> AuthContext:
-        """Return the agent of an Authorization field, None for none. Raises a 401 Problem for invalid credentials."""
+        """Return the context of an Authorization field, None for none. Raises a 401 Problem for invalid credentials."""
         if field is None:
             return self.anonymous
         sent = parse_credentials(field)
@@ -112,13 +112,13 @@ class Authenticator:
         return self.permissions(access.policy.agents[name])
 
     async def watch_file(self) -> None:
-        """Read the file again whenever it changes, for ever: to be cancelled. What cannot be read changes nothing."""
+        """Reload the file after each change, until cancelled; an invalid file changes nothing."""
         while True:
             await asyncio.sleep(_POLL_SECONDS)
             await self.reload_if_changed()
 
     async def reload_if_changed(self) -> None:
-        """Read the file again if it has changed."""
+        """Reload the file if it has changed."""
         stamp = await asyncio.to_thread(_stamp, self._path)
         if stamp == self._stamp:
             return
@@ -164,7 +164,7 @@ class Authenticator:
             raise invalid_token(f"{error}.") from error
 
     def _agent_of(self, claims: Claims) -> Agent:
-        """Return the agent of a subject: the one that the file names, else one called by issuer and subject."""
+        """Return the agent of a subject: the one declared in the file, else one named by issuer and subject."""
         name = self.config.subjects.get((claims.issuer, claims.subject))
         if name is not None:
             return self.config.policy.agents[name]
@@ -174,7 +174,7 @@ class Authenticator:
 
 
 def _stamp(path: Path) -> _Stamp:
-    """Return a stamp that changes whenever a file is written."""
+    """Return a stamp that changes whenever the file is written."""
     try:
         found = path.stat()
     except OSError:

@@ -1,8 +1,8 @@
-"""The configuration of `--auth`: agents, tokens, trusted issuers and rules, in TOML or Turtle.
+"""Configuration file of `--auth`: agents, tokens, trusted issuers and rules, in TOML or Turtle.
 
 TOML has the tables `[[token]]` (agent, sha256), `[[agent]]` (name, webid, issuer, subject), `[[issuer]]` (url,
-audience, algorithms, keys) and `[[rule]]` (agents, modes, paths, types, deny). Turtle says agents and rules with Web
-Access Control (acl:Authorization) and, for what that lacks, terms of rosld. What is not understood is refused.
+audience, algorithms, keys) and `[[rule]]` (agents, modes, paths, types, deny). Turtle declares agents and rules with
+Web Access Control (acl:Authorization), extended by terms of rosld. Unknown content is rejected.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ else:
 _log = logging.getLogger("rosld")
 _V = TypeVar("_V")
 _ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512", "EdDSA")
-"""What a token of an issuer may be signed with: never a secret that both have, and never nothing."""
+"""Signature algorithms of issuers' tokens: neither shared secrets nor unsigned tokens."""
 _USUAL = ("RS256", "ES256")
 MODES: Mapping[NamedNode, Mode] = {
     acl.Read: Mode.READ,
@@ -39,15 +39,15 @@ MODES: Mapping[NamedNode, Mode] = {
     acl.Control: Mode.ADMINISTER,
     ros.Command: Mode.CONTROL,
 }
-"""The modes as RDF says them: acl:Control is about the rules themselves."""
+"""Modes by their RDF terms: acl:Control concerns the rules themselves."""
 _MAX_BYTES = 4 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True)
 class Issuer:
-    """An OpenID Connect issuer whose access tokens count, if they are for `audience`.
+    """A trusted OpenID Connect issuer of access tokens for `audience`.
 
-    `keys` is where its keys are, None where its configuration says that.
+    `keys` is the URL of its keys, None to find it in the issuer's configuration.
     """
 
     url: str
@@ -58,7 +58,7 @@ class Issuer:
 
 @dataclass(frozen=True)
 class AuthConfig:
-    """The contents of the file of `--auth`. `subjects` are the names of agents by issuer and subject."""
+    """Contents of the file of `--auth`. `subjects` are the names of agents by issuer and subject."""
 
     policy: Policy
     tokens: TokenTable
@@ -84,7 +84,7 @@ def read_config(path: Path, base: str) -> AuthConfig:
 
 
 class _Table:
-    """One table of the file: its members are taken one by one, and none may be left over."""
+    """A table of the file; each member is taken once, and `end` rejects the remaining ones."""
 
     def __init__(self, kind: str, number: int, members: object) -> None:
         self._where = f"{kind} {number}"
@@ -93,21 +93,21 @@ class _Table:
         self._left = dict(members)
 
     def text(self, name: str) -> str:
-        """A text that must be there."""
+        """Return a required text."""
         found = self.maybe(name)
         if found is None:
             raise ValueError(f"{self._where} has no {name}")
         return found
 
     def maybe(self, name: str) -> str | None:
-        """Return a text, None where it is not there."""
+        """Return an optional text, or None."""
         found = self._left.pop(name, None)
         if found is not None and (not isinstance(found, str) or not found):
             raise ValueError(f"{self._where}: {name} is a text, not {found!r}")
         return found
 
     def texts(self, name: str, default: Sequence[str] | None = None) -> tuple[str, ...]:
-        """Return a list of texts; a single one needs no brackets."""
+        """Return a list of texts; a single text needs no brackets."""
         found = self._left.pop(name, default)
         found = [found] if isinstance(found, str) else found
         if not isinstance(found, Sequence) or not all(isinstance(each, str) and each for each in found):
@@ -119,24 +119,24 @@ class _Table:
         return tuple(found)
 
     def flag(self, name: str) -> bool:
-        """True or false; false where it is not there."""
+        """Return a boolean, by default False."""
         found = self._left.pop(name, False)
         if not isinstance(found, bool):
             raise ValueError(f"{self._where}: {name} is true or false, not {found!r}")
         return found
 
     def drop(self, *names: str) -> None:
-        """Pass over members that are for people."""
+        """Discard members that are only for people."""
         for name in names:
             self._left.pop(name, None)
 
     def end(self) -> None:
-        """Raise where something is left that is not known."""
+        """Raise ValueError if unknown members are left."""
         if self._left:
             raise ValueError(f"{self._where}: {next(iter(self._left))!r} is not known here")
 
     def checked(self, make: Callable[[], _V]) -> _V:
-        """Return the result of `make`; its ValueError names the place."""
+        """Return the result of `make`, adding the location to its ValueError."""
         try:
             return make()
         except ValueError as error:
@@ -260,7 +260,7 @@ def _whole(
     subjects: Mapping[tuple[str, str], str],
     rules: tuple[Rule, ...],
 ) -> AuthConfig:
-    """All of it, once it is known that it fits together."""
+    """Return the configuration after checks that its parts are consistent."""
     urls = {issuer.url for issuer in issuers}
     for issuer, subject in subjects:
         if issuer not in urls:
@@ -277,7 +277,7 @@ def _whole(
 
 
 def from_turtle(data: bytes, base: str) -> AuthConfig:
-    """Return the configuration in Turtle; IRIs below `base` are paths here. Raises ValueError, SyntaxError."""
+    """Return the configuration in Turtle; IRIs below `base` are paths. Raises ValueError and SyntaxError."""
     graph = _Graph((quad.subject, quad.predicate, quad.object) for quad in parse(data, RdfFormat.TURTLE, base_iri=base))
     agents: dict[str, Agent] = {}
     tokens: dict[str, str] = {}
@@ -317,7 +317,7 @@ class _Graph:
         return frozenset(predicate for predicate, _ in self._by_subject.get(node, ()))
 
     def text(self, node: _Node, predicate: NamedNode) -> str:
-        """Return the one text of a subject."""
+        """Return the single text of a subject."""
         found = self.all(node, predicate)
         if len(found) != 1:
             raise ValueError(f"{node} has {len(found)} of {predicate}, and needs one")
@@ -376,7 +376,7 @@ def _iri_or_label(term: object) -> str:
 
 
 def _local(iri: str, base: str) -> str:
-    """Return the path of an IRI of this server, as a glob that is about nothing else."""
+    """Return the path of an IRI of this server, as a glob that matches only this path."""
     if not iri.startswith(base):
         raise ValueError(f"{iri} is not of this server, which is {base}")
     path = iri[len(base) - 1 :].partition("#")[0]

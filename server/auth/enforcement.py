@@ -1,4 +1,4 @@
-"""Enforcement of permissions: by the path of a request, then by its resource; and the headers that describe them."""
+"""Enforcement of permissions by the path of a request, then by its resource; and the headers that describe them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rosld.server.http.fields import Link
 
 Headers = list[tuple[bytes, bytes]]
 _SHORT = 256
-"""Characters of a path up to which it is remembered where it leads."""
+"""Maximum number of characters of a path whose location is cached."""
 _located = lru_cache(maxsize=8192)(locate)
 _READING = frozenset({"GET", "HEAD"})
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -32,16 +32,16 @@ class Protected(Protocol):
 
     @property
     def changes_subtree(self) -> bool:
-        """Whether its writes change what lies below it, too."""
+        """Whether writes affect the subtree and therefore need permission for all of it."""
         ...
 
     @property
     def also_changes(self) -> Sequence[str]:
-        """The URLs of other resources that writes change."""
+        """URLs of other resources that writes change."""
         ...
 
     def methods(self) -> frozenset[str]:
-        """Return the verbs it answers now."""
+        """Return the currently allowed methods."""
         ...
 
 
@@ -55,7 +55,7 @@ def location_of(scope: Scope, space: Space) -> Location | None:
 
 
 def require_path(permissions: Permissions, method: str, place: Location | None) -> None:
-    """Refuse what the path alone forbids, before it is known whether anything is there. Raises 401, 403, 404."""
+    """Refuse a request by its path alone, before looking for the resource. Raises 401, 403, 404."""
     if place is None or not permissions.may_know_path(place):
         raise not_visible(permissions.agent)
     if method in _READING and not permissions.rights.may(mode_of(method, path_at(place)), path_at(place), None):
@@ -63,9 +63,9 @@ def require_path(permissions: Permissions, method: str, place: Location | None) 
 
 
 def authorize(permissions: Permissions, method: str, place: Location | None, resource: Protected) -> None:
-    """Refuse a request that the agent may not make of an existing resource. Raises 401, 403, 404.
+    """Refuse a request of an existing resource that the agent may not make. Raises 401, 403, 404.
 
-    Methods that the resource does not have (405) are not judged here.
+    Methods that the resource does not allow (405) are not judged here.
     """
     if place is None or not permissions.may_know(place):
         raise not_found()
@@ -105,7 +105,7 @@ def is_write(method: str, place: Location | None) -> bool:
 
 
 def require_subtree(permissions: Permissions, method: str, place: Location) -> None:
-    """Refuse what changes everything below a place, where that is not allowed. Raises 401, 403."""
+    """Refuse a change of a subtree if part of it is not permitted. Raises 401, 403."""
     if not permissions.may_subtree(method, place):
         raise forbidden(permissions.agent, f"{_WORDS[method]}: not everything below it is yours to change")
 
@@ -118,9 +118,9 @@ def with_auth_headers(
     resource: Protected | None,
     acl: Link,
 ) -> Headers:
-    """The headers of an answer with what this agent may do: Allow, WAC-Allow, and a link to the rules.
+    """Return the headers of a response with the agent's permissions: Allow, WAC-Allow, and a link to the rules.
 
-    `resource` is what answered, None where it is not known what that would have been.
+    `resource` is the resource that answered, None if it is unknown.
     """
     found: Headers = []
     may = (
@@ -150,14 +150,14 @@ def with_auth_headers(
 
 
 def _may_use(method: str, permissions: Permissions, place: Location | None, may: frozenset[str] | None) -> bool:
-    """Whether the agent may use a method there: one of `may`, or where nothing is known to be there, by the path."""
+    """Whether the agent may use a method: one of `may`, or, without a known resource, permitted by the path."""
     if may is not None:
         return method in may
     return place is not None and permissions.may_at(method, place)
 
 
 def _wac_allow(permissions: Permissions, public: Permissions, place: Location) -> str:
-    """WAC-Allow (Solid Protocol, WAC 6.1): `write` where writes of any kind are allowed, `control` for the rules."""
+    """Return WAC-Allow (Solid WAC 6.1): `write` if any kind of write is permitted, `control` for the rules."""
     own = public if permissions.agent == ANONYMOUS else permissions
     return f'user="{" ".join(_modes(own, place))}", public="{" ".join(_modes(public, place))}"'
 

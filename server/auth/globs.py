@@ -1,8 +1,8 @@
-"""Globs over the paths of one server, segment by segment. Pure.
+"""Globs over the paths of one server, matched segment by segment. Pure.
 
-`*` stands for any characters of one segment, `**` for any number of whole segments, none included. Paths are compared
-as names have them: percent-encoding is undone once, segment by segment, so that no spelling of a name escapes its rule,
-and an encoded slash (`%2F`) is part of its segment. A slash at the end makes no difference.
+`*` matches any characters of one segment, `**` any number of whole segments, including none. Paths are compared
+decoded: percent-encoding is removed once from each segment, so that no spelling of a name escapes its rule, and an
+encoded slash (`%2F`) is part of its segment. A final slash makes no difference.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from urllib.parse import unquote
 from rosld.ontology.urls import Location, decode_segment
 
 Path: TypeAlias = tuple[str, ...]
-"""The segments of a path below the base, decoded; that of the entry has none."""
+"""Decoded segments of a path below the base; the entry point has none."""
 _ANY = "**"
 _NOT_IN_PATHS = re.compile(r"[?#\[\]\x00-\x20\x7f]")
 
 
 def path_at(location: Location) -> Path:
-    """The path that rules are about; that of a container is that of its name."""
+    """Return the path to which rules apply; a container has the path of its name."""
     return (location.kind, *location.segments) if location.kind else location.segments
 
 
 @dataclass(frozen=True)
 class Glob:
-    """A glob as it is written, such as `/topics/camera/**`. Raises ValueError with a sentence for what is none."""
+    """A glob such as `/topics/camera/**`. Raises ValueError with a sentence if it is invalid."""
 
     text: str
 
@@ -41,7 +41,7 @@ class Glob:
 
     @cached_property
     def _parts(self) -> tuple[re.Pattern[str] | None, ...]:
-        """A pattern a segment, None for `**`."""
+        """A pattern for each segment, None for `**`."""
         segments = self.text.strip("/").split("/") if self.text.strip("/") else []
         if segments == ["ontology"]:
             segments.append(_ANY)  # its modules are parts of it
@@ -61,15 +61,15 @@ class Glob:
         return re.compile(".*".join(literal), re.DOTALL)
 
     def matches(self, path: Path) -> bool:
-        """Whether it is about this path."""
+        """Whether the glob matches this path."""
         return len(self._parts) in self._states_after(path)
 
     def overlaps_subtree(self, path: Path) -> bool:
-        """Whether it is about this path, or about anything that may lie below."""
+        """Whether the glob matches this path or may match one below."""
         return bool(self._states_after(path))
 
     def covers_subtree(self, path: Path) -> bool:
-        """Whether it is about this path and everything that may lie below."""
+        """Whether the glob matches this path and everything below."""
         last = len(self._parts) - 1
         return last >= 0 and self._parts[last] is None and last in self._states_after(path)
 

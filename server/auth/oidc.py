@@ -1,7 +1,7 @@
-"""OpenID Connect: access tokens of issuers, checked against the issuers' keys by PyJWT (the extra `oidc`).
+"""OpenID Connect: access tokens of issuers, verified with the issuers' keys by PyJWT (the extra `oidc`).
 
-Checked are the signature (by an algorithm that the file names, never `none` and never a shared secret), the issuer, the
-audience, and the times. Keys are fetched from the issuer alone, in a thread, within limits of time and size, and kept.
+Verified are the signature (with an algorithm that the file lists, never `none` or a shared secret), the issuer, the
+audience, and the times. Keys are fetched only from the issuer, in a thread, within limits of time and size, and cached.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _SECONDS = 5.0
 _MAX_BYTES = 256 * 1024
 _KEPT_SECONDS = 3600.0
 _AGAIN_SECONDS = 10.0
-"""How long keys are at least kept: a token with a key that is not known has them fetched again no sooner."""
+"""Minimum seconds between two fetches of an issuer's keys, even for a token with an unknown key."""
 _LEEWAY = 10.0
 _LONGEST_TOKEN = 16 * 1024
 
 
 class InvalidToken(Exception):
-    """A token is not accepted; the message is for the sender, and reveals nothing about keys."""
+    """A token is rejected; the message is for the sender, and reveals nothing about keys."""
 
 
 class Claims(NamedTuple):
@@ -41,14 +41,14 @@ class Claims(NamedTuple):
 
 
 class _Keys(NamedTuple):
-    """Keys of an issuer by their ids, and when they were fetched (monotonic, s)."""
+    """Keys of an issuer by their ids, and the time of their retrieval (monotonic, s)."""
 
     by_id: Mapping[str, object]
     fetched: float
 
 
 def issuer_of(token: str, issuers: Iterable[Issuer]) -> Issuer | None:
-    """The issuer that a token says it is of, if that one counts; None for what is no such token."""
+    """Return the issuer that a token claims if it is trusted, else None."""
     if not issuers or token.count(".") != 2 or len(token) > _LONGEST_TOKEN:
         return None
     try:
@@ -64,13 +64,13 @@ def issuer_of(token: str, issuers: Iterable[Issuer]) -> Issuer | None:
 
 @dataclass
 class TokenVerifier:
-    """Verifies tokens. Belongs to one loop."""
+    """Verifier of tokens. Belongs to one loop."""
 
     _keys: dict[Issuer, _Keys] = field(default_factory=dict)
     _fetching: dict[Issuer, asyncio.Lock] = field(default_factory=dict)
 
     async def verify(self, token: str, issuer: Issuer) -> Claims:
-        """Return the claims of a token. Raises InvalidToken for one that is not accepted."""
+        """Return the claims of a token. Raises InvalidToken for a rejected one."""
         import jwt
 
         try:
@@ -96,7 +96,7 @@ class TokenVerifier:
         return Claims(issuer.url, str(said["sub"]), float(said["exp"]), webid if isinstance(webid, str) else None)
 
     async def _key(self, issuer: Issuer, key_id: object) -> object:
-        """Return the key of an id; the only one there is where a token names none."""
+        """Return the key with an id; a token without a key id gets the issuer's only key."""
         lock = self._fetching.setdefault(issuer, asyncio.Lock())
         async with lock:
             known = self._keys.get(issuer)
@@ -122,7 +122,7 @@ def _find_key(keys: _Keys, key_id: object) -> object | None:
 
 
 def _fetch(issuer: Issuer) -> Mapping[str, object]:
-    """Return the keys of an issuer by their ids. Raises OSError and ValueError. Runs in a thread."""
+    """Return the keys of an issuer by their ids (blocking). Raises OSError and ValueError."""
     import jwt
 
     found: dict[str, object] = {}
@@ -146,7 +146,7 @@ def _keys_url(issuer: Issuer) -> str:
 
 
 def _is_safe(url: str, issuer: str) -> bool:
-    """Whether keys may be fetched there: by https, or as the issuer itself is reached."""
+    """Whether keys may be fetched from a URL: by https, or from the scheme and host of the issuer."""
     return urlsplit(url).scheme == "https" or urlsplit(url)[:2] == urlsplit(issuer)[:2]
 
 
@@ -158,7 +158,7 @@ class _NoRedirects(urllib.request.HTTPRedirectHandler):
 
 
 def _json(url: str) -> dict[str, object]:
-    """Return the JSON object at a URL; nothing else is followed."""
+    """Return the JSON object at a URL without following redirects."""
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}), _NoRedirects())
     try:
         with opener.open(
@@ -177,7 +177,7 @@ def _json(url: str) -> dict[str, object]:
 
 
 def require_library() -> None:
-    """Raise ValueError where issuers are named and nothing can check their tokens."""
+    """Raise ValueError if issuers are configured but PyJWT is missing."""
     try:
         import jwt  # noqa: F401
     except ImportError:

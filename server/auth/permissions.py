@@ -1,4 +1,4 @@
-"""Permissions: what one agent may do with the URLs of one server. Pure."""
+"""Permissions of one agent on the URLs of one server. Pure."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from rosld.server.auth.rules import UNTYPED, Mode, Rights, Types, allow_all_rule
 from rosld.server.auth.tokens import token_digest
 
 TypesAt: TypeAlias = Callable[[Location], Types]
-"""The types of the resource at a location."""
+"""Function that returns the types of the resource at a location."""
 AboutAt: TypeAlias = Callable[[Location], "Sequence[str] | None"]
-"""The URLs of what the resource at a location tells of: all of these must be readable for it to be read.
+"""Function that returns the URLs of a resource's subjects; reading the resource requires reading all of them.
 
-None where that is not known: then it takes the right to read everything. May be called in any thread.
+It returns None if they are unknown: then reading requires the right to read everything. Thread-safe.
 """
 TELLING_OF_OTHERS = frozenset({"activity", "bags", "calls", "channels", "goals", "holds"})
-"""The routes of resources that tell of others: of what a call called, of what a receipt's write touched."""
+"""Routes of resources about other resources: the service of a call, the targets of a receipt's write."""
 
 _PAGE = re.compile(r"(?:^|&)page=[0-9]*:([^&]+)")
 
@@ -40,10 +40,10 @@ def _about_unknown(location: Location) -> Sequence[str] | None:
 
 
 class Permissions:
-    """What an agent with these rights may do with the URLs of a space; URLs of other servers may always be read.
+    """Permissions of an agent with these rights on the URLs of a space; URLs of other servers are always readable.
 
-    `is_unrestricted`: all of it, so that nothing need be checked. `rights_key` is the same for the same rights: the key
-    of what is cached for them.
+    `is_unrestricted`: everything is permitted, so that no checks are needed. `rights_key` is equal for equal rights,
+    and the key of caches for them.
     """
 
     def __init__(
@@ -60,14 +60,14 @@ class Permissions:
         self.may_read_all = rights.may_read_all
         self.rights_key = "" if self.is_unrestricted else rights.key
         self.cache_key = "" if agent == ANONYMOUS else f"-{token_digest(agent.name)[-12:]}"
-        """What tells what is made for this agent alone from what is made for others."""
+        """Cache key of content for this agent alone."""
         self._space = space
         self._types = types
         self._about = about
         self._located = lru_cache(maxsize=16384)(self._locate)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """For a worker process. Raises TypeError where types matter: what is where is known to the server only."""
+        """Pickle for a worker process. Raises TypeError for rights with types, which only the server knows."""
         if self.rights.is_typed:
             raise TypeError("rights that depend on types are judged in the server only")
         return Permissions, (self.agent, Rights(self.rights.rules), self._space, _untyped, _about_unknown)
@@ -86,7 +86,7 @@ class Permissions:
         return self.may_at(method, location) and self._may_know_page(url)
 
     def _may_know_page(self, url: str) -> bool:
-        """Whether the member may be read that the URL of a page names, if it is one (`?page=:NAME`)."""
+        """Whether the member in the URL of a page (`?page=:NAME`), if it is one, may be read."""
         container, _, query = url.partition("#")[0].partition("?")
         found = _PAGE.search(query)
         return found is None or self.may_read(container + found[1])
@@ -96,17 +96,17 @@ class Permissions:
         return self._located(url)
 
     def may_at(self, method: str, location: Location) -> bool:
-        """Whether a request with this method may be made of what is at a location."""
+        """Whether a request with this method may be made of the resource at a location."""
         path = path_at(location)
         if method == "OPTIONS":
             return self.may_know(location)
         return self.rights.may(mode_of(method, path), path, self._types(location)) and self.may_about(method, location)
 
     def may_about(self, method: str, location: Location) -> bool:
-        """Whether what the resource at a location tells of lets an agent do this who may do it by the path.
+        """Whether the subjects of a resource permit an operation that its path permits.
 
-        What is denied is denied wherever it is told of: to read takes the right to read all that the resource tells of,
-        to change it takes the right to know of all that.
+        What is denied is denied wherever it is mentioned: reading the resource requires the right to read all its
+        subjects, changing it the right to know of all of them.
         """
         if self.may_read_all or location.kind not in TELLING_OF_OTHERS:
             return True
@@ -117,7 +117,7 @@ class Permissions:
         return all(self.may_read(url) if is_read else self._may_know_url(url) for url in about)
 
     def may_read_topic(self, name: str) -> bool:
-        """Whether the topic of a name may be read; a glob is taken as a name."""
+        """Whether the topic of this name may be read; a glob is treated as a name."""
         return self._space is None or self.may_read(self._space.topic(name if name.startswith("/") else f"/{name}"))
 
     def may_know(self, location: Location) -> bool:
@@ -136,7 +136,7 @@ class Permissions:
         return location is None or self.may_know(location)
 
     def may_know_path(self, location: Location) -> bool:
-        """The same, as far as the path says: what is there is not looked at."""
+        """Whether the agent may know if anything exists at a location, judged by the path alone."""
         return self.is_unrestricted or self.rights.may_know(path_at(location), None)
 
     def may_know_any_type(self, location: Location) -> bool:
@@ -164,7 +164,7 @@ class Permissions:
         )
 
     def modes(self, location: Location) -> frozenset[Mode]:
-        """All that may be done at a location."""
+        """Return the permitted modes at a location."""
         path, types = path_at(location), self._types(location)
         return frozenset(mode for mode in Mode if self.rights.may(mode, path, types))
 
@@ -173,4 +173,4 @@ class Permissions:
 
 
 ALLOW_ALL = Permissions(ANONYMOUS, Rights(allow_all_rules()))
-"""Of a server without rules: everybody may do everything."""
+"""Permissions on a server without rules."""

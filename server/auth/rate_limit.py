@@ -1,4 +1,4 @@
-"""Rate limits: the token bucket of clients, publishes and events, and the limits of clients, each by itself."""
+"""Rate limits: the token bucket for clients, publishes and events, and the limits of each client."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ROUNDING = 1e-9
 
 
 class TokenBucket:
-    """Token bucket with `rate` tokens a second and room for `burst` (at least 1.0), initially full.
+    """Token bucket with `rate` tokens per second and capacity `burst` (at least 1.0), initially full.
 
     The state is one number, the time at which it is full again: the theoretical arrival time of the generic cell rate
     algorithm (ITU-T I.371), which is equivalent. Times are seconds of a monotonic clock.
@@ -29,12 +29,12 @@ class TokenBucket:
         self._full_at = -math.inf
 
     def wait(self, now: float) -> float:
-        """Return the seconds until there is a token, 0.0 where there is one."""
+        """Return the seconds until a token is available, 0.0 if there is one."""
         seconds = self._full_at - now - (self._burst - 1.0) * self._interval
         return seconds if seconds > _ROUNDING else 0.0
 
     def take(self, now: float, *, debt: float = math.inf) -> None:
-        """Take a token; from an empty bucket on credit of at most `debt` tokens, which later ones wait for."""
+        """Take a token; an empty bucket lends at most `debt` tokens, which later takers wait for."""
         self._full_at = min(max(self._full_at, now), now + (self._burst + debt - 1.0) * self._interval) + self._interval
 
     def is_full(self, now: float) -> bool:
@@ -43,19 +43,19 @@ class TokenBucket:
 
 
 BURST_SECONDS = 2.0
-"""A client that was quiet may send at once what it may send in so many seconds."""
+"""Burst of a client in seconds of its rate."""
 RETRY_SECONDS = 0.5
-"""How long a refusal waits: who asks again at once would keep the server as busy with refusing as with answering."""
+"""Seconds by which a refusal is delayed, so that immediate retries do not keep the server busy."""
 MAX_CLIENTS = 10_000
 
 
 class RateLimitExceeded(Problem):
-    """Problem 429: the client is at its limit. The answer is sent after `RETRY_SECONDS`."""
+    """Problem 429: the client is at its limit. The response is sent after `RETRY_SECONDS`."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClientLimits:
-    """Limits of one client: requests a second, requests under way, connections, WebSockets among them."""
+    """Limits of one client: requests per second, concurrent requests, connections, and WebSockets among them."""
 
     rate: float
     requests: int
@@ -64,10 +64,10 @@ class ClientLimits:
 
 
 class Client:
-    """One client: its requests under way, its open connections and WebSockets, and the bucket of its requests.
+    """A client: its current requests, connections and WebSockets, and the bucket of its requests.
 
-    A client is the agent, where who asks is known, else the address: in IPv6 its network of 64 bits, which as a rule is
-    one machine's.
+    A client is an authenticated agent, or else an address: in IPv6 a network of 64 bits, which usually belongs to one
+    machine.
     """
 
     __slots__ = ("bucket", "connections", "requests", "websockets")
@@ -79,12 +79,12 @@ class Client:
         self.bucket = TokenBucket(rate, BURST_SECONDS * rate)
 
     def is_idle(self, now: float) -> bool:
-        """Whether forgetting it makes no difference."""
+        """Whether the client can be removed without any effect."""
         return not (self.requests or self.connections or self.websockets) and self.bucket.is_full(now)
 
 
 class ClientLimiter:
-    """Limiter of all clients of one server; those on this machine have no limits unless `loopback`.
+    """Limiter of one server's clients; those on this machine are unlimited unless `loopback`.
 
     Belongs to one loop.
     """
@@ -97,7 +97,7 @@ class ClientLimiter:
         self._names: dict[str, str | None] = {}
 
     def acquire(self, agent: Agent, address: str | None) -> Client | None:
-        """Count a request. Return what `release` takes when it is answered. Raises RateLimitExceeded."""
+        """Count a request; return the argument of `release` after the response. Raises RateLimitExceeded."""
         name = self._address(address) if agent.name == ANONYMOUS.name else f"agent {agent.name}"
         if name is None:
             return None
@@ -113,12 +113,12 @@ class ClientLimiter:
         return client
 
     def release(self, client: Client | None) -> None:
-        """Count a request as answered, or given up."""
+        """Count a request as answered or cancelled."""
         if client is not None:
             client.requests -= 1
 
     def connect(self, address: str | None) -> Callable[[], None]:
-        """Count a connection. Return what is to be called when it ends. Raises RateLimitExceeded."""
+        """Count a connection; return a function to call when it ends. Raises RateLimitExceeded."""
         name = self._address(address)
         if name is None:
             return _nothing
@@ -134,9 +134,9 @@ class ClientLimiter:
         return ended
 
     def open_websocket(self, address: str | None) -> Callable[[], None]:
-        """Count a WebSocket until what is returned is called; clients of this machine count, too.
+        """Count a WebSocket, also on this machine, until the returned function is called.
 
-        Raises the 429 Problem of one too many.
+        Raises a 429 Problem beyond the limit.
         """
         client = self._client(f"WebSockets of {client_name(address, loopback=True)}")
         if client.websockets >= self._limits.websockets:
@@ -159,7 +159,7 @@ class ClientLimiter:
         return client
 
     def _address(self, address: str | None) -> str | None:
-        """Return the name of a client that is no known agent; None where it has no limits."""
+        """Return the name of an unauthenticated client, None if it is unlimited."""
         if address not in self._names:
             if len(self._names) >= MAX_CLIENTS:
                 self._names.clear()
@@ -168,7 +168,7 @@ class ClientLimiter:
 
 
 def client_name(address: str | None, *, loopback: bool) -> str | None:
-    """Return the name by which the client at an address is counted; None for this machine, unless `loopback`."""
+    """Return the name under which a client is counted by its address, None for this machine unless `loopback`."""
     try:
         found = ip_address((address or "").partition("%")[0])
     except ValueError:

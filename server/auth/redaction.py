@@ -1,8 +1,8 @@
-"""Redaction: remove from what the server says everything that the agent who asked may not read.
+"""Redaction: removal of everything from responses that the requesting agent may not read.
 
-All functions are pure, and take the thing first and then the agent's permissions. States (`rest/state.py`) and views
-(`hypermedia/views.py`) redact themselves with these; the OpenAPI description is made of the operations that the agent
-may use (`openapi/description_parts.py`), and SPARQL queries a redacted dataset (`sparql/restricted.py`).
+All functions are pure, and take the content first and then the agent's permissions. States (`rest/state.py`) and views
+(`hypermedia/views.py`) use them to redact themselves; the OpenAPI description contains only permitted operations
+(`openapi/description_parts.py`), and SPARQL queries a redacted dataset (`sparql/restricted.py`).
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from rosld.server.http.problem import Problem
 _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
 
 _ABOUT = frozenset({ros.shows, ros.touches})
-"""Predicates by which a part of a document says what it is about: a step of a stop, a panel of a cockpit."""
+"""Predicates from a part of a document to its subject: a step of a stop, a panel of a cockpit."""
 _NAMES = frozenset({ros.recordsTopic, ros.silentTopic})
-"""Predicates of recordings whose values are names of topics, or globs."""
+"""Predicates of recordings whose values are topic names or globs."""
 _WORDS = frozenset({ros.recordingProblem, ros.triggerCondition})
-"""Predicates of an order whose words may name what it records, or waits for."""
+"""Predicates of an order whose text may mention its recorded topics, or its trigger."""
 _REASONS = frozenset({ros.unreadable, ros.words})
-"""Predicates of a value that say why it cannot be read, and so name what it is read from."""
+"""Predicates of a value with the reason why it cannot be read, which may mention its source."""
 _WITHHELD = Literal(WITHHELD)
 _TELLING = frozenset({ros.mappingWarning})
-"""Predicates whose words name whatever there is: only who may read everything is told them."""
+"""Predicates whose text may mention anything: only agents that may read everything get them."""
 
 
 def redact_document(document: Document, permissions: Permissions) -> Document:
@@ -61,7 +61,7 @@ class _Redaction:
         self._permissions = permissions
         self._own = document.url.partition("?")[0].partition("#")[0]
         self._judged: dict[str, bool] = {}
-        """Whether documents may be read, by URL: a page of 100 recorded messages names each some 50 times."""
+        """Permissions to read documents, by URL: a page of 100 recorded messages mentions each some 50 times."""
         self._names = frozenset(self._hidden_names())
 
     def triples(self) -> list[Triple]:
@@ -95,7 +95,7 @@ class _Redaction:
         return _remove_orphans(_close_lists(before, after), before, self._own)
 
     def message(self, message: LiftedMessage) -> LiftedMessage | None:
-        """Return a message as the agent may read it; None where its own URL has a name that it may not know."""
+        """Return a message without a hidden publisher, None if its own URL contains a hidden name."""
         envelope = message.envelope
         if envelope is None or envelope.publisher is None or self._permissions.may_read(envelope.publisher):
             return message
@@ -104,7 +104,7 @@ class _Redaction:
         return replace(message, envelope=envelope._replace(publisher=None))
 
     def _hidden_names(self) -> Iterable[str]:
-        """Yield the paths of the hidden URLs that the document mentions: fragments may be named after them."""
+        """Yield the paths of hidden URLs in the document: fragments may be named after them."""
         urls = {
             term.value
             for triple in self._document.triples
@@ -134,7 +134,7 @@ class _Redaction:
         )
 
     def _orders_of_hidden(self) -> frozenset[_Term]:
-        """Return the recordings that are ordered of hidden topics, or by a trigger about something hidden."""
+        """Return the recordings ordered of hidden topics, or with a hidden trigger."""
         return frozenset(
             each.subject
             for each in self._document.triples
@@ -143,7 +143,7 @@ class _Redaction:
         )
 
     def _is_hidden_topic(self, term: _Term) -> bool:
-        """Whether a literal is the name of a topic, or a glob that is spelt as one, that the agent may not read."""
+        """Whether a literal is a topic name (or a glob treated as one) that the agent may not read."""
         return isinstance(term, Literal) and not self._permissions.may_read_topic(term.value)
 
     def _is_hidden(self, term: _Term) -> bool:
@@ -167,9 +167,9 @@ class _Redaction:
         return bool(self._names) and "/" in fragment and unquote(fragment).endswith(tuple(self._names))
 
     def _remove_unusable_forms(self, triples: list[Triple]) -> list[Triple]:
-        """Remove forms that may not be used, affordances that have none left, and the values that these are about.
+        """Remove forms that may not be used, affordances without any form left, and their values.
 
-        Forms are judged as the whole document has them: that a target is hidden is what makes a form unusable.
+        Forms are judged by the original document: a hidden target makes a form unusable.
         """
         usable = self._usable_forms()
         dropped: set[_Term] = set()
@@ -215,7 +215,7 @@ class _Redaction:
 
 
 def _close_lists(before: Iterable[Triple], after: list[Triple]) -> list[Triple]:
-    """Close lists over the members that were removed from them."""
+    """Relink lists around removed members."""
     firsts = {each.subject for each in after if each.predicate == rdf.first}
     broken = {each.subject for each in before if each.predicate == rdf.first} - firsts
     if not broken:
@@ -231,7 +231,7 @@ def _close_lists(before: Iterable[Triple], after: list[Triple]) -> list[Triple]:
 
 
 def _remove_orphans(after: list[Triple], before: Iterable[Triple], own: str) -> list[Triple]:
-    """Remove the blank nodes and fragments to which triples led before and none does any more."""
+    """Remove blank nodes and fragments that triples referenced before, but no longer do."""
     led = {each.object for each in before if _is_part(each.object, own)}
     while True:
         leads = {each.object for each in after if each.object in led and each.subject != each.object}
@@ -243,15 +243,15 @@ def _remove_orphans(after: list[Triple], before: Iterable[Triple], own: str) -> 
 
 
 def _is_part(term: _Term, own: str) -> bool:
-    """Whether a term is reached from other nodes of the document only: a blank node or a fragment."""
+    """Whether a term is only reachable from other nodes of the document: a blank node or a fragment."""
     return isinstance(term, BlankNode) or (isinstance(term, NamedNode) and term.value.startswith(f"{own}#"))
 
 
 def redact_link_field(field: str, permissions: Permissions) -> str:
-    """Return the value of a Link field without links to what the agent may not read, empty where none is left."""
+    """Return a Link field without links to hidden resources, empty if none is left."""
     if permissions.is_unrestricted:
         return field
-    # Where rights depend on types the answer may change from request to request.
+    # With types in the rights, the result may change between requests.
     return (
         _redact_links(field, permissions) if permissions.rights.is_typed else _redact_links_cached(field, permissions)
     )
@@ -265,7 +265,7 @@ _redact_links_cached = lru_cache(maxsize=4096)(_redact_links)
 
 
 _OFFERED_METHODS = frozenset({"allow", "accept-put", "accept-post", "accept-patch"})
-"""The fields of a 404 or 410 that say what may be made there."""
+"""Fields of a 404 or 410 with the methods that create the resource."""
 
 
 def redact_problem(problem: Problem, permissions: Permissions, place: Location | None) -> Problem:
@@ -311,11 +311,11 @@ _SECURITY: dict[str, dict[str, object]] = {
     "bearer_sc": {"scheme": "bearer", "in": "header", "format": "opaque"},
     "basic_sc": {"scheme": "basic", "in": "header"},
 }
-"""WoT TD 1.1, 5.3.3: either of them."""
+"""Either scheme is accepted (WoT TD 1.1, 5.3.3)."""
 
 
 def redact_thing_description(data: bytes, permissions: Permissions) -> bytes:
-    """Return a description with the forms that the agent may use, what has such forms, and the security it takes."""
+    """Return a description with only the forms that the agent may use, their affordances, and the security schemes."""
     thing = orjson.loads(data)
     base = thing["id"]
     thing["securityDefinitions"], thing["security"] = _SECURITY, ["token_sc"]
@@ -343,7 +343,7 @@ def redact_thing_description(data: bytes, permissions: Permissions) -> bytes:
 
 
 def redact_tree(data: bytes, url: str, permissions: Permissions) -> bytes:
-    """Return the JSON object at a container's URL without the members, at any depth, whose URLs may not be read."""
+    """Return the JSON object of a container without the unreadable members, at any depth."""
 
     def redact(value: object, at: str) -> object:
         if not isinstance(value, dict):

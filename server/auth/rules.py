@@ -1,7 +1,8 @@
-"""Access rules: agents, modes, and paths. Pure.
+"""Access rules: agents, modes and paths. Pure.
 
-Nothing is allowed that no rule allows, and what one rule denies no other allows. A rule is about paths (`globs.py`)
-and, where it says so, about message types: of topics, services and actions, and of the resources made of them.
+Everything is forbidden unless a rule allows it, and a denial overrides all allowances. A rule applies to paths
+(`globs.py`) and, if specified, to message types: of topics, services and actions, and of the resources composed of
+them.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.globs import Glob, Path, type_matches
 
 AUTHENTICATED = "authenticated"
-"""Whom rules call so: everybody who has said who they are."""
+"""Name in rules for all authenticated agents."""
 _SECRET = secrets.token_bytes(32)
 _MAX_DECISIONS = 16384
-"""Judgements that are remembered."""
+"""Maximum number of cached decisions."""
 Types: TypeAlias = frozenset[str]
-"""The names of the types that a resource is of, as ROS has them; none for what is of no type."""
+"""ROS names of a resource's types; empty if it has none."""
 UNTYPED: Types = frozenset()
 
 
@@ -39,12 +40,12 @@ class Mode(Enum):
 _CONTROLLED = frozenset(
     {"topics", "services", "calls", "actions", "goals", "resources", "nodes", "holds", "stop", "activity"}
 )
-"""The routes in which a write commands the robot."""
+"""Routes in which a write commands the robot."""
 ACL = "acl"
-"""The route that says who may do what."""
+"""Route of the access rules."""
 _READS = frozenset({"GET", "HEAD", "OPTIONS"})
 _ASKED = frozenset({"sparql", "channels"})
-"""The routes in which a POST reads: queries, and subscriptions. What an update changes is judged graph by graph."""
+"""Routes in which a POST reads: queries and subscriptions. Updates are judged for each graph they change."""
 
 
 def mode_of(method: str, path: Path) -> Mode:
@@ -61,10 +62,10 @@ def mode_of(method: str, path: Path) -> Mode:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A rule that agents may, or (`deny`) may not, use modes at paths.
+    """A rule that permits (or, with `deny`, forbids) agents to use modes at paths.
 
-    `types` are globs, and where there are any the rule is about resources of such types alone. `agents` are names or
-    WebIDs, `anybody` or `authenticated`.
+    `types` are globs that limit the rule to resources of such types. `agents` are names or WebIDs, `anybody` or
+    `authenticated`.
     """
 
     agents: frozenset[str]
@@ -74,7 +75,7 @@ class Rule:
     deny: bool = False
 
     def applies_to(self, agent: Agent) -> bool:
-        """Whether it is about this agent."""
+        """Whether the rule applies to this agent."""
         called = {ANONYMOUS.name} | (
             {AUTHENTICATED, agent.name, agent.webid or agent.name} if agent != ANONYMOUS else set()
         )
@@ -87,7 +88,7 @@ class Rule:
         return any(fitting) if self.deny else bool(types) and all(fitting)
 
     def covers(self, mode: Mode, path: Path, types: Types | None) -> bool:
-        """Whether it says something of this; types that are not known yet (None) fit an allowance, and no denial."""
+        """Whether the rule covers a request; unknown types (None) fit an allowance, but not a denial."""
         return (
             mode in self.modes
             and ((not self.deny or not self.types) if types is None else self._is_typed(types))
@@ -103,13 +104,13 @@ class Rule:
         return mode in self.modes and not self.types and any(glob.covers_subtree(path) for glob in self.globs)
 
     def overlaps_subtree(self, mode: Mode, path: Path) -> bool:
-        """Whether it may be about this path, or about something below."""
+        """Whether the rule may apply to this path or to something below."""
         return mode in self.modes and any(glob.overlaps_subtree(path) for glob in self.globs)
 
 
 @dataclass(frozen=True)
 class Policy:
-    """All rules of a server; `agents` are those it knows, by name."""
+    """All rules of a server; `agents` are the declared ones, by name."""
 
     rules: tuple[Rule, ...] = ()
     agents: Mapping[str, Agent] = field(default_factory=dict)
@@ -142,7 +143,7 @@ class Rights:
         return allowed and not any(rule.overlaps_subtree(mode, path) for rule in self.rules if rule.deny)
 
     def may_in_subtree(self, mode: Mode, path: Path) -> bool:
-        """Whether this may be done at something that may lie below a path, and not everything there is denied."""
+        """Whether access is permitted somewhere at or below a path, and not all of it is denied."""
         allowed = any(rule.overlaps_subtree(mode, path) for rule in self.rules if not rule.deny)
         return allowed and not any(rule.covers_subtree(mode, path) for rule in self.rules if rule.deny)
 
@@ -156,27 +157,27 @@ class Rights:
         return not any(rule.may_cover(mode, path) for rule in self.rules if rule.deny)
 
     def may_know(self, path: Path, types: Types | None = UNTYPED) -> bool:
-        """Whether anything at all may be done there: only then may the agent learn whether anything is there."""
+        """Whether any access is permitted: only then may the agent learn whether the resource exists."""
         return any(self.may(mode, path, types) for mode in Mode)
 
     @cached_property
     def is_unrestricted(self) -> bool:
-        """Whether everything may be done everywhere."""
+        """Whether all access is permitted everywhere."""
         return all(self.may_subtree(mode, ()) for mode in Mode)
 
     @cached_property
     def may_read_all(self) -> bool:
-        """Whether everything may be read but the rules themselves."""
+        """Whether everything but the rules may be read."""
         return self.may_subtree(Mode.READ, ())
 
     @cached_property
     def is_typed(self) -> bool:
-        """Whether any of it hangs on types."""
+        """Whether the rights depend on types."""
         return any(rule.types for rule in self.rules)
 
     @cached_property
     def key(self) -> str:
-        """A key that agents with the same rules share, and that reveals nothing of the rules."""
+        """Key shared by agents with equal rules, which reveals nothing about the rules."""
         said = sorted(
             f"{sorted(mode.value for mode in rule.modes)}{[glob.text for glob in rule.globs]}{rule.types}{rule.deny}"
             for rule in self.rules
@@ -189,5 +190,5 @@ class Rights:
 
 
 def allow_all_rules() -> tuple[Rule, ...]:
-    """Return the rules of a server without any: everybody may do everything."""
+    """Return the rules of a server without a configuration: all access is permitted."""
     return (Rule(frozenset({ANONYMOUS.name}), frozenset(Mode), (Glob("/**"),)),)

@@ -1,7 +1,7 @@
-"""Bearer tokens (RFC 6750): generated, shown once, stored as digests, recognised. Pure except for generation.
+"""Bearer tokens (RFC 6750): generated, shown once, stored as digests, and recognised. Pure except for generation.
 
-A token is 256 random bits, so its digest cannot be guessed back and needs no salt. Who is looked for is found by the
-digest of what was sent: nothing is compared with a token itself, so no comparison can tell how much of one was right.
+A token is 256 random bits, so its digest needs no salt. The agent is looked up by the digest of the received token, so
+that no comparison reveals how much of a token was right.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def token_digest(token: str) -> str:
 
 @dataclass(frozen=True)
 class TokenTable:
-    """The names of agents by the digests of their tokens."""
+    """Names of agents by the digests of their tokens."""
 
     agents: Mapping[str, str]
 
@@ -44,7 +44,7 @@ class TokenTable:
         return {known: (known, name) for known, name in self.agents.items()}
 
     def owner_of(self, token: str) -> str | None:
-        """The name of the agent that has this token."""
+        """Return the name of the agent with this token, or None."""
         sent = token_digest(token)
         known, found = self._by_digest.get(sent, ("", None))
         return found if hmac.compare_digest(sent, known) else None
@@ -52,16 +52,16 @@ class TokenTable:
 
 @dataclass(frozen=True, slots=True)
 class Credentials:
-    """The credentials of a request: a token, and the user name where it came as a password."""
+    """Credentials of a request: a token, and the user name if the token was sent as a password."""
 
     token: str
     name: str = ""
 
 
 def parse_credentials(field: str) -> Credentials | None:
-    """Return the token in an Authorization field (RFC 9110 11.6.2): Bearer, or the password of Basic (RFC 7617).
+    """Return the token in an Authorization field (RFC 9110 11.6.2), or None.
 
-    None for any other.
+    Accepted are Bearer, and Basic with the token as its password (RFC 7617).
     """
     scheme, _, rest = field.strip(" \t").partition(" ")
     rest = rest.strip(" \t")

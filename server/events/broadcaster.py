@@ -1,4 +1,4 @@
-"""Broadcasters: each observes one resource for all readers of its changes, and reads its state once a change."""
+"""Broadcasters, which observe a resource for all readers of its changes and read its state once per change."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from rosld.server.rest.state import State
 from rosld.server.runtime.tasks import Signal, call_every, end_tasks
 
 MAX_READERS = 2000
-"""Streams and waiting requests at a time; one more is answered 503."""
+"""Maximum number of streams and waiting requests; further ones are answered 503."""
 MAX_OF_ADDRESS = 256
-"""Those of one address, unless a setting says otherwise; one more is answered 429."""
+"""Default maximum per client address; further ones are answered 429."""
 RETRY_SECONDS = 2
 LOOK_AGAIN_SECONDS = 5.0
-"""How often a resource with no watch of its own is looked at."""
+"""Seconds between checks of a resource that has no watch of its own."""
 
 _log = logging.getLogger("rosld")
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """The state of a resource at one moment, or the problem that it had instead.
+    """The state of a resource at one moment, or the problem of reading it.
 
-    `name` differs whenever what it was like does. `chunks` are the events that tell of it, by variant and edition: each
-    is made once, however many read it.
+    `name` identifies the content. `chunks` are its events, by variant and edition: each is rendered once for all
+    readers.
     """
 
     name: str
@@ -46,12 +46,12 @@ class Observation:
 
     @property
     def is_final(self) -> bool:
-        """Whether nothing can come after it: the resource is gone for good (410)."""
+        """Whether it is the last one: the resource was removed permanently (410)."""
         return isinstance(self.state, Problem) and self.state.status == 410
 
 
 class Waiter:
-    """A task that sleeps until somebody wakes it."""
+    """A task that sleeps until it is woken."""
 
     __slots__ = ("_loop", "_woken")
 
@@ -60,23 +60,23 @@ class Waiter:
         self._woken: asyncio.Future[None] | None = None
 
     def wake(self) -> None:
-        """Wake it, if it sleeps."""
+        """Wake the task if it sleeps."""
         woken, self._woken = self._woken, None
         if woken is not None and not woken.done():
             woken.set_result(None)
 
     def sleep(self) -> asyncio.Future[None]:
-        """The awaitable that ends with the next wake-up."""
+        """Return an awaitable that ends with the next wake-up."""
         self._woken = self._loop.create_future()
         return self._woken
 
 
 class Broadcaster:
-    """Observes one resource for all its readers.
+    """Observer of one resource for all its readers.
 
-    A reader takes note of `version`, looks, and sleeps in `wait` until there may be more. What changes while nobody
-    looks costs nothing but a number. Whenever anything in general has changed the resource is watched anew: what it
-    is made of may be something else now.
+    A reader remembers `version`, reads the state, and sleeps in `wait` until there may be a newer one. Changes without
+    readers only increment a number. After any general change the resource is watched anew, because its parts may have
+    changed.
     """
 
     def __init__(self, resource: Resource, changes: Signal) -> None:
@@ -93,7 +93,7 @@ class Broadcaster:
         self._seen = 0
 
     def start(self) -> None:
-        """Follow the resource. Its own watch is made when it is read first."""
+        """Follow the resource; its own watch is created with the first read."""
         self._follows = self._general.watch(self._outdate)
 
     def stop(self) -> None:
@@ -103,7 +103,7 @@ class Broadcaster:
                 watch.close()
 
     async def wait(self, waiter: Waiter, version: int) -> None:
-        """Wait until there may be something newer than `version`, or something else wakes the waiter."""
+        """Wait until there may be a version newer than `version`, or the waiter is woken otherwise."""
         if self.version == version:
             self._waiters[waiter] = None
             try:
@@ -144,7 +144,7 @@ class Broadcaster:
         return Observation(f"{problem.status} {problem.with_quotes}", problem)
 
     async def _renew(self) -> None:
-        """Watch the resource as it is made now; where that fails, the next look tries again."""
+        """Watch the resource in its present form; if that fails, the next read tries again."""
         self._is_outdated = False
         watch: Watch | None = None
         try:
@@ -171,7 +171,7 @@ class Broadcaster:
 
 
 class Broadcasters:
-    """The broadcasters of one server, one a resource that is read; `changes` wakes them whenever anything changed."""
+    """Broadcasters of one server, one per resource with readers; `changes` wakes them after every change."""
 
     def __init__(self, changes: Signal, max_of_address: int = MAX_OF_ADDRESS) -> None:
         self._general = changes
@@ -183,18 +183,18 @@ class Broadcasters:
 
     @property
     def readers(self) -> int:
-        """The streams and waiting requests there are now."""
+        """Current number of streams and waiting requests."""
         return len(self._held)
 
     @property
     def resources(self) -> Collection[Resource]:
-        """The resources that somebody follows now."""
+        """Resources with readers."""
         return self._broadcasters.keys()
 
     def require_capacity(self, client: tuple[str, int] | Address | None = None) -> None:
-        """Raise a 503 Problem where there are as many readers as there may be, or the server is about to end.
+        """Raise a 503 Problem if the number of readers is at its limit, or the server is ending.
 
-        Raises a 429 Problem where as many as may be come from the address of this client, this machine's included.
+        Raises a 429 Problem if the readers at this client's address are at their limit; loopback addresses count too.
         """
         if self._of_address[_address_of(client)] >= self._max_of_address:
             words = f"{self._max_of_address} streams and waiting requests come from your address already"
@@ -205,7 +205,7 @@ class Broadcasters:
 
     @contextlib.contextmanager
     def count_reader(self, scope: Scope) -> Iterator[None]:
-        """Count a stream or a waiting request among those of its client's address."""
+        """Count a stream or a waiting request for its client's address."""
         address = _address_of(scope.get("client"))
         self._of_address[address] += 1
         try:
@@ -217,7 +217,7 @@ class Broadcasters:
 
     @contextlib.contextmanager
     def subscribe(self, resource: Resource) -> Iterator[Broadcaster]:
-        """The broadcaster of a resource, which is watched as long as somebody reads it."""
+        """Return the broadcaster of a resource, which is watched as long as it has readers."""
         broadcaster = self._broadcasters.get(resource)
         if broadcaster is None:
             broadcaster = self._broadcasters[resource] = Broadcaster(resource, self._general)
@@ -234,9 +234,9 @@ class Broadcasters:
     async def run_for_client(
         self, work: Coroutine[None, None, None], receive: Receive, seconds: float | None = None
     ) -> bool:
-        """Do work for a client until it is done, the client has gone, the time is over or the server ends.
+        """Run work for a client until it is done, the client disconnects, the time is over or the server ends.
 
-        True where it was done. What was not is cancelled, and has ended when this returns.
+        Returns whether it was done; otherwise it is cancelled, and has ended on return.
         """
         working = asyncio.ensure_future(work)
         listening = asyncio.ensure_future(_wait_for_disconnect(receive))

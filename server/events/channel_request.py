@@ -1,4 +1,4 @@
-"""Subscription requests (Solid Notifications Protocol 2.2): the channel that a client requests, validated. Pure."""
+"""Subscription requests (Solid Notifications Protocol 2.2): validation of requested channels. Pure."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from rosld.server.http.negotiation import choose_offer, parse_media_type
 from rosld.server.http.problem import Problem
 
 MAX_BYTES = 16 * 1024
-"""A request names a topic and a few features: more is not read."""
+"""Maximum size of a request, which contains only a topic and a few features."""
 JSON_LD = "application/ld+json"
 MEDIA_TYPES = (JSON_LD, "application/json", "text/turtle", "application/n-triples")
-"""What a request may be written in."""
+"""Media types of requests."""
 MESSAGE_TYPES = (JSON_LD, "application/json", "application/activity+json", "text/turtle", "application/n-triples")
-"""What notifications can be written in, the default first."""
+"""Media types of notifications, the default first."""
 MIN_INTERVAL, DEFAULT_INTERVAL, MAX_INTERVAL = 0.01, 0.1, 86_400.0
-"""Seconds between two notifications of a channel."""
+"""Limits and default of the seconds between two notifications of a channel."""
 
 _DURATION = re.compile(
     r"P(?:(\d{1,9})D)?(?:T(?=\d)(?:(\d{1,9})H)?(?:(\d{1,9})M)?(?:(\d{1,9}(?:\.\d{1,9})?)S)?)?", re.ASCII
@@ -38,7 +38,7 @@ _MAX_LENGTH = 200
 
 @dataclass(frozen=True, slots=True)
 class ChannelRequest:
-    """A requested channel: `interval` in seconds, times in ns since 1970, `accept` the media type agreed on."""
+    """A requested channel: `interval` in seconds, times in ns since 1970, `accept` the negotiated media type."""
 
     topic: str
     accept: str = JSON_LD
@@ -62,9 +62,9 @@ def check_profile(content_type: str | None) -> None:
 
 
 def read_subscription(data: bytes, media_type: str, service: str, channel_type: str, now: int) -> ChannelRequest:
-    """Return the channel that a request to `service`, which makes channels of one type, wishes; `now` in ns since 1970.
+    """Return the channel requested from `service`, which creates channels of one type; `now` in ns since 1970.
 
-    Raises BodyError for what cannot be read, Problems (422) for what cannot be had, each naming the value.
+    Raises BodyError for unreadable bodies, and Problems (422) for unsupported values, each naming the value.
     """
     if media_type in (JSON_LD, "application/json"):
         data, media_type = with_known_contexts(data), JSON_LD
@@ -85,9 +85,9 @@ def read_subscription(data: bytes, media_type: str, service: str, channel_type: 
 
 
 def with_known_contexts(data: bytes) -> bytes:
-    """JSON-LD with the protocol's context put in place of its URL, as nothing is fetched, and where none is named.
+    """Replace the URL of the protocol's JSON-LD context by the context itself, and add it where none is named.
 
-    Raises BodyError for what is no JSON, a 422 Problem naming a context that is unknown.
+    Nothing is fetched. Raises BodyError for invalid JSON, and a 422 Problem for an unknown context.
     """
     check_json_depth(data)
     try:
@@ -191,7 +191,7 @@ def _accept(accept: str | None) -> str:
 
 
 def _interval(rate: str | None) -> float:
-    """The seconds in an xsd:duration, no less than can be had; capitals do not matter, as the drafts write `PT10s`."""
+    """Return the seconds of an xsd:duration, at least the minimum; case is ignored (the drafts write `PT10s`)."""
     if rate is None:
         return DEFAULT_INTERVAL
     match = _DURATION.fullmatch(rate.strip().upper())

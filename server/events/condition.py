@@ -18,13 +18,13 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 MAX_LENGTH = 500
-"""Characters of a condition."""
+"""Maximum number of characters of a condition."""
 MAX_DEPTH = 20
-"""Parentheses and negations within each other."""
+"""Maximum nesting of parentheses and negations."""
 WHOLE = "value"
-"""What a value that is no object is called."""
+"""Name of a value that is not an object."""
 _MAX_NAMES = 30
-"""Names of fields that an error tells."""
+"""Maximum number of field names in an error message."""
 
 Value: TypeAlias = "bool | int | float | str | list[Value] | dict[str, Value] | None"
 """Plain JSON."""
@@ -47,9 +47,9 @@ _EQUALITY = frozenset({"=", "==", "!="})
 _WORDS: Mapping[str, Literal] = {"true": True, "false": False, "null": None}
 _RESERVED = frozenset({"and", "or", "not", *_WORDS})
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?|NaN|-?INF", re.ASCII)
-"""Numbers that plain JSON has as strings, because JSON has no such numbers or its readers lose digits of them."""
+"""Numbers that are strings in plain JSON, which lacks them or whose readers would lose digits."""
 _TYPED = frozenset({"@value", "@type"})
-"""The members of an object that stands for a value of a parameter that JSON has no form for."""
+"""Members of an object that represents a parameter value without a JSON form."""
 
 
 class ConditionError(ValueError):
@@ -65,7 +65,7 @@ class Comparison:
     literal: Literal
 
     def holds(self, value: Value) -> bool:
-        """Whether it is so. What is not there, or of another kind, is unequal to everything and in no order."""
+        """Whether the comparison is true; a missing value, or one of another type, is unequal and unordered."""
         found = _at(self.path, value)
         if found is _NOWHERE:
             return False
@@ -82,7 +82,7 @@ class Comparison:
         return (left == right) is (self.comparator != "!=")
 
     def check(self, value: Value) -> None:
-        """Raise ConditionError where it can never hold of such a value: there is no such field, or of another kind."""
+        """Raise ConditionError if the comparison can never be true for such a value: no such field, or another type."""
         found = _require(self.path, value)
         if isinstance(found, _Nowhere) or found is None or self.literal is None:
             return
@@ -103,11 +103,11 @@ class Negation:
     of: Condition
 
     def holds(self, value: Value) -> bool:
-        """Whether it is so."""
+        """Whether the negated condition is false."""
         return not self.of.holds(value)
 
     def check(self, value: Value) -> None:
-        """Raise ConditionError as `Comparison.check`."""
+        """Raise ConditionError as `Comparison.check` does."""
         self.of.check(value)
 
 
@@ -119,11 +119,11 @@ class Combination:
     combine: Callable[[Iterator[bool]], bool]
 
     def holds(self, value: Value) -> bool:
-        """Whether it is so."""
+        """Whether the combination is true."""
         return self.combine(part.holds(value) for part in self.parts)
 
     def check(self, value: Value) -> None:
-        """Raise ConditionError as `Comparison.check`."""
+        """Raise ConditionError as `Comparison.check` does."""
         for part in self.parts:
             part.check(value)
 
@@ -144,7 +144,7 @@ def named_members(condition: Condition) -> frozenset[str]:
 
 
 def parse_condition(text: str) -> Condition:
-    """Parse a condition. Raises ConditionError that says what is wrong where."""
+    """Parse a condition. Raises ConditionError with the error and its position."""
     if len(text) > MAX_LENGTH:
         raise ConditionError(f"it has {len(text)} characters: send {MAX_LENGTH} at the most")
     parser = _Parser(_tokens(text))
@@ -173,7 +173,7 @@ def _at(path: tuple[Step, ...], value: Value) -> Value | _Nowhere:
 
 
 def _require(path: tuple[Step, ...], value: Value) -> Value | _Nowhere:
-    """The value of a field; nowhere below what has no value now. Raises ConditionError where there is no such field."""
+    """Return the value of a field, nowhere below null. Raises ConditionError if there is no such field."""
     if value is None and path != (WHOLE,):
         return _NOWHERE
     found: Value = value if isinstance(value, dict) else {WHOLE: value}
@@ -208,7 +208,7 @@ def _names(value: Value) -> list[str]:
 
 
 def _write(path: tuple[Step, ...]) -> str:
-    """A path as a condition has it."""
+    """Return a path in the syntax of conditions."""
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
 
 
@@ -258,7 +258,7 @@ def _brief(value: Literal) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Token:
-    """A word, a sign or a literal, and where it begins."""
+    """A word, a sign or a literal, with its position."""
 
     kind: str
     text: str
@@ -285,13 +285,13 @@ _END = _Token("end", "", -1)
 
 @dataclass
 class _Parser:
-    """The tokens, and how many of them have been read."""
+    """The tokens, and the number of those read."""
 
     tokens: tuple[_Token, ...]
     read: int = field(default=0)
 
     def condition(self, depth: int) -> Condition:
-        """One condition, as far as it goes."""
+        """Parse one condition."""
         if depth > MAX_DEPTH:
             raise ConditionError(f"it is nested deeper than {MAX_DEPTH}")
         parts = [self._conjunction(depth)]
@@ -300,7 +300,7 @@ class _Parser:
         return parts[0] if len(parts) == 1 else Combination(tuple(parts), any)
 
     def require_end(self) -> None:
-        """Raise ConditionError where something is left."""
+        """Raise ConditionError if tokens are left."""
         if self._next is not _END:
             raise self._unexpected("and, or, or nothing more")
 
@@ -373,7 +373,7 @@ class _Parser:
         return self.tokens[self.read] if self.read < len(self.tokens) else _END
 
     def _take(self, kind: str, text: str) -> bool:
-        """Whether this comes next, which is then read."""
+        """Read the next token if it is this one; return whether it was."""
         token = self._next
         if (token.kind, token.text) != (kind, text):
             return False

@@ -27,7 +27,7 @@ _RDF = {"text/turtle": Syntax.TURTLE, "application/n-triples": Syntax.N_TRIPLES}
 
 
 class Delivery:
-    """Sends the notifications of a channel by `send`, and calls `idle` whenever nothing was sent for a while."""
+    """Sender of a channel's notifications by `send`; calls `idle` after each period without one."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class Delivery:
         self._idle = idle
 
     async def run(self) -> None:
-        """Deliver until the topic is gone for good, or this is cancelled."""
+        """Deliver until the topic is removed permanently, or this is cancelled."""
         with self._channels.attach_receiver(self._channel):
             await self._pause(self._channel.seconds_to_start)
             with self._broadcasters.subscribe(self._channel.resource) as broadcaster:
@@ -81,7 +81,7 @@ class Delivery:
         channel.last_sent = told
 
     async def _wait(self, broadcaster: Broadcaster, waiter: Waiter, version: int) -> None:
-        """Until the topic may have changed, or it has been quiet for a while."""
+        """Wait until the topic may have changed, or the keep-alive time has passed."""
         if self._idle is None:
             await broadcaster.wait(waiter, version)
             return
@@ -92,7 +92,7 @@ class Delivery:
             timer.cancel()
 
     async def _pause(self, seconds: float) -> None:
-        """Sleep, giving signs of life."""
+        """Sleep, sending keep-alives."""
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0:
             await asyncio.sleep(min(left, KEEP_ALIVE_SECONDS))
@@ -105,7 +105,7 @@ class Delivery:
 
 
 def notification(observation: Observation, activity: Activity, media_type: str) -> bytes:
-    """Return the notification about a moment, made once for all channels with the same content."""
+    """Return the notification of an observation, rendered once for all channels with the same content."""
     key = f"{media_type} {activity}"
     found = observation.chunks.get(key)
     if found is None:
@@ -122,7 +122,7 @@ def _write(news: Activity, media_type: str) -> bytes:
 
 
 LINES = "application/x-ndjson"
-"""JSON-LD notifications are a line each; those in Turtle and N-Triples are parts of one document."""
+"""Media type of JSON-LD notifications, one per line; Turtle and N-Triples notifications form one document."""
 
 
 def channel_headers(channel: Channel) -> list[tuple[bytes, bytes]]:
@@ -137,7 +137,7 @@ def channel_headers(channel: Channel) -> list[tuple[bytes, bytes]]:
 
 
 class ChannelStream(Response):
-    """The notifications of a channel, until its reader leaves, it ends, or the server does."""
+    """Response with the notifications of a channel, until its reader disconnects, it ends, or the server ends."""
 
     def __init__(
         self, channels: Channels, broadcasters: Broadcasters, channel: Channel, headers: list[tuple[bytes, bytes]]
@@ -151,7 +151,7 @@ class ChannelStream(Response):
         self._channel = channel
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it."""
+        """Send the response."""
 
         async def sent(chunk: bytes) -> None:
             await send({"type": "http.response.body", "body": chunk, "more_body": True})
@@ -168,15 +168,15 @@ class ChannelStream(Response):
 
 
 NORMAL, GOING_AWAY = 1000, 1001
-"""Why a connection is closed (RFC 6455 7.4.1)."""
+"""Close codes (RFC 6455 7.4.1)."""
 _CLOCKS_NS = 100_000_000
-"""How far the loop's clock and the wall's may be apart when the loop says that the time has come."""
+"""Nanoseconds by which the loop's clock and the wall clock may differ at the end of a channel."""
 CLOSE_SECONDS = 0.5
-"""How long a receiver that takes nothing may keep the server from saying why it closes."""
+"""Seconds that a blocked receiver may delay the close frame."""
 
 
 def check_origin(site: OriginPolicy, origin: str | None) -> None:
-    """Raise a 403 Problem for a page that nothing is shared with: browsers let every page open a WebSocket."""
+    """Raise a 403 Problem for a page of a foreign origin: browsers let every page open a WebSocket."""
     if origin is None or site.allows_any_origin or origin.lower() in site.origins or origin in site.shared_origins:
         return
     raise Problem(
@@ -190,14 +190,14 @@ def handshake_headers(scope: Scope, name: bytes) -> list[str]:
 
 
 def check_request(site: OriginPolicy, scope: Scope) -> None:
-    """Raise Problems for a handshake that names another server (421), or is a page's that nothing is shared with."""
+    """Raise Problems for a handshake with another host (421), or from a page of a foreign origin (403)."""
     check_host(site, handshake_headers(scope, b"host"))
     origins = handshake_headers(scope, b"origin")
     check_origin(site, origins[0] if origins else None)
 
 
 async def reject_handshake(scope: Scope, send: Send, problem: Problem) -> None:
-    """Answer a handshake with a problem instead (RFC 6455 4.2.2)."""
+    """Answer a handshake with a problem (RFC 6455 4.2.2)."""
     if "websocket.http.response" not in scope.get("extensions", {}):
         await send({"type": "websocket.close", "code": 1008, "reason": problem.title})
         return
@@ -208,7 +208,7 @@ async def reject_handshake(scope: Scope, send: Send, problem: Problem) -> None:
 
 
 class WebSocketReceiver:
-    """One connection that receives from a channel."""
+    """WebSocket connection that receives the notifications of a channel."""
 
     def __init__(self, channels: Channels, broadcasters: Broadcasters, channel: Channel) -> None:
         self._channels = channels
@@ -217,7 +217,7 @@ class WebSocketReceiver:
         self._has_left = False
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Accept the connection, and deliver until one of both goes."""
+        """Accept the connection, and deliver until either side closes it."""
         await send({"type": "websocket.accept", "subprotocol": self._subprotocol(scope)})
 
         async def said(chunk: bytes) -> None:
@@ -248,7 +248,7 @@ class WebSocketReceiver:
         return GOING_AWAY, "the server is ending"
 
     def _subprotocol(self, scope: Scope) -> str | None:
-        """Return the name of the channel type if it is offered: browsers need one of their offers chosen."""
+        """Return the name of the channel type if the client offers it: browsers need one of their offers chosen."""
         name = self._channel.terms.type
         known = (name, channel_type(name).value)
         return next((one for one in scope.get("subprotocols", ()) if one in known), None)

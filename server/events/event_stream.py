@@ -1,4 +1,4 @@
-"""Event streams (WHATWG HTML 9.2): the frames of events, and the changes of a resource as a response without end."""
+"""Event streams (WHATWG HTML 9.2): event frames, and the changes of a resource as an endless response."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import MessageState, State
 
 Tell: TypeAlias = Callable[[bytes], Awaitable[None]]
-"""Sends a part of the body."""
+"""Function that sends a part of the body."""
 Headers: TypeAlias = "list[tuple[bytes, bytes]]"
 
 
 class EndlessResponse(Response):
-    """A response that counts among the readers of its client's address for as long as it lasts.
+    """A response that counts as a reader at its client's address as long as it lasts.
 
-    `last_chunk` is what ends the body.
+    `last_chunk` ends the body.
     """
 
     last_chunk = b""
@@ -41,7 +41,7 @@ class EndlessResponse(Response):
         self._broadcasters = broadcasters
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it."""
+        """Send the response."""
 
         async def tell(chunk: bytes) -> None:
             await send({"type": "http.response.body", "body": chunk, "more_body": True})
@@ -56,30 +56,30 @@ class EndlessResponse(Response):
         return contextlib.nullcontext()
 
     async def run(self, tell: Tell, receive: Receive) -> None:
-        """Write the body, until the reader leaves or the server ends."""
+        """Write the body, until the reader disconnects or the server ends."""
         await self._broadcasters.run_for_client(self.write(tell), receive)
 
     async def write(self, tell: Tell) -> None:
-        """Write the body, for as long as the reader may read."""
+        """Write the body, as long as the reader is permitted to read."""
         raise NotImplementedError
 
 
 KEEP_ALIVE_COMMENT = b":\n\n"
-"""A comment: keeps proxies from ending a stream in which nothing happens (WHATWG HTML 9.2.7)."""
+"""Comment that keeps proxies from closing an idle stream (WHATWG HTML 9.2.7)."""
 
 
 def opening_frame(retry_seconds: float) -> bytes:
-    """Return the first bytes of a stream: after how long a client that lost it comes back."""
+    """Return the first bytes of a stream: the time after which a disconnected client reconnects."""
     return b"retry: %d\n\n" % round(retry_seconds * 1000)
 
 
 def skipped_comment(count: int) -> bytes:
-    """Return the comment that says how many messages were left out before an event."""
+    """Return the comment with the number of messages skipped before an event."""
     return b": skipped %d\n" % count
 
 
 def event_frame(data: bytes, id: str | None = None, name: str | None = None) -> bytes:
-    """One event. `id` is what a client sends as Last-Event-ID, `name` its type ("message" where there is none).
+    """Return the frame of an event. Clients send `id` back as Last-Event-ID; `name` is its type (default "message").
 
     Raises ValueError for an id or a name that would end its line.
     """
@@ -97,7 +97,7 @@ KEEP_ALIVE_SECONDS = 15.0
 
 
 class EventWriter:
-    """Writes to one event stream. `quiet`: seconds without an event after which a keep-alive is due."""
+    """Writer of an event stream. `quiet`: seconds without an event after which a keep-alive is due."""
 
     def __init__(self, tell: Tell, quiet: float = KEEP_ALIVE_SECONDS) -> None:
         self.quiet = quiet
@@ -106,11 +106,11 @@ class EventWriter:
 
     @property
     def silence(self) -> float:
-        """The seconds since the last write."""
+        """Seconds since the last write."""
         return time.monotonic() - self._spoke
 
     async def open(self) -> None:
-        """Write what a stream begins with."""
+        """Write the opening frame."""
         await self.send(opening_frame(RETRY_SECONDS))
 
     async def send(self, chunk: bytes) -> None:
@@ -119,25 +119,25 @@ class EventWriter:
         await self._tell(chunk)
 
     async def keep_alive(self) -> None:
-        """Write a keep-alive comment, where one is due."""
+        """Write a keep-alive comment if it is due."""
         if self.silence >= self.quiet:
             await self.send(KEEP_ALIVE_COMMENT)
 
 
 BURST = 1.25
-"""Events of the bucket of a slow stream: one may come a quarter of an interval early.
+"""Capacity of the token bucket of a slow stream, in events: one may be a quarter of an interval early.
 
-So the jitter of a topic as fast as its reader wishes neither delays nor loses a value. In any time t no more than
-rate * t + 1.25 events pass, and those of `JITTER_SECONDS`.
+So the jitter of a topic exactly as fast as the requested rate neither delays nor drops a value. In any time t at most
+rate * t + 1.25 events pass, plus those of `JITTER_SECONDS`.
 """
 JITTER_SECONDS = 0.05
-"""Seconds that a message may be late; the next ones then follow more closely than the rate says."""
+"""Seconds that a message may be late; the following ones may then exceed the rate."""
 GONE, PROBLEM, UNTIL = "gone", "problem", "until"
-"""The types of the events that tell why there is no state. EventSource's own event is called "error", so these are not.
+"""Types of the events without a state; "error" is avoided because it is EventSource's own event.
 
-After `gone` the stream goes on and tells when the resource is there again, as nodes are restarted all the time, and an
-EventSource that comes back to a 404 gives up for ever. What is deleted for good (410) ends it. `until` is the last
-event of a stream with a condition: whether that holds of the state before it, or the time is over.
+After `gone` the stream continues, and reports when the resource exists again, because nodes are often restarted and an
+EventSource that reconnects to a 404 gives up for ever. Permanent removal (410) ends the stream. `until` is the last
+event of a stream with a condition: whether it is true for the last state, or the time is over.
 """
 HEADERS: Headers = [
     (b"content-type", f"{query_params.EVENT_STREAM}; charset=utf-8".encode("ascii")),
@@ -167,14 +167,14 @@ class StreamFormat:
     render: Callable[[State], Awaitable[bytes]]
     name: Callable[[State], str]
     is_valid: Callable[[], bool] = _always
-    """Whether the reader may still read."""
+    """Whether the reader is still permitted to read."""
     redact_problem: Callable[[Problem], Problem] = _whole
-    """A problem as the reader may be told of it."""
+    """Function that removes from a problem what the reader may not see."""
     version: Callable[[], Hashable] = _only_one
-    """Changes whenever what is told beside the state does: every page says whether the robot is stopped."""
+    """Version of the other content of an event: every page shows whether the robot is stopped, for example."""
 
     async def chunk(self, observation: Observation) -> bytes:
-        """Return the event of a moment, rendered once for all readers of this variant."""
+        """Return the event of an observation, rendered once for all readers of this variant."""
         key = self.variant, self.version()
         chunk = observation.chunks.get(key)
         if chunk is None:
@@ -186,7 +186,7 @@ class StreamFormat:
             if isinstance(state, State):
                 return event_frame(await self.render(state), self.name(state))
             problem = state
-        except Problem as error:  # this state cannot be told in this format
+        except Problem as error:  # this state has no representation in this format
             problem = error
         problem = self.redact_problem(problem)
         name = GONE if problem.status in (404, 410) or problem.status < 400 else PROBLEM
@@ -202,7 +202,7 @@ class StreamEnd:
 
 
 class EventStream(EndlessResponse):
-    """The states of one resource, until its reader leaves, the resource is gone for good, or the server ends."""
+    """States of one resource, until the reader disconnects, the resource is permanently removed, or the server ends."""
 
     def __init__(
         self,
@@ -215,13 +215,13 @@ class EventStream(EndlessResponse):
         lease: contextlib.AbstractContextManager[float | None],
         end: StreamEnd | None = None,
     ) -> None:
-        """`lease` is entered for as long as the stream lasts: it gives the seconds between signs of life."""
+        """Initialize; `lease` is entered as long as the stream lasts, and yields the seconds between keep-alives."""
         super().__init__(broadcasters, [*HEADERS, *headers])
         self._resource = resource
         self._stream_format = stream_format
         self._bucket = TokenBucket(rate, BURST + rate * JITTER_SECONDS)
         self._known = known
-        """The state that the reader has, as it says itself."""
+        """State that the reader has, according to its request."""
         self._lease = lease
         self._end = end
         self._quiet = KEEP_ALIVE_SECONDS
@@ -246,7 +246,7 @@ class EventStream(EndlessResponse):
 
     async def _follow(self, broadcaster: Broadcaster, writer: EventWriter) -> None:
         waiter = Waiter()
-        # Before the state is read: a change that comes meanwhile has another version, and is not waited for.
+        # Read before the state: a change meanwhile then has another version, and is not missed.
         version = broadcaster.version
         told, edition = await broadcaster.observe(), self._stream_format.version()
         if not self._is_known(told.state):
@@ -294,7 +294,7 @@ class EventStream(EndlessResponse):
         return True
 
     def _is_known(self, state: State | Problem) -> bool:
-        """Whether the reader says that it has this state."""
+        """Whether the reader already has this state, according to its request."""
         return isinstance(state, State) and query_params.is_state(self._known, self._stream_format.name(state))
 
     async def _event(self, writer: EventWriter, moment: Observation, skipped: int = 0) -> None:
@@ -317,7 +317,7 @@ def _skipped(before: State | Problem, after: State | Problem) -> int:
 
 @contextlib.contextmanager
 def _alarm(waiter: Waiter, writer: EventWriter) -> Iterator[None]:
-    """Wake the sleeper after a while without a write. One timer, not one per event."""
+    """Wake the waiter after a period without a write, with one timer instead of one per event."""
     loop = asyncio.get_running_loop()
     timer: asyncio.TimerHandle
 

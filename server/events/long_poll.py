@@ -1,4 +1,4 @@
-"""Requests that wait: for a change of a resource (long polling), or for a condition on it (`?until=`)."""
+"""Requests that wait for a change of a resource (long polling), or for a condition on it (`?until=`)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from rosld.server.rest.state import EndedState, State
 
 
 class Until:
-    """A condition on the states of one resource, as one agent may see them.
+    """A condition on the states of one resource, as seen by one agent.
 
-    The first value that there is must have the fields that the condition names, of such kinds: else it would be waited
-    for in vain.
+    The first value must have the fields of the condition, with matching types: otherwise the wait would be in vain.
     """
 
     def __init__(self, text: str, view: Callable[[State], State]) -> None:
-        """`view` gives a state as the agent may see it. Raises a 400 Problem for what is no condition."""
+        """Initialize; `view` redacts a state for the agent. Raises a 400 Problem for an invalid condition."""
         try:
             self._condition: Condition = parse_condition(text)
         except ConditionError as error:
@@ -31,10 +30,10 @@ class Until:
         self._is_checked = False
 
     def holds(self, state: State) -> bool:
-        """Whether the condition holds of a state.
+        """Whether the condition is true for a state.
 
-        Raises Problems: 400 where it never can, 409 where it no longer can because what is looked at has ended, and
-        those of its JSON.
+        Raises Problem 400 if it never can be, 409 if it no longer can because the subject has ended, and those of
+        rendering the state as JSON.
         """
         seen = self._view(state)
         if seen.plain is None:

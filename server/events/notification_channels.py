@@ -1,4 +1,4 @@
-"""Notification channels (Solid Notifications Protocol 2.3): those that clients made, for as long as they use them."""
+"""Notification channels (Solid Notifications Protocol 2.3), which exist as long as their clients use them."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from rosld.server.rest.state import State
 from rosld.server.runtime.dry_run import end_dry_run
 
 MAX_CHANNELS = 4000
-"""Channels at a time. One more takes the place of the one that has been without a receiver longest."""
+"""Maximum number of channels; a new one replaces the one without a receiver for the longest time."""
 IDLE_SECONDS = 300.0
-"""How long a channel without a receiver is kept: so long may a client take to connect, and to come back."""
+"""Seconds that a channel without a receiver exists: the time for a client to connect, or to reconnect."""
 _SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class ReceiverState:
-    """What the receiver of a channel knows of its topic: the name of its state, None where it was not there.
+    """Knowledge of a channel's receiver: the name of the topic's state, None if the topic did not exist.
 
-    `container` is that state while somebody receives, where it tells of members: to say which one came or went.
+    `container` is that state, during reception, if it lists members: to report which one was added or removed.
     """
 
     name: str | None
@@ -45,42 +45,42 @@ class ReceiverState:
 
 @dataclass(eq=False, slots=True)
 class Channel:
-    """A channel: its description, the resource it notifies of, the state it notified of last, and its receiver."""
+    """A channel: its description, the observed resource, the last reported state, and its receiver."""
 
     token: str
     terms: ChannelDescription
     resource: Resource
     last_sent: ReceiverState
     since: float
-    """Since when (monotonic, s) nobody receives."""
+    """Start of the time without a receiver (monotonic, s)."""
     receiver: asyncio.Task[None] | None = None
     auth: AuthContext = UNRESTRICTED
-    """Who made it, who may cease to be allowed to read."""
+    """Permissions of the creator, who may lose the right to read."""
     due: float = float("-inf")
-    """When (monotonic, s) the next notification may be sent."""
+    """Earliest time (monotonic, s) of the next notification."""
 
     @property
     def is_over(self) -> bool:
-        """Whether its time has passed."""
+        """Whether the channel has expired."""
         if self.terms.end_at is not None and time.time_ns() >= self.terms.end_at:
             return True
         return self.receiver is None and time.monotonic() - self.since >= IDLE_SECONDS
 
     @property
     def seconds_left(self) -> float | None:
-        """The seconds until the end of the channel; None without one."""
+        """Seconds until the end of the channel, None without one."""
         end = self.terms.end_at
         return None if end is None else max(0.0, (end - time.time_ns()) / _SECOND)
 
     @property
     def seconds_to_start(self) -> float:
-        """The seconds until the start of the channel."""
+        """Seconds until the start of the channel."""
         start = self.terms.start_at
         return 0.0 if start is None else max(0.0, (start - time.time_ns()) / _SECOND)
 
 
 class Channels:
-    """The channels of one server. `instance_id` identifies this run of the server in the names of states."""
+    """Channels of one server. `instance_id` identifies this run of the server in the names of states."""
 
     def __init__(self, instance_id: str, limit: int = MAX_CHANNELS) -> None:
         self._instance_id = instance_id
@@ -99,9 +99,10 @@ class Channels:
         place: Callable[[str], tuple[str, str]],
         auth: AuthContext = UNRESTRICTED,
     ) -> Channel:
-        """A new channel; `place` gives the URLs of the channel and of its source by its token. A 503 Problem if full.
+        """Create a channel; `place` returns the URLs of a channel and of its source by its token.
 
-        It will tell at once where the topic is in another state than the wish says that its client knows.
+        If the topic's state differs from the one that the client says it has, the first notification is due at once.
+        Raises a 503 Problem if there are too many channels.
         """
         record_step(f"open a channel that tells of {resource.url}")
         self._make_room()
@@ -116,7 +117,7 @@ class Channels:
         return channel
 
     def find(self, token: str) -> Channel:
-        """Return the channel with a token. A 404 Problem where there is none, or none any more."""
+        """Return the channel with a token. Raises a 404 Problem if there is none, or it has expired."""
         channel = self._kept.get(token)
         if channel is None or channel.is_over or not channel.auth.is_valid():
             self._kept.pop(token, None)
@@ -124,24 +125,24 @@ class Channels:
         return channel
 
     def topic_of(self, token: str) -> str | None:
-        """Return the URL that a channel notifies of, None where there is no such channel; any thread may ask."""
+        """Return the URL of a channel's topic, None for an unknown channel (thread-safe)."""
         channel = self._kept.get(token)
         return None if channel is None else channel.terms.topic
 
     def close(self, channel: Channel) -> None:
-        """End a channel, and the task that sends to its receiver unless that is the current one."""
+        """End a channel, and the task that sends to its receiver unless that is the current task."""
         end_dry_run()
         self._kept.pop(channel.token, None)
         if channel.receiver is not None and channel.receiver is not asyncio.current_task():
             channel.receiver.cancel()
 
     def has(self, channel: Channel) -> bool:
-        """Whether the channel is still there."""
+        """Whether the channel still exists."""
         return self._kept.get(channel.token) is channel
 
     @contextlib.contextmanager
     def attach_receiver(self, channel: Channel) -> Iterator[None]:
-        """The task at hand receives from a channel: whoever did before is ended, being most often the same client."""
+        """Make the current task the channel's receiver; the previous one, usually of the same client, is cancelled."""
         task = asyncio.current_task()
         if channel.receiver is not None:
             channel.receiver.cancel()
@@ -159,9 +160,9 @@ class Channels:
         return f"{state.scope or self._instance_id}-{state.tag}"
 
     def next_notification(self, channel: Channel, observation: Observation) -> tuple[Activity | None, ReceiverState]:
-        """What is to be told of a moment, None where it is nothing new, and what is known then.
+        """Return the notification of an observation, None if nothing is new, and the new state of the receiver.
 
-        A state that cannot be read (the robot does not answer) is no news: it is told when it can be read again.
+        A state that cannot be read (the robot does not answer) is not reported until it can be read again.
         """
         told, topic = channel.last_sent, channel.terms.topic
         if isinstance(observation.state, Problem):
@@ -190,12 +191,12 @@ class Channels:
 
 
 def _is_absent(problem: Problem) -> bool:
-    """Whether there is nothing where the topic was: deleted, or moved."""
+    """Whether the problem means that the topic is not there: deleted or moved."""
     return problem.status in (404, 410) or problem.status < 400
 
 
 def _activity_of_change(topic: str, before: State | None, now: ReceiverState, permissions: Permissions) -> Activity:
-    """Which member came or went, where it is one that may be known; else that the topic changed."""
+    """Return which member was added or removed if the agent may know of it, else an update of the topic."""
     if before is not None and now.container is not None:
         old, new = _members(before), _members(now.container)
         if len(old ^ new) == 1:
@@ -207,7 +208,7 @@ def _activity_of_change(topic: str, before: State | None, now: ReceiverState, pe
 
 
 def _tells_members(resource: Resource, state: State) -> bool:
-    """Whether a state is about members. That of a complex resource is about values as well, and has a view."""
+    """Whether a state lists members. The state of a complex resource has values as well, and a view."""
     return state.view is None and any(link.target.endswith("Container") for link in resource.links)
 
 

@@ -1,4 +1,4 @@
-"""Query parameters of requests for changes: the rate, the state that is known, the timeout. Pure."""
+"""Query parameters of requests for changes: rate, known state and timeout. Pure."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def parse_timeout(query: Mapping[str, str]) -> float:
 
 
 def require_numbers(query: Mapping[str, str]) -> None:
-    """Raise a 400 Problem for a `?timeout=` or `?rate=` that is no such number, even where nothing depends on it."""
+    """Raise a 400 Problem for an invalid `?timeout=` or `?rate=`, even if it is not used."""
     parse_timeout(query)
     parse_rate(query)
 
 
 def is_state(text: str | None, state: str) -> bool:
-    """Whether this is the name of a state: an event's id, or an entity tag of any variant, with or without quotes."""
+    """Whether a text names a state: as an event's id, or as the entity tag of any variant, quoted or not."""
     if text is None:
         return False
     given = text.strip().removeprefix("W/").strip('"')

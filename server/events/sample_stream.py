@@ -1,4 +1,4 @@
-"""Event stream of numeric fields: of every message of their topics, not only of the newest."""
+"""Event stream of numeric fields, with every message of their topics instead of only the newest."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ from rosld.server.history.topic_feed import MAX_BYTES, TopicFeed
 PERIOD = 0.1
 """Seconds between two events."""
 MAX_ELEMENTS = 16
-"""Numbers of an array that are told."""
+"""Maximum number of array elements in an event."""
 _DEPTH = 32
 _MOST = 200
-"""Messages of a topic that one event tells of: of more, every second, third and so on, and the newest."""
+"""Maximum number of messages of a topic per event; of more, every second, third etc. is sent, and the newest."""
 
 NAMED_ARRAYS: Mapping[str, tuple[str, ...]] = {"sensor_msgs/msg/JointState": ("position", "velocity", "effort")}
-"""The arrays of a type whose elements the array `name` beside them names."""
+"""Arrays of a type whose elements are named by the neighbouring array `name`."""
 
 Numbers: TypeAlias = "float | list[float | None] | None"
-"""A number, or those of an array; None for what is no finite number."""
+"""A number, or those of an array; None for anything but a finite number."""
 SchemaOf: TypeAlias = Callable[[TypeRef], Awaitable[MessageSchema]]
 
 
 class FollowedTopic(NamedTuple):
-    """A topic, and the paths of its numbers, each with the place that it has in the stream."""
+    """A topic and the paths of its numbers, each with its index in the stream."""
 
     topic: str
     fields: tuple[tuple[int, str], ...]
 
 
 class SampleStream(EndlessResponse):
-    """Sends numbers of topics until its reader leaves or the server ends.
+    """Stream of the numbers of topics, until its reader disconnects or the server ends.
 
-    Each event is JSON, a list with an object for each topic that has something new: `times` in milliseconds since 1970,
-    `values` by place, each as long as `times`, and `lost`, how many messages were not told of. `names` by place are
-    what the robot calls the numbers of an array, where its messages say so.
+    Each event is a JSON list with an object for each topic that has new messages: `times` in milliseconds since 1970,
+    `values` by index, each as long as `times`, and `lost`, the number of skipped messages. `names` by index are the
+    robot's names of array elements, if its messages contain them.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class SampleStream(EndlessResponse):
         topics: Sequence[FollowedTopic],
         is_valid: Callable[[], bool],
     ) -> None:
-        """`is_valid`: whether the reader may still read."""
+        """Initialize; `is_valid` returns whether the reader is still permitted to read."""
         super().__init__(broadcasters, HEADERS)
         self._adapter = adapter
         self._numbers = [TopicNumbers(each, schema_of) for each in topics]
@@ -78,7 +78,7 @@ class SampleStream(EndlessResponse):
 
 
 class TopicNumbers:
-    """The numbers of one topic that are new since they were taken last."""
+    """New numbers of one topic."""
 
     def __init__(self, followed: FollowedTopic, schema_of: SchemaOf) -> None:
         self._followed = followed
@@ -96,7 +96,7 @@ class TopicNumbers:
         return None
 
     def close(self) -> None:
-        """Give the subscription back. Idempotent."""
+        """Close the subscription. Idempotent."""
         feed, self._feed = self._feed, None
         if feed is not None:
             feed.subscription.close()
@@ -125,7 +125,7 @@ class TopicNumbers:
         }
 
     async def _decode(self, sample: Sample) -> tuple[MessageSchema, Message] | None:
-        """Return the message of a sample and its type; None where its bytes are none."""
+        """Return the message of a sample and its schema, None if it cannot be decoded."""
         schema = self._schemas.get(sample.schema)
         if schema is None:
             schema = self._schemas[sample.schema] = await self._schema_of(sample.schema)
@@ -136,7 +136,7 @@ class TopicNumbers:
 
 
 def number_at(schema: MessageSchema, message: Message, path: str) -> Numbers:
-    """Return the number, or the first numbers of the array, at a path of a message; None where there is none."""
+    """Return the number, or the first numbers of the array, at a path of a message; None if there is none."""
     try:
         _, value = field_at(schema, message, path)
     except ValueError:
@@ -147,7 +147,7 @@ def number_at(schema: MessageSchema, message: Message, path: str) -> Numbers:
 
 
 def element_names(schema: MessageSchema, message: Message, path: str) -> list[str]:
-    """Return the robot's names of the numbers at a path of a message; none unless all have one."""
+    """Return the robot's names of the numbers at a path of a message; empty unless each has one."""
     if path not in NAMED_ARRAYS.get(schema.ref.name, ()):
         return []
     names, values = list(getattr(message, "name", ())), getattr(message, path, ())

@@ -1,4 +1,4 @@
-"""The event stream of a view of space: what is drawn, and where that is in the frame that the view is fixed to."""
+"""Event stream of a view of space: drawings, and their poses in the fixed frame of the view."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from rosld.server.space.frame_buffer import FrameBuffer, NoTransform
 from rosld.server.space.transform import Transform
 
 PERIOD = 0.04
-"""Seconds that lie between two events at least: 25 a second."""
+"""Minimum seconds between two events: 25 events per second."""
 _LONGEST = 1.0
-"""Seconds after which is looked again although nothing came."""
+"""Maximum seconds between two updates."""
 _FRAMES_PERIOD = 0.1
 _GOALS_PERIOD = 0.5
 _MAX_FRAMES = 200
-"""Frames that are drawn."""
+"""Maximum number of drawn frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShownTopic:
-    """A topic of a view: its name, how messages of its type are called, and references relative to the host.
+    """A topic of a view: its name, the label of its type, and references relative to the host.
 
-    `picture` is that of the picture of a grid, `cloud` that of the points of a cloud, `history` that of its recorded
-    numbers, up to the field; empty where there is none.
+    `picture` is the reference of a grid's picture, `cloud` of a point cloud's data, `history` of its recorded numbers,
+    up to the field; empty if there is none.
     """
 
     name: str
@@ -48,10 +48,10 @@ class ShownTopic:
 
 @dataclass(frozen=True, slots=True)
 class SpaceSource:
-    """What a stream reads from; `frames` is None for an agent that may not read them.
+    """Data source of a stream; `frames` is None for an agent that may not read them.
 
-    `goals` gives what poses may be sent to and the time for their headers, None where it is simulated.
-    `has_cloud_files`: the reader draws the points of a cloud from its file, so that the stream need not tell them, too.
+    `goals` returns the targets that accept poses, and the time for their headers, None under simulated time.
+    `has_cloud_files`: the reader loads point clouds from files, so that the stream need not contain the points.
     """
 
     topics: LiveTopics
@@ -64,17 +64,16 @@ class SpaceSource:
 
 
 class SpaceStream(EndlessResponse):
-    """Sends a view and its changes until its reader leaves or the server ends.
+    """Stream of a view and its changes, until its reader disconnects or the server ends.
 
-    Each event is a JSON object. `show`: the topics of the view, first of all and whenever they are others. `frame`:
-    what the view is fixed to. `frames`: the name, the parent and the pose of each frame that is connected to it.
-    `things`: by place, what is drawn of a new message (`drawing`), where the frame of the message is (`pose`), or why
-    that cannot be said (`problem`). `goals`: what a pose can be sent to, with the time for its header (`now`, in
-    seconds). What is as it was is left out.
+    Each event is a JSON object without unchanged members. `show`: the topics of the view, first of all and after each
+    change. `frame`: the fixed frame of the view. `frames`: the name, parent and pose of each frame connected to it.
+    `things`: by index, the drawing of a new message (`drawing`), and the pose of the message's frame (`pose`) or why it
+    is unknown (`problem`). `goals`: the targets that accept a pose, with the time for its header (`now`, in seconds).
     """
 
     def __init__(self, broadcasters: Broadcasters, source: SpaceSource, fixed: str) -> None:
-        """`fixed`: the frame that the view is fixed to; where it is empty the best one that there is."""
+        """Initialize; `fixed` is the fixed frame of the view, or empty to choose the best one."""
         super().__init__(broadcasters, HEADERS)
         self._source = source
         self._fixed = fixed
@@ -103,7 +102,7 @@ class _Pulse:
         self._waiter.wake()
 
     async def wait(self, seconds: float) -> None:
-        """Until something came since the last time, at most so long."""
+        """Wait up to `seconds` for a wake-up since the last wait."""
         if not self._came:
             with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
                 await asyncio.wait_for(self._waiter.sleep(), seconds)
@@ -168,7 +167,7 @@ class _View:
         return event
 
     async def _show(self, shown: Sequence[ShownTopic]) -> None:
-        """Follow other topics than until now."""
+        """Follow the topics of a changed view."""
         names = {each.name for each in shown}
         for name in self._watches.keys() - names:
             self._watches.pop(name).close()
@@ -212,7 +211,7 @@ class _View:
 
 
 def frames_json(buffer: FrameBuffer, fixed: str) -> list[dict[str, object]]:
-    """The frames that are connected to one, each with its parent and its pose there."""
+    """Return the frames connected to a frame, each with its parent and its pose there."""
     newest = buffer.newest
     found: list[dict[str, object]] = []
     for name in list(buffer.names)[:_MAX_FRAMES]:

@@ -1,4 +1,4 @@
-"""Recordings: `rosld serve run.bag`, a ROS 2 folder, an `.mcap` or a `.db3` file; a part: `run.bag?from=-60&rate=2`."""
+"""Recordings: `rosld serve run.bag`, a ROS 2 folder, an `.mcap` a `.db3` file; a part: `run.bag?from=-60&rate=2`."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ _SCHEME = "recording:"
 
 
 def adapter(source: str, options: AdapterOptions) -> Adapter:
-    """Return the adapter of a recording's path, `recording:` before it or not, and after it what of it is played.
+    """Return the adapter of a recording: a path, with an optional `recording:` prefix and an optional part as a query.
 
     Raises ValueError for options out of range.
     """

@@ -1,6 +1,6 @@
 """A recording as a ROS system: its topics play as recorded, and nothing can be written.
 
-The first bytes of a file determine its format, not its name.
+The format of a file is determined by its first bytes, not by its name.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def open_file(path: Path, budget: OpenBudget) -> Storage:
 
 
 def recording_name(path: Path) -> str:
-    """Return the name of a recording: that of its folder, or of its file without suffixes (`x` of `x.bag.active`)."""
+    """Return the name of a recording: that of its folder, or of its file without suffixes (`x` for `x.bag.active`)."""
     resolved = path.resolve()
     name = resolved.name if resolved.is_dir() else resolved.name.removesuffix(".active")
     stem = name if resolved.is_dir() else Path(name).stem
@@ -84,12 +84,12 @@ def recording_name(path: Path) -> str:
 
 
 _UNFORESEEN = (ArithmeticError, AssertionError, LookupError, MemoryError, RecursionError, TypeError, ValueError)
-"""What reading a file may raise: it is a stranger's, and may be wrong in more ways than are thought of."""
+"""Errors that reading a file may raise: it is untrusted, and may be malformed in unforeseen ways."""
 _READ_ONLY = "a recording cannot be written to"
 
 
 class RecordingAdapter:
-    """A recording as an `Adapter`. It begins to play when it is opened, by `clock` (monotonic ns)."""
+    """A recording as an `Adapter`. Starts playing when opened, by `clock` (monotonic ns)."""
 
     def __init__(
         self,
@@ -101,7 +101,7 @@ class RecordingAdapter:
     ) -> None:
         """Serve `part` of the recording at a path. Raises ValueError for an invalid rate."""
         options = options if part.rate is None else replace(options, rate=part.rate)
-        Playback(0, 0, options.rate)  # refuses a rate that is none before any file is read
+        Playback(0, 0, options.rate)  # raises ValueError for an invalid rate before any file is read
         self._part = part
         self._path = path
         self._options = options
@@ -115,7 +115,7 @@ class RecordingAdapter:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Reading only; what ROS 2 hides is hidden in its recordings, too."""
+        """Capabilities for reading only; names that ROS 2 hides are hidden in its recordings, too."""
         return Capabilities(
             "recording",
             self._encoding,
@@ -127,19 +127,19 @@ class RecordingAdapter:
 
     @property
     def graph(self) -> Graph:
-        """The topics of the recording and, where it names them, the nodes that published them."""
+        """Topics of the recording and, if it names them, the nodes that published them."""
         return self._graph
 
     @property
     def recordings(self) -> Mapping[str, Recording]:
-        """The recording, by its name."""
+        """The recording by its name, once open."""
         return MappingProxyType({} if self._bag is None else {self._bag.name: self._bag})
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Read the index on a thread of its own, then play. Raises NotFound, or Unreachable saying what is wrong.
+        """Read the index in a thread, then play. Raises NotFound, and Unreachable with the defect.
 
-        Until the deadline something must have been read, and in each such span from then on: how long all of it takes
-        is a matter of its size.
+        Something must be read before the deadline, and again in each such time span: the total time depends on the
+        size.
         """
         if self._bag is not None:
             return
@@ -155,7 +155,7 @@ class RecordingAdapter:
             bag = reading.result()
         finally:
             reading.cancel()
-            budget.cancel()  # nobody waits any more
+            budget.cancel()  # nobody waits for the result
         for note in bag.notes:
             log.warning("the recording %s: %s", bag.name, note)
         self._bag = bag
@@ -163,19 +163,19 @@ class RecordingAdapter:
         self._graph = recorded_graph(bag, self._graph.revision + 1)
 
     async def close(self) -> None:
-        """Stop playing and let go of the file. Idempotent."""
+        """Stop playing and close the file. Idempotent."""
         for player in self._players.values():
             player.close()
         if self._bag is not None:
             self._bag.close()
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
-        """Return `subscribe` for topics, and nothing else."""
+        """Return `subscribe` for recorded topics, and nothing else."""
         known = ref.kind is Kind.TOPIC and ref.name in self._graph.topics
         return frozenset({Operation.SUBSCRIBE}) if known else frozenset()
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
-        """Return the schema of a type: as recorded, else as shipped. Raises UnknownType."""
+        """Return the schema of a type as recorded, else as shipped. Raises UnknownType."""
         if self._library is None:
             raise UnknownType(f"the type {ref.name} is not known: the recording is not open")
         return self._library.find(ref)
@@ -189,7 +189,7 @@ class RecordingAdapter:
         return PlayerSubscription(self._player(topic), depth)
 
     def age_ns(self, sample: Sample) -> int:
-        """Return the recorded time since a message; one of the previous loop (latched) counts a loop more."""
+        """Return the recorded time since a message; a latched one of the previous loop is older by a loop."""
         if self._bag is None:
             return 0
         playback = self._playback(self._bag)
@@ -198,15 +198,15 @@ class RecordingAdapter:
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
-        """Refused."""
+        """Raise Refused."""
         _refuse()
 
     async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
-        """Refused."""
+        """Raise Refused."""
         _refuse()
 
     async def unadvertise(self, topic: str) -> None:
-        """Raise NotFound: nothing is ever advertised here."""
+        """Raise NotFound: nothing is advertised here."""
         raise NotFound(f"rosld does not advertise {topic}")
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
@@ -230,7 +230,7 @@ class RecordingAdapter:
         raise NotFound(f"there is no action {action}: a recording has none")
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """Raise Refused: recorded nodes have no lifecycles; NotFound for a node that is not there."""
+        """Raise Refused, because recorded nodes have no lifecycles, or NotFound for a missing node."""
         raise without_lifecycle(self._graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
@@ -238,7 +238,7 @@ class RecordingAdapter:
         return {}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Refused."""
+        """Raise Refused."""
         _refuse()
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
@@ -271,7 +271,7 @@ class RecordingAdapter:
         if player is None:
             streams = self._bag.streams_by_topic.get(topic, [])
             player = TopicPlayer(self._bag, streams, self._playback(self._bag), self._elapsed_ns)
-            if streams:  # names that are not recorded are not worth keeping
+            if streams:  # players of names that are not recorded are not stored
                 self._players[topic] = player
         return player
 
@@ -283,7 +283,7 @@ class RecordingAdapter:
 
 
 def recorded_graph(bag: Bag, revision: int) -> Graph:
-    """Return the computation graph in a recording. A recorded `/clock` means that time was simulated."""
+    """Return the computation graph of a recording. A recorded `/clock` means that time was simulated."""
     publishers = dict.fromkeys(stream.publisher for stream in bag.streams if stream.publisher)
     return Graph(
         revision,
@@ -307,7 +307,7 @@ def _topic(bag: Bag, name: str) -> Topic:
 
 
 async def _on_a_thread(work: Callable[[], Bag], discard: Callable[[Bag], None]) -> Bag:
-    """Run `work` on a daemon thread; if the wait is cancelled, its result is discarded."""
+    """Run `work` in a daemon thread; if the wait is cancelled, discard its result."""
     loop = asyncio.get_running_loop()
     done: asyncio.Future[Bag] = loop.create_future()
 
@@ -328,7 +328,7 @@ async def _on_a_thread(work: Callable[[], Bag], discard: Callable[[Bag], None]) 
             error = raised
         try:
             loop.call_soon_threadsafe(settle, bag, error)
-        except RuntimeError:  # the loop is gone, and with it everybody who waited
+        except RuntimeError:  # the event loop is closed, and nobody waits any more
             if bag is not None:
                 discard(bag)
 

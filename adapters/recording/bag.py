@@ -1,4 +1,4 @@
-"""A recording, readable message by message whatever its format; its types, and messages that were latched before it."""
+"""A recording that is readable message by message in any format: its types, and messages latched before it."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ _PART = "---"
 
 
 def type_name(recorded: str) -> str:
-    """Return the name as rosbags has it: `pkg/Name`, as ROS 1 records it, is `pkg/msg/Name`."""
+    """Return rosbags' name of a type: ROS 1 records `pkg/Name` for `pkg/msg/Name`."""
     parts = recorded.split("/")
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else recorded
 
 
 def learn(library: TypeLibrary, connection: RecordedConnection, ros_version: RosVersion) -> tuple[TypeRef, str | None]:
-    """Return the type of a connection, and why its messages cannot be decoded (None: they can)."""
+    """Return the type of a connection, and the reason why its messages cannot be decoded, or None."""
     name = type_name(connection.type)
     named = TypeRef(name, connection.hash)
     if connection.odd is not None:
@@ -46,7 +46,7 @@ def learn(library: TypeLibrary, connection: RecordedConnection, ros_version: Ros
     try:
         if not connection.definition.strip() and ros_version == 2:
             return _message_ref(library, named), None
-        # RIHS01 also hashes what a text does not hold, so that only an MD5 proves the text beside it
+        # RIHS01 also covers facts that the text lacks, so only an MD5 can prove the text
         proof = connection.hash if ros_version == 1 else None
         return library.learn_message(name, _text(name, connection), proof).ref, None
     except (ValueError, UnknownType) as error:
@@ -72,7 +72,7 @@ def _text(name: str, connection: RecordedConnection) -> str:
 
 
 def _text_of_derived(of: str, text: str, definition: str) -> str:
-    """Return a message of a hidden topic: recorders store the definition of its service or action in its stead."""
+    """Return the text of a message of a hidden topic, recorded with the definition of its service or action."""
     head, separator, nested = definition.partition("\n===")
     own = [f"MSG: {name}\n{part}" for name, part in _parts(of, head).items()]
     return f"\n{SEPARATOR}\n".join([text, *own]) + "\n" + separator.lstrip("\n") + nested
@@ -94,7 +94,7 @@ def _parts_named(of: str, ends: Sequence[str], texts: Sequence[str]) -> Mapping[
 
 
 def _text_of_idl(name: str, definition: str) -> str:
-    """Return the definition in message syntax of a type defined in OMG IDL, its dependencies appended."""
+    """Return the definition in .msg syntax of a type defined in OMG IDL, with its dependencies appended."""
     require_short(name, definition)
     marked = definition.startswith(f"{_IDL_SEPARATOR}IDL: ")
     parts = [part.partition("\n")[2] for part in definition.split(_IDL_SEPARATOR)[1:]] if marked else [definition]
@@ -108,13 +108,13 @@ def _text_of_idl(name: str, definition: str) -> str:
 
 
 def without_repeats(table: MessageTable, connections: Sequence[RecordedConnection]) -> MessageTable:
-    """Leave out what opens a file where the same publisher's messages lie before: that file is not the first one."""
+    """Remove the opening messages of files that are not their publisher's first: they repeat earlier messages."""
     is_opening = np.asarray([each.is_opening for each in connections], bool)
     if not is_opening.any():
         return table
     order = np.arange(len(table.times))[::-1]
     first = np.full(len(connections), -1)
-    first[table.connections[order]] = order  # of several rows of a connection the last one that is set stays
+    first[table.connections[order]] = order  # assignment of repeated indexes: the last one wins
     earliest: dict[tuple[str, str], int] = {}
     for one, row in zip(connections, first.tolist(), strict=True):
         if row >= 0:
@@ -128,7 +128,7 @@ def without_repeats(table: MessageTable, connections: Sequence[RecordedConnectio
 def latched_rows(
     table: MessageTable, until: int, connections: Sequence[RecordedConnection], types: Sequence[TypeRef]
 ) -> NDArray[np.int64]:
-    """Return the rows before row `until` that hold the latest latched messages of each publisher, ascending."""
+    """Return the rows before row `until` with the latest latched messages of each publisher, ascending."""
     latched = [number for number, one in enumerate(connections) if one.latched]
     rows = np.flatnonzero(np.isin(table.connections[:until], latched))
     found: dict[tuple[str, str], deque[int]] = {}
@@ -145,7 +145,7 @@ log = logging.getLogger("rosld.recording")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Stream:
-    """One publisher's messages on one topic: `positions` holds their indexes in the recording, ascending."""
+    """Messages of a publisher on a topic: `positions` are their indexes in the recording, ascending."""
 
     topic: str
     publisher: str
@@ -155,9 +155,9 @@ class Stream:
 
 
 class Bag:
-    """An open recording: a `Recording`, and what playing it needs. Any thread may read from it.
+    """An open recording: implements `Recording` and supports playback. Any thread may read from it.
 
-    In memory are 40 bytes a message and the chunks read last (64 MB at most); the messages stay on the disk.
+    Uses 40 bytes of memory per message, and at most 64 MB for recent chunks; the messages stay on the disk.
     """
 
     def __init__(
@@ -169,7 +169,7 @@ class Bag:
         part: Part = WHOLE,
         budget: OpenBudget | None = None,
     ) -> None:
-        """Only `part` of what is stored is in it. Raises Damaged where there is nothing in that, and OpeningRefused."""
+        """Index `part` of a stored recording. Raises Damaged if the part is empty, and OpeningRefused."""
         self.name = name
         self.path = path
         self.format = storage.format
@@ -195,7 +195,10 @@ class Bag:
         self.silent = tuple(each for each in storage.silent if each not in self.topics)
 
     def message(self, index: int) -> RecordedMessage:
-        """Message `index` in recorded order. Raises NotFound outside 0 to count-1, Unreachable where it is damaged."""
+        """Return message `index` in recorded order.
+
+        Raises NotFound outside 0 to count-1, Unreachable if it is damaged.
+        """
         if not 0 <= index < self.count:
             last = f"its messages are 0 to {self.count - 1}" if self.count else "it holds none"
             raise NotFound(f"the recording {self.name} has no message {index}: {last}")
@@ -204,11 +207,11 @@ class Bag:
         return RecordedMessage(index, stream.topic, self.sample(index, sequence), self._is_opening(index))
 
     def topic_of(self, index: int) -> str | None:
-        """Return the topic of message `index`, None where there is no such message."""
+        """Return the topic of message `index`, or None."""
         return self._stream(index).topic if 0 <= index < self.count else None
 
     def messages(self) -> Iterator[RecordedMessage]:
-        """Yield all messages in recorded order; those that the disk does not give are left out, with a warning."""
+        """Yield all messages in recorded order; unreadable ones are skipped with a warning."""
         sequences: Counter[int] = Counter()
         for index, connection in enumerate(self._table.connections.tolist()):
             stream = self._stream_of[connection]
@@ -222,21 +225,21 @@ class Bag:
 
     @property
     def settled(self) -> int:
-        """All messages are there."""
+        """Number below which all messages are available: their count."""
         return self.count
 
     @property
     def identity(self) -> str:
-        """By its first and last times, and the number of its messages."""
+        """Identity from the first and last times and the number of messages."""
         return f"{zlib.crc32(f'{self.start_ns} {self.end_ns} {self.count}'.encode()):08x}"
 
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
-        """Return the times of the first and the last message from index `start` and below `end`."""
+        """Return the times of the first and last message with indexes from `start` to `end` - 1."""
         found = self.times[start:end]
         return (int(found[0]), int(found[-1])) if len(found) else None
 
     def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
-        """Return at most `limit` messages, selected by the table; only these are read."""
+        """Return at most `limit` messages; only these are read from the disk."""
         indexes = self._indexes(wanted, limit + 1)
         found: list[RecordedMessage] = []
         size = 0
@@ -253,7 +256,7 @@ class Bag:
         return MessagePage(found, None)
 
     def _indexes(self, wanted: MessageFilter, limit: int) -> list[int]:
-        """Return the indexes of the first `limit` messages of a filter."""
+        """Return the indexes of the first `limit` messages that match a filter."""
         first = max(wanted.start, int(np.searchsorted(self.times, wanted.from_ns, "left")))
         beyond = min(wanted.end, int(np.searchsorted(self.times, wanted.to_ns, "right")))
         if wanted.topics is None:
@@ -266,7 +269,7 @@ class Bag:
         return sorted(found)[:limit]
 
     def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
-        """Return the newest message of a topic at a time, or None. Raises Unreachable."""
+        """Return the latest message of a topic at a time, or None. Raises Unreachable."""
         passed = int(np.searchsorted(self.times, time_ns, "right"))
         found = [
             int(stream.positions[count - 1])
@@ -276,7 +279,7 @@ class Bag:
         return self.message(max(found)) if found else None
 
     def sample(self, index: int, sequence: int, epoch: int = 0) -> Sample:
-        """Message `index` as a sample with this sequence and epoch. Raises Unreachable."""
+        """Return message `index` as a sample with this sequence and epoch. Raises Unreachable."""
         connection = int(self._table.connections[index])
         try:
             data = self._storage.read(int(self._table.places[index]), int(self._table.offsets[index]))
@@ -293,11 +296,11 @@ class Bag:
         return self._library.find(ref)
 
     def types(self) -> Sequence[TypeRef]:
-        """Return the types of its topics."""
+        """Return the types of the recorded topics."""
         return list(dict.fromkeys(ref for ref in self._types if ref.name))
 
     def close(self) -> None:
-        """Let go of the file. Idempotent."""
+        """Close the files. Idempotent."""
         self._storage.close()
 
     def _is_opening(self, index: int) -> bool:
@@ -332,7 +335,7 @@ class Bag:
         return {name: self._topic(name, mine) for name, mine in members.items()}
 
     def _topic(self, name: str, connections: Sequence[int]) -> RecordedTopic:
-        """Return a topic is unreadable where none of its connections can be decoded."""
+        """Return a topic, which is unreadable if none of its connections can be decoded."""
         readable = [number for number in connections if self._unreadable[number] is None]
         shown = (readable or connections)[0]
         count = sum(len(stream.positions) for stream in self.streams_by_topic[name])
@@ -350,7 +353,7 @@ def _grouped(values: Iterable[_Value], keys: Iterable[_Key]) -> dict[_Key, list[
 def _learn_all(
     library: TypeLibrary, connections: Iterable[RecordedConnection], ros_version: RosVersion, budget: OpenBudget
 ) -> list[tuple[TypeRef, str | None]]:
-    """Result of `learn` per connection, computed once for connections that differ in topic or publisher only."""
+    """Return the result of `learn` per connection, computed once if only topic or publisher differ."""
     keys = [each._replace(topic="", publisher="", latched=False) for each in connections]
     types = dict.fromkeys(keys)
     budget.learn(len(types), sum(len(each.definition) for each in types))
@@ -362,6 +365,6 @@ def _learn_all(
 
 
 def _with_global_names(connection: RecordedConnection) -> RecordedConnection:
-    """With global names, as a master would have them: old recordings leave the slash out."""
+    """Return the connection with global names, as on a master: old recordings omit the leading slash."""
     publisher = global_name(connection.publisher) if connection.publisher else ""
     return connection._replace(topic=global_name(connection.topic or "unnamed"), publisher=publisher)

@@ -1,4 +1,4 @@
-"""Reading bytes at offsets: of a file, of a decompressed chunk, and the chunks kept for the next reader."""
+"""Reading bytes at offsets in files and decompressed chunks, and a cache of chunks."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ else:
     from backports import zstd
 
 MAX_PIECE = 256 << 20
-"""Bytes that one chunk or one message may have, which is as long as a message of a robot may be (`MESSAGE_LIMIT`).
+"""Maximum bytes of a chunk or a message, which is the maximum size of a robot's messages (`MESSAGE_LIMIT`).
 
-Recorders close a chunk at some megabytes, or at one message that is longer.
+Recorders close a chunk after a few megabytes, or after a single longer message.
 """
 STEP = 1 << 20
-"""Bytes that are decompressed at a time: what is held is what there is, not what a header claims."""
+"""Bytes decompressed at a time, so that memory use depends on the data, not on the size claimed in a header."""
 
 
 class ByteSource(Protocol):
@@ -33,16 +33,16 @@ class ByteSource(Protocol):
 
     @property
     def size(self) -> int:
-        """How many there are."""
+        """Number of bytes."""
         ...
 
     def read_up_to(self, at: int, size: int) -> bytes:
-        """Up to `size` bytes from `at`; fewer at the end."""
+        """Return up to `size` bytes from `at`; fewer at the end."""
         ...
 
 
 def read_exactly(source: ByteSource, at: int, size: int) -> bytes:
-    """`size` bytes from `at`. Raises Damaged where the source ends before."""
+    """Return `size` bytes from `at`. Raises Damaged if the source ends before."""
     if at < 0 or size < 0 or at + size > source.size:
         raise Damaged(f"{size} bytes are missing at {at}: it ends at {source.size}")
     if size > MAX_PIECE:
@@ -54,7 +54,7 @@ def read_exactly(source: ByteSource, at: int, size: int) -> bytes:
 
 
 class RandomFile:
-    """A file read at offsets by any thread; the lock is held for one read of the disk, not for decompression."""
+    """A file that any thread can read at offsets; the lock is held while reading the disk, not while decompressing."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("rb")
@@ -62,7 +62,7 @@ class RandomFile:
         self.size = path.stat().st_size
 
     def read_up_to(self, at: int, size: int) -> bytes:
-        """Up to `size` bytes from `at`. Raises Damaged once the file is closed."""
+        """Return up to `size` bytes from `at`. Raises Damaged after `close`."""
         try:
             with self._lock:
                 self._file.seek(at)
@@ -84,12 +84,12 @@ class BytesSource:
         self.size = len(data)
 
     def read_up_to(self, at: int, size: int) -> bytes:
-        """Up to `size` bytes from `at`."""
+        """Return up to `size` bytes from `at`."""
         return self._data[at : at + size]
 
 
 class _Decompressor(Protocol):
-    """What the decompressors of bz2, LZ4 and Zstandard have in common."""
+    """Common interface of the bz2, LZ4 and Zstandard decompressors."""
 
     @property
     def eof(self) -> bool: ...
@@ -109,7 +109,7 @@ _ERRORS = (OSError, EOFError, ValueError, RuntimeError, zstd.ZstdError)
 
 
 def decompress(compression: str, data: bytes, size: int) -> bytes:
-    """The `size` bytes that `data` was compressed from; never makes more than that. Raises Damaged."""
+    """Return the `size` bytes of compressed data; never produces more. Raises Damaged."""
     if compression in ("", "none"):
         return data
     if compression not in _DECOMPRESSORS:
@@ -126,7 +126,7 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
 
 
 def decompress_zstd(data: bytes) -> bytes:
-    """What one zstd frame of unknown size was compressed from. Raises Damaged."""
+    """Return the contents of a zstd frame of unknown size. Raises Damaged."""
     decompressor = zstd.ZstdDecompressor()
     try:
         inflated = b"".join(_inflate(cast(_Decompressor, decompressor), data, MAX_PIECE + 1))
@@ -140,9 +140,9 @@ def decompress_zstd(data: bytes) -> bytes:
 
 
 def inflate_file(path: Path, target: Path, check: Callable[[int], None]) -> None:
-    """Write what a file compressed by zstd holds to another; `check` is given the size before each piece is written.
+    """Decompress a zstd file to another file; call `check` with the size so far before each write.
 
-    Raises Damaged, OSError, and what `check` does.
+    Raises Damaged, OSError, and what `check` raises.
     """
     size = 0
     try:
@@ -156,10 +156,10 @@ def inflate_file(path: Path, target: Path, check: Callable[[int], None]) -> None
 
 
 def _inflate(decompressor: _Decompressor, data: bytes, most: int) -> Iterator[bytes]:
-    """Yield the first `most` bytes of one compressed stream, in pieces, as far as it goes.
+    """Yield at most the first `most` bytes of a compressed stream, in pieces.
 
-    Both sides go in steps: the decompressor of lz4 sets aside all that it is allowed to make, and copies what it has
-    not used of its input at each step.
+    Input and output are processed in steps: lz4's decompressor allocates its whole allowed output, and copies its
+    unused input at each step.
     """
     at = 0
     while most and not decompressor.eof:
@@ -173,9 +173,9 @@ def _inflate(decompressor: _Decompressor, data: bytes, most: int) -> Iterator[by
 
 
 class ChunkCache:
-    """The chunks read last, decompressed, so that neighbouring messages pay for one decompression.
+    """Cache of recent decompressed chunks, so that neighbouring messages share one decompression.
 
-    A chunk that cannot be read is remembered as such. Thread-safe; two threads may load one chunk at the same time.
+    Unreadable chunks are cached as such. Thread-safe; two threads may load the same chunk at the same time.
     """
 
     def __init__(self, load: Callable[[int], bytes], max_bytes: int = 64 << 20) -> None:

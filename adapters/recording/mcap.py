@@ -1,7 +1,7 @@
-"""MCAP files of ROS 2 and ROS 1, with or without their summary.
+"""MCAP files of ROS 2 and ROS 1, with or without a summary.
 
-A file with a summary is opened by its chunk and message indexes. Without one (the recorder was killed, the file cut
-short), or where the indexes do not hold all messages, it is walked through, and a note says so.
+A file with a summary is opened by its chunk and message indexes. Without one (the recorder was killed, the file
+truncated), or if the indexes are incomplete, the whole file is scanned, and a note says so.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _ENCODINGS = {"cdr": Encoding.CDR, "ros1": Encoding.ROS1}
 
 
 class _Record(NamedTuple):
-    """A record: its opcode, and where its content begins and how long it is, in bytes."""
+    """A record: its opcode, and the start and size of its content in bytes."""
 
     op: int
     data_at: int
@@ -61,7 +61,7 @@ class _Record(NamedTuple):
 
 
 class _Chunk(NamedTuple):
-    """A chunk: where its compressed bytes lie, how many, how compressed, how many they become, and their CRC."""
+    """A chunk: start, size and compression of its compressed bytes, and size and CRC of the uncompressed ones."""
 
     at: int
     size: int
@@ -71,7 +71,7 @@ class _Chunk(NamedTuple):
 
 
 class _Schema(NamedTuple):
-    """A schema record: the name of a type, the encoding of its definition, and that text."""
+    """A schema record: the name of a type, the encoding of its definition, and the definition."""
 
     name: str
     encoding: str
@@ -79,14 +79,14 @@ class _Schema(NamedTuple):
 
 
 class _Fields(Fields):
-    """The fields of a record of a file that anybody may have written."""
+    """Reader of a record's fields in an untrusted file."""
 
     too_short = Damaged
     errors = "replace"
 
 
 class _Scan:
-    """What was found so far: schemas, channels as connections, chunks, and tables of messages."""
+    """Results of scanning so far: schemas, channels as connections, chunks, and tables of messages."""
 
     def __init__(self, budget: OpenBudget) -> None:
         self.budget = budget
@@ -99,7 +99,7 @@ class _Scan:
         self.silent: tuple[str, ...] = ()
 
     def describe(self, record: _Record, source: ByteSource) -> None:
-        """Take in a schema or a channel."""
+        """Add a schema or a channel."""
         self.budget.spend(octets=record.size)
         fields = _Fields(read_exactly(source, record.data_at, record.size))
         number = fields.uint(2)
@@ -110,7 +110,7 @@ class _Scan:
             self._add(number, _connection(self.schemas.get(fields.uint(2)), fields))
 
     def connection(self, number: int) -> int:
-        """Return the index of channel `number`; one that the file does not describe is kept as an odd one."""
+        """Return the index of channel `number`; an undescribed channel is added as an odd one."""
         if number not in self.numbers:
             odd = f"the recording does not describe its channel {number}"
             self._add(number, RecordedConnection(f"/channel_{number}", "", Encoding.CDR, odd=odd))
@@ -142,7 +142,7 @@ class Mcap:
         self.silent = contents.silent
 
     def read(self, place: int, offset: int) -> bytes:
-        """Return the bytes of the message record at `offset` of the file or of a chunk. Raises Damaged."""
+        """Return the bytes of the message record at `offset` in the file or in a chunk. Raises Damaged."""
         source: ByteSource = self._cache.get(place - 1) if place else self._file
         record = _record_at(source, offset)
         if record.op != _MESSAGE or record.size < _MESSAGE_HEAD.size:
@@ -150,7 +150,6 @@ class Mcap:
         return read_exactly(source, record.data_at + _MESSAGE_HEAD.size, record.size - _MESSAGE_HEAD.size)
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def _load(self, chunk: int) -> bytes:
@@ -210,7 +209,7 @@ def _summary(file: RandomFile) -> int:
 
 
 def _silent(file: RandomFile, index: _Fields, budget: OpenBudget) -> tuple[str, ...]:
-    """Return the chosen topics without a message, as the file's metadata record names them."""
+    """Return the selected topics without a message, from the file's metadata record."""
     at, _length = index.uint(8), index.uint(8)
     if index.text() != SILENT_TOPICS:
         return ()
@@ -259,7 +258,7 @@ def _by_walking(file: RandomFile, at: int, budget: OpenBudget) -> _Scan:
 
 
 def _walk(source: ByteSource, at: int, place: int, scan: _Scan) -> None:
-    """Find everything from `at` on; stops, with a note, where the records break off."""
+    """Scan everything from `at` on; stop, with a note, if the records are truncated."""
     rows = TableBuilder()
     try:
         for record in _records(source, at, source.size):
@@ -326,7 +325,7 @@ def _record_at(source: ByteSource, at: int) -> _Record:
 
 
 def _connection(schema: _Schema | None, channel: _Fields) -> RecordedConnection:
-    """Return a channel as a connection; a format that is not ROS's makes it odd, never the file unreadable."""
+    """Return a channel as a connection; a format unknown to ROS makes it odd, not the file unreadable."""
     topic, encoding, said = channel.text(), channel.text(), channel.texts()
     name, syntax, definition = schema or _Schema("", "", "")
     odd = None
@@ -349,10 +348,10 @@ def _connection(schema: _Schema | None, channel: _Fields) -> RecordedConnection:
 
 
 def latched(profiles: str) -> bool:
-    """Whether every publisher of a ROS 2 topic kept its last messages for those who come late (transient local).
+    """Whether every publisher of a ROS 2 topic was latched (transient local).
 
-    The profiles are YAML, of which only the lines that rosbag2 writes are looked at: a parser of all of YAML takes
-    seconds for a small text that is made for it.
+    The profiles are YAML, from which only the lines that rosbag2 writes are read: a full YAML parser can take seconds
+    for a small malicious text.
     """
     said = _DURABILITY.findall(profiles)
     return bool(said) and len(said) == len(_PROFILE.findall(profiles)) and {*said} <= {"1", "transient_local"}

@@ -1,4 +1,4 @@
-"""The part of a recording that is served: `run.bag?from=-60&rate=2`, parsed from the source."""
+"""Part of a recording to serve: `run.bag?from=-60&rate=2`, parsed from the source."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _SECOND = 1_000_000_000
 
 
 class Moment(NamedTuple):
-    """A time in a recording: in ns after the epoch, or so many ns after its begin (before its end if negative)."""
+    """A time in a recording, in ns: since the epoch, since its start, or before its end if negative."""
 
     ns: int
     is_absolute: bool
 
     def at(self, start_ns: int, end_ns: int) -> int:
-        """Return the time after the epoch, in a recording that lasts from one until another."""
+        """Return the time in ns since the epoch, in a recording with these first and last times."""
         if self.is_absolute:
             return self.ns
         return end_ns + self.ns if self.ns < 0 else start_ns + self.ns
@@ -38,16 +38,16 @@ class Selection(NamedTuple):
 
 
 class Part(NamedTuple):
-    """From when to when, both included (None: from its begin, to its end), and how fast (None: as the settings say)."""
+    """First and last time (None: those of the recording), inclusive, and playback rate (None: the configured one)."""
 
     begin: Moment | None = None
     end: Moment | None = None
     rate: float | None = None
 
     def select(self, table: MessageTable, latched: Callable[[MessageTable, int], NDArray[np.int64]]) -> Selection:
-        """Return the rows of it, of a table in recorded order. Raises Damaged where there are none.
+        """Return the selected rows of a table in recorded order. Raises Damaged if there are none.
 
-        `latched` returns those before a row that open a part which begins there: they come first, as if recorded then.
+        `latched` returns the latched rows before a row: they are prepended, with the start of the part as their time.
         """
         if (self.begin is None and self.end is None) or not len(table.times):
             return Selection(table, 0)
@@ -69,7 +69,7 @@ WHOLE = Part()
 
 
 def parse_part(query: str) -> Part:
-    """Return the part that a query such as `from=2026-11-24T12:00:00Z&to=-10&rate=2` names. Raises ValueError."""
+    """Return the part in a query such as `from=2026-11-24T12:00:00Z&to=-10&rate=2`. Raises ValueError."""
     pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True)
     said = dict(pairs)
     unknown = said.keys() - _NAMES
@@ -103,7 +103,7 @@ def _moment(said: Mapping[str, str], name: str) -> Moment | None:
     if math.isfinite(seconds) and abs(seconds) < 1e9:
         return Moment(round(seconds * _SECOND), is_absolute=False)
     try:
-        plain = text.replace(" ", "+")  # what a plus comes to in a query
+        plain = text.replace(" ", "+")  # a plus sign is decoded as a space
         found = datetime.fromisoformat(f"{plain[:-1]}+00:00" if plain.endswith(("Z", "z")) else plain)
     except ValueError as error:
         words = f"{name}={text[:60]} is no time such as 2030-01-31T12:00:00Z, nor seconds such as 10 or -60"

@@ -1,9 +1,9 @@
 """Playback of a recording: its clock, a pure function of the elapsed time, and the players of its topics.
 
-The newest message is computed on demand, and no message wakes anything. Only a watch has a timer, set to the time of
-the topic's next message. `latest` reads the disk on the caller's thread if the playback has passed a message of the
-topic since the last call: microseconds for an uncompressed file or a cached chunk, one decompression (some ms for a
-usual chunk of 1 MB, up to 50 ms for bz2) otherwise.
+The newest message is computed on demand, without a task per message. Only a watch has a timer, set to the time of the
+topic's next message. `latest` reads the disk in the caller's thread if the playback has passed a message of the topic
+since the last call: microseconds for an uncompressed file or a cached chunk, otherwise one decompression (a few ms for
+a typical chunk of 1 MB, up to 50 ms for bz2).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rosld.adapters.slots import LoopWatch, Watches
 
 
 class Position(NamedTuple):
-    """A moment of a playback: the loop it is in (from 0) and the recorded time since the first message, in ns."""
+    """A position in a playback: the number of its loop (from 0) and the recorded time since the first message in ns."""
 
     epoch: int
     offset_ns: int
@@ -48,7 +48,7 @@ class Playback:
 
     @property
     def period_ns(self) -> int:
-        """The recorded time that one loop takes, pause included."""
+        """Recorded time of one loop, including the pause."""
         mean = self.duration_ns // (self.count - 1) if self.count > 1 else 10**9
         return self.duration_ns + min(max(mean, 10**6), 10**9)
 
@@ -65,16 +65,16 @@ class Playback:
         return max(0, (now.epoch - position.epoch) * self.period_ns + now.offset_ns - position.offset_ns)
 
     def elapsed_at(self, position: Position) -> int:
-        """Return the time from the start to a position: never too early, at most a few ns late."""
+        """Return the time from the start to a position: never too early, and at most a few ns late."""
         return math.ceil((position.epoch * self.period_ns + position.offset_ns) / self.rate)
 
 
 _CALM = 0.005
-"""Seconds that at least lie between two wakes: faster topics coalesce."""
+"""Minimum seconds between wake-ups: faster topics are coalesced."""
 
 
 class _Due(NamedTuple):
-    """A message to show: its index in the recording, and its stream's count of messages up to it."""
+    """A message to show: its index in the recording, and its number within its stream."""
 
     epoch: int
     at: int
@@ -82,14 +82,14 @@ class _Due(NamedTuple):
 
 
 class _View(NamedTuple):
-    """The messages that are due, and their samples."""
+    """The messages that are due, with their samples."""
 
     due: tuple[_Due, ...]
     samples: tuple[Sample, ...]
 
 
 class TopicPlayer:
-    """A topic of a playing bag; `elapsed` returns the time since the start, in ns."""
+    """Player of a topic; `elapsed` returns the time since the start, in ns."""
 
     def __init__(self, bag: Bag, streams: Sequence[Stream], playback: Playback, elapsed: Callable[[], int]) -> None:
         self.watches = Watches()
@@ -103,7 +103,7 @@ class TopicPlayer:
         self._timer: asyncio.TimerHandle | None = None
 
     def latest(self, depth: int = 1) -> Sequence[Sample]:
-        """Return the newest `depth` messages of each publisher at or before the play position, in order of play."""
+        """Return the newest `depth` messages of each publisher at or before the current position, in order of play."""
         now = self._elapsed()
         if now >= self._until:
             self._until = self._next_change(now)
@@ -113,14 +113,14 @@ class TopicPlayer:
         return self._views[depth].samples
 
     def watch(self, wake: Callable[[], None]) -> LoopWatch:
-        """Wake after the topic's next message is due."""
+        """Wake when the topic's next message is due."""
         watch = self.watches.add(wake)
         if self._timer is None:
             self._set_timer(self._next_change(self._elapsed()))
         return watch
 
     def _renew(self, depth: int, view: _View, now: int) -> _View:
-        """Return the view at `now`: the very same one where nothing has changed."""
+        """Return the view at `now`: the same object if nothing has changed."""
         due = self._due(self._playback.position(now), depth)
         if due == view.due:
             return view
@@ -132,7 +132,7 @@ class TopicPlayer:
     def _sample(self, due: _Due) -> Sample | None:
         try:
             return self._bag.sample(due.at, due.sequence, due.epoch)
-        except Unreachable as error:  # a damaged message is passed over: its neighbours still play
+        except Unreachable as error:  # skip damaged messages: their neighbours still play
             log.warning("%s", error)
             return None
 
@@ -142,12 +142,12 @@ class TopicPlayer:
         return tuple(sorted(due))
 
     def _count_passed(self, position: Position) -> int:
-        """Return the number of messages of the whole bag at or before a position."""
+        """Return the number of messages of the recording at or before a position."""
         now = min(self._bag.start_ns + position.offset_ns, self._bag.end_ns)
         return int(np.searchsorted(self._bag.times, now, "right"))
 
     def _next_change(self, now: int) -> int:
-        """When, in elapsed ns after `now`, the topic's next message is due or the next loop begins."""
+        """Return the elapsed time in ns, after `now`, of the topic's next message or of the next loop."""
         position = self._playback.position(now)
         following = int(np.searchsorted(self._positions, self._count_passed(position)))
         if following < len(self._positions):
@@ -183,9 +183,9 @@ _NEVER = 1 << 63
 
 
 def _of_stream(stream: Stream, epoch: int, passed: int, depth: int) -> list[_Due]:
-    """Return the latest messages of one publisher after `passed` messages of the bag in this loop.
+    """Return the latest messages of a publisher after `passed` messages of the recording in this loop.
 
-    A latched publisher keeps its last messages of the previous loop until it publishes again.
+    The latched messages of the previous loop are shown until the publisher's first message in this loop.
     """
     count = int(np.searchsorted(stream.positions, passed))
     if not count and stream.latched and epoch:
@@ -205,11 +205,11 @@ class PlayerSubscription:
         self._watches: list[Watch] = []
 
     def latest(self) -> Sequence[Sample]:
-        """Return the newest messages of each publisher at or before the play position."""
+        """Return the newest messages of each publisher at or before the current position."""
         return () if self._player is None else self._player.latest(self._depth)
 
     def watch(self, wake: Callable[[], None]) -> Watch:
-        """Wake on the loop after the next message of the topic is due; ends with the subscription."""
+        """Wake on the event loop when the next message of the topic is due. Ends with the subscription."""
         if self._player is None:
             return LoopWatch(wake, {})
         watch = self._player.watch(wake)
@@ -217,7 +217,7 @@ class PlayerSubscription:
         return watch
 
     def close(self) -> None:
-        """Give this interest back. Idempotent."""
+        """End the subscription. Idempotent."""
         self._player = None
         for watch in self._watches:
             watch.close()

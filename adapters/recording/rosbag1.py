@@ -1,7 +1,7 @@
-"""ROS 1 bags (format 2.0), with or without their index, with any of their compressions.
+"""ROS 1 bags (format 2.0), with or without an index, in all compressions.
 
-An indexed bag is opened by its index alone. Where the index is missing or damaged (the recorder was killed, the file
-cut short) the chunks that are whole are walked through instead, and a note says so.
+A bag with an index is opened by the index alone. If the index is missing or damaged (the recorder was killed, the file
+truncated), the complete chunks are scanned instead, and a note says so.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _IS_MESSAGE = _UINT32.pack(4) + b"op=" + bytes([_MESSAGE])
 
 
 class _Record(NamedTuple):
-    """A record: its opcode, its header fields, and where its data begin and how long they are, in bytes."""
+    """A record: its opcode, its header fields, and the start and size of its data in bytes."""
 
     op: int
     header: Mapping[bytes, bytes]
@@ -66,7 +66,7 @@ class _Record(NamedTuple):
 
 
 class _Chunk(NamedTuple):
-    """A compressed chunk: where its bytes lie, how many, how compressed, and how many they become."""
+    """A compressed chunk: start, size and compression of its bytes, and their uncompressed size."""
 
     at: int
     size: int
@@ -75,7 +75,7 @@ class _Chunk(NamedTuple):
 
 
 class _Scan:
-    """What was found so far: connections by their number in the file, chunks, and tables of messages."""
+    """Results of scanning so far: connections by their number in the file, chunks, and tables of messages."""
 
     def __init__(self, budget: OpenBudget) -> None:
         self.budget = budget
@@ -86,7 +86,7 @@ class _Scan:
         self.notes: list[str] = []
 
     def connection(self, number: int) -> int:
-        """Return the index of connection `number`; one that the file does not describe is kept as an odd one."""
+        """Return the index of connection `number`; an undescribed connection is added as an odd one."""
         if number not in self.numbers:
             odd = f"the recording does not describe its connection {number}"
             self.add(number, RecordedConnection(f"/connection_{number}", "", Encoding.ROS1, odd=odd))
@@ -120,11 +120,11 @@ class Rosbag1:
         self.notes = self._contents.notes
 
     def read(self, place: int, offset: int) -> bytes:
-        """Return the bytes of the message at `offset` of the file or of a chunk. Raises Damaged."""
+        """Return the bytes of the message at `offset` in the file or in a chunk. Raises Damaged."""
         source: ByteSource = self._cache.get(place - 1) if place else self._file
         head = source.read_up_to(offset, 256)
         if (size := _header_size(head)) and _IS_MESSAGE in head[4 : size + 4] and len(head) >= size + 8:
-            # what nearly every message is, without taking its header apart
+            # fast path for nearly every message, without parsing the header
             return read_exactly(source, offset + size + 8, _UINT32.unpack_from(head, size + 4)[0])
         record = _record_at(source, offset)
         while record.op == _CONNECTION:
@@ -134,7 +134,6 @@ class Rosbag1:
         return read_exactly(source, record.data_at, record.size)
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def _load(self, chunk: int) -> bytes:
@@ -229,7 +228,7 @@ def _by_walking(file: RandomFile, at: int, budget: OpenBudget) -> _Scan:
 
 
 def _place(file: RandomFile, record: _Record, scan: _Scan) -> tuple[int, int]:
-    """The place of a chunk, and what to add to its offsets: messages that lie there as they are count from place 0."""
+    """Return the place of a chunk, and the base of its offsets: of uncompressed messages, offsets are in place 0."""
     if record.op != _CHUNK:
         raise Damaged(f"there is no chunk where the index says, at {record.data_at}")
     scan.budget.spend(parts=1)
@@ -241,7 +240,7 @@ def _place(file: RandomFile, record: _Record, scan: _Scan) -> tuple[int, int]:
 
 
 def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: _Scan) -> None:
-    """Find the messages and connections of one chunk by walking through it; a damaged one is left, with a note."""
+    """Find the messages and connections of a chunk by scanning; a damaged chunk is skipped, with a note."""
     rows = TableBuilder()
     try:
         if place:
@@ -295,12 +294,12 @@ def _record_at(source: ByteSource, at: int) -> _Record:
 
 
 def _header_size(head: bytes) -> int:
-    """How long the header is that begins so; 0 where nothing begins."""
+    """Return the size of the header at the start of these bytes, or 0."""
     return int(_UINT32.unpack_from(head)[0]) if len(head) >= 4 else 0
 
 
 def _fields(data: bytes) -> dict[bytes, bytes]:
-    """Return the fields of a header, `NAME=VALUE` each behind its length."""
+    """Return the fields of a header: `NAME=VALUE`, each after its length."""
     fields: dict[bytes, bytes] = {}
     at = 0
     while at + 4 <= len(data):
@@ -314,7 +313,7 @@ def _fields(data: bytes) -> dict[bytes, bytes]:
 
 
 def _connection(source: ByteSource, record: _Record) -> tuple[int, RecordedConnection]:
-    """Return a connection's number and description. What its header lacks makes it odd, never the file unreadable."""
+    """Return the number and description of a connection. An incomplete header makes it odd, not the file unreadable."""
     number = record.uint32(b"conn")
     try:
         said = _fields(read_exactly(source, record.data_at, record.size))

@@ -33,9 +33,9 @@ from rosld.adapters.recording.storage import (
 
 METADATA = "metadata.yaml"
 _RESERVE = 256 << 20
-"""Bytes of the disk of the temporary files that are left to others."""
+"""Free bytes reserved on the disk with temporary files."""
 _MAX_BYTES = 2 * 1024 * 1024
-"""Bytes of metadata: some 4,000 topics."""
+"""Maximum bytes of metadata, enough for some 4,000 topics."""
 _MAX_LEVELS = 20
 _LONGEST_REASON = 200
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
@@ -50,7 +50,7 @@ class Metadata(NamedTuple):
 
 
 class Rosbag2:
-    """An open folder of ROS 2 files: a `Storage` whose places are those of its files, one after the other."""
+    """An open folder of ROS 2 files: a `Storage` with the places of all its files."""
 
     silent: tuple[str, ...] = ()
 
@@ -83,13 +83,13 @@ class Rosbag2:
         self.messages = self._join()
 
     def read(self, place: int, offset: int) -> bytes:
-        """Return the bytes of the message there, decompressed where each message was compressed. Raises Damaged."""
+        """Return the bytes of the message, decompressed if messages are compressed individually. Raises Damaged."""
         number = bisect_right(self._starts, place) - 1
         data = self._files[number].read(place - self._starts[number], offset)
         return decompress_zstd(data) if self._per_message else data
 
     def close(self) -> None:
-        """Close all files, and remove what was decompressed."""
+        """Close all files, and delete decompressed copies."""
         for file in self._files:
             file.close()
         if self._inflated is not None:
@@ -107,7 +107,7 @@ class Rosbag2:
         return concatenate(tables)
 
     def _plain(self, path: Path, budget: OpenBudget) -> Path:
-        """Return the file itself, or where it was compressed as a whole, a decompressed copy of it."""
+        """Return the path of the file, or of a decompressed copy if the whole file is compressed."""
         if path.suffix != ".zstd":
             return path
         if self._inflated is None:
@@ -123,7 +123,7 @@ class Rosbag2:
 
 
 def _require_room(folder: Path, budget: OpenBudget) -> None:
-    """Raise Damaged before what a file inflates to fills the disk of the temporary files."""
+    """Raise Damaged if decompression would fill the disk with the temporary files."""
     budget.work(STEP)
     if shutil.disk_usage(folder).free < _RESERVE:
         raise Damaged(
@@ -133,7 +133,7 @@ def _require_room(folder: Path, budget: OpenBudget) -> None:
 
 
 def _metadata(folder: Path, budget: OpenBudget) -> tuple[Metadata, list[str]]:
-    """Return the metadata, and a note if `metadata.yaml` is missing or unusable."""
+    """Return the metadata, and a note if `metadata.yaml` is missing or invalid."""
     path = folder / METADATA
     if not path.exists():
         return Metadata(), [f"it has no {METADATA}, so all its files were read"]
@@ -153,9 +153,9 @@ _Yaml: TypeAlias = "str | list[_Yaml] | dict[str, _Yaml]"
 
 
 def _yaml(path: Path, budget: OpenBudget) -> _Yaml:
-    """Return the value of a YAML file, all scalars as text. Raises YAMLError, and ValueError for unexpected content.
+    """Return the value of a YAML file, all scalars as text. Raises YAMLError, and ValueError for disallowed content.
 
-    That is more than `_MAX_BYTES`, deep nesting, and aliases, by which a short text says any amount.
+    Disallowed are more than `_MAX_BYTES`, deep nesting, and aliases, which can make a short text expand without limit.
     """
     if path.stat().st_size > _MAX_BYTES:
         raise ValueError(f"it has more than {_MAX_BYTES} bytes")
@@ -194,7 +194,7 @@ def _yaml(path: Path, budget: OpenBudget) -> _Yaml:
 
 
 def _member(value: _Yaml, name: str) -> _Yaml:
-    """Return a member of a mapping, empty where it is missing. Raises ValueError for what is no mapping."""
+    """Return a member of a mapping, or an empty string. Raises ValueError if the value is not a mapping."""
     if not isinstance(value, dict):
         raise ValueError(f"{name} is looked for in what is no mapping")
     return value.get(name, "")
@@ -220,14 +220,14 @@ def _hash(connection: RecordedConnection, metadata: Metadata) -> RecordedConnect
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 _STEPS = 100_000
-"""Instructions of the database's machine between two looks at what it may do."""
+"""SQLite virtual machine instructions between checks of the budget."""
 _STEP_WORK = 50
-"""Units of work of an instruction."""
+"""Work units of an instruction."""
 _SYNTAXES = {"ros2msg": "msg", "ros2idl": "idl"}
 
 
 class Sqlite:
-    """An open `.db3` file: a `Storage`, whose offsets are row numbers."""
+    """An open `.db3` file: a `Storage` whose offsets are row numbers."""
 
     format = "ROS 2 bag (sqlite3)"
     ros_version: RosVersion = 2
@@ -236,7 +236,7 @@ class Sqlite:
     silent: tuple[str, ...] = ()
 
     def __init__(self, path: Path, budget: OpenBudget) -> None:
-        # immutable: no lock and no journal is made beside a file that may lie on a read-only disk
+        # immutable: neither lock nor journal is created, because the disk may be read-only
         address = f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1"
         try:
             self._database = sqlite3.connect(address, uri=True, check_same_thread=False)
@@ -268,7 +268,6 @@ class Sqlite:
         return row[0]
 
     def close(self) -> None:
-        """Close the database."""
         with self._lock:
             self._database.close()
 
@@ -276,7 +275,7 @@ class Sqlite:
 def _distrust(database: sqlite3.Connection, budget: OpenBudget) -> None:
     """Restrict a database to rows of its tables. Raises Damaged for views and generated columns.
 
-    These are programs: they may produce rows, or bytes of a row, without end.
+    These are programs: they can produce rows, or bytes of a row, without limit.
     """
     if sys.version_info >= (3, 11):
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_PIECE)
@@ -295,7 +294,7 @@ def _distrust(database: sqlite3.Connection, budget: OpenBudget) -> None:
 
 
 def _is_refused(budget: OpenBudget) -> bool:
-    """Whether the database is to stop: some pages of a tree that refer to each other give rows without end."""
+    """Whether to interrupt the query: pages of a tree that refer to each other give rows without end."""
     try:
         budget.work(_STEPS * _STEP_WORK)
     except OpeningRefused:
@@ -319,7 +318,7 @@ def _topics(database: sqlite3.Connection, budget: OpenBudget) -> tuple[list[Reco
 
 
 def _definitions(database: sqlite3.Connection, budget: OpenBudget) -> dict[str, tuple[str, str]]:
-    """Type to syntax and text; empty for the older schemas, which hold none."""
+    """Return syntax and text of each type; empty for older schemas, which store none."""
     try:
         rows = database.execute("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
         found: dict[str, tuple[str, str]] = {}

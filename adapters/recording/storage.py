@@ -1,4 +1,4 @@
-"""The contract of recording formats: connections, a table of the places of messages, and limits on opening a file."""
+"""Interface of recording formats: connections, a table of the places of messages, and limits on opening a file."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _PACKED = 1 << 16
 
 
 class Damaged(Exception):
-    """Bytes of a recording are not what its format says; the text says which."""
+    """Invalid bytes in a recording; the message describes them."""
 
 
 class RecordedConnection(NamedTuple):
-    """One publisher's (ROS 1) or all publishers' (ROS 2) connection to a topic, as it was recorded.
+    """Recorded connection of one publisher (ROS 1) or all publishers (ROS 2) to a topic.
 
-    `publisher` is the node, or empty if unknown; `definition` is empty if the file has none, `syntax` is its syntax:
+    `publisher` is the node, or empty if unknown; `definition` is empty if the file has none; `syntax` is its syntax:
     "msg", "idl", or another name in the file. `odd` is the reason why its messages cannot be read regardless of the
-    definition. `is_opening`: its messages precede the file, and open it as latched.
+    definition. `is_opening`: its messages precede the file, and open it as latched ones.
     """
 
     topic: str
@@ -52,11 +52,11 @@ class MessageTable(NamedTuple):
     offsets: NDArray[np.int64]
 
     def in_recorded_order(self) -> MessageTable:
-        """Return the rows by time; those of one time as they lie in the file."""
+        """Return the rows by time, with the order in the file for equal times."""
         return self.rows(np.argsort(self.times, kind="stable"))
 
     def rows(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> MessageTable:
-        """Return the rows with these numbers in order, or those for which the condition holds."""
+        """Return the rows with these numbers, or those selected by a mask."""
         return MessageTable(self.times[rows], self.connections[rows], self.places[rows], self.offsets[rows])
 
 
@@ -73,14 +73,14 @@ def message_table(
 
 
 class TableBuilder:
-    """Rows that are found one by one, as tables: they are packed now and then, for a row as a tuple is larger."""
+    """Builder of tables from rows. Rows are packed regularly, because tuples need more memory."""
 
     def __init__(self) -> None:
         self._rows: list[tuple[int, int, int, int]] = []
         self._tables: list[MessageTable] = []
 
     def add(self, time: int, connection: int, place: int, offset: int) -> None:
-        """Take a row. Raises Damaged for a time that is none."""
+        """Add a row. Raises Damaged for an invalid time."""
         if time > _LAST_TIME:
             raise Damaged(f"the time {time} ns is later than can be")
         self._rows.append((time, connection, place, offset))
@@ -99,7 +99,7 @@ class TableBuilder:
 
 
 def concatenate(tables: Iterable[MessageTable]) -> MessageTable:
-    """Return these tables one below the other."""
+    """Return the concatenation of these tables."""
     parts = [message_table([], [], [], []), *tables]
     return MessageTable(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
@@ -107,22 +107,22 @@ def concatenate(tables: Iterable[MessageTable]) -> MessageTable:
 class Storage(Protocol):
     """An open recording of one format. `read` may be called from any thread.
 
-    `notes` are sentences about what was wrong with the file and what was done about it.
+    `notes` are sentences about defects of the file and how they were handled.
     """
 
     @property
     def format(self) -> str:
-        """The format in words, for people."""
+        """Name of the format, for people."""
         ...
 
     @property
     def ros_version(self) -> RosVersion:
-        """Which ROS wrote it, and so what a hash of a type is."""
+        """Version of ROS that wrote the file, which determines the kind of type hashes."""
         ...
 
     @property
     def connections(self) -> Sequence[RecordedConnection]:
-        """The connections; the table refers to them by their index here."""
+        """Connections; the table refers to them by index."""
         ...
 
     @property
@@ -137,20 +137,20 @@ class Storage(Protocol):
 
     @property
     def silent(self) -> Sequence[str]:
-        """Chosen topics without a message."""
+        """Selected topics without a message."""
         ...
 
     @property
     def notes(self) -> Sequence[str]:
-        """The defects of the file."""
+        """Defects of the file."""
         ...
 
     def read(self, place: int, offset: int) -> bytes:
-        """Return the bytes of the message there. Raises Damaged."""
+        """Return the bytes of a message. Raises Damaged."""
         ...
 
     def close(self) -> None:
-        """Let go of the file. Idempotent."""
+        """Close the file. Idempotent."""
         ...
 
 
@@ -168,68 +168,74 @@ class Contents:
 
 
 MESSAGE_BYTES = 40
-"""What one message takes in the index."""
+"""Bytes of a message in the index."""
 PART_BYTES = 1024
-"""About what a chunk, an index, a connection or a note takes beside its own bytes."""
+"""Approximate bytes of a chunk, an index, a connection or a note, in addition to its own data."""
 _BASE_WORK = 1 << 30
-"""Units of work that any file may take, of about a nanosecond: a byte that is decompressed is one."""
+"""Work units allowed for any file. A unit is about a nanosecond, or one decompressed byte."""
 _WORK_PER_BYTE = 1024
-"""Units that each byte of a file may take beyond: short messages without an index come to 30, compressed to 300."""
+"""Additional work units per byte of a file. Short messages without an index need 30, or 300 if compressed."""
 _RECORD_WORK = 1024
-"""Units of looking at one record."""
+"""Work units of reading a record."""
 _TYPE_WORK = 1_000_000
-"""Units of compiling a type, which takes half a millisecond and 10 kB."""
+"""Work units of compiling a type, which takes half a millisecond and 10 kB."""
 _TEXT_WORK = 200
 """Work units per character of a definition; most characters are comments."""
 
 
 class OpeningRefused(Exception):
-    """A recording is not opened: its index is too large, or opening was cancelled."""
+    """A recording that is not opened: its index is too large, or opening was cancelled."""
 
 
 class OpenBudget:
-    """The memory that the index of a recording may still take, and the work: reading the index takes from both.
+    """Limits of memory and work for reading the index of a recording. Any thread may cancel it.
 
-    A file of a few kilobytes can index any number of messages, and name what inflates to much again and again. How
-    much work there may be depends on how long the file is, not on how fast the machine is. Any thread may cancel it.
+    A file of a few kilobytes can index any number of messages, and refer to a large compressed chunk repeatedly. The
+    allowed work depends on the size of the file, not on the speed of the machine.
     """
 
     def __init__(self, limit: int | None = None) -> None:
-        """Without a limit any file may have as large an index as its work allows."""
+        """Create a budget. `limit` is the maximum of memory in bytes, None for no limit."""
         self._limit = limit
         self._spent = 0
         self._allowed = _BASE_WORK
         self.worked = 0
-        """Units of work that were done so far."""
+        """Work units done so far."""
         self._is_cancelled = False
 
     @property
     def is_cancelled(self) -> bool:
-        """Whether the reading is to end."""
+        """Whether reading must end."""
         return self._is_cancelled
 
     def cancel(self) -> None:
-        """Request the end of reading."""
+        """End reading soon."""
         self._is_cancelled = True
 
     def check(self) -> None:
-        """Raise OpeningRefused once it is cancelled."""
+        """Raise OpeningRefused if reading was cancelled."""
         if self._is_cancelled:
             raise OpeningRefused("reading it was called off")
 
     def allow(self, size: int) -> None:
-        """Allow the work that a file of this size justifies."""
+        """Allow the work for a file of this size."""
         self._allowed += size * _WORK_PER_BYTE
 
     def work(self, units: int = _RECORD_WORK) -> None:
-        """Account for work, by default that of a record. Raises OpeningRefused where that is too much, or cancelled."""
+        """Account for work, by default that of a record.
+
+        Raises OpeningRefused if it exceeds the limit or was cancelled.
+        """
         self.check()
         self.worked += units
         if self.worked > self._allowed:
             raise OpeningRefused("reading it takes more work than a file of its size justifies")
 
     def learn(self, types: int, characters: int) -> None:
-        """Account for the definitions of types. Raises OpeningRefused where there are too many, or cancelled."""
+        """Account for the definitions of types.
+
+        Raises OpeningRefused if there are too many or reading was cancelled.
+        """
         try:
             self.work(types * _TYPE_WORK + characters * _TEXT_WORK)
         except OpeningRefused as error:

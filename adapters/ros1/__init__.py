@@ -1,4 +1,4 @@
-"""ROS 1, spoken natively: the Master API and TCPROS in asyncio, with no ROS on this side."""
+"""ROS 1 without ROS on this side: a client of the Master API and TCPROS in asyncio."""
 
 from rosld.adapters.ros1.adapter import Ros1Adapter, adapter
 

@@ -1,7 +1,7 @@
-"""actionlib: what makes an action of five topics, and its messages as they are on the wire. Pure.
+"""actionlib: the five topics of an action, and its messages on the wire. No I/O.
 
-Of its messages all but goal, result and feedback themselves are the same for every type, so that these are cut out
-and put in without being decoded: they are the last field of the messages that carry them.
+Except for goal, result and feedback, the messages are the same for every type. These three are the last fields of their
+messages, and are extracted and inserted without being decoded.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ STATUSES: Mapping[int, GoalStatus] = {
     8: GoalStatus.CANCELED,  # RECALLED
     9: GoalStatus.LOST,
 }
-"""actionlib_msgs/GoalStatus in the words of action_msgs/GoalStatus."""
+"""Status of action_msgs/GoalStatus for each number of actionlib_msgs/GoalStatus."""
 
 
 def actions_of(
     publishers: Mapping[str, Sequence[str]], subscribers: Mapping[str, Sequence[str]], types: Mapping[str, str]
 ) -> Mapping[str, Action]:
-    """Return the actions among topics, by name: each is five topics of the types that go together.
+    """Return the actions among topics by name. An action is five topics of matching types.
 
-    Given are the nodes by topic and ROS 1's names of types. Who publishes the status serves the action, who publishes
-    goals is a client.
+    `publishers` and `subscribers` are the nodes by topic, `types` are ROS 1's names of types. Publishers of the status
+    serve the action; publishers of goals are clients.
     """
     found: dict[str, Action] = {}
     for topic, stated in types.items():
@@ -63,7 +63,7 @@ def actions_of(
 
 
 class Status(NamedTuple):
-    """State of a goal as actionlib's number, and the server's words."""
+    """Status of a goal: actionlib's number, and the server's text."""
 
     id: str
     number: int
@@ -71,12 +71,12 @@ class Status(NamedTuple):
 
     @property
     def status(self) -> GoalStatus | None:
-        """The same in the model's words; None for a number that means nothing."""
+        """The status as the model's value, or None for an unknown number."""
         return STATUSES.get(self.number)
 
 
 class _Reader(WireReader):
-    """Reads the parts that actionlib's messages have in common."""
+    """Reader of the common parts of actionlib's messages."""
 
     def header(self) -> None:
         """Skip a std_msgs/Header."""
@@ -108,7 +108,7 @@ def read_feedback_or_result(data: bytes) -> tuple[Status, bytes]:
 
 
 def read_goal(data: bytes) -> tuple[str, bytes]:
-    """Return the id of the goal in an XActionGoal, and the goal. Raises ValueError."""
+    """Return the id and the goal in an XActionGoal. Raises ValueError."""
     reader = _Reader(data)
     reader.header()
     return reader.goal_id(), reader.rest()
@@ -121,7 +121,7 @@ def goal_message(id: str, stamp_ns: int, goal: bytes) -> bytes:
 
 
 def cancel_message(id: str) -> bytes:
-    """A GoalID that asks for just this goal to be canceled, or with an empty id for all."""
+    """Return a GoalID that cancels this goal, or all goals if the id is empty."""
     return _TIME.pack(0, 0) + _text(id)
 
 

@@ -1,7 +1,7 @@
-"""Actions of ROS 1: goals sent and followed by the five topics of actionlib, without its client.
+"""ROS 1 actions: goals are sent and followed with the five topics of actionlib, without its client.
 
-A goal of ours is followed until it has ended and its result has come; those of others while somebody looks. Following
-registers nothing: only who sends or cancels goals publishes, and so is seen by the master.
+Our own goals are followed until they have ended and their result was received, those of others while there are
+followers. Following registers nothing: only senders and cancelers publish, and are therefore visible to the master.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ from rosld.adapters.ros1.types import Types
 _DEPTH = 256
 _TICK = 0.25
 _GONE = 2.0
-"""Seconds after which a server that is not connected, or no longer lists a goal, has lost it."""
+"""Seconds after which a goal is lost if its server is disconnected or no longer lists it."""
 _RESULT = 5.0
-"""Seconds that the result of a goal may come after its status."""
+"""Maximum seconds between the status and the result of a goal."""
 _RESULT_SOON = 0.5
-"""Seconds that the end of a goal waits for its result: who is told that it ended looks for that at once."""
+"""Seconds that the end of a goal is delayed for its result, which is read as soon as the end is reported."""
 _DECISION = 0.3
-"""Seconds that a server which has just taken note of a goal is given to reject it."""
+"""Seconds for a server that has just accepted a goal to reject it."""
 _ASKED, _ASKED_AGAIN = 4, 0.5
-"""How often a server is told to cancel a goal that goes on as if nothing had been said, and the seconds between."""
+"""Number of times that an ignored cancellation is sent, and the seconds between."""
 _UNHEEDED = (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
 _MAX_KNOWN = 1000
 _CANCEL = TypeRef("actionlib_msgs/msg/GoalID")
@@ -65,7 +65,7 @@ _PARTS = ("status", "result", "feedback", "goal")
 
 @dataclass(frozen=True, slots=True)
 class _Sending:
-    """A goal's message, where it is published, and the connections to its servers that it went by."""
+    """A goal's message, its publication, and the connections to servers that it was sent on."""
 
     message: bytes
     publication: Publication
@@ -74,7 +74,7 @@ class _Sending:
 
 @dataclass(slots=True)
 class _Known:
-    """A known goal with its latest event. `listed_at` is when its server last listed it."""
+    """A known goal with its latest status. `listed_at` is when its server last listed it."""
 
     listed_at: float
     told: Status | None = None
@@ -87,22 +87,22 @@ class _Known:
     sending: _Sending | None = None
     held: list[GoalEvent] = field(default_factory=list)
     ending: GoalEvent | None = None
-    """That it ended, while its result is waited for: they come by two connections, in either order."""
+    """The pending event of its end, while the result is awaited: they use two connections and arrive in any order."""
 
     @property
     def is_undecided(self) -> bool:
-        """Whether who sent it still waits for whether it is taken."""
+        """Whether its sender still waits for its acceptance."""
         return self.decided is not None and not self.decided.done()
 
     @property
     def is_final(self) -> bool:
-        """Whether no status comes after the last one."""
+        """Whether the last status is final."""
         return self.ended_at is not None
 
 
 @dataclass(slots=True)
 class _Followed:
-    """An action that is followed, with its readers and number of followers."""
+    """A followed action, with its readers and number of followers."""
 
     readers: dict[str, TopicReader] = field(default_factory=dict)
     looks: int = 0
@@ -112,12 +112,12 @@ class _Followed:
 
     @property
     def is_ready(self) -> bool:
-        """Whether events of the server arrive here now."""
+        """Whether events of the server can be received now."""
         return all(self.readers[part].is_connected for part in ("status", "result", "feedback"))
 
 
 class Actions:
-    """The actions of a ROS system, and the goals that are followed. All methods run on the reading thread."""
+    """Actions of a ROS system, and the followed goals. All methods run on the reading thread."""
 
     def __init__(
         self,
@@ -140,18 +140,18 @@ class Actions:
         self._ticking: asyncio.TimerHandle | None = None
 
     def follow(self, system: SystemState) -> None:
-        """Heed who publishes what now."""
+        """Update the publishers of the followed actions."""
         for action, followed in self._followed.items():
             for part, reader in followed.readers.items():
                 reader.follow(system.publishers.get(f"{action}/{part}", ()))
 
     def close(self) -> None:
-        """Follow nothing more."""
+        """Stop following all actions."""
         for action in list(self._followed):
             self._stop(action)
 
     async def start_following(self, action: str, until: float) -> None:
-        """Announce all goals of an action until `stop_following`; waits for its server. Raises NotFound."""
+        """Report all goals of an action until `stop_following`; waits for its server. Raises NotFound."""
         self._require(action)
         followed = self._begin(action)
         followed.looks += 1
@@ -162,20 +162,20 @@ class Actions:
             pass
 
     def stop_following(self, action: str) -> None:
-        """One who looked does so no longer."""
+        """Remove a follower of an action."""
         followed = self._followed.get(action)
         if followed is not None:
             followed.looks -= 1
             self._stop_if_idle(action)
 
     async def send(self, action: str, type: TypeRef, goal: bytes, until: float) -> GoalId:
-        """Send a goal; returns once its server has taken it. Raises what `Adapter.send_goal` raises."""
+        """Send a goal and wait until its server has accepted it. Raises what `Adapter.send_goal` raises."""
         schema = await self._schema(action, type)
         now = asyncio.get_running_loop().time
         stamp = time.time_ns()
         id = f"{self._caller}-{next(self._numbers)}-{stamp // 1_000_000_000}.{stamp % 1_000_000_000:09d}"
         known = _Known(now(), goal=goal, decided=asyncio.get_running_loop().create_future(), is_own=True)
-        # Before anything is sent: what the server says of the goal finds it, and is held until the goal is decided.
+        # Before sending, so that early events of the goal are held until it is accepted or rejected.
         self._goals(action)[id] = known
         followed = self._begin(action)
         try:
@@ -202,31 +202,28 @@ class Actions:
         return GoalId(action, id)
 
     async def cancel(self, goal: GoalId, until: float) -> None:
-        """Ask for a goal to be canceled, again while it is not heeded. Raises NotFound, Unreachable."""
+        """Cancel a goal, repeatedly if it is ignored. Raises NotFound, Unreachable."""
         self._require(goal.action)
-        if not goal.id:  # actionlib reads it as: all goals
+        if not goal.id:  # actionlib cancels all goals for an empty id
             raise NotFound(f"{goal.action} has no goal without an id")
         self._ask_to_cancel(goal, await self._cancellation(goal.action, until), _ASKED)
 
     async def cancel_all(self, action: str, until: float) -> None:
-        """Ask for all goals of an action to be canceled: actionlib reads an empty id so.
-
-        Raises NotFound, Unreachable.
-        """
+        """Cancel all goals of an action, with an empty id. Raises NotFound, Unreachable."""
         self._require(action)
         publication = await self._cancellation(action, until)
-        for seconds in (0.0, _ASKED_AGAIN):  # once more, as with one goal; longer would meet goals that come later
+        for seconds in (0.0, _ASKED_AGAIN):  # repeated once, as for one goal; more would cancel later goals
             asyncio.get_running_loop().call_later(seconds, publication.send, cancel_message(""), False)
 
     async def _cancellation(self, action: str, until: float) -> Publication:
-        """The topic on which goals of an action are canceled, its server connected. Raises Unreachable."""
+        """Return the publication that cancels goals of an action, with its server connected. Raises Unreachable."""
         publication = await self._publications.advertise(f"{action}/cancel", _CANCEL, until)
         if not await publication.connected_to(self._servers(action), until):
             raise Unreachable(f"no goal was canceled: no server of {action} listens")
         return publication
 
     def _ask_to_cancel(self, goal: GoalId, publication: Publication, times: int) -> None:
-        """Request cancellation repeatedly: a server that reconnects to its publishers loses messages."""
+        """Send a cancellation repeatedly: a server that reconnects to its publishers loses messages."""
         if times and publication.matched:
             publication.send(cancel_message(goal.id), False)
             asyncio.get_running_loop().call_later(_ASKED_AGAIN, self._ask_again, goal, publication, times - 1)
@@ -248,7 +245,7 @@ class Actions:
         return found.type
 
     def _servers(self, action: str) -> Collection[str]:
-        """The nodes that take an action's goals: its servers, or whoever reads its goals where these are relayed."""
+        """Return the nodes that receive an action's goals: its servers, or the nodes that relay the goals."""
         system = self._system()
         takers = system.subscribers.get(f"{action}/goal", ())
         return set(takers).intersection(system.publishers.get(f"{action}/status", ())) or takers
@@ -263,7 +260,7 @@ class Actions:
         return schema
 
     async def _publication(self, action: str, schema: ActionSchema, followed: _Followed, until: float) -> Publication:
-        """Return the topic of goals, with the server connected both ways, so that nothing it says is missed."""
+        """Return the publication of goals, with its server connected both ways, so that no message is missed."""
         learn = self._types.library.learn_message
         name, definition = goal_definition(schema)
         learnt = await asyncio.get_running_loop().run_in_executor(None, learn, name, definition)
@@ -345,7 +342,7 @@ class Actions:
                 self._tell(action, id, known, GoalEvent(time.time_ns(), goal=goal))
 
     def _note(self, action: str, status: Status, now: float, *, waits_for_result: bool = False) -> _Known | None:
-        """Record the state of a goal, and announce changes; None for unknown states."""
+        """Record and report the status of a goal; return None for an unknown status."""
         if not status.id or status.status is None:
             return None
         known = self._goals(action).get(status.id)
@@ -369,13 +366,13 @@ class Actions:
         return known
 
     def _end(self, action: str, id: str, known: _Known) -> None:
-        """Announce the end of a goal, unless its result did."""
+        """Report the end of a goal, unless it was reported with its result."""
         if known.ending is not None:
             event, known.ending = known.ending, None
             self._tell(action, id, known, event)
 
     def _decide(self, known: _Known, status: Status) -> None:
-        """Answer who has sent the goal: at once, or after a moment where it may still be rejected."""
+        """Resolve the sender's wait: at once, or after `_DECISION` if the goal may still be rejected."""
         if known.decided is None or known.decided.done():
             return
         if status.status is GoalStatus.ACCEPTED:
@@ -385,7 +382,7 @@ class Actions:
             known.decided.set_result(status)
 
     def _tell(self, action: str, id: str, known: _Known, event: GoalEvent) -> None:
-        """Announce a goal event, but only after acceptance: the sender receives a rejection as the response."""
+        """Report an event of an accepted goal. A rejection is returned to the sender instead."""
         if known.is_refused:
             return
         if known.is_undecided:
@@ -395,7 +392,7 @@ class Actions:
         self._sink.goal_changed(GoalId(action, id), replace(event, own=known.is_own))
 
     def _flush(self, action: str, id: str, known: _Known) -> None:
-        """Announce pending events."""
+        """Report pending events."""
         held, known.held = known.held, []
         for event in held:
             self._tell(action, id, known, event)
@@ -416,10 +413,10 @@ class Actions:
             self._ticking = asyncio.get_running_loop().call_later(_TICK, self._tick)
 
     def _send_again(self, action: str, known: _Known) -> None:
-        """Send a goal again that its server does not list, once all connections it went by have ended.
+        """Send a goal again that its server does not list, once all connections that it was sent on are closed.
 
-        rospy may connect twice and drop the connection that was first, with what it had not read. A server that did
-        read the goal takes no second one with its id.
+        rospy may connect twice and drop the first connection with its unread messages. A server that did read the goal
+        ignores a second one with the same id.
         """
         sending = known.sending
         if sending is None or known.told is not None or not known.is_undecided:
@@ -430,7 +427,7 @@ class Actions:
             sending.publication.send(sending.message, False)
 
     def _judge(self, action: str, id: str, known: _Known, now: float, *, is_gone: bool) -> None:
-        """Whether a goal is lost, or can be forgotten."""
+        """Report a goal that is lost, and forget one that is over."""
         if known.is_final:
             if _is_over(known) and now - known.listed_at > _RESULT:
                 del self._goals(action)[id]
@@ -449,7 +446,7 @@ class Actions:
         self._tell(action, id, known, GoalEvent(time.time_ns(), GoalStatus.LOST, words))
 
     def _bound(self, action: str) -> None:
-        """Forget goals of others above the limit."""
+        """Forget the oldest goals of others above the limit."""
         goals = self._goals(action)
         while len(goals) > _MAX_KNOWN:
             oldest = next((id for id, known in goals.items() if not known.is_own or _is_over(known)), None)
@@ -459,7 +456,7 @@ class Actions:
 
 
 def goal_definition(schema: ActionSchema) -> tuple[str, str]:
-    """Return the message that carries goals of a type: its name, and its definition as actionlib makes it."""
+    """Return the name and definition of the message with a goal of this type, as generated by actionlib."""
     package, _, short = schema.ref.name.partition("/action/")
     own, *nested = schema.goal.definition.split(SEPARATOR)
     parts = [
@@ -476,7 +473,7 @@ def _settle(decided: asyncio.Future[Status], status: Status) -> None:
 
 
 def _is_over(known: _Known) -> bool:
-    """Whether nothing more is to come: it has ended, and its result came or was waited for."""
+    """Whether a goal has ended, and its result was received or did not arrive in time."""
     if known.ended_at is None:
         return False
     return known.has_result or asyncio.get_running_loop().time() - known.ended_at > _RESULT

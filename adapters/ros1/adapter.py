@@ -1,4 +1,4 @@
-"""The adapter: the contract's methods, on the server's loop, over a client that lives on a thread of its own."""
+"""The `Adapter` of ROS 1: its methods run on the server's event loop and use a client in a separate thread."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _instances = itertools.count()
 
 
 def master_address(source: str, environment: Mapping[str, str] = os.environ) -> tuple[str, int]:
-    """Host and port of the master that a source names: `ros1://host:port`, or ROS_MASTER_URI for `ros1` or `ros1:`.
+    """Return host and port of the master in a source: `ros1://host:port`, or ROS_MASTER_URI for `ros1` or `ros1:`.
 
     Raises ValueError with a sentence for the user.
     """
@@ -54,17 +54,17 @@ def master_address(source: str, environment: Mapping[str, str] = os.environ) -> 
 
 
 def node_name() -> str:
-    """Our name in ROS: `/rosld_HOST_PID`, with a number for further adapters in one process."""
+    """Return our name in ROS: `/rosld_HOST_PID`, with a number for further adapters in one process."""
     return own_name(next(_instances))
 
 
 def adapter(source: str, options: AdapterOptions) -> Ros1Adapter:
-    """Return the adapter for a source `ros1://host:port` or `ros1:`. Raises ValueError for what is neither."""
+    """Return the adapter for a source `ros1://host:port` or `ros1:`. Raises ValueError for other sources."""
     return Ros1Adapter(master_address(source), options)
 
 
 class Ros1Adapter(ThreadAdapter[Client]):
-    """A ROS 1 system, reached through its master. Implements the contract's `Adapter`."""
+    """A ROS 1 system, reached through its master. Implements `Adapter`."""
 
     def __init__(self, master: tuple[str, int], options: AdapterOptions) -> None:
         super().__init__(TypeLibrary(ros_version=1, folders=definition_folders(options.types)), node_name())
@@ -76,11 +76,11 @@ class Ros1Adapter(ThreadAdapter[Client]):
 
     @property
     def capabilities(self) -> Capabilities:
-        """Everything ROS 1 has can be read and written."""
+        """Capabilities for reading and writing everything in ROS 1."""
         return _CAPABILITIES
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Look for the master. One that does not answer is waited for, with a graph that is Stale until it does."""
+        """Connect to the master. If it does not respond, the graph is Stale until it does."""
         thread = IoThread("rosld-ros1")
         thread.start()
         self._thread = thread
@@ -126,7 +126,7 @@ class Ros1Adapter(ThreadAdapter[Client]):
         return await self._schema_in_time(ref.name, client.types.schema(ref), deadline)
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> TopicSubscription:
-        """Begin to read a topic, without a trace at the master."""
+        """Subscribe to a topic, without registering at the master."""
         thread, client = self._running()
         feed = self._feeds.get(topic)
         if feed is None:
@@ -141,10 +141,10 @@ class Ros1Adapter(ThreadAdapter[Client]):
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
-        """Publish, advertising first if need be. Raises Refused, Unreachable, UnknownType.
+        """Publish a message, advertising the topic first if necessary. Raises Refused, Unreachable, UnknownType.
 
-        With a subscriber connected it neither waits nor changes thread: the message is put where the thread
-        takes it, one wake-up for many.
+        With a connected subscriber, this neither waits nor changes threads: messages are queued for the thread, with
+        one wake-up for many.
         """
         thread, client = self._running()
         publication = client.publications.by_topic.get(topic)
@@ -164,7 +164,7 @@ class Ros1Adapter(ThreadAdapter[Client]):
             await self._advertise(topic, type, deadline)
 
     async def unadvertise(self, topic: str) -> None:
-        """Stop advertising. Raises NotFound where rosld advertises nothing."""
+        """Stop advertising. Raises NotFound if rosld does not advertise the topic."""
         thread, client = self._running()
         self._own.pop(topic, None)
 
@@ -175,50 +175,51 @@ class Ros1Adapter(ThreadAdapter[Client]):
         await thread.run(leave())
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Call a service. Raises Refused with the node's words, TimedOut, Unreachable, NotFound."""
+        """Call a service. Raises Refused with the node's message, TimedOut, Unreachable, NotFound."""
         thread, client = self._running()
         return await thread.run(client.services.call(service, type, request, thread_time(deadline)))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """Send a goal by actionlib's topics. Raises Refused with the server's words, TimedOut, Unreachable."""
+        """Send a goal by actionlib's topics. Raises Refused with the server's message, TimedOut, Unreachable."""
         thread, client = self._running()
         return await thread.run(client.actions.send(action, type, goal, thread_time(deadline)))
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """Ask for a goal to be canceled. Raises NotFound, Unreachable."""
+        """Cancel a goal. Raises NotFound, Unreachable."""
         thread, client = self._running()
         await thread.run(client.actions.cancel(goal, thread_time(deadline)))
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
-        """Ask for all goals of an action to be canceled. Raises NotFound, Unreachable."""
+        """Cancel all goals of an action. Raises NotFound, Unreachable."""
         thread, client = self._running()
         await thread.run(client.actions.cancel_all(action, thread_time(deadline)))
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """Follow an action's goals by its topics, without a registration at the master, until the watch is closed."""
+        """Follow an action's goals until the watch is closed, without registering at the master."""
         thread, client = self._running()
         await thread.run(client.actions.start_following(action, thread_time(deadline)))
         return GoalWatch(thread, partial(client.actions.stop_following, action))
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """Raise Refused: ROS 1 has no managed nodes; NotFound for a node that is not there."""
+        """Raise Refused, because ROS 1 has no managed nodes, or NotFound for a missing node."""
         raise without_lifecycle(self.graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the current values of those names that exist, from the master."""
+        """Return the current values of existing parameters, from the master."""
         thread, client = self._running()
         return await thread.run(client.parameters.get(names, thread_time(deadline)))
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Set them, all of them checked before the first is sent. Raises Refused naming the parameter.
+        """Set parameters; all are checked before the first is sent. Raises Refused naming the parameter.
 
-        What a node declares by dynamic_reconfigure is set by the node, so that it takes effect; all else at the master.
+        Parameters declared by dynamic_reconfigure are set by their nodes, so that they take effect; all others at the
+        master.
         """
         thread, client = self._running()
         await thread.run(client.set_parameters(values, thread_time(deadline)))
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """Delete them, trees whole. Raises NotFound."""
+        """Delete parameters and trees of parameters. Raises NotFound."""
         thread, client = self._running()
 
         async def change() -> None:
@@ -230,7 +231,7 @@ class Ros1Adapter(ThreadAdapter[Client]):
         await thread.run(change())
 
     async def _advertise(self, topic: str, type: TypeRef, deadline: float) -> Publication:
-        """Advertise a topic; when it returns the graph has it."""
+        """Advertise a topic, and update the graph."""
         thread, client = self._running()
         self._require_type(topic, type)
         until = thread_time(deadline)
@@ -243,7 +244,7 @@ class Ros1Adapter(ThreadAdapter[Client]):
         return await thread.run(advertise())
 
     def _keep_own(self, publication: Publication, data: bytes, latch: bool) -> None:
-        """Make the published message a sample of rosld before `publish` returns."""
+        """Store a published message as a sample of rosld before `publish` returns."""
         topic = publication.topic
         slot = self._own.get(topic)
         if slot is None or slot.schema != publication.ref:

@@ -1,4 +1,4 @@
-"""rosld as a client of a ROS 1 system: everything on the reading thread, and the polling that keeps it up to date."""
+"""rosld as a client of a ROS 1 system: all work on the reading thread, and the polling of the master."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 
 _EVERY = 1.0
 _SELDOM = 30.0
-_SHARE = 20  # a look may take one part in so many of our time, and the master's
+_SHARE = 20  # a poll may take this fraction of our time and the master's
 _LOOK_UPS = 8
 _SOON = 0.1
 _FIRST_PATIENCE = 1.0
-"""Seconds that opening waits for what nodes declare, and for the removal of what a dead rosld left."""
+"""Seconds that opening waits for nodes' declarations, and for the removal of a dead rosld's registrations."""
 
 
 class Client:
-    """Polls the master, reads topics, publishes, calls. Made and used on the reading thread, but for `graph`."""
+    """Polls the master, reads and publishes topics, calls services. Used on the reading thread, except for `graph`."""
 
     def __init__(
         self, uri: tuple[str, int], own_node: str, options: AdapterOptions, library: TypeLibrary, publish_graph: Sink
@@ -75,9 +75,9 @@ class Client:
         self._looking = asyncio.Lock()
 
     async def open(self, patience: float) -> None:
-        """Look for the first time, for at most `patience` seconds, and begin to poll.
+        """Poll for the first time, for at most `patience` seconds, and start polling.
 
-        A robot that is off is waited for: the graph is Stale until its master answers.
+        If the robot is off, the graph is Stale until its master responds.
         """
         try:
             await asyncio.wait_for(self._first_look(), patience)
@@ -110,7 +110,7 @@ class Client:
         self.master.close()
 
     async def look(self) -> None:
-        """Look at the master now, so that the graph has what was just done."""
+        """Poll the master now, so that the graph shows our latest changes."""
         try:
             await self._look()
         except RosError as error:
@@ -118,7 +118,7 @@ class Client:
         self.refresh()
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], until: float) -> None:
-        """Set them: those that nodes declare by the nodes, all others at the master. Raises Refused."""
+        """Set parameters: those that nodes declare at the nodes, all others at the master. Raises Refused."""
         self.parameters.check(values)
         try:
             made = await self.reconfigurables.set(parts_of(values), until)
@@ -129,23 +129,23 @@ class Client:
             self.refresh()
 
     def look_soon(self) -> None:
-        """Look at the master before the second is over."""
+        """Poll the master within a second."""
         self._wanted.set()
 
     def refresh_soon(self) -> None:
-        """Rebuild the graph, once for all that is learnt in this turn of the loop."""
+        """Rebuild the graph once for all changes in this iteration of the loop."""
         if not self._refreshing:
             self._refreshing = True
             asyncio.get_running_loop().call_soon(self.refresh)
 
     def refresh(self) -> None:
-        """Rebuild the graph and announce it where it changed. A graph that is stale stays as it is."""
+        """Rebuild the graph and announce changes. A stale graph remains unchanged."""
         self._refreshing = False
         if self._identity is not None:
             self._show(compose(self.graph, self._observation(), self.facts, self.types.unreadable))
 
     def read(self, feed: Feed) -> None:
-        """Begin to read a topic."""
+        """Start reading a topic."""
         reader = TopicReader(feed, self._nodes, self.types, self._epochs.get(feed.topic, 0))
         self._readers[feed.topic] = reader
         publishers = self._system.publishers.get(feed.topic, ())
@@ -154,7 +154,7 @@ class Client:
             self.look_soon()
 
     def deepen(self, topic: str) -> None:
-        """Heed that a topic's feed wants another depth."""
+        """Apply a new depth of a topic's feed."""
         if reader := self._readers.get(topic):
             reader.deepen()
 
@@ -183,7 +183,7 @@ class Client:
             for reader in self._readers.values():
                 reader.fit_buffers()
             took = time.monotonic() - started
-            live = self._looked is not None  # one that does not answer costs it nothing: its return is seen at once
+            live = self._looked is not None  # an unreachable master has no load: notice its return soon
             pause = min(max(_EVERY, _SHARE * took), _SELDOM) - took if live else _EVERY
             await asyncio.sleep(_SOON)
             try:
@@ -198,7 +198,7 @@ class Client:
             try:
                 await self.parameters.look()
             except RosError:
-                pass  # the look at the system tells when the master has gone
+                pass  # the poll of the system reports the loss of the master
             self._note_identity()
 
     async def _look(self) -> None:
@@ -214,7 +214,7 @@ class Client:
             self._follow(asked_at)
 
     def _note_identity(self) -> None:
-        """A restarted master is another process, or at least another run: what was registered is gone."""
+        """Forget the addresses if the master was restarted: as another process, or with another run id."""
         if self._looked is None:
             return
         identity = self._looked.pid, self.parameters.value("/run_id")
@@ -252,7 +252,7 @@ class Client:
                 self.facts.set_node_uri(self._own_node, self.publications.uri or "")
 
     def _look_up_some(self, nodes: set[str]) -> None:
-        """Ask where new nodes are, all of them, and a few of the others again: a restart keeps the name."""
+        """Look up the addresses of all new nodes, and of a few others again: a restarted node has the same name."""
         self._checked = {node: at for node, at in self._checked.items() if node in nodes}
         new = [node for node in nodes if node not in self._checked]
         oldest = sorted(self._checked, key=self._checked.__getitem__)[:_LOOK_UPS]
@@ -276,7 +276,7 @@ class Client:
                 continue
 
     async def _remove_leftovers(self, due: Mapping[str, tuple[str, ...]]) -> None:
-        """Remove what dead rosld's left at the master, so that the graph is without it."""
+        """Unregister dead instances of rosld from the master, so that the graph does not show them."""
         removed = await asyncio.gather(*(self._leftovers.remove(node, topics) for node, topics in due.items()))
         if any(removed):
             await self.look()

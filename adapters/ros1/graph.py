@@ -1,4 +1,4 @@
-"""The computation graph from the master's state and facts about endpoints. Pure; unchanged parts are shared."""
+"""Computation graph from the master's state and facts about endpoints. No I/O; unchanged parts are shared."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NOT_ASKED = ServiceFacts(None, "its type is not known yet: its node is being as
 
 @dataclass(frozen=True)
 class SystemState:
-    """Content of getSystemState and getTopicTypes: nodes by name, types by topic."""
+    """Response of getSystemState and getTopicTypes: nodes by name, types by topic."""
 
     publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     subscribers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -25,7 +25,7 @@ class SystemState:
     topic_types: Mapping[str, str] = field(default_factory=dict)
 
     def nodes(self) -> set[str]:
-        """Return every node that publishes, subscribes or provides."""
+        """Return every node with a publisher, a subscriber or a service."""
         return {
             node for each in (self.publishers, self.subscribers, self.services) for of in each.values() for node in of
         }
@@ -33,7 +33,7 @@ class SystemState:
 
 @dataclass(frozen=True)
 class Observation:
-    """All that the graph is made of, but for what was learnt."""
+    """All inputs of the graph except learnt facts."""
 
     master: Master
     own_node: str
@@ -43,7 +43,7 @@ class Observation:
 
 
 def compose(previous: Graph, seen: Observation, learnt: LearntFacts, unreadable: Mapping[TypeRef, str]) -> Graph:
-    """Return the graph of an observation; `previous` itself where nothing changed."""
+    """Return the graph of an observation, which is `previous` itself if nothing changed."""
     system = seen.system
 
     def topic(name: str) -> Topic:
@@ -73,14 +73,14 @@ def compose(previous: Graph, seen: Observation, learnt: LearntFacts, unreadable:
 
 
 def stale(previous: Graph, since_ns: int, why: str) -> Graph:
-    """Return the last known graph, as one that cannot be seen any more."""
+    """Return the last known graph, marked as stale."""
     if isinstance(previous.state, Stale):
         return previous
     return replace(previous, state=Stale(since_ns, why), revision=previous.revision + 1)
 
 
 def _topic_names(system: SystemState) -> set[str]:
-    return {*system.publishers, *system.subscribers}  # the master never forgets the type of a topic that has gone
+    return {*system.publishers, *system.subscribers}  # the master never forgets the types of former topics
 
 
 def _topic(name: str, system: SystemState, learnt: LearntFacts, unreadable: Mapping[TypeRef, str]) -> Topic:
@@ -98,7 +98,7 @@ def _topic(name: str, system: SystemState, learnt: LearntFacts, unreadable: Mapp
 
 
 def _types(stated: str | None, said: list[TypeRef | None]) -> tuple[TypeRef, ...]:
-    """Every type in use: what the publishers said and, while one has said nothing, what the master was told last."""
+    """Return every type in use: those stated by publishers and, while one is unknown, the master's."""
     types = dict.fromkeys(each for each in said if each is not None)
     if None in said or not said:
         name = message_type(stated) if stated else None
@@ -108,7 +108,7 @@ def _types(stated: str | None, said: list[TypeRef | None]) -> tuple[TypeRef, ...
 
 
 def _shared(previous: Mapping[str, _V], names: Iterable[str], make: Callable[[str], _V]) -> Mapping[str, _V]:
-    """The values of these names, sorted; equal ones are the previous objects, and so is the mapping if all are."""
+    """Return the values of these names, sorted; reuse equal previous values, and the mapping if all are equal."""
     made: dict[str, _V] = {}
     for name in sorted(names):
         new, old = make(name), previous.get(name)

@@ -1,4 +1,4 @@
-"""Reaching the hosts that a master names: with the user's map, by resolving, at last at the master's own host."""
+"""Connections to the hosts that a master names: by the user's map, by resolving, or at the master's own host."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ class Address(NamedTuple):
 
 
 def host_and_port(uri: str, *schemes: str) -> tuple[str, int]:
-    """Host and port of a node's URI (`http://host:port/`, `rosrpc://host:port`). Raises Unreachable naming it."""
+    """Return host and port of a node's URI (`http://host:port/`, `rosrpc://host:port`).
+
+    Raises Unreachable naming it.
+    """
     try:
         parts = urlsplit(uri)
         host, port = parts.hostname, parts.port
@@ -38,7 +41,7 @@ def host_and_port(uri: str, *schemes: str) -> tuple[str, int]:
 
 
 class Hosts:
-    """Opens connections to hosts by the names that ROS gives them."""
+    """Opens connections to hosts by their names in ROS."""
 
     def __init__(self, host_map: Mapping[str, str], master_host: str) -> None:
         self._map = host_map
@@ -46,7 +49,7 @@ class Hosts:
         self._known: dict[str, tuple[float, Address]] = {}
 
     async def streams(self, host: str, port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        """Return a stream to `port` of `host`. Raises Unreachable saying what was tried."""
+        """Return streams connected to `port` of `host`. Raises Unreachable with the addresses tried."""
         address = await self.resolve(host)
         try:
             return await asyncio.wait_for(asyncio.open_connection(address.ip, port), CONNECT)
@@ -54,7 +57,7 @@ class Hosts:
             raise Unreachable(_story(host, port, address, error)) from error
 
     async def connect(self, host: str, port: int, protocol: Callable[[], _P]) -> _P:
-        """Return a protocol connected to `port` of `host`. Raises Unreachable saying what was tried."""
+        """Return a protocol connected to `port` of `host`. Raises Unreachable with the addresses tried."""
         address = await self.resolve(host)
         loop = asyncio.get_running_loop()
         try:
@@ -64,7 +67,7 @@ class Hosts:
         return made
 
     async def resolve(self, host: str) -> Address:
-        """Return the address of a host name, remembered for half a minute."""
+        """Return the address of a host name, cached for half a minute."""
         now = time.monotonic()
         known = self._known.get(host)
         if known is None or known[0] < now:

@@ -11,12 +11,12 @@ from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.graph import SystemState
 from rosld.adapters.ros1.xmlrpc import Answer, XmlRpcClient, encode_call
 
-LOOK = 5.0  # seconds after which a master that does not answer a look counts as gone
+LOOK = 5.0  # seconds without a response to a poll after which the master counts as lost
 
 
 @dataclass(frozen=True)
 class MasterSnapshot:
-    """A look at the master's state: its process, and the documents of its answers, for telling if they changed."""
+    """State of the master: its process id, and the raw responses, which are compared to detect changes."""
 
     pid: int
     state: bytes
@@ -24,7 +24,7 @@ class MasterSnapshot:
 
 
 class MasterApi:
-    """The Master API of ROS 1 at one URI, spoken as `caller`."""
+    """Client of ROS 1's Master API at one URI, with `caller` as our name."""
 
     def __init__(self, client: XmlRpcClient, caller: str) -> None:
         self._client = client
@@ -32,22 +32,22 @@ class MasterApi:
 
     @property
     def uri(self) -> str:
-        """As it would be given in ROS_MASTER_URI."""
+        """URI of the master as in ROS_MASTER_URI."""
         return self._client.uri
 
     def close(self) -> None:
-        """Drop idle connections."""
+        """Close idle connections."""
         self._client.close()
 
     async def snapshot(self) -> MasterSnapshot:
-        """Its process and its state. Raises Unreachable, TimedOut."""
+        """Return the master's process id and state. Raises Unreachable, TimedOut."""
         pid = await self._client.call("getPid", self._caller, timeout=LOOK)
         state = await self._client.request(encode_call("getSystemState", self._caller), timeout=LOOK)
         types = await self._client.request(encode_call("getTopicTypes", self._caller), timeout=LOOK)
         return MasterSnapshot(pid.value if isinstance(pid.value, int) else 0, state, types)
 
     def system_state(self, looked: MasterSnapshot) -> SystemState:
-        """Return the state in a look. Raises Unreachable for what is no ROS master's."""
+        """Return the decoded system state. Raises Unreachable if it is not from a ROS master."""
         state = self._client.decode(looked.state)
         types = self._client.decode(looked.types)
         if state.code != 1 or types.code != 1:
@@ -60,11 +60,11 @@ class MasterApi:
             raise Unreachable(f"{self.uri} does not answer as a ROS 1 master does: {error}") from error
 
     async def parameters_document(self) -> bytes:
-        """Return the whole parameter tree, unread."""
+        """Return the document of the whole parameter tree."""
         return await self._client.request(encode_call("getParam", self._caller, "/"), timeout=4 * LOOK)
 
     def parameter_tree(self, document: bytes) -> dict[str, ParameterValue]:
-        """Return the tree in such a document."""
+        """Return the decoded tree of such a document."""
         answer = self._client.decode(document)
         return answer.value if answer.code == 1 and isinstance(answer.value, dict) else {}
 
@@ -77,12 +77,12 @@ class MasterApi:
         return str(await self._call("lookupService", service, timeout=timeout))
 
     async def register_publisher(self, topic: str, type_name: str, uri: str, timeout: float) -> list[str]:
-        """Register ourselves as a publisher; the URIs of the topic's subscribers."""
+        """Register as a publisher; return the URIs of the topic's subscribers."""
         value = await self._call("registerPublisher", topic, type_name, uri, timeout=timeout)
         return [str(each) for each in value] if isinstance(value, list) else []
 
     async def unregister_publisher(self, topic: str, uri: str, timeout: float, *, node: str | None = None) -> None:
-        """Take back a registration of ours, or that of another `node` at this URI. Nothing happens where it is gone."""
+        """Unregister a publisher of ours, or of another `node`, at this URI. Does nothing if it is not registered."""
         await self._call("unregisterPublisher", topic, uri, timeout=timeout, caller=node)
 
     async def get_parameter(self, name: str, timeout: float) -> ParameterValue:
@@ -107,7 +107,7 @@ class MasterApi:
 
 
 def _error(method: str, what: ParameterValue, answer: Answer) -> RosError:
-    """The error of a code that is not 1: -1 says that there is no such thing, 0 that the master failed."""
+    """Return the error for a code other than 1: -1 is an unknown name, 0 a failure of the master."""
     if answer.code == -1:
         return NotFound(f"the master knows no {what!r}", words=answer.words)
     return Refused(f"the master refused {method} of {what!r}", words=answer.words, sent=Sent.YES)

@@ -1,7 +1,7 @@
-"""Parameters: one tree at the master, of which every leaf has a name.
+"""Parameters: one tree at the master, whose leaves have names.
 
-A name is the keys on the way joined by slashes. Keys may be empty or hold slashes themselves (they occur); the
-master cannot be asked for those by name, so they are found in the tree that holds them, and only set with it whole.
+A name consists of the keys joined by slashes. Keys may be empty or contain slashes (both occur); the master cannot
+return such parameters by name, so they are read from the tree that contains them, and only set with the whole tree.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ALL = _ROOT | {Operation.DELETE_PARAMETER}
 
 
 class Leaf(NamedTuple):
-    """A leaf of the tree: the keys that lead to it, and its value (an empty tree is a leaf, too)."""
+    """A leaf of the tree: its keys from the root, and its value (an empty tree is a leaf, too)."""
 
     path: tuple[str, ...]
     value: ParameterValue
@@ -39,7 +39,7 @@ class Leaf(NamedTuple):
 
 
 def leaves(tree: Mapping[str, ParameterValue], above: tuple[str, ...] = ()) -> Iterator[Leaf]:
-    """Yield the leaves of a tree that lies under the keys `above`, in its order."""
+    """Yield the leaves of a tree under the keys `above`, in the tree's order."""
     stack: list[tuple[tuple[str, ...], ParameterValue]] = [((*above, key), value) for key, value in tree.items()]
     stack.reverse()
     while stack:
@@ -51,7 +51,7 @@ def leaves(tree: Mapping[str, ParameterValue], above: tuple[str, ...] = ()) -> I
 
 
 def by_name(found: Iterator[Leaf]) -> dict[str, Leaf]:
-    """Return leaves by name; the first of several with one name."""
+    """Return leaves by name; the first one for duplicate names."""
     named: dict[str, Leaf] = {}
     for leaf in found:
         named.setdefault("/" + "/".join(leaf.path), leaf)
@@ -59,7 +59,7 @@ def by_name(found: Iterator[Leaf]) -> dict[str, Leaf]:
 
 
 def find(tree: ParameterValue, rest: str) -> ParameterValue | None:
-    """The value at `rest` (a name without its leading slash) in a tree whose keys may be odd; None: not there."""
+    """Return the value at `rest` (a name without its leading slash) in a tree with any keys, or None."""
     if not isinstance(tree, dict):
         return None
     if rest in tree:
@@ -71,17 +71,17 @@ def find(tree: ParameterValue, rest: str) -> ParameterValue | None:
 
 
 def differences(old: Mapping[str, Leaf], new: Mapping[str, Leaf]) -> list[str]:
-    """Return the names of the leaves that came, went or changed."""
+    """Return the names of the leaves that were added, removed or changed."""
     came = [name for name, leaf in new.items() if name not in old or not _equal(old[name].value, leaf.value)]
     return [*came, *(old.keys() - new.keys())]
 
 
 def _equal(one: ParameterValue, other: ParameterValue) -> bool:
-    return one is other or (type(one) is type(other) and repr(one) == repr(other))  # NaN is itself, 1 is not 1.0
+    return one is other or (type(one) is type(other) and repr(one) == repr(other))  # unlike ==, for NaN and 1.0
 
 
 def assign(named: Mapping[str, Leaf], name: str, value: ParameterValue) -> dict[str, Leaf]:
-    """The leaves after the master sets `name`: what lay there or below is replaced, a leaf above it gives way."""
+    """Return the leaves after the master sets `name`, which replaces everything at or below it, and a leaf above it."""
     path = tuple(name[1:].split("/")) if name != "/" else ()
     above = {"/" + "/".join(path[:length]) for length in range(1, len(path))}
     kept = {each: leaf for each, leaf in without(named, name).items() if each not in above}
@@ -90,13 +90,13 @@ def assign(named: Mapping[str, Leaf], name: str, value: ParameterValue) -> dict[
 
 
 def without(named: Mapping[str, Leaf], name: str) -> dict[str, Leaf]:
-    """Return the leaves without `name` and all below it."""
+    """Return the leaves without `name` and everything below it."""
     below = name.rstrip("/") + "/"
     return {each: leaf for each, leaf in named.items() if each != name and not each.startswith(below)}
 
 
 def parts_of(values: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
-    """Return values to set, and all values in trees among them, by name."""
+    """Return the values to set and all values in their trees, by name."""
     found: dict[str, ParameterValue] = {}
     for name, value in values.items():
         found[name] = value
@@ -106,14 +106,14 @@ def parts_of(values: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
 
 
 def with_parts(name: str, value: ParameterValue, parts: Mapping[str, ParameterValue]) -> ParameterValue:
-    """The value of a name with other parts in the places of those that have a new value."""
+    """Return the value of a name with new values for some of its parts."""
     if name in parts or not isinstance(value, dict):
         return parts.get(name, value)
     return {key: with_parts(f"{name.rstrip('/')}/{key}", each, parts) for key, each in value.items()}
 
 
 def check(name: str, value: ParameterValue) -> None:
-    """Whether a parameter can be set to this without loss. Raises Refused naming it, before anything is sent."""
+    """Raise Refused, naming the parameter, if it cannot be set to this value without loss."""
     if words := _objection(value, 0):
         raise Refused(f"the parameter {name} cannot be set: {words}")
     if name == "/" and not isinstance(value, dict):
@@ -121,7 +121,7 @@ def check(name: str, value: ParameterValue) -> None:
 
 
 def _objection(value: object, depth: int) -> str | None:
-    """Why XML-RPC or the master would not keep this value, None where they do."""
+    """Return why XML-RPC or the master would not preserve this value, or None."""
     if depth > _MAX_DEPTH:
         return f"it is nested more than {_MAX_DEPTH} deep"
     if isinstance(value, (bool, bytes)):
@@ -156,7 +156,7 @@ def _tree_objection(tree: Mapping[object, object], depth: int) -> str | None:
 
 
 def _plain_name(name: str) -> str:
-    """Return the name, where the master takes it as it is. Raises Refused where it would fold it into another."""
+    """Return the name if the master preserves it. Raises Refused if the master would change it to another name."""
     if not name.startswith("/") or (name != "/" and "" in name[1:].split("/")):
         raise Refused(f"the parameter {name!r}: ROS 1 folds empty segments; set the tree that holds it whole")
     if words := _text_objection(name):
@@ -165,10 +165,10 @@ def _plain_name(name: str) -> str:
 
 
 class Parameters:
-    """The parameters of a master: read, written, and watched by reading the tree now and then.
+    """Parameters of a master: read, written, and watched by polling the tree.
 
-    `changed` is given the names that changed; `leaves` and `trees` are those last seen (an empty tree is a leaf, but
-    no parameter of the graph, as in the master's own list). All methods but one run on the reading thread.
+    `changed` is called with changed names; `leaves` and `trees` are those last read (an empty tree is a leaf, but not a
+    parameter of the graph, as in the master's own list). All methods except `operations` run on the reading thread.
     """
 
     def __init__(self, master: MasterApi, changed: Callable[[Sequence[str]], None]) -> None:
@@ -182,7 +182,7 @@ class Parameters:
         self._writes = 0
 
     def value(self, name: str) -> ParameterValue | None:
-        """The value of a leaf when it was last seen."""
+        """Return the value of a leaf as last read, or None."""
         leaf = self.leaves.get(name)
         return leaf.value if leaf else None
 
@@ -196,16 +196,16 @@ class Parameters:
         return _ROOT if name == "/" else _ALL
 
     async def look(self) -> None:
-        """Read the tree and announce changes. Raises Unreachable, TimedOut."""
+        """Read the tree and report changes. Raises Unreachable, TimedOut."""
         writes, started = self._writes, time.monotonic()
         document = await self._master.parameters_document()
-        if writes == self._writes and document != self._document:  # else the tree may be older than our own write
+        if writes == self._writes and document != self._document:  # otherwise the tree may be older than our own write
             self._see(by_name(leaves(self._master.parameter_tree(document))))
             self._document = document
         self.took = time.monotonic() - started
 
     async def get(self, names: Sequence[str], until: float) -> dict[str, ParameterValue]:
-        """The values of those names that there are."""
+        """Return the values of the names that exist."""
         found: dict[str, ParameterValue] = {}
         for name in names:
             value = await self._get(name, until)
@@ -214,7 +214,7 @@ class Parameters:
         return found
 
     async def set(self, values: Mapping[str, ParameterValue], until: float) -> None:
-        """Set them all, one by one, after all were found settable. Raises Refused naming the parameter."""
+        """Set parameters one by one, after checking all of them. Raises Refused naming the parameter."""
         self.check(values)
         for name, value in values.items():
             with _Writing(self):
@@ -222,19 +222,19 @@ class Parameters:
                 self._see(assign(self.leaves, name, value))
 
     def check(self, values: Mapping[str, ParameterValue]) -> None:
-        """Raise Refused, naming the parameter, where one could not be set to its value."""
+        """Raise Refused, naming the parameter, if one cannot be set to its value."""
         for name, value in values.items():
             self._check_settable(name)
             check(name, value)
 
     def note_set(self, values: Mapping[str, ParameterValue]) -> None:
-        """Record values that nodes have just set at the master."""
+        """Record values that nodes have set at the master."""
         for name, value in values.items():
             with _Writing(self):
                 self._see(assign(self.leaves, name, value))
 
     async def delete(self, names: Sequence[str], until: float) -> None:
-        """Delete them. Raises NotFound, Refused."""
+        """Delete parameters. Raises NotFound, Refused."""
         for name in names:
             if name == "/":
                 raise Refused("the root of the parameters cannot be deleted; delete what lies in it")
@@ -281,12 +281,12 @@ class Parameters:
             self._changed(changed[:_MAX_HINTS])
 
     def note_write(self) -> None:
-        """A write begins or ends: a tree read before that is not to be believed."""
+        """Mark the start or end of a write: trees requested before are outdated."""
         self._writes += 1
 
 
 def _trees(named: Mapping[str, Leaf]) -> Iterator[str]:
-    """Yield the names of all trees that hold these leaves, the root first."""
+    """Yield the names of all trees that contain these leaves, the root first."""
     yield "/"
     for name, leaf in named.items():
         if not leaf.odd:
@@ -297,7 +297,7 @@ def _trees(named: Mapping[str, Leaf]) -> Iterator[str]:
 
 
 class _Writing:
-    """While this lasts and once it is over, trees read before are out of date."""
+    """Marks trees as outdated that were requested before the end of a write."""
 
     def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
@@ -310,7 +310,7 @@ class _Writing:
 
 
 def _seconds_left(until: float) -> float:
-    """Return the seconds left. Raises TimedOut where there are none, for then nothing was sent."""
+    """Return the seconds left. Raises TimedOut, with nothing sent, if there are none."""
     left = until - asyncio.get_running_loop().time()
     if left <= 0:
         raise TimedOut("the time was up before the master was asked")

@@ -1,4 +1,4 @@
-"""A topic that rosld publishes, and its connections to subscribers, none of which can block another or rosld."""
+"""A topic that rosld publishes, and its connections to subscribers, which cannot block each other or rosld."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MAX_PENDING = 64 * 1024 * 1024
 
 
 class Outbox:
-    """Frames waiting to be written, up to a number of bytes: the oldest are dropped, the newest is kept always."""
+    """Queue of frames with a maximum size in bytes: the oldest are dropped, but never the newest."""
 
     def __init__(self, max_bytes: int) -> None:
         self._limit = max_bytes
@@ -29,14 +29,14 @@ class Outbox:
         return bool(self._frames)
 
     def add(self, frame: bytes) -> None:
-        """Add the newest."""
+        """Add the newest frame."""
         self._frames.append(frame)
         self._bytes += len(frame)
         while self._bytes > self._limit and len(self._frames) > 1:
             self._bytes -= len(self._frames.popleft())
 
     def take(self, max_bytes: int) -> bytes:
-        """Return the oldest frames joined: at least one, and no more than so many bytes unless one alone is larger."""
+        """Remove and return the oldest frames, joined: at least one, and within `max_bytes` if possible."""
         taken = [self._frames.popleft()]
         size = len(taken[0])
         while self._frames and size + len(self._frames[0]) <= max_bytes:
@@ -46,7 +46,7 @@ class Outbox:
         return b"".join(taken)
 
     def take_all(self) -> list[bytes]:
-        """Return all frames, oldest first."""
+        """Remove and return all frames, oldest first."""
         taken = list(self._frames)
         self._frames.clear()
         self._bytes = 0
@@ -54,9 +54,9 @@ class Outbox:
 
 
 class Publication:
-    """One topic we publish. Everything but `matched`, `ref` and `carries` belongs to the reading thread.
+    """A topic that we publish. Everything except `matched`, `ref` and `carries` belongs to the reading thread.
 
-    `registered_at` is when the master last answered that it knows of it, by the loop's clock.
+    `registered_at` is the time of the master's last confirmation on the loop's clock.
     """
 
     def __init__(self, topic: str, schema: MessageSchema, node: str) -> None:
@@ -74,11 +74,11 @@ class Publication:
         self._changed = asyncio.Event()
 
     def carries(self, type: TypeRef) -> bool:
-        """Whether a message of this type goes here."""
+        """Whether the topic accepts messages of this type."""
         return type.name == self.ref.name and type.hash in (None, self.ref.hash)
 
     def header(self) -> dict[str, str]:
-        """Our connection header."""
+        """Return our connection header."""
         return {
             "callerid": self._node,
             "latching": "1" if self.latched is not None else "0",
@@ -89,13 +89,13 @@ class Publication:
         }
 
     def objection(self, asked: Header) -> str | None:
-        """Why a subscriber with this header cannot be served."""
+        """Return why a subscriber with this header is refused, or None."""
         if asked.get("md5sum", "*") not in ("*", self.ref.hash):
             return f"{self.topic} is published as {self.type_name} with md5sum {self.ref.hash}, not {asked['md5sum']}"
         return None
 
     def send(self, data: bytes, latch: bool) -> None:
-        """Publish a message; all that are published in one turn of the loop are written at once."""
+        """Publish a message. Messages of one loop iteration are written together."""
         framed = frame(data)
         self.latched = framed if latch else None
         self._pending.add(framed)
@@ -104,7 +104,7 @@ class Publication:
             asyncio.get_running_loop().call_soon(self._flush)
 
     async def wait_matched(self, wanted: int, until: float, patience: float) -> None:
-        """Wait until `wanted` subscribers are connected, or one has been for `patience` seconds, or `until`."""
+        """Wait until `wanted` subscribers are connected, or one has been for `patience` seconds, or until a time."""
         now = asyncio.get_running_loop().time
         patient: float | None = None
         while self.matched < wanted:
@@ -120,11 +120,11 @@ class Publication:
                 return
 
     def links_to(self, nodes: Collection[str]) -> frozenset[SubscriberConnection]:
-        """Return the connections to these nodes, and to subscribers that do not say who they are."""
+        """Return the connections to these nodes, and to subscribers without a name."""
         return frozenset(link for link in self._links if not link.node or link.node in nodes)
 
     async def connected_to(self, nodes: Collection[str], until: float) -> frozenset[SubscriberConnection]:
-        """Wait until one of these nodes is connected, or `until`; its connections."""
+        """Wait until one of these nodes is connected, or until a time; return its connections."""
         now = asyncio.get_running_loop().time
         while not (links := self.links_to(nodes)) and now() < until:
             self._changed.clear()
@@ -135,22 +135,22 @@ class Publication:
         return links
 
     def join(self, link: SubscriberConnection) -> None:
-        """A subscriber is connected."""
+        """Add a connected subscriber."""
         self._links.add(link)
         self._count()
         if self.latched is not None:
             link.send([self.latched])
 
     def leave(self, link: SubscriberConnection) -> None:
-        """A subscriber has gone."""
+        """Remove a disconnected subscriber."""
         self._links.discard(link)
         self._count()
 
     async def close(self, patience: float) -> None:
-        """Let what is written go out and the subscribers hang up, for at most `patience` seconds; end all connections.
+        """Flush, wait at most `patience` seconds for subscribers to disconnect, and close all connections.
 
-        A rospy subscriber that hears of a new registration before it has seen the end of the old connection takes
-        itself for connected (rospy's `_connect_topic`), and never connects.
+        A rospy subscriber that learns of a new registration before the end of the old connection considers itself
+        connected (rospy's `_connect_topic`), and never connects again.
         """
         now = asyncio.get_running_loop().time
         until = now() + patience
@@ -179,9 +179,9 @@ class Publication:
 
 
 class SubscriberConnection(asyncio.Protocol):
-    """A subscriber's connection. A slow one loses the oldest messages that wait for it, never our memory.
+    """A subscriber's connection. A slow subscriber loses its oldest queued messages instead of using our memory.
 
-    `node` is the subscriber's name, as its connection header says it.
+    `node` is the subscriber's name from its connection header.
     """
 
     def __init__(self, publications: dict[str, Publication]) -> None:
@@ -196,7 +196,7 @@ class SubscriberConnection(asyncio.Protocol):
         self._transport: asyncio.Transport
 
     async def wait_written(self, until: float) -> None:
-        """Wait until the subscriber has taken what waits for it, at most `until`."""
+        """Wait until the subscriber has received its queued messages, or until a time."""
         left = until - asyncio.get_running_loop().time()
         if self._waiting and left > 0:
             self._drained = asyncio.get_running_loop().create_future()
@@ -208,7 +208,7 @@ class SubscriberConnection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         if self._publication is not None:
-            return  # a subscriber has nothing to say after its header
+            return  # subscribers send nothing after their header
         self._received += data
         try:
             header = self._header()
@@ -230,7 +230,7 @@ class SubscriberConnection(asyncio.Protocol):
         self._write()
 
     def send(self, frames: Iterable[bytes]) -> None:
-        """Write these, or keep them until the subscriber reads."""
+        """Write frames, or queue them until the subscriber reads."""
         for each in frames:
             self._waiting.add(each)
         self._write()
@@ -242,7 +242,7 @@ class SubscriberConnection(asyncio.Protocol):
             self._transport.write_eof()
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._transport.close()
 
     def _write(self) -> None:
@@ -252,7 +252,7 @@ class SubscriberConnection(asyncio.Protocol):
             self._drained.set_result(None)
 
     def _header(self) -> dict[str, str] | None:
-        """Return the subscriber's header, None while it is not whole. Raises BadFrame."""
+        """Return the subscriber's header, or None while it is incomplete. Raises BadFrame."""
         if len(self._received) < 4:
             return None
         (length,) = LENGTH.unpack_from(self._received)

@@ -1,4 +1,4 @@
-"""Everything rosld publishes: registered at the master only after the address it would advertise was proved."""
+"""The topics that rosld publishes: registered at the master only after their advertised address was verified."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from rosld.adapters.ros1.types import Types
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 
 _PROOF = 2.0
-_PATIENCE = 0.5  # seconds that the first message waits for all subscribers the master named, once one is there
+_PATIENCE = 0.5  # seconds to wait for all subscribers that the master named, once one is connected
 _GOODBYE = 1.0
 _REMINDERS = (0.5, 1.0, 2.0, 4.0)
-"""Seconds between registrations of a topic that a subscriber has not connected to.
+"""Seconds between registrations of a topic whose subscribers have not connected.
 
-Upon each the master tells the subscribers of us anew: one that missed it, or could not connect then, is reached.
+With each one the master notifies the subscribers again, in case they missed it or could not connect.
 """
 
 
 class Servers(NamedTuple):
-    """Our two servers, and the URI under which ROS reaches the first."""
+    """Our two servers, and the advertised URI of the Slave API."""
 
     slave: XmlRpcServer
     tcpros: asyncio.Server
@@ -35,7 +35,7 @@ class Servers(NamedTuple):
 
 
 def addresses(ros_ip: str | None, local: str | None, environment: Mapping[str, str] = os.environ) -> Sequence[str]:
-    """Return candidates to advertise, best first: the user's, those of ROS's variables, the route to the master."""
+    """Return candidate addresses to advertise, best first: the user's, ROS's variables, the route to the master."""
     if ros_ip:
         return [ros_ip]
     named = [environment.get("ROS_HOSTNAME"), environment.get("ROS_IP"), local]
@@ -43,7 +43,7 @@ def addresses(ros_ip: str | None, local: str | None, environment: Mapping[str, s
 
 
 class Publications:
-    """The topics we publish, by name. All methods run on the reading thread."""
+    """The topics that we publish, by name. All methods run on the reading thread."""
 
     def __init__(
         self,
@@ -67,22 +67,22 @@ class Publications:
 
     @property
     def uri(self) -> str | None:
-        """The URI of our Slave API while it runs."""
+        """URI of our Slave API while it runs."""
         return self._servers.uri if self._servers else None
 
     @property
     def port(self) -> int:
-        """The port of our TCPROS server."""
+        """Port of our TCPROS server."""
         return int(self._servers.tcpros.sockets[0].getsockname()[1]) if self._servers else 0
 
     def topics(self) -> Sequence[tuple[str, str]]:
-        """Return the topics we publish, with the ROS names of their types."""
+        """Return the topics that we publish, with the ROS names of their types."""
         return [(topic, publication.type_name) for topic, publication in self.by_topic.items()]
 
     async def advertise(self, topic: str, type: TypeRef, until: float) -> Publication:
-        """Publish a topic from now on, and wait for its subscribers as `Adapter.publish` promises.
+        """Start publishing a topic, and wait for its subscribers as specified by `Adapter.publish`.
 
-        Raises Refused where our address does not answer or the topic is ours with another type, UnknownType.
+        Raises UnknownType, and Refused if our address does not respond or the topic has another type.
         """
         wanted = 1
         async with self._changing.setdefault(topic, asyncio.Lock()):
@@ -96,7 +96,7 @@ class Publications:
                 raise Refused(
                     f"rosld publishes {topic} as {publication.ref.name} ({publication.ref.hash}), not {type.name}"
                 )
-        # Outside the lock: a topic whose subscribers never connect must not hold up the others.
+        # Outside of the lock, so that a topic whose subscribers never connect does not delay others.
         await publication.wait_matched(wanted, until, _PATIENCE)
         return publication
 
@@ -113,9 +113,9 @@ class Publications:
                 self._changed()
 
     def register_again(self, listed: Mapping[str, tuple[str, ...]], asked_at: float) -> None:
-        """Register what the master, asked for its publishers then, did not list as ours: it has forgotten us.
+        """Register topics that the master does not list as ours in a response requested at `asked_at`.
 
-        What was registered since is left alone: told of it twice, rospy connects twice and drops the first connection.
+        Later registrations are skipped: when notified twice, rospy connects twice and drops the first connection.
         """
         for topic, publication in self.by_topic.items():
             if publication.registered_at is None or publication.registered_at >= asked_at:
@@ -171,11 +171,11 @@ class Publications:
             await self._master.register_publisher(publication.topic, publication.type_name, self._servers.uri, _PROOF)
             publication.registered_at = asyncio.get_running_loop().time()
         except RosError:
-            pass  # the next look tries again
+            pass  # the next poll retries
         self._changed()
 
     async def _serve(self) -> Servers:
-        """Our servers, started if they are not running, at an address that answers. Raises Refused."""
+        """Return our servers, started if necessary, at an address that responds. Raises Refused."""
         async with self._starting:
             if self._servers is not None:
                 return self._servers
@@ -209,12 +209,12 @@ class Publications:
         return None
 
     def _asked_to_leave(self, words: str) -> None:
-        """`rosnode kill`, or another node took our name: give up what we publish; a later publish begins anew."""
+        """Stop publishing everything after `rosnode kill` or the takeover of our name; a later publish starts again."""
         for topic in list(self.by_topic):
             self._begin(self._leave(topic), self._registering)
 
     def _begin(self, work: Coroutine[None, None, None], tasks: set[asyncio.Task[None]]) -> None:
-        """Do this beside, as one of these tasks."""
+        """Run in the background and keep a reference in `tasks`."""
         task = asyncio.get_running_loop().create_task(work)
         tasks.add(task)
         task.add_done_callback(tasks.discard)
@@ -227,7 +227,7 @@ class Publications:
 
 
 async def _bind(slave: XmlRpcServer, address: str) -> tuple[str, int]:
-    """Listen at an address, or, where it is not this machine's own (it may be forwarded here), at all."""
+    """Listen at an address, or at all addresses if it is not local (it may be forwarded here)."""
     try:
         return address, await slave.start(address)
     except OSError:
@@ -235,7 +235,7 @@ async def _bind(slave: XmlRpcServer, address: str) -> tuple[str, int]:
 
 
 async def _answers(address: str, port: int, uri: str) -> bool:
-    """Whether this process answers at an address, asked by XML-RPC as ROS would."""
+    """Whether this process responds at an address to ROS's XML-RPC."""
     hosts = Hosts({}, address)
     client = XmlRpcClient(uri, "/", lambda: hosts.streams(address, port), keep_alive=False)
     try:

@@ -1,7 +1,7 @@
-"""Parameters of nodes with dynamic_reconfigure, described and set by the nodes, so that they take effect.
+"""Parameters with dynamic_reconfigure, which their nodes describe and set, so that changes take effect.
 
-What the servers tell is read without registering, as any topic is. Nodes write the values that they take to the
-master's tree, from which they are read like all others.
+The servers' topics are read without registering, like any topic. Nodes write accepted values to the master's tree, from
+which they are read like all parameters.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _DEPTH = 1
 
 @dataclass(slots=True)
 class _Followed:
-    """A server that is followed: its readers, what it declares, and the values that it told last."""
+    """A followed server: its readers, its declarations, and its last reported values."""
 
     node: str
     readers: dict[str, TopicReader] = field(default_factory=dict)
@@ -45,10 +45,10 @@ class _Followed:
 
 
 class Reconfigurables:
-    """The servers of dynamic_reconfigure in a ROS system. All methods run on the reading thread.
+    """The dynamic_reconfigure servers in a ROS system. All methods run on the reading thread.
 
-    `described` is called when more or other is known of parameters, `changed` with the names of those whose nodes tell
-    that they have other values.
+    `described` is called after changes of declarations, `changed` with the names of parameters whose nodes report new
+    values.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Reconfigurables:
         self._parameters: Mapping[str, Parameter] = {}
 
     def follow(self, system: SystemState) -> None:
-        """Heed which servers there are now, and who publishes for them."""
+        """Update the set of servers and their publishers."""
         servers = {one.namespace: one for one in servers_of(system.publishers, system.services, system.topic_types)}
         for namespace in self._followed.keys() - servers.keys():
             self._stop(namespace)
@@ -82,7 +82,7 @@ class Reconfigurables:
                 reader.follow(system.publishers.get(f"{namespace}/{part}", ()))
 
     def close(self) -> None:
-        """Follow nothing more."""
+        """Stop following all servers."""
         for namespace in list(self._followed):
             self._stop(namespace)
 
@@ -95,12 +95,12 @@ class Reconfigurables:
                 each.cancel()
 
     def with_descriptors(self, parameters: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
-        """Return the parameters of a graph, those that nodes declare with what these say."""
+        """Return the parameters of a graph, with the declarations of their nodes."""
         declared = {name: parameter for name, parameter in self._parameters.items() if name in parameters}
         return {**parameters, **declared} if declared else parameters
 
     async def set(self, values: Mapping[str, ParameterValue], until: float) -> Mapping[str, ParameterValue]:
-        """Have nodes set those of these values that they declare, together a node; what they made of them.
+        """Set values at the nodes that declare them, with one request per node; return the accepted values.
 
         Raises Refused for a value of another type, before anything is sent, and what `Services.call` raises.
         """
@@ -116,7 +116,7 @@ class Reconfigurables:
         return made
 
     def _own(self, namespace: str, values: Mapping[str, ParameterValue]) -> dict[str, Scalar]:
-        """Return those values that a server declares, by its own names and of its types. Raises Refused."""
+        """Return the values that a server declares, by its own names and converted to its types. Raises Refused."""
         descriptors = self._followed[namespace].descriptors
         found: dict[str, Scalar] = {}
         for name, value in values.items():

@@ -1,8 +1,8 @@
-"""The wire format of dynamic_reconfigure: descriptions of a node's parameters, and how to set them. Pure.
+"""Wire format of dynamic_reconfigure: descriptions of a node's parameters, and requests to set them. No I/O.
 
-A server below a name (`/camera`, or `/camera/driver`) is a service `set_parameters` and two latched topics:
-`parameter_descriptions` says what each parameter is about and may be, `parameter_updates` what values all of them have.
-Its messages are the same everywhere, so they are read and written here without their definitions.
+A server in a namespace (`/camera`, or `/camera/driver`) has a service `set_parameters` and two latched topics:
+`parameter_descriptions` describes each parameter and its limits, `parameter_updates` has the values of all. The
+messages are the same everywhere, so they are read and written without their definitions.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _DESCRIPTION = "dynamic_reconfigure/ConfigDescription"
 _MAX_PARAMETERS = 10_000
 _MAX_CHOICES = 1_000
 _MAX_TEXT = 4096
-"""Characters that are kept of a text."""
+"""Maximum number of characters of a text."""
 _MAX_METHOD = 100_000
 _MAX_NESTED = 8
 _TYPES: Mapping[str, ParameterType] = {
@@ -39,18 +39,18 @@ _TOKEN = re.compile(
     r"|[uU]?'(?:[^'\\\n]|\\.)*'|[uU]?\"(?:[^\"\\\n]|\\.)*\""
     r"|[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 )
-"""What a Python value of dicts, lists, strings and numbers is written with."""
+"""Tokens of Python values of dicts, lists, strings and numbers."""
 
 
 class Server(NamedTuple):
-    """A server of dynamic_reconfigure: the name that its parameters lie below, and its node."""
+    """A dynamic_reconfigure server: the namespace of its parameters, and its node."""
 
     namespace: str
     node: str
 
 
 class Description(NamedTuple):
-    """What a server says of a parameter that a value tells nothing of."""
+    """A parameter in a server's description, without its values."""
 
     name: str
     type: str
@@ -61,7 +61,7 @@ class Description(NamedTuple):
 def servers_of(
     publishers: Mapping[str, tuple[str, ...]], services: Mapping[str, tuple[str, ...]], types: Mapping[str, str]
 ) -> Iterator[Server]:
-    """Yield the servers in a system: nodes by topic and by service, and ROS 1's names of the types of topics."""
+    """Yield the servers in a system, given the nodes by topic and by service, and ROS 1's types of topics."""
     for topic, type in types.items():
         namespace, _, last = topic.rpartition("/")
         if type != _DESCRIPTION or last != DESCRIPTIONS or not publishers.get(topic):
@@ -70,7 +70,7 @@ def servers_of(
             yield Server(namespace, providers[0])
 
 
-# What is told
+# Reading
 
 
 def read_config(data: bytes) -> Mapping[str, Scalar]:
@@ -79,7 +79,7 @@ def read_config(data: bytes) -> Mapping[str, Scalar]:
 
 
 def read_descriptors(data: bytes) -> Mapping[str, Descriptor]:
-    """What a dynamic_reconfigure/ConfigDescription declares, by the parameters' own names. Raises ValueError."""
+    """Return the declarations in a dynamic_reconfigure/ConfigDescription, by local name. Raises ValueError."""
     reader = WireReader(data)
     groups = reader.array(lambda: _group(reader), _MAX_PARAMETERS)
     greatest, least = _config(reader), _config(reader)
@@ -113,7 +113,7 @@ def _config(reader: WireReader) -> Mapping[str, Scalar]:
 
 
 def _values(reader: WireReader) -> tuple[Callable[[], Scalar], ...]:
-    """How the values of a Config are read, in the order of its fields."""
+    """Return the readers of the values in a Config, in the order of its fields."""
     return reader.bool, reader.int32, reader.text, reader.float64
 
 
@@ -127,7 +127,7 @@ def _descriptor(one: Description, type: ParameterType, least: Scalar | None, gre
 
 
 def _range(type: ParameterType, least: Scalar | None, greatest: Scalar | None) -> Range | None:
-    """Return the range of a number; None where there is none, or the ends make none."""
+    """Return the range of a number; None without one, or if its ends are invalid."""
     if type not in (ParameterType.INTEGER, ParameterType.DOUBLE):
         return None
     if isinstance(least, bool | str | None) or isinstance(greatest, bool | str | None):
@@ -136,7 +136,7 @@ def _range(type: ParameterType, least: Scalar | None, greatest: Scalar | None) -
 
 
 def _choices(type: ParameterType, edit_method: str) -> Iterator[Choice]:
-    """The values of an enumeration (`{'enum': [{'name': 'Small', 'value': 0, ...}, ...]}`) that are of the type."""
+    """Yield the values of an enumeration (`{'enum': [{'name': 'Small', 'value': 0, ...}, ...]}`) that have the type."""
     method = _python_value(edit_method)
     listed = method.get("enum") if isinstance(method, dict) else None
     for each in listed[:_MAX_CHOICES] if isinstance(listed, list) else ():
@@ -149,9 +149,9 @@ def _choices(type: ParameterType, edit_method: str) -> Iterator[Choice]:
 
 
 def _python_value(text: str) -> object:
-    """The value that Python has written as `text`; None where it is none of plain dicts, lists, strings and numbers.
+    """Return the value of a Python literal of dicts, lists, strings and numbers, or None for anything else.
 
-    It is looked at before Python reads it: what is nested deep would end the process.
+    The text is checked first, because deep nesting would crash Python's parser.
     """
     if not text or len(text) > _MAX_METHOD:
         return None
@@ -179,11 +179,11 @@ def _shortened(text: str) -> str:
     return short.encode("utf-8", "replace").decode()
 
 
-# What is asked
+# Writing
 
 
 def request_of(values: Mapping[str, Scalar]) -> bytes:
-    """The request of a dynamic_reconfigure/Reconfigure that sets these parameters, by their own names, and no other."""
+    """Return a dynamic_reconfigure/Reconfigure request that sets only these parameters, by local name."""
     kinds: dict[type, list[bytes]] = {bool: [], int: [], str: [], float: []}
     for name, value in values.items():
         kinds[type(value)].append(_text(name) + _ENCODERS[type(value)](value))

@@ -1,4 +1,4 @@
-"""Services: their types are learnt by asking their nodes, and they are called over TCPROS."""
+"""Services: their types are requested from their nodes, and they are called over TCPROS."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _ASK_AGAIN = 30.0
 
 
 class Services:
-    """The services of a ROS system. All methods run on the reading thread.
+    """Services of a ROS system. All methods run on the reading thread.
 
-    A response of more than `message_limit` bytes is not read.
+    Responses of more than `message_limit` bytes are rejected.
     """
 
     def __init__(
@@ -36,7 +36,10 @@ class Services:
         self._probes: set[asyncio.Task[None]] = set()
 
     def follow(self, services: Iterable[tuple[str, tuple[str, ...]]]) -> None:
-        """Ask the types of those services (with their providers) that are new, moved, or could not be asked."""
+        """Request the types of services that are new, have moved, or could not be reached.
+
+        Given are names and providers.
+        """
         now = asyncio.get_running_loop().time()
         listed = dict(services)
         self._asked = {name: asked for name, asked in self._asked.items() if name in listed}
@@ -50,16 +53,16 @@ class Services:
                 probe.add_done_callback(self._probes.discard)
 
     def forget(self) -> None:
-        """Forget which services were asked for their types, so that all are asked again at the next poll."""
+        """Request the types of all services again at the next poll."""
         self._asked.clear()
 
     async def asked(self, patience: float) -> None:
-        """Wait until what is being asked was answered, for at most `patience` seconds."""
+        """Wait until pending requests for types have ended, for at most `patience` seconds."""
         if self._probes:
             await asyncio.wait(tuple(self._probes), timeout=patience)
 
     async def call(self, service: str, type: TypeRef, request: bytes, until: float) -> bytes:
-        """Return the response. Raises Refused with the node's words, TimedOut, Unreachable, NotFound."""
+        """Return the response of a service. Raises Refused with the node's message, TimedOut, Unreachable, NotFound."""
         progress = [Sent.NO]
         left = until - asyncio.get_running_loop().time()
         try:
@@ -131,7 +134,7 @@ class Services:
         return await self._judge(service, header)
 
     async def _judge(self, service: str, header: Header) -> ServiceFacts:
-        """What a service's header says, and whether there is a definition to call it by."""
+        """Return the facts in a service's header, and whether its definition is known."""
         if "error" in header:
             return ServiceFacts(None, f"its node refuses to tell its type: {header['error']}")
         name = service_type(header.get("type", ""))

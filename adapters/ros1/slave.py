@@ -1,4 +1,4 @@
-"""The Slave API: the XML-RPC server that ROS asks to reach what we publish. It runs only while we publish."""
+"""Slave API: an XML-RPC server through which ROS connects to our publications. Runs only while we publish."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ _IDLE = 15.0
 
 
 class Publishing(Protocol):
-    """What the Slave API tells of."""
+    """Our publications, for the Slave API."""
 
     @property
     def port(self) -> int:
-        """The port that speaks TCPROS."""
+        """Port of the TCPROS server."""
         ...
 
     def topics(self) -> Sequence[tuple[str, str]]:
-        """Topics published, with the ROS name of their types."""
+        """Return the published topics, with the ROS names of their types."""
         ...
 
 
 class SlaveApi:
-    """Answers the master and other nodes: one method of ours for each of the API's."""
+    """Responds to calls from the master and from other nodes."""
 
     def __init__(self, master_uri: str, host: str, publishing: Publishing, shut_down: Callable[[str], None]) -> None:
         self._master_uri = master_uri
@@ -47,7 +47,7 @@ class SlaveApi:
         self._shut_down = shut_down
 
     def answer(self, method: str, arguments: Sequence[ParameterValue]) -> Answer:
-        """Return the answer to a call; -1 for methods there are not."""
+        """Return the response to a call; code -1 for unknown methods."""
         match method, arguments:
             case "getPid", _:
                 return Answer(1, "", os.getpid())
@@ -78,7 +78,7 @@ class SlaveApi:
 
 
 class XmlRpcServer:
-    """An HTTP/1.1 server of XML-RPC, as small as ROS needs it."""
+    """A minimal HTTP/1.1 server for ROS's XML-RPC."""
 
     def __init__(self, answer: Callable[[str, Sequence[ParameterValue]], Answer]) -> None:
         self._answer = answer
@@ -86,7 +86,7 @@ class XmlRpcServer:
         self._open = 0
 
     async def start(self, bind: str) -> int:
-        """Listen on a free port of `bind`; the port."""
+        """Listen on a free port at `bind`; return the port."""
         self._server = await asyncio.start_server(self._serve, bind, 0)
         return int(self._server.sockets[0].getsockname()[1])
 
@@ -101,13 +101,13 @@ class XmlRpcServer:
             while self._open <= _MAX_CONNECTIONS and await asyncio.wait_for(self._turn(reader, writer), _IDLE):
                 pass
         except (OSError, EOFError, Malformed, asyncio.TimeoutError):
-            pass  # the peer left, or does not speak HTTP
+            pass  # the peer disconnected, or does not speak HTTP
         finally:
             self._open -= 1
             writer.close()
 
     async def _turn(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
-        """Answer one request; whether another may follow."""
+        """Respond to one request; return whether another may follow."""
         line, fields = await read_head(reader)
         length = content_length(fields, _MAX_REQUEST)
         if not line.startswith("POST ") or length is None:

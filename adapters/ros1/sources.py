@@ -1,4 +1,4 @@
-"""Reading topics: one connection to each publisher, found by asking the publisher itself, never registering."""
+"""Reading topics: one connection to each publisher, requested from the publisher itself, without registering."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 _TIMEOUT = 5.0
 _FIRST_WAIT = 0.1
 _LONGEST_WAIT = 10.0
-_LONG_ENOUGH = 5.0  # a connection that lived this long does not count as a failure
+_LONG_ENOUGH = 5.0  # seconds of a connection after which its end does not count as a failure
 
 
 class Nodes:
-    """The addresses of nodes, as the master last told them, and their Slave APIs.
+    """Addresses of nodes, as last reported by the master, and their Slave APIs.
 
-    `message_limit` are the most bytes of a message that is read from one.
+    `message_limit` is the maximum size of a received message in bytes.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class Nodes:
         self._look_up = look_up
 
     async def address(self, node: str) -> str:
-        """Return a node's URI, asked of the master anew, for a restarted node has another one."""
+        """Return a node's URI from the master, because a restarted node has a new one."""
         uri = await self._look_up(node)
         self.learnt.set_node_uri(node, uri)
         return uri
@@ -57,7 +57,7 @@ class Nodes:
 
 
 class PublisherReader:
-    """One publisher of one topic: found, connected to, read, and found again when it is lost."""
+    """Reader of one publisher of one topic, which reconnects when the connection is lost."""
 
     def __init__(self, feed: Feed, slot: Slot, nodes: Nodes, types: Types, next_epoch: Callable[[], int]) -> None:
         self.slot = slot
@@ -70,21 +70,21 @@ class PublisherReader:
 
     @property
     def is_connected(self) -> bool:
-        """Whether messages can come now."""
+        """Whether messages can be received now."""
         return self._receiver is not None and self._receiver.ready.done()
 
     def deepen(self, depth: int) -> None:
-        """Keep so many of the newest samples from now on."""
+        """Store this number of the newest samples from now on."""
         if self._receiver is not None:
             self._receiver.depth = depth
 
     def fit_buffer(self) -> None:
-        """Fit the kernel's buffer to the incoming rate."""
+        """Adapt the kernel's buffer to the incoming rate."""
         if self._receiver is not None:
             self._receiver.fit_buffer()
 
     async def run(self) -> None:
-        """Read for ever; ends only when cancelled."""
+        """Read until cancelled."""
         wait = _FIRST_WAIT
         now = asyncio.get_running_loop().time
         while True:
@@ -98,7 +98,7 @@ class PublisherReader:
             wait = min(2 * wait, _LONGEST_WAIT)
 
     async def _attempt(self) -> str | None:
-        """Connect and read until the connection ends; the words of what went wrong, None if it was in order."""
+        """Connect and read until the connection ends; return the error message, or None without an error."""
         try:
             uri = await self._nodes.address(self.slot.publisher)
             receiver = await self._connect(uri)
@@ -144,7 +144,7 @@ class PublisherReader:
         return encode_header({**fields, "message_definition": ""})
 
     def _accept(self, header: Header) -> Deliver:
-        """Learn what the publisher says of itself; where its frames go. Raises Refused."""
+        """Store the facts in the publisher's header; return the receiver of its frames. Raises Refused."""
         if "error" in header:
             raise Refused(f"{self.slot.publisher} refuses", words=header["error"])
         if self._guessed and header.get("callerid", self.slot.publisher) != self.slot.publisher:
@@ -168,7 +168,7 @@ class PublisherReader:
 
 
 class TopicReader:
-    """Reads one topic for its feed: a source for each publisher that the master lists."""
+    """Reader of one topic for its feed, with a source for each publisher that the master lists."""
 
     def __init__(self, feed: Feed, nodes: Nodes, types: Types, first_epoch: int) -> None:
         self.feed = feed
@@ -179,7 +179,7 @@ class TopicReader:
         self._left: list[Slot] = []
 
     def follow(self, publishers: Iterable[str]) -> None:
-        """Read exactly these publishers from now on."""
+        """Update the publishers that are read."""
         wanted = [each for each in publishers if each != self._nodes.caller]
         for gone in self._sources.keys() - set(wanted):
             source, task = self._sources.pop(gone)
@@ -196,12 +196,12 @@ class TopicReader:
         return any(source.is_connected for source, _ in self._sources.values())
 
     def deepen(self) -> None:
-        """Heed that the feed wants another depth."""
+        """Apply the feed's new depth."""
         for source, _ in self._sources.values():
             source.deepen(self.feed.depth)
 
     def fit_buffers(self) -> None:
-        """Fit the kernel's buffers to the incoming rates; called about once a second."""
+        """Adapt the kernel's buffers to the incoming rates; called about once a second."""
         for source, _ in self._sources.values():
             source.fit_buffer()
 
@@ -222,7 +222,7 @@ class TopicReader:
         return self.next_epoch - 1
 
     def _arrange(self) -> None:
-        """Put the slots where readers see them; of publishers that left, only the one who spoke last is still heard."""
+        """Publish the slots to readers. Of publishers that left, only the one with the latest message stays visible."""
         here = [source.slot for source, _ in self._sources.values()]
         spoke = [slot for slot in self._left if slot.values and slot not in here]
         self._left = sorted(spoke, key=lambda slot: slot.values[-1].received_ns)[-1:]

@@ -1,8 +1,8 @@
-"""Removal of registrations at the master that a rosld left when it ended uncleanly.
+"""Removal of registrations at the master that a rosld left behind when it did not end cleanly.
 
-The master never forgets a publisher that was killed, so that its topics would be "published by /rosld_HOST_PID" for
-ever. What is removed was registered under a name of rosld's, at an address of this machine where nobody answers any
-more, or another process. A rosld that is only busy or suspended still has its port: connections to it are accepted.
+The master never forgets a killed publisher, so its topics would remain "published by /rosld_HOST_PID". A registration
+is removed if it has a name of rosld's and an address of this machine where nothing or another process listens. A busy
+or suspended rosld still has its port, so connections to it are accepted.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from rosld.adapters.ros1.master import MasterApi
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 
 _NAME = re.compile(r"/rosld_\w*?_(?P<pid>\d+)(?:_(?P<number>\d+))?", re.ASCII)
-_AGAIN = 10.0  # seconds until an address that answered is looked at again
+_AGAIN = 10.0  # seconds until an address that responded is checked again
 _PATIENCE = 2.0
 
 
 def host_label() -> str:
-    """Return this machine's name as in the names of rosld's nodes."""
+    """Return this machine's name as used in the names of rosld's nodes."""
     return re.sub(r"\W", "_", socket.gethostname(), flags=re.ASCII)
 
 
 def own_name(number: int) -> str:
-    """A name for the adapter of this number in this process: `/rosld_HOST_PID`, from the second on with the number."""
+    """Return the name of an adapter in this process: `/rosld_HOST_PID`, with the number from the second one on."""
     return f"/rosld_{host_label()}_{os.getpid()}" + (f"_{number}" if number else "")
 
 
 def pids(node: str) -> frozenset[int]:
-    """The process ids that a node's name may hold, two where it ends in two numbers; none for others' names."""
+    """Return the possible process ids in a node's name, two if it ends with two numbers; none for other names."""
     found = _NAME.fullmatch(node) if node.startswith("/rosld_") else None
     if found is None:
         return frozenset()
@@ -43,9 +43,9 @@ def pids(node: str) -> frozenset[int]:
 
 
 class StaleRegistrations:
-    """Looks for dead registrations of rosld's. All methods run on the reading thread.
+    """Finder of dead registrations of rosld. All methods run on the reading thread.
 
-    `own_uri` gives the URI of our own Slave API while it runs.
+    `own_uri` returns the URI of our own Slave API while it runs.
     """
 
     def __init__(self, master: MasterApi, hosts: Hosts, own_node: str, own_uri: Callable[[], str | None]) -> None:
@@ -56,7 +56,7 @@ class StaleRegistrations:
         self._looked_at: dict[str, float] = {}
 
     def nodes_to_check(self, publishers: Mapping[str, tuple[str, ...]]) -> Mapping[str, tuple[str, ...]]:
-        """The topics of each node that is to be looked at now; `publishers` are the nodes by topic."""
+        """Return the topics of each node that must be checked now; `publishers` are the nodes by topic."""
         named = {node for nodes in publishers.values() for node in nodes if pids(node)}
         if self._own_uri() is not None:
             named.discard(self._own_node)
@@ -67,7 +67,7 @@ class StaleRegistrations:
         return {node: tuple(topic for topic, nodes in publishers.items() if node in nodes) for node in chosen}
 
     async def remove(self, node: str, topics: tuple[str, ...]) -> bool:
-        """Unregister a node from these topics if it is dead; whether it was."""
+        """Unregister a node from these topics if it is dead; return whether it was."""
         try:
             uri = await self._master.lookup_node(node, _PATIENCE)
             if uri == self._own_uri() or not await self._is_dead(node, uri):
@@ -75,11 +75,11 @@ class StaleRegistrations:
             for topic in topics:
                 await self._master.unregister_publisher(topic, uri, _PATIENCE, node=node)
         except RosError:
-            return False  # the master or the address cannot be asked: nothing is known
+            return False  # unknown, because the master or the address is unreachable
         return True
 
     async def _is_dead(self, node: str, uri: str) -> bool:
-        """Whether a node's address is certainly unused, or used by another. Raises Unreachable."""
+        """Whether a node's address is certainly unused, or used by another process. Raises Unreachable."""
         host, port = host_and_port(uri, "http")
         address = await self._hosts.resolve(host)
         is_ours = _is_local(address.ip) or node.startswith(f"/rosld_{host_label()}_")
@@ -95,7 +95,7 @@ class StaleRegistrations:
         return await self._is_another(node, uri, host, port)
 
     async def _is_another(self, node: str, uri: str, host: str, port: int) -> bool:
-        """Whether who answers at an address is a process that the node's name does not name."""
+        """Whether the process at an address is not one of those in the node's name."""
         client = XmlRpcClient(uri, "/", lambda: self._hosts.streams(host, port), keep_alive=False)
         try:
             answer = await client.call("getPid", self._own_node, timeout=_PATIENCE)
@@ -105,7 +105,7 @@ class StaleRegistrations:
 
 
 def _is_local(ip: str) -> bool:
-    """Whether an address is this machine's own: only those can be bound."""
+    """Whether an address is local: only those can be bound."""
     try:
         with socket.socket(socket.AF_INET6 if ":" in ip else socket.AF_INET, socket.SOCK_STREAM) as probe:
             probe.bind((ip, 0))

@@ -1,6 +1,6 @@
 """Subscriptions: the newest samples of each publisher, written by the reading thread and read by the server's.
 
-No locks: `values` of a slot is replaced as a whole, by one thread, in one assignment; readers get either tuple.
+No locks: a single thread replaces the `values` of a slot with one assignment; readers get either tuple.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rosld.adapters.ros1.tcpros import Frame
 
 
 class Value:
-    """A received frame, and its sample once it was read."""
+    """A received frame, which is converted to a sample on first use."""
 
     __slots__ = ("_sample", "data", "epoch", "latched", "publisher", "received_ns", "schema", "sequence")
 
@@ -33,7 +33,7 @@ class Value:
         self._sample: Sample | None = None
 
     def sample(self) -> Sample:
-        """Return the sample: always the same one."""
+        """Return the sample, always the same object."""
         if self._sample is None:
             self._sample = Sample(
                 bytes(self.data),
@@ -64,7 +64,7 @@ class Slot:
         self.values: tuple[Value, ...] = ()
 
     def take(self, frames: Sequence[Frame], count: int, depth: int) -> None:
-        """Take the newest frames of a batch of `count`, keeping the newest `depth` values."""
+        """Add the newest frames of a batch of `count`, and retain the newest `depth` values."""
         now = time.time_ns()
         self.sequence += count
         first = self.sequence - len(frames) + 1
@@ -75,20 +75,20 @@ class Slot:
         self.values = taken[-depth:] if len(taken) >= depth else (*self.values, *taken)[-depth:]
 
     def restart(self, epoch: int) -> None:
-        """Begin to count anew: the publisher is another process than before."""
+        """Restart the count, because the publisher is another process."""
         self.epoch = epoch
         self.sequence = 0
 
 
 class Feed:
-    """What comes in on one topic, for all its subscriptions.
+    """Messages received on one topic, for all its subscriptions.
 
-    The reading thread replaces `slots` and the values in them and calls `arrived`; all else belongs to the
-    server's loop. `own` maps topics to what rosld itself publishes.
+    The reading thread replaces `slots` and their values, and calls `arrived`; everything else belongs to the server's
+    event loop. `own` maps topics to rosld's own publications.
     """
 
     caller_suffix = ""
-    """Suffix of the node name in the caller id of the connections."""
+    """Suffix of the node name in the connections' caller id."""
 
     def __init__(self, topic: str, server: asyncio.AbstractEventLoop, own: Mapping[str, Slot]) -> None:
         self.topic = topic
@@ -101,28 +101,28 @@ class Feed:
         self._woken = False
 
     def values(self) -> tuple[tuple[Value, ...], ...]:
-        """Return the newest values of each publisher, ourselves included."""
+        """Return the newest values of each publisher, including rosld."""
         own = self._own.get(self.topic)
         slots = self.slots if own is None else (*self.slots, own)
         return tuple([slot.values for slot in slots])
 
     def arrived(self) -> None:
-        """Tell the watches; called on the reading thread for each batch, so it is cheap while nobody watches."""
+        """Wake the watches; called on the reading thread for each batch, so it is cheap without watches."""
         if self._watches and not self._woken:
             self._woken = True
             try:
                 self._server.call_soon_threadsafe(self._wake)
-            except RuntimeError:  # the server's loop has ended
+            except RuntimeError:  # the server's event loop has ended
                 pass
 
     def arrived_here(self) -> None:
-        """Wake the watches for a sample of rosld; called on the server's loop."""
+        """Wake the watches for a sample of rosld; called on the server's event loop."""
         if self._watches and not self._woken:
             self._woken = True
             self._server.call_soon(self._wake)
 
     def watch(self, watch: WakingWatch) -> None:
-        """Wake this one too."""
+        """Add a watch."""
         self._watches = (*self._watches, watch)
 
     def unwatch(self, watch: WakingWatch) -> None:
@@ -136,9 +136,9 @@ class Feed:
 
 
 class MessageFeed(Feed):
-    """What comes in on one topic for the reading thread itself, where every message is taken once.
+    """Messages received on one topic for the reading thread itself, each passed on once.
 
-    `take` raises ValueError for what cannot be read, which is passed over.
+    `take` raises ValueError for unreadable messages, which are skipped.
     """
 
     caller_suffix = "_follower"
@@ -151,7 +151,7 @@ class MessageFeed(Feed):
         self._seen: dict[Slot, tuple[int, int]] = {}
 
     def arrived(self) -> None:
-        """Take what is new."""
+        """Pass on new messages."""
         for slot in self.slots:
             epoch, sequence = self._seen.get(slot, (-1, 0))
             for value in slot.values:
@@ -164,8 +164,6 @@ class MessageFeed(Feed):
 
 
 class WakingWatch:
-    """A running watch."""
-
     def __init__(self, feed: Feed, wake: Callable[[], None]) -> None:
         self._feed = feed
         self.wake = wake
@@ -177,7 +175,7 @@ class WakingWatch:
 
 
 class TopicSubscription:
-    """One interest in a topic; implements the contract's `Subscription`."""
+    """A subscription to a topic; implements `Subscription`."""
 
     def __init__(self, feed: Feed, depth: int, release: Callable[[TopicSubscription], None]) -> None:
         self.feed = feed
@@ -189,7 +187,7 @@ class TopicSubscription:
         self._watches: list[WakingWatch] = []
 
     def latest(self) -> Sequence[Sample]:
-        """Return the newest `depth` samples of each publisher, oldest first; the same object while nothing new came."""
+        """Return the newest `depth` samples of each publisher, oldest first; the same object if nothing is new."""
         values = self.feed.values()
         if not _same(values, self._seen):
             self._seen = values
@@ -201,13 +199,13 @@ class TopicSubscription:
         return self._latest
 
     def watch(self, wake: Callable[[], None]) -> WakingWatch:
-        """Call `wake` on the server's loop after something new came."""
+        """Call `wake` on the server's event loop after new messages."""
         watch = WakingWatch(self.feed, wake)
         self._watches.append(watch)
         return watch
 
     def close(self) -> None:
-        """Give this interest back. Idempotent."""
+        """End the subscription. Idempotent."""
         if not self._closed:
             self._closed = True
             for watch in self._watches:
@@ -220,5 +218,5 @@ def _received_ns(value: Value) -> int:
 
 
 def _same(these: Sequence[object], those: Sequence[object]) -> bool:
-    """Whether nothing was replaced: compares identities, never contents."""
+    """Whether two sequences have identical elements, without comparing contents."""
     return len(these) == len(those) and all(map(operator.is_, these, those))

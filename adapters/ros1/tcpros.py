@@ -1,10 +1,10 @@
-"""TCPROS: connection headers and frames, the wire of ROS 1's topics and services.
+"""TCPROS: connection headers and frames, the wire format of ROS 1's topics and services.
 
-A frame is a little-endian uint32 length and that many bytes. The first frame each way is a header: fields
+A frame is a little-endian uint32 length and that many bytes. The first frame in each direction is a header: fields
 `name=value`, each preceded by its length.
 
 A publisher without a queue (rospy's `queue_size=None`) blocks in `publish()` when the buffers between it and a
-subscriber are full. So the kernel's receive buffer must hold what it sends while this process does not run.
+subscriber are full. So the kernel's receive buffer must hold its messages while this process is not running.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from pathlib import Path
 from typing import TypeAlias, cast
 
 SECONDS = 2.0
-"""How much of a topic the buffer holds, by the highest rate seen: a second is promised, measured rates vary."""
+"""Seconds of messages that the buffer holds at the highest measured rate: one is promised, but rates vary."""
 MIN_BYTES = 1024 * 1024
 MAX_BYTES = 64 * 1024 * 1024
 _PERMITTED = Path("/proc/sys/net/core/rmem_max")
 _FORCE = 33 if sys.platform == "linux" else None
-"""SO_RCVBUFFORCE, which `socket` does not name: beyond net.core.rmem_max, for those who may (CAP_NET_ADMIN)."""
+"""SO_RCVBUFFORCE, which `socket` does not define: exceeds net.core.rmem_max with CAP_NET_ADMIN."""
 
 
 def wanted_bytes(highest_rate: float) -> int:
-    """Return the buffer size for a topic of this many bytes a second."""
+    """Return the buffer size for a topic of this many bytes per second."""
     return min(max(int(SECONDS * highest_rate), MIN_BYTES), MAX_BYTES)
 
 
 class ReceiveBuffer:
-    """Enlarges the receive buffer of one socket; never makes it smaller than the system's own tuning did."""
+    """Enlarges the receive buffer of a socket; never makes it smaller than the system's own tuning did."""
 
     def __init__(self, sock: socket.socket, now: float) -> None:
         self._socket = sock
@@ -43,7 +43,7 @@ class ReceiveBuffer:
         self._asked = 0
 
     def fit(self, received: int, now: float) -> None:
-        """Heed that `received` bytes have come so far, at `now` (seconds); called about once a second."""
+        """Adapt the buffer to a total of `received` bytes at `now` (seconds); called about once a second."""
         then, before = self._seen
         if now - then < 0.5:
             return
@@ -51,14 +51,14 @@ class ReceiveBuffer:
         self._highest = max(self._highest, (received - before) / (now - then))
         wanted = wanted_bytes(self._highest)
         if wanted > self._asked:
-            self._asked = max(wanted, self._asked * 5 // 4)  # rates waver: not a call for each time
+            self._asked = max(wanted, self._asked * 5 // 4)  # rates vary: larger steps avoid a call each time
             enlarge(self._socket, self._asked)
 
 
 def enlarge(sock: socket.socket, size: int) -> None:
-    """Have the kernel hold `size` bytes, or as many as it permits, where that is more than now.
+    """Enlarge the kernel's receive buffer to `size` bytes, or to the permitted maximum.
 
-    The kernel doubles the number for its own bookkeeping, and tells the doubled one.
+    The kernel doubles the number for its own bookkeeping, and reports the doubled value.
     """
     try:
         if 2 * size <= sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF):
@@ -76,7 +76,7 @@ def enlarge(sock: socket.socket, size: int) -> None:
 
 
 def max_permitted_bytes() -> int:
-    """The largest buffer that anybody may ask for (net.core.rmem_max), in bytes; `MAX_BYTES` where that is not told."""
+    """Return the maximum buffer size in bytes without privileges (net.core.rmem_max), or `MAX_BYTES` if unknown."""
     try:
         return int(_PERMITTED.read_text())
     except (OSError, ValueError):
@@ -88,7 +88,7 @@ MAX_HEADER = 1024 * 1024
 FIRST_BUFFER = 64 * 1024
 MAX_BUFFER = 1024 * 1024
 FIRST_PIECE = 4 * 1024 * 1024
-"""How much memory a peer gets for a length that it has only announced, in bytes; more as it fills it."""
+"""Initial bytes allocated for an announced length; more are allocated as data arrives."""
 
 Header: TypeAlias = Mapping[str, str]
 Frame: TypeAlias = "bytes | bytearray"
@@ -97,11 +97,11 @@ Accept: TypeAlias = Callable[[Header], Deliver]
 
 
 class BadFrame(ValueError):
-    """A frame or a header that cannot be one."""
+    """An invalid frame or header."""
 
 
 def encode_header(fields: Header) -> bytes:
-    """Return the header as one frame, its length included."""
+    """Return the header as one frame, including its length."""
     parts = [f"{name}={value}".encode("utf-8", "surrogateescape") for name, value in fields.items()]
     body = b"".join(LENGTH.pack(len(part)) + part for part in parts)
     return LENGTH.pack(len(body)) + body
@@ -130,7 +130,7 @@ def frame(data: bytes) -> bytes:
 
 
 async def read_frame(reader: asyncio.StreamReader, limit: int) -> bytes:
-    """The next frame of a stream; memory grows with what arrives. Raises BadFrame where it is longer than `limit`."""
+    """Return the next frame of a stream; memory grows with the received data. Raises BadFrame if it exceeds `limit`."""
     (length,) = LENGTH.unpack(await reader.readexactly(4))
     if length > limit:
         raise BadFrame(f"it announces {length} bytes, more than {limit}")
@@ -138,9 +138,9 @@ async def read_frame(reader: asyncio.StreamReader, limit: int) -> bytes:
 
 
 class LargeFrame:
-    """A frame that is received into memory of its own, which grows with what arrives, not with what is announced.
+    """A frame received into its own memory, which grows with the received data, not with the announced length.
 
-    `trusted` bytes are given at once: a peer that has sent so many before may announce as many again.
+    `trusted` bytes are allocated at once: a peer that has sent a frame of this size may send another.
     """
 
     def __init__(self, length: int, trusted: int) -> None:
@@ -154,19 +154,19 @@ class LargeFrame:
         return memoryview(self._pieces[-1])[self._filled :]
 
     def put(self, data: memoryview) -> None:
-        """Add bytes that were received elsewhere, at most up to the room left."""
+        """Add bytes that were received elsewhere, within the room left."""
         self.writable_view()[: len(data)] = data
         self.advance(len(data))
 
     def advance(self, count: int) -> None:
-        """Count bytes that were written into `writable_view`."""
+        """Count bytes written to `writable_view`."""
         self._filled += count
         self._missing -= count
         if self._missing and self._filled == len(self._pieces[-1]):
             self._next_piece(sum(map(len, self._pieces)))
 
     def whole(self) -> bytes | bytearray | None:
-        """The frame once all of it has come."""
+        """Return the frame once it is complete, else None."""
         if self._missing:
             return None
         return self._pieces[0] if len(self._pieces) == 1 else b"".join(self._pieces)
@@ -177,7 +177,7 @@ class LargeFrame:
 
 
 def skip_frames(buffer: bytearray, end: int) -> tuple[int, int, int]:
-    """(where the newest whole frame in `buffer[:end]` starts, where it ends, how many whole frames there are)."""
+    """Return start and end of the newest complete frame in `buffer[:end]`, and the number of complete frames."""
     unpack = LENGTH.unpack_from
     start = position = count = 0
     last = end - 4
@@ -191,7 +191,7 @@ def skip_frames(buffer: bytearray, end: int) -> tuple[int, int, int]:
 
 
 def newest_frames(buffer: bytearray, end: int, depth: int) -> tuple[list[tuple[int, int]], int, int]:
-    """(the spans of the newest `depth` whole frames, where the last one ends, how many there are in all)."""
+    """Return the spans of the newest `depth` complete frames, the end of the last one, and the number of all."""
     unpack = LENGTH.unpack_from
     spans: deque[tuple[int, int]] = deque(maxlen=depth)
     position = count = 0
@@ -214,18 +214,18 @@ class FrameBuffer:
         self.end = 0
 
     def writable_view(self) -> memoryview:
-        """Return the memory for the kernel to write to."""
+        """Return the memory that the kernel writes to."""
         return self.view[self.end :]
 
     def grow(self, size: int) -> None:
-        """Make room for `size` bytes."""
+        """Enlarge the buffer to `size` bytes."""
         if size > len(self.data):
             data = bytearray(size)
             data[: self.end] = self.data[: self.end]
             self.data, self.view = data, memoryview(data)
 
     def drop(self, position: int, end: int) -> None:
-        """Keep what is from `position` up to `end`, at the front."""
+        """Move the bytes from `position` to `end` to the front, and drop the others."""
         rest = end - position
         if position and rest:
             self.data[:rest] = self.data[position:end]
@@ -235,10 +235,10 @@ class FrameBuffer:
 class FrameReceiver(asyncio.BufferedProtocol):
     """Receives frames in bulk and delivers the newest of each batch.
 
-    The kernel writes into one buffer; whole frames in it are counted, and only the newest `depth` are copied
-    out, however many came. A frame larger than the buffer is received into memory of its own; one longer than `limit`
-    bytes ends the connection, and `failure` then says why. `accept` is given the peer's header and returns where frames
-    go; whatever it raises ends the connection.
+    The kernel writes into one buffer; its complete frames are counted, and only the newest `depth` are copied. A frame
+    larger than the buffer is received into its own memory; one larger than `limit` bytes ends the connection, and
+    `failure` is the reason. `accept` is called with the peer's header and returns the receiver of frames; any exception
+    of it ends the connection.
     """
 
     def __init__(self, hello: bytes, accept: Accept, limit: int) -> None:
@@ -267,17 +267,17 @@ class FrameReceiver(asyncio.BufferedProtocol):
         error = exc or ConnectionResetError("the publisher closed the connection")
         if not self.ready.done():
             self.ready.set_exception(error)
-            self.ready.exception()  # it may be nobody waits
+            self.ready.exception()  # retrieved, because nobody may be waiting
         if not self.closed.done():
             self.closed.set_result(None)
 
     def close(self) -> None:
-        """End the connection at once."""
+        """Abort the connection."""
         if self._transport is not None:
             self._transport.abort()
 
     def fit_buffer(self) -> None:
-        """Fit the kernel's buffer to the incoming rate; called about once a second."""
+        """Adapt the kernel's buffer to the incoming rate; called about once a second."""
         if self._kernel is not None and not self.closed.done():
             self._kernel.fit(self.received, time.monotonic())
 
@@ -288,7 +288,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
         return self._buffer.writable_view()
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Take what was written."""
+        """Process received bytes."""
         self.received += nbytes
         if self._large is not None:
             self._fill_large(nbytes)
@@ -315,7 +315,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
         return position
 
     def _take_header(self, end: int) -> int:
-        """Read the peer's header off the front of the buffer; how much is left in it."""
+        """Read the peer's header at the front of the buffer; return the number of bytes after it."""
         buffer = self._buffer
         buffer.end = end
         if end < 4:
@@ -346,7 +346,7 @@ class FrameReceiver(asyncio.BufferedProtocol):
         self.close()
 
     def _keep_rest(self, position: int, end: int) -> None:
-        """Move what follows the last whole frame to the front, or begin to receive a large frame."""
+        """Move the bytes after the last complete frame to the front, or start to receive a large frame."""
         buffer = self._buffer
         if end - position >= 4:
             (length,) = LENGTH.unpack_from(buffer.data, position)

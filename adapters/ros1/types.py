@@ -1,4 +1,4 @@
-"""Types: learnt from connection headers, or found in a local ROS; unreadable ones are noted in the graph."""
+"""Types: learnt from connection headers, or found in a local ROS; the graph shows unreadable ones."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ _ROS_NAME = re.compile(r"([A-Za-z]\w*)/([A-Za-z]\w*)\Z", re.ASCII)
 
 
 def message_type(ros_name: str) -> str | None:
-    """`std_msgs/msg/String` for `std_msgs/String`; None for what is no type's name."""
+    """Return `std_msgs/msg/String` for `std_msgs/String`, or None for an invalid name."""
     found = _ROS_NAME.match(ros_name)
     return f"{found[1]}/msg/{found[2]}" if found else None
 
 
 def service_type(ros_name: str) -> str | None:
-    """`std_srvs/srv/Trigger` for `std_srvs/Trigger`; None for what is no type's name."""
+    """Return `std_srvs/srv/Trigger` for `std_srvs/Trigger`, or None for an invalid name."""
     found = _ROS_NAME.match(ros_name)
     return f"{found[1]}/srv/{found[2]}" if found else None
 
 
 def ros_name(name: str) -> str:
-    """`std_msgs/String` for `std_msgs/msg/String`: ROS 1's own way of naming a type."""
+    """Return ROS 1's name of a type: `std_msgs/String` for `std_msgs/msg/String`."""
     package, _, short = name.partition("/")
     return f"{package}/{short.partition('/')[2] or short}"
 
 
 def definition_folders(given: Iterable[Path], environment: Mapping[str, str] = os.environ) -> Sequence[Path]:
-    """The folders in which definitions may lie: those given, then those of a local ROS.
+    """Return the folders that may contain definitions: those given, then those of a local ROS installation.
 
-    A local ROS is `ROS_PACKAGE_PATH`, `/usr/share` (Debian's packages) and `/opt/ros/*/share`; of folders named
-    `share` only the packages' own `msg` and `srv` are looked into, for they hold the whole system's data.
+    These are `ROS_PACKAGE_PATH`, `/usr/share` (Debian's packages) and `/opt/ros/*/share`; in folders named `share`,
+    which contain the whole system's data, only the `msg` and `srv` folders of packages are searched.
     """
     sources = [Path(each) for each in environment.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if each]
     shares = [Path("/usr/share"), *sorted(Path("/opt/ros").glob("*/share"), reverse=True)]
@@ -50,9 +50,9 @@ def definition_folders(given: Iterable[Path], environment: Mapping[str, str] = o
 
 
 class Types:
-    """The type library as the reading thread uses it: nothing it does there waits for a definition to be read.
+    """The type library for the reading thread, which never waits for a definition to be parsed.
 
-    `changed` is called on the reading thread when a type turned out to be readable or not.
+    `changed` is called on the reading thread when a type was found to be readable or unreadable.
     """
 
     def __init__(self, library: TypeLibrary, changed: Callable[[], None]) -> None:
@@ -63,12 +63,12 @@ class Types:
         self._learnt: set[TypeRef] = set()
 
     def learn(self, ref: TypeRef, definition: str) -> None:
-        """Begin to learn a message type from a connection header; called on the reading thread."""
+        """Start learning a message type from a connection header; called on the reading thread."""
         if ref not in self._learnt and ref not in self._learning and ref not in self.unreadable:
             self._learning[ref] = asyncio.get_running_loop().create_task(self._learn(ref, definition))
 
     async def schema(self, ref: TypeRef) -> Schema:
-        """Return the schema of a type; waits for it where it is being learnt. Raises UnknownType."""
+        """Return the schema of a type; waits if it is being learnt. Raises UnknownType."""
         for pending in [task for each, task in self._learning.items() if each.name == ref.name]:
             await asyncio.shield(pending)
         if ref in self.unreadable:
@@ -87,7 +87,7 @@ class Types:
         try:
             await loop.run_in_executor(None, self.library.learn_message, ref.name, definition, ref.hash)
             self._learnt.add(ref)
-        except Exception as error:  # whatever a hostile definition provokes: the topic stays listed
+        except Exception as error:  # any error of a hostile definition: the topic stays listed
             self.unreadable[ref] = str(error) or type(error).__name__
         finally:
             del self._learning[ref]
@@ -95,7 +95,7 @@ class Types:
 
 
 class EndpointFacts(NamedTuple):
-    """Header of a publisher from its connection, or the reason of its failure."""
+    """A publisher's connection header, or the reason why the connection failed."""
 
     type: TypeRef | None = None
     latched: bool = False
@@ -103,7 +103,7 @@ class EndpointFacts(NamedTuple):
 
 
 class ServiceFacts(NamedTuple):
-    """Type of a service from its node, or why it cannot be called."""
+    """Type of a service as reported by its node, or the reason why it cannot be called."""
 
     type: TypeRef | None = None
     uncallable: str | None = None
@@ -111,7 +111,7 @@ class ServiceFacts(NamedTuple):
 
 @dataclass
 class LearntFacts:
-    """Facts by name; written on the reading thread alone. `changed` is called after each change."""
+    """Learnt facts by name; written only on the reading thread. `changed` is called after each change."""
 
     changed: Callable[[], None]
     uris: dict[str, str] = field(default_factory=dict)
@@ -120,14 +120,14 @@ class LearntFacts:
     services: dict[str, ServiceFacts] = field(default_factory=dict)
 
     def set_node_uri(self, node: str, uri: str) -> None:
-        """A node has this address."""
+        """Set the address of a node."""
         if self.uris.get(node) != uri:
             self.uris[node] = uri
             self.unreachable.pop(node, None)
             self.changed()
 
     def set_node_reachable(self, node: str, words: str | None) -> None:
-        """A node answers (None), or does not, as these words say."""
+        """Set whether a node responds (None), or its error message."""
         if self.unreachable.get(node) != words:
             if words is None:
                 del self.unreachable[node]
@@ -136,24 +136,24 @@ class LearntFacts:
             self.changed()
 
     def set_endpoint(self, topic: str, node: str, facts: EndpointFacts) -> None:
-        """A publisher said this of itself."""
+        """Set the facts about a publisher."""
         if self.endpoints.get((topic, node)) != facts:
             self.endpoints[topic, node] = facts
             self.changed()
 
     def set_endpoint_unreachable(self, topic: str, node: str, words: str) -> None:
-        """A publisher could not be read from; what it said before still holds."""
+        """Mark a publisher as unreadable; its other facts remain."""
         before = self.endpoints.get((topic, node), EndpointFacts())
         self.set_endpoint(topic, node, before._replace(unreachable=words))
 
     def set_service(self, name: str, facts: ServiceFacts) -> None:
-        """A service's type is this."""
+        """Set the facts about a service."""
         if self.services.get(name) != facts:
             self.services[name] = facts
             self.changed()
 
     def retain(self, nodes: set[str], endpoints: set[tuple[str, str]], services: set[str]) -> None:
-        """Forget what the master no longer lists."""
+        """Remove facts about things that the master no longer lists."""
         for gone in self.uris.keys() - nodes:
             del self.uris[gone]
         for gone in self.unreachable.keys() - nodes:

@@ -1,4 +1,4 @@
-"""Fields of ROS 1's messages read one after another, for messages that are the same in every ROS 1."""
+"""Reader of ROS 1's message fields one after another, for messages with a fixed definition."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ _BOOL, _LENGTH, _INT32, _FLOAT64 = struct.Struct("<?"), struct.Struct("<I"), str
 
 
 class WireReader:
-    """Reads the fields of one message in their order. Each method raises ValueError where the message is cut off."""
+    """Reads the fields of a message in order. Methods raise ValueError if the message is truncated."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
         self._at = 0
 
     def skip(self, count: int) -> bytes:
-        """Return the next `count` bytes. Raises ValueError, as all reading does, where the message ends before."""
+        """Return the next `count` bytes."""
         start, self._at = self._at, self._at + count
         if self._at > len(self._data):
             raise ValueError("the message is cut off")
         return self._data[start : self._at]
 
     def length(self) -> int:
-        """Return the next uint32: the length of what follows."""
+        """Return the next uint32, the length of the following data."""
         return int(_LENGTH.unpack(self.skip(_LENGTH.size))[0])
 
     def int32(self) -> int:
@@ -41,16 +41,16 @@ class WireReader:
         return bool(_BOOL.unpack(self.skip(_BOOL.size))[0])
 
     def text(self) -> str:
-        """Return a string; bytes that are no UTF-8 are surrogate escapes."""
+        """Return a string; bytes that are not UTF-8 are surrogate escapes."""
         return self.skip(self.length()).decode("utf-8", "surrogateescape")
 
     def array(self, read: Callable[[], _T], limit: int) -> list[_T]:
-        """Return an array of what `read` reads. Raises ValueError where it is longer than the limit."""
+        """Return an array of elements returned by `read`. Raises ValueError if it is longer than `limit`."""
         count = self.length()
         if count > limit:
             raise ValueError(f"{count} elements are more than {limit}")
         return [read() for _ in range(count)]
 
     def rest(self) -> bytes:
-        """All that has not been read."""
+        """Return all remaining bytes."""
         return self._data[self._at :]

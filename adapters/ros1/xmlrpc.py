@@ -1,6 +1,6 @@
-"""XML-RPC: how the Master and Slave APIs of ROS 1 are spoken, and an HTTP client for it.
+"""XML-RPC for the Master and Slave APIs of ROS 1, with an HTTP client.
 
-Every document is hostile until read: no DOCTYPE (so no entities), bounded size and depth, bounded headers.
+Every document is untrusted: no DOCTYPE (so no entities), limited size and depth, limited headers.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from rosld.adapters.model.parameter import ParameterValue
 
 MAX_BYTES = 64 * 1024 * 1024
 MAX_HEADER = 16 * 1024
-MAX_DEPTH = 400  # elements; a struct in a struct takes three
+MAX_DEPTH = 400  # elements; nested structs take three each
 MAX_IDLE = 2
 
 Dial: TypeAlias = Callable[[], Awaitable[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]
 
 
 class Malformed(ValueError):
-    """Not XML-RPC, or beyond the limits of what is read."""
+    """A document that is not XML-RPC, or exceeds the limits."""
 
 
 class Answer(NamedTuple):
-    """Response of a ROS API: 1 success, 0 failure, -1 the caller's error; words; the value."""
+    """Response of a ROS API: a code (1 success, 0 failure, -1 the caller's error), a message, and the value."""
 
     code: int
     words: str
@@ -51,7 +51,7 @@ def encode_fault(words: str) -> bytes:
 
 
 def decode_call(document: bytes) -> tuple[str, list[ParameterValue]]:
-    """Method and arguments of a call. Raises Malformed."""
+    """Return method and arguments of a call. Raises Malformed."""
     arguments, method = _parse(document)
     if not isinstance(method, str):
         raise Malformed("no methodCall")
@@ -122,7 +122,7 @@ def _value(found: object) -> ParameterValue:
 
 
 class XmlRpcClient:
-    """Calls on one server, over connections that are kept alive (at most two idle)."""
+    """Client of one server, with persistent connections (at most two idle)."""
 
     def __init__(self, uri: str, path: str, dial: Dial, *, keep_alive: bool) -> None:
         self.uri = uri
@@ -137,14 +137,14 @@ class XmlRpcClient:
         return self.decode(await self.request(encode_call(method, *arguments), timeout=timeout))
 
     def decode(self, document: bytes) -> Answer:
-        """The answer that a document of this server has. Raises Unreachable where it is none."""
+        """Return the response in a document of this server. Raises Unreachable if it is malformed."""
         try:
             return decode_answer(document)
         except Malformed as error:
             raise Unreachable(f"{self.uri} does not speak ROS 1's XML-RPC: {error}", sent=Sent.MAYBE) from error
 
     async def request(self, document: bytes, *, timeout: float) -> bytes:
-        """Return the document that answers this one, unread. Raises Unreachable, TimedOut."""
+        """Return the response document. Raises Unreachable, TimedOut."""
         progress = [Sent.NO]
         try:
             return await asyncio.wait_for(self._exchange(document, progress), max(timeout, 0.0))
@@ -154,13 +154,13 @@ class XmlRpcClient:
             raise Unreachable(f"{self.uri} cannot be reached: {_words(error)}", sent=progress[0]) from error
 
     def close(self) -> None:
-        """Drop the idle connections."""
+        """Close the idle connections."""
         for _, writer in self._idle:
             writer.close()
         self._idle.clear()
 
     async def _exchange(self, document: bytes, progress: list[Sent]) -> bytes:
-        while self._idle:  # a kept-alive connection may have died meanwhile: then the next one, at last a new one
+        while self._idle:  # an idle connection may be dead: try the next one, and finally a new one
             connection = self._idle.pop()
             try:
                 return await self._over(connection, document, progress)
@@ -194,7 +194,10 @@ class XmlRpcClient:
 
 
 async def read_head(reader: asyncio.StreamReader) -> tuple[str, dict[str, str]]:
-    """The first line and the header fields (names in lower case) of an HTTP message. Raises Malformed, EOFError."""
+    """Return the first line and the header fields (names in lower case) of an HTTP message.
+
+    Raises Malformed, EOFError.
+    """
     try:
         head = await reader.readuntil(b"\r\n\r\n")
     except asyncio.LimitOverrunError as error:
@@ -205,7 +208,7 @@ async def read_head(reader: asyncio.StreamReader) -> tuple[str, dict[str, str]]:
 
 
 def content_length(fields: dict[str, str], limit: int = MAX_BYTES) -> int | None:
-    """Return the length that a header states, None where it states none. Raises Malformed."""
+    """Return the Content-Length in header fields, or None. Raises Malformed."""
     stated = fields.get("content-length")
     if stated is None:
         return None

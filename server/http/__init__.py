@@ -1,1 +1,1 @@
-"""HTTP as pure functions of values: header fields, negotiation, conditions, problems, and bodies within bounds."""
+"""HTTP as pure functions of values: header fields, negotiation, conditions, problems, and bounded bodies."""

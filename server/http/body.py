@@ -1,4 +1,4 @@
-"""Request bodies: reading within bounds (RFC 9110 8.4 to 8.6), charsets (8.3.2), and multipart/form-data (RFC 7578)."""
+"""Request bodies: bounded reading (RFC 9110 8.4 to 8.6), charsets (8.3.2), and multipart/form-data (RFC 7578)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from rosld.server.http.negotiation import MediaType, parse_media_type
 from rosld.server.http.problem import Problem
 
 TIMEOUT = 30.0
-"""Seconds a client has to send its body."""
+"""Seconds for a client to send its body."""
 MIN_BYTES_PER_SECOND = 1024
 """Minimum average rate of a streamed body."""
 LINGER_SECONDS = 2.0
-"""How long the rest of a body that is too large is read and discarded, so that the client receives the response."""
+"""Seconds of reading and discarding the rest of a body that is too large, so that the client gets the response."""
 
 
 class IncomingRequest(Protocol):
@@ -30,20 +30,20 @@ class IncomingRequest(Protocol):
 
     @property
     def headers(self) -> Mapping[str, str]:
-        """The header fields; names are in lower case."""
+        """Header fields by lower-case name."""
         ...
 
     @property
     def receive(self) -> Receive:
-        """The ASGI callable that receives the body."""
+        """ASGI callable that receives the body."""
         ...
 
 
 async def read_body(request: IncomingRequest, *, limit: int, timeout: float = TIMEOUT) -> bytes:
     """Return the body of a request, of at most `limit` bytes, sent within `timeout` seconds.
 
-    Raises Problems: 413 too large (before reading where Content-Length says so), 415 compressed, 408 too slow, 400 cut
-    off or not as long as Content-Length says. A connection whose body was not read to its end is not used again.
+    Raises Problems: 413 too large (before reading if Content-Length says so), 415 compressed, 408 too slow, 400
+    truncated or not of the length in Content-Length. A connection with an unread rest is closed.
     """
     headers = request.headers
     require_identity_coding(headers.get("content-encoding"))
@@ -66,9 +66,9 @@ async def read_body(request: IncomingRequest, *, limit: int, timeout: float = TI
 
 
 async def read_chunks(request: IncomingRequest, *, limit: int, timeout: float = TIMEOUT) -> AsyncIterator[bytes]:
-    """Yield the body of a request as it comes, each chunk within `timeout` seconds; raises the Problems of `read_body`.
+    """Yield the body as it arrives, each chunk within `timeout` seconds. Raises the Problems of `read_body`.
 
-    All of it may take that long and a second more for each `MIN_BYTES_PER_SECOND`, so that no trickle goes on for ever.
+    The whole body may take that time and another second for each `MIN_BYTES_PER_SECOND`, so that a slow trickle ends.
     """
     require_identity_coding(request.headers.get("content-encoding"))
     declared = parse_content_length(request.headers.get("content-length"))
@@ -110,7 +110,7 @@ def require_identity_coding(coding: str | None) -> None:
 
 
 def parse_content_length(text: str | None) -> int | None:
-    """Return the number in Content-Length, None where there is none; a 400 Problem where it is no number."""
+    """Return the number in Content-Length, None if it is missing. Raises a 400 Problem if it is not a number."""
     if text is None:
         return None
     if not (text.isascii() and text.isdigit() and len(text) < 20):
@@ -188,10 +188,10 @@ FORM = "application/x-www-form-urlencoded"
 
 
 def codec_for(media_type: MediaType) -> str:
-    """Return the Python codec of the charset that a media type states, UTF-8 where it states none.
+    """Return the Python codec of the charset of a media type, by default UTF-8.
 
-    Parts of a multipart body state their own. A form is ASCII with percent-encoded octets, which excludes UTF-16.
-    Raises a 415 Problem for an unsupported charset.
+    Parts of a multipart body have their own. A form is ASCII with percent-encoded octets, which excludes UTF-16. Raises
+    a 415 Problem for an unsupported charset.
     """
     stated = media_type.parameter("charset")
     if stated is None or media_type.type == "multipart":
@@ -210,7 +210,7 @@ def to_utf8(data: bytes, media_type: MediaType) -> bytes:
     stated = media_type.parameter("charset")
     if stated is None:
         return data
-    found, declares_another = codec_for(media_type), _is_xml(media_type)  # what the field says counts (RFC 7303 3.2)
+    found, declares_another = codec_for(media_type), _is_xml(media_type)  # the field takes precedence (RFC 7303 3.2)
     if not data or (found == UTF_8 and not declares_another):
         return data
     try:
@@ -240,9 +240,9 @@ class Part(NamedTuple):
 
 
 def split_parts(body: bytes, boundary: str | None) -> tuple[Part, ...]:
-    """Return the parts of a body in order, cut at `boundary`: what its Content-Type says it is (RFC 2046 5.1).
+    """Return the parts of a multipart body in order; `boundary` is that of its Content-Type (RFC 2046 5.1).
 
-    Raises ValueError naming what is wrong.
+    Raises ValueError naming the error.
     """
     if boundary is None or not _BOUNDARY.fullmatch(boundary):
         raise ValueError(f"boundary={boundary!r} cuts no multipart body: 1 to 70 characters of RFC 2046 5.1.1 do")

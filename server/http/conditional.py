@@ -2,7 +2,7 @@
 
 Entity tags are strong and have the form `"<boot>-<state>.<variant>"`: `<boot>-<state>` identifies the state of the
 resource, `<variant>` the representation. If-None-Match of a read compares the whole tag; If-Match, and If-None-Match of
-a write, compare the state only, so that a client that read Turtle can guard a write in JSON.
+a write, compare only the state, so that a client that read Turtle can guard a write in JSON.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Literal, TypeAlias
 from rosld.server.http.fields import require_field_value
 from rosld.server.http.problem import Problem
 
-# Looser than RFC 9110 8.8.3: a tag with a space in it is none of ours, so it matches nothing (412).
+# Looser than RFC 9110 8.8.3: a tag with a space is not one of ours, so it matches nothing (412).
 _OPAQUE = r'[^"\x00-\x08\x0a-\x1f\x7f]*'
 _TAG = re.compile(rf'(W/)?"({_OPAQUE})"')
 _LIST = re.compile(rf'[ \t,]*(?:W/)?"{_OPAQUE}"[ \t]*(?:,[ \t]*(?:(?:W/)?"{_OPAQUE}"[ \t]*)?)*')
@@ -30,9 +30,9 @@ _SECRET = secrets.token_bytes(32)
 
 @dataclass(frozen=True, slots=True)
 class ETag:
-    """A strong entity tag: the state (`<boot>-<state>`) and the variant, which holds no dot.
+    """A strong entity tag: the state (`<boot>-<state>`) and the variant, which contains no dot.
 
-    Raises ValueError for parts that could not be read back.
+    Raises ValueError for parts that could not be parsed again.
     """
 
     state: str
@@ -48,14 +48,14 @@ class ETag:
 
 @dataclass(frozen=True, slots=True)
 class ReceivedTag:
-    """A tag as a client sent it: its opaque text and whether it is weak."""
+    """An entity tag sent by a client: its opaque text and whether it is weak."""
 
     opaque: str
     weak: bool = False
 
     @property
     def state(self) -> str:
-        """The state part, all of it where there is no variant."""
+        """State part, or the whole tag without a variant."""
         return self.opaque.rpartition(".")[0] or self.opaque
 
 
@@ -73,7 +73,7 @@ class PreconditionResult(Enum):
 def parse(text: str, name: str = "If-Match") -> Tags:
     """Return the tags of an If-Match or If-None-Match field, or "*".
 
-    What is no list of quoted strings is a 400 Problem: a guard that cannot be read must not let the write through.
+    Raises a 400 Problem for a malformed list: an unreadable guard must not let the write through.
     """
     stripped = text.strip(" \t")
     if stripped == "*":
@@ -104,7 +104,7 @@ def evaluate(
 
 
 def check_preconditions(method: str, current: ETag | None, *, if_match: str | None, if_none_match: str | None) -> bool:
-    """As `evaluate`, raising the 412 Problem; True means: answer 304."""
+    """Evaluate preconditions as `evaluate` does, raising the 412 Problem; return whether to answer 304."""
     result = evaluate(method, current, if_match=if_match, if_none_match=if_none_match)
     if result is PreconditionResult.PRECONDITION_FAILED:
         raise Problem(
@@ -114,7 +114,7 @@ def check_preconditions(method: str, current: ETag | None, *, if_match: str | No
 
 
 def require_if_match(if_match: str | None, why: str) -> str:
-    """Return the If-Match field, which this request must have; else a 428 Problem (RFC 6585 3) with `why`."""
+    """Return the required If-Match field. Raises a 428 Problem (RFC 6585 3) with `why` if it is missing."""
     if if_match is None:
         raise Problem(428, f"{why} Send If-Match with the ETag of the state you have read.")
     return if_match
@@ -137,14 +137,14 @@ def _any_tag(tags: Tags, current: ETag | None) -> bool:
 
 
 def digest(data: bytes) -> str:
-    """Return a short digest of these bytes, keyed so that nobody can verify a guess of their content with it."""
+    """Return a short digest of these bytes, keyed so that nobody can use it to verify a guess of their content."""
     return hashlib.blake2b(data, digest_size=9, key=_SECRET).hexdigest()
 
 
 MAX_RANGES = 32
-"""Ranges of one request. Nobody who reads a file needs more; a field with more is ignored (RFC 9110 14.2)."""
+"""Maximum number of ranges of a request: more are never needed, and the field is ignored (RFC 9110 14.2)."""
 MIN_GAP = 128
-"""Bytes between two ranges that are sent along: to frame another part would take as many (RFC 9110 15.3.7.2)."""
+"""Bytes between two ranges that are sent too: framing another part takes as many (RFC 9110 15.3.7.2)."""
 _NEXT = "\r\n"
 _FIELD = re.compile(r"[ \t]*bytes[ \t]*=(.*)", re.IGNORECASE | re.DOTALL)
 _SPEC = re.compile(r"([0-9]{0,20})[ \t]*-[ \t]*([0-9]{0,20})")
@@ -152,7 +152,7 @@ _SPEC = re.compile(r"([0-9]{0,20})[ \t]*-[ \t]*([0-9]{0,20})")
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Bytes `start` to `stop`, this one excluded, of a representation."""
+    """Bytes from `start` up to and excluding `stop` of a representation."""
 
     start: int
     stop: int
@@ -186,9 +186,9 @@ def parse_ranges(text: str | None, size: int) -> tuple[Span, ...] | None:
 
 
 def is_unchanged(if_range: str | None, etag: str) -> bool:
-    """Whether If-Range lets the ranges be sent: it is missing, or it is this very entity tag (RFC 9110 13.1.5).
+    """Whether If-Range permits a partial response: it is missing, or is this entity tag (RFC 9110 13.1.5).
 
-    Weak tags never match. No date does, for a date in seconds is no strong validator.
+    Weak tags and dates never match, because a date in seconds is not a strong validator.
     """
     return if_range is None or (if_range.strip(" \t") == etag and not etag.startswith("W/"))
 
@@ -210,11 +210,11 @@ class MultipartFraming:
 
     @property
     def content_type(self) -> str:
-        """The media type of the whole."""
+        """Media type of the multipart body."""
         return f"multipart/byteranges; boundary={self.boundary}"
 
     def length(self, spans: Sequence[Span]) -> int:
-        """Return the bytes of the whole."""
+        """Return the number of bytes of the multipart body."""
         return sum(map(len, self.heads)) + sum(map(len, spans)) + len(self.tail)
 
 
@@ -234,7 +234,7 @@ def frame_parts(spans: Sequence[Span], size: int, media_type: str) -> MultipartF
 
 
 def _asked(text: str | None) -> list[tuple[int | None, int | None]] | None:
-    """First and last position of each range, None for what is left out; None for a field that is to be ignored."""
+    """Return the first and last position of each range, None for an omitted one; None for a field to ignore."""
     match = _FIELD.fullmatch(text or "")
     if match is None:
         return None
@@ -254,7 +254,7 @@ def _asked(text: str | None) -> list[tuple[int | None, int | None]] | None:
 
 
 def _span(first: int | None, last: int | None, size: int) -> Span | None:
-    """Return the bytes that a range names, None where there are none (RFC 9110 14.1.2)."""
+    """Return the bytes of a range, None if there are none (RFC 9110 14.1.2)."""
     if first is None:
         assert last is not None
         return Span(max(0, size - last), size) if last else None
@@ -262,7 +262,7 @@ def _span(first: int | None, last: int | None, size: int) -> Span | None:
 
 
 def _coalesce(spans: Sequence[Span]) -> tuple[Span, ...]:
-    """Return the spans with those that overlap or nearly touch joined, at the place of the first of them."""
+    """Join spans that overlap or nearly touch, at the position of the first of them."""
     places = sorted(range(len(spans)), key=lambda place: (spans[place].start, spans[place].stop))
     joined: list[tuple[int, Span]] = []
     for place in places:

@@ -1,7 +1,7 @@
 """Header fields: common syntax (RFC 9110 5.5 and 5.6) and web links (RFC 8288).
 
-Everything here is a pure function of text. Input comes from strangers: no function takes more than linear time. Output
-that could end the field early is refused (ValueError).
+All functions are pure functions of text. Input is untrusted: no function takes more than linear time. Output that could
+end the field early is rejected (ValueError).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def require_field_value(value: str) -> str:
 
 
 def quote_string(text: str) -> str:
-    """Return `text` as a quoted-string (RFC 9110 5.6.4). Raises ValueError for what cannot be quoted."""
+    """Return `text` as a quoted-string (RFC 9110 5.6.4). Raises ValueError for text that cannot be quoted."""
     return '"' + require_field_value(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
@@ -56,7 +56,7 @@ def unquote_string(text: str) -> str:
 def split_members(text: str, separator: str) -> Iterator[str]:
     """Yield the stripped parts of `text` between separators outside quoted strings and `<>`.
 
-    Empty parts are left out, as RFC 9110 5.6.1.2 has it. An unfinished quoted string reaches to the end.
+    Empty parts are skipped (RFC 9110 5.6.1.2). An unterminated quoted string extends to the end.
     """
     start, quoted, angled, escaped = 0, False, False, False
     for place, char in enumerate(text):
@@ -83,9 +83,9 @@ def _part(text: str) -> Iterator[str]:
 
 
 def parse_parameter(text: str) -> tuple[str, str]:
-    """One `name=value` or `name="value"` (RFC 9110 5.6.6); the name in lower case; a bare name has the value "".
+    """Return a `name=value` or `name="value"` (RFC 9110 5.6.6) with a lower-case name; a bare name has the value "".
 
-    Raises ValueError where the name is no token or the value is neither token nor quoted-string.
+    Raises ValueError if the name is not a token, or the value neither a token nor a quoted-string.
     """
     name, equals, value = text.partition("=")
     name, value = name.strip(" \t").lower(), value.strip(" \t")
@@ -104,9 +104,9 @@ _ATTRIBUTE_CHARS = "!#$&+^`|~"
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A link from the resource at hand (or from `anchor`) to `target`.
+    """A link from the current resource (or from `anchor`) to `target`.
 
-    `rel` holds one or more relation types, separated by spaces; `attributes` are further target attributes.
+    `rel` contains one or more relation types, separated by spaces; `attributes` are further target attributes.
     """
 
     target: str
@@ -134,19 +134,19 @@ class Link:
 
 
 def render_links(links: Iterable[Link]) -> str:
-    """Return the Link field of these links. Raises ValueError for what could end a link or the field early."""
+    """Return the Link field of these links. Raises ValueError for values that could end a link or the field early."""
     return ", ".join(map(str, links))
 
 
 def parse_links(text: str) -> tuple[Link, ...]:
-    """Return the links of a Link field; malformed ones are passed over (RFC 8288, appendix B.2)."""
+    """Return the links of a Link field, skipping malformed ones (RFC 8288, appendix B.2)."""
     return tuple(link for member in split_members(text, ",") for link in _link(member))
 
 
 def to_uri(iri: str) -> str:
-    """Return the URI of an IRI (RFC 3987 3.1): what is not ASCII is percent-encoded as UTF-8.
+    """Return the URI of an IRI (RFC 3987 3.1): non-ASCII characters are percent-encoded as UTF-8.
 
-    Raises ValueError for characters that no IRI reference holds, such as spaces, quotes and angle brackets.
+    Raises ValueError for characters that no IRI reference contains, such as spaces, quotes and angle brackets.
     """
     if _FORBIDDEN.search(iri):
         raise ValueError(f"{iri!r} is no IRI reference")
@@ -154,7 +154,7 @@ def to_uri(iri: str) -> str:
 
 
 def _text(name: str, value: str) -> Iterator[str]:
-    """Yield a parameter with free text: quoted where it is plain, else extended (RFC 8187)."""
+    """Yield a parameter with free text: quoted if possible, else extended (RFC 8187)."""
     try:
         yield f"{name}={quote_string(value)}"
     except ValueError:
@@ -187,6 +187,6 @@ def _first_of_each(pairs: Iterable[tuple[str, str]]) -> dict[str, str]:
 
 
 def _title(extended: str | None, plain: str | None) -> str | None:
-    """Return the title: the extended one where it can be read (RFC 8288 3.4.1)."""
+    """Return the title, preferring the extended one if it is valid (RFC 8288 3.4.1)."""
     match = _EXTENDED.fullmatch(extended or "")
     return unquote(match[1], errors="replace") if match else plain

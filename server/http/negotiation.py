@@ -12,9 +12,9 @@ from rosld.server.http.fields import is_token, parse_parameter, quote_string, re
 
 @dataclass(frozen=True, slots=True)
 class MediaType:
-    """A media type or range: type and subtype in lower case, parameters sorted by their lower-case names.
+    """A media type or range: type and subtype in lower case, parameters sorted by lower-case name.
 
-    The value of `charset` is in lower case too, being case-insensitive (RFC 9110 8.3.2).
+    The value of `charset` is in lower case too, because it is case-insensitive (RFC 9110 8.3.2).
     """
 
     type: str
@@ -23,11 +23,11 @@ class MediaType:
 
     @property
     def essence(self) -> str:
-        """`type/subtype` without parameters."""
+        """The `type/subtype` without parameters."""
         return f"{self.type}/{self.subtype}"
 
     def parameter(self, name: str) -> str | None:
-        """Return the value of a parameter, None where it is missing."""
+        """Return the value of a parameter, None if it is missing."""
         return dict(self.parameters).get(name) if self.parameters else None
 
     def __str__(self) -> str:
@@ -38,7 +38,7 @@ class MediaType:
 
 @lru_cache(maxsize=256)
 def parse_media_type(text: str) -> MediaType:
-    """Return the media type in `text`, such as a Content-Type. Raises ValueError naming what is wrong."""
+    """Return the media type in `text`, such as a Content-Type. Raises ValueError naming the error."""
     essence, *rest = split_members(text, ";") or [""]
     kind, slash, subtype = essence.partition("/")
     if not slash or not is_token(kind) or not is_token(subtype):
@@ -57,18 +57,18 @@ _RDF_XML = "application/rdf+xml"
 _XML = frozenset({"application/xml", "text/xml"})
 _LONGEST_CACHED = 1024
 _WISHES = frozenset({"profile", "version"})
-"""Parameters that exclude no offer: JSON-LD's profile (as its registration states) and RDF's version."""
+"""Parameters that exclude no offer: JSON-LD's profile (according to its registration) and RDF's version."""
 
 
 @dataclass(frozen=True, slots=True)
 class MediaRange:
-    """One member of an Accept field: a media type, perhaps with wildcards, and its weight from 0 to 1."""
+    """A member of an Accept field: a media type, possibly with wildcards, and its weight from 0 to 1."""
 
     media: MediaType
     weight: float
 
     def matches(self, offer: MediaType) -> bool:
-        """Whether the range includes the offer. Everything offered is UTF-8, so `charset=utf-8` always fits."""
+        """Whether the range includes the offer. All offers are UTF-8, so `charset=utf-8` always matches."""
         return (
             self.media.type in ("*", offer.type)
             and self.media.subtype in ("*", offer.subtype)
@@ -77,16 +77,16 @@ class MediaRange:
 
     @property
     def specificity(self) -> tuple[bool, bool, int]:
-        """Sort key of ranges: the more specific is the greater (RFC 9110 12.5.1)."""
+        """Sort key of ranges: the more specific one is greater (RFC 9110 12.5.1)."""
         return (self.media.type != "*", self.media.subtype != "*", len(self.media.parameters))
 
 
 def choose_offer(accept: str | None, offers: tuple[str, ...]) -> str | None:
-    """Return the offer a client prefers, None where none is acceptable (406).
+    """Return the offer that a client prefers, None if none is acceptable (406).
 
-    `offers` are media types, the server's favourite first: it wins ties, and is the result if the field is missing or
-    empty. Malformed members are ignored; a field without a valid member counts as missing. A client that accepts XML
-    and none of the offers gets RDF/XML, which is XML (RFC 3870).
+    `offers` are media types in the server's order of preference: the first wins ties, and is the result if the field is
+    missing or empty. Malformed members are ignored; a field without a valid member counts as missing. A client that
+    accepts XML and none of the offers gets RDF/XML, which is XML (RFC 3870).
     """
     if accept is None or len(accept) > _LONGEST_CACHED:
         return _choose_offer(accept, offers)
@@ -113,7 +113,7 @@ _remembered = lru_cache(maxsize=1024)(_choose_offer)
 
 
 def quality(offer: MediaType, ranges: tuple[MediaRange, ...]) -> float:
-    """Return the weight of an offer: that of the most specific range which includes it, 0 where none does."""
+    """Return the weight of an offer: that of the most specific range that includes it, or 0."""
     including = [one for one in ranges if one.matches(offer)]
     return max(including, key=lambda one: one.specificity).weight if including else 0.0
 
@@ -133,7 +133,7 @@ def _range(member: str) -> MediaRange:
     for part in rest:
         if part[:1] in "qQ" and parse_parameter(part)[0] == "q":
             weight = _weight(parse_parameter(part)[1])
-            break  # what follows are accept-ext, which RFC 9110 took out of the grammar
+            break  # accept-ext follows, which RFC 9110 removed from the grammar
         kept.append(part)
     found = parse_media_type(";".join(kept))
     if found.type == "*" and found.subtype != "*":
@@ -159,7 +159,7 @@ Parameters = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True, slots=True)
 class Preference:
-    """One preference: its value ("" for none; RFC 7240 2 treats both alike) and its parameters."""
+    """A preference: its value ("" for none; RFC 7240 2 treats both alike) and its parameters."""
 
     value: str = ""
     parameters: Parameters = ()
@@ -172,34 +172,34 @@ class Preferences:
     named: Mapping[str, Preference] = field(default_factory=dict)
 
     def value(self, name: str) -> str | None:
-        """Return the value of a preference in lower case, None where it is not stated."""
+        """Return the value of a preference in lower case, None if it is missing."""
         found = self.named.get(name)
         return None if found is None else found.value.lower()
 
     @property
     def minimal(self) -> bool:
-        """return=minimal (RFC 7240 4.2)."""
+        """Whether return=minimal is preferred (RFC 7240 4.2)."""
         return self.value("return") == "minimal"
 
     @property
     def representation(self) -> bool:
-        """return=representation (RFC 7240 4.2)."""
+        """Whether return=representation is preferred (RFC 7240 4.2)."""
         return self.value("return") == "representation"
 
     @property
     def wait(self) -> int | None:
-        """wait=SECONDS (RFC 7240 4.3); None where it is missing or no whole number."""
+        """Seconds of wait=SECONDS (RFC 7240 4.3), None if it is missing or not a whole number."""
         value = self.value("wait") or ""
         return int(value) if value.isascii() and value.isdigit() and len(value) < 10 else None
 
     @property
     def include(self) -> frozenset[str]:
-        """The URIs of `include` of return=representation (LDP 7.2.2)."""
+        """URIs of `include` of return=representation (LDP 7.2.2)."""
         return self._uris("include")
 
     @property
     def omit(self) -> frozenset[str]:
-        """The URIs of `omit` of return=representation (LDP 7.2.2)."""
+        """URIs of `omit` of return=representation (LDP 7.2.2)."""
         return self._uris("omit")
 
     def _uris(self, name: str) -> frozenset[str]:
@@ -232,7 +232,7 @@ def preference_applied(*names: str) -> str:
 
 
 def render_prefer(preferences: Preferences) -> str:
-    """Return the Prefer field that states these preferences. Raises ValueError for what no header can hold."""
+    """Return the Prefer field of these preferences. Raises ValueError for values that no header can contain."""
     return ", ".join(_write(name, preference) for name, preference in preferences.named.items())
 
 
@@ -260,10 +260,10 @@ VARY_PROFILE = "Accept, Accept-Profile, Prefer"
 def choose_profile(
     offers: Mapping[str, str], accept_profile: str | None, prefer: Preferences, query: str | None
 ) -> str | None:
-    """Return the profile to answer in, by its IRI; None where the request names none that is offered.
+    """Return the IRI of the profile of the response, None if the request names no offered one.
 
-    `offers` are IRIs by their short names, which the query may have. The query goes before the headers, and among
-    several in `Accept-Profile` the highest quality wins, the first of equals.
+    `offers` are IRIs by short name, which the query may contain. The query takes precedence over the headers; in
+    `Accept-Profile` the highest quality wins, and the first of equals.
     """
     if query is not None:
         return offers.get(query) or (query if query in offers.values() else None)

@@ -1,7 +1,7 @@
 """Hosts and origins that may use this server: Host (RFC 9110 7.2), Origin (RFC 6454), CORS (Fetch), CSRF tokens.
 
-A robot on somebody's own machine can be reached from every page in their browser. So a request must name this server
-(against DNS rebinding), and a request that may change something must not come from a foreign page.
+A robot on a user's own machine can be reached from every page in the user's browser. So a request must name this server
+(against DNS rebinding), and a request that may change something must not be sent by a foreign page.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ _EXPOSED = (
     "Preference-Applied, Unread-Graphs, WAC-Allow, WWW-Authenticate"
 )
 ANY_ORIGIN = "*"
-"""`--cors-origin '*'` shares reads with every page; writes stay with the origins that are named."""
+"""Value of `--cors-origin` that shares reads with every page; writes still require a listed origin."""
 
 
 @dataclass(frozen=True, slots=True)
 class OriginPolicy:
-    """This server's names: its base, the Hosts it answers to, its own origins and those it shares with.
+    """This server's names: its base, the accepted Hosts, its own origins and those it shares with.
 
     `allows_any_origin`: pages of every origin may read.
     """
@@ -47,9 +47,9 @@ class OriginPolicy:
 
 
 def origin_policy(base: str, bound_host: str, bound_port: int, shared: Iterable[str] = ()) -> OriginPolicy:
-    """Return the names of a server with this base URL that is bound to this address.
+    """Return the names of a server with this base URL, bound to this address.
 
-    Accepted are the base's own and, where the address is loopback, the loopback names with the bound port.
+    Accepted are those of the base and, if the address is loopback, the loopback names with the bound port.
     """
     scheme, authority = _split(base)
     hosts, origins = {authority}, {f"{scheme}://{authority}"}
@@ -62,7 +62,7 @@ def origin_policy(base: str, bound_host: str, bound_port: int, shared: Iterable[
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address to bind to is reached from this machine only."""
+    """Whether an address to bind to is only reachable from this machine."""
     try:
         return ip_address(host.strip("[]")).is_loopback
     except ValueError:
@@ -78,7 +78,7 @@ def is_wildcard(host: str) -> bool:
 
 
 def normalize_authority(authority: str, scheme: str) -> str:
-    """Return an authority in lower case, without its scheme's default port and without a final dot of the name."""
+    """Return an authority in lower case, without the default port of its scheme or a final dot of its name."""
     name, colon, port = authority.lower().rpartition(":")
     if not colon or not (port.isdigit() or not port):
         name, port = authority.lower(), ""
@@ -87,7 +87,7 @@ def normalize_authority(authority: str, scheme: str) -> str:
 
 
 def normalize_origin(origin: str) -> str:
-    """Return an origin as browsers write it (RFC 6454 6.2). Raises ValueError for what is none."""
+    """Return an origin as browsers write it (RFC 6454 6.2). Raises ValueError for an invalid one."""
     if origin == ANY_ORIGIN:
         return origin
     scheme, authority = _split(origin)
@@ -95,7 +95,7 @@ def normalize_origin(origin: str) -> str:
 
 
 def check_host(site: OriginPolicy, hosts: Sequence[str]) -> None:
-    """Raise a Problem unless the request names this server: 400 without exactly one Host, 421 for another's."""
+    """Raise a Problem unless the request names this server: 400 without exactly one Host, 421 for another host."""
     if len(hosts) != 1:
         raise Problem(400, f"A request has one Host header, this one has {len(hosts)} (RFC 9112 3.2).")
     named = hosts[0]
@@ -104,9 +104,9 @@ def check_host(site: OriginPolicy, hosts: Sequence[str]) -> None:
 
 
 def check_origin(site: OriginPolicy, method: str, origin: str | None, fetch_site: str | None = None) -> None:
-    """Raise a 403 Problem for a method that is not safe from a page of somebody else.
+    """Raise a 403 Problem for an unsafe method from a foreign page.
 
-    Without an Origin the request is no page's (curl, a robot), unless Sec-Fetch-Site says that it is.
+    A request without Origin is not from a page (but from curl or a robot), unless Sec-Fetch-Site indicates one.
     """
     if method in SAFE_METHODS:
         return
@@ -121,10 +121,10 @@ def check_origin(site: OriginPolicy, method: str, origin: str | None, fetch_site
 
 
 def cors_headers(site: OriginPolicy, method: str, origin: str | None, *, preflight: bool = False) -> Mapping[str, str]:
-    """Return the CORS headers of an answer: none for an origin that nothing is shared with.
+    """Return the CORS headers of a response: none for an origin that nothing is shared with.
 
-    `preflight`: the request is an OPTIONS with Access-Control-Request-Method. `vary` is among them whenever the answer
-    depends on the origin; the caller adds it to the answer's own Vary.
+    `preflight`: the request is an OPTIONS with Access-Control-Request-Method. They include `vary` if the response
+    depends on the origin; the caller adds it to the response's own Vary.
     """
     headers = {"vary": "Origin"} if site.shared_origins or site.allows_any_origin else {}
     named = origin in site.shared_origins
@@ -141,7 +141,7 @@ def cors_headers(site: OriginPolicy, method: str, origin: str | None, *, preflig
 
 
 def _split(url: str) -> tuple[str, str]:
-    """Scheme and normal authority of an http(s) URL. Raises ValueError."""
+    """Return the scheme and the normalized authority of an http(s) URL. Raises ValueError."""
     parts = urlsplit(url)
     if parts.scheme not in _DEFAULT_PORTS or not parts.hostname or parts.username is not None:
         raise ValueError(f"{url!r} is no http or https URL")
@@ -150,12 +150,12 @@ def _split(url: str) -> tuple[str, str]:
 
 
 CSRF_FIELD = "csrf"
-"""The name of the hidden form field."""
+"""Name of the hidden form field."""
 
 
 @dataclass(frozen=True, slots=True)
 class FormKey:
-    """The secret key of form tokens, another one in each run of the server."""
+    """The secret key of form tokens, which differs in each run of the server."""
 
     key: bytes = field(default_factory=lambda: secrets.token_bytes(32), repr=False)
 
@@ -165,7 +165,7 @@ class FormKey:
         return urlsafe_b64encode(mac).decode().rstrip("=")
 
     def is_valid(self, token: str, action: str) -> bool:
-        """Whether `token` was made for `action` in this run; takes the same time for any wrong token."""
+        """Whether `token` was made for `action` in this run; takes constant time for all wrong tokens."""
         return hmac.compare_digest(token.encode("utf-8", "replace"), self.token(action).encode())
 
     def require(self, token: str | None, action: str) -> None:

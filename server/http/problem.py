@@ -1,7 +1,7 @@
 """Problem (RFC 9457): the exception for every refusal and failure that clients see.
 
-`problem_details.py` renders them. A body says what the client sent and what to do next, and never how the server is
-made: no traceback, no path of a file, no class.
+`problem_details.py` renders them. A body states what was wrong in the request and what to do next, and never reveals
+internals of the server: no traceback, file path or class.
 """
 
 from __future__ import annotations
@@ -14,32 +14,31 @@ from typing import TYPE_CHECKING
 
 from rosld.server.http.token_redaction import redact_tokens, redact_tokens_in
 
-if TYPE_CHECKING:  # what a problem needs is little, so that the query process can raise one
+if TYPE_CHECKING:  # the query process raises problems, and must import little
     from rosld.ontology.violations import Violation
 
 
 ROBOT_SAID, AGENT_SAID = "robotSaid", "agentSaid"
-"""The members for words of the robot and of another agent: data, never a part of `detail` or `title`."""
+"""Members for text of the robot and of another agent: data, never a part of `detail` or `title`."""
 _MAX_SAID = 500
-"""Characters of what is quoted."""
+"""Maximum number of quoted characters."""
 _QUOTED = {
     ROBOT_SAID: "The robot said",
     "holder": "Held by",
     "stoppedBy": "Stopped by",
     AGENT_SAID: "The reason given",
 }
-"""The members that quote others, names included, and what stands before each for people."""
+"""Members that quote others, names included, and their labels on pages."""
 
 
 class Problem(Exception):
     """A refusal or failure with a status of 400 or more.
 
-    `detail` names the value and the next step; `title` is the status's phrase where none is given; `headers` go into
-    the response; `extra` holds further members (RFC 9457 3.2); `violations` say field by field what does not fit.
-    Words of the robot or of another agent stand in members of their own (`quoted`), never in `detail` or `title`; those
-    of the shapes that were broken are taken from the violations.
-    `about` are URLs that the reason mentions: an agent that may not read them all does not get it. `near` are URLs of
-    existing resources with names similar to a missing one.
+    `detail` names the value and the next step; `title` defaults to the status's phrase; `headers` are added to the
+    response; `extra` holds further members (RFC 9457 3.2); `violations` are the errors of single fields. Text of the
+    robot or of another agent belongs in members of its own (`quoted`), never in `detail` or `title`; that of violated
+    shapes is in the violations. `about` are URLs that the reason mentions: an agent that may not read them all does not
+    get it. `near` are URLs of existing resources with names similar to a missing one.
     """
 
     def __init__(
@@ -70,24 +69,24 @@ class Problem(Exception):
 
     @property
     def said(self) -> dict[str, str]:
-        """The members that quote others."""
+        """Members that quote others."""
         return quoted(self.extra)
 
     @property
     def quotes(self) -> tuple[tuple[str, str], ...]:
-        """The same for people: who said it, and what."""
+        """The quotations with their labels."""
         return tuple((_QUOTED[name], words) for name, words in self.said.items())
 
     @property
     def with_quotes(self) -> str:
-        """Why, with the words of others as quotations: for people and receipts."""
+        """Detail followed by the quotations, for pages and receipts."""
         return " ".join(
             (self.detail, *(f"{who}: {json.dumps(words, ensure_ascii=False)}." for who, words in self.quotes))
         )
 
     @property
     def detail(self) -> str:
-        """Why, and what to do next: never with a token of rosld in it."""
+        """Reason and next step, never containing a token of rosld."""
         return self._detail
 
     @detail.setter
@@ -95,7 +94,7 @@ class Problem(Exception):
         self._detail = redact_tokens(words)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Worker processes raise problems, too."""
+        """Pickle: worker processes raise problems too."""
         told = (self.status, self.detail, self.title, self.type, self.headers, self.extra, self.violations)
         return _problem, told
 
@@ -113,7 +112,7 @@ def _problem(
 
 
 def quoted(members: Mapping[str, object]) -> dict[str, str]:
-    """Return the members that quote others, on one line and cut, without characters that nobody sees."""
+    """Return the members that quote others, on one line, truncated, and without invisible characters."""
     return {name: words for name in _QUOTED if (words := one_line(members.get(name)))}
 
 
@@ -122,7 +121,7 @@ def _with_quotations(extra: Mapping[str, object]) -> dict[str, object]:
 
 
 def one_line(words: object) -> str:
-    """Return foreign words fit to be quoted; "" for what is no text."""
+    """Return text of others, ready to be quoted; "" for anything but text."""
     if not isinstance(words, str):
         return ""
     line = " ".join(words[: 4 * _MAX_SAID].split())
@@ -139,7 +138,7 @@ def reason_phrase(status: int) -> str:
 
 
 def _cleaned(violation: Violation) -> Violation:
-    """Return it without tokens, and with the shape's message fit to be quoted."""
+    """Return the violation without tokens, and with the shape's message ready to be quoted."""
     value = None if violation.value is None else redact_tokens(violation.value)
     path, message = redact_tokens(violation.path), redact_tokens(violation.message)
     said = None if violation.said is None else redact_tokens(one_line(violation.said)) or None

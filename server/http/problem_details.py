@@ -1,4 +1,4 @@
-"""Problem details (RFC 9457): a problem as a response, negotiated like any other representation."""
+"""Problem details (RFC 9457): problems as responses, negotiated like any other representation."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID, Problem
 
 
 def validation_report(url: str, violations: Sequence[Violation], *, node: str = "#message") -> Document:
-    """Return the report on a body sent to `url`: one result a violation.
+    """Return the validation report of a body sent to `url`: one result per violation.
 
-    What a shape found tells that shape, its constraint, focus node, path and value; all else is about the node of the
-    message. The path of a field is also given as text (`linear.x`), because it may lead through several nodes.
+    A violation of a shape has that shape, its constraint, focus node, path and value; any other concerns the node of
+    the message. The path of a field is also given as text (`linear.x`), because it may lead through several nodes.
     """
     report = NamedNode(f"{url}#report")
     results = [NamedNode(f"{url}#result.{number}") for number in range(len(violations))]
@@ -62,7 +62,7 @@ _OFFERS = (JSON, "application/json", "text/html", *_SYNTAXES)
 _HYDRA = "http://www.w3.org/ns/hydra/core#"
 _NOWHERE = "about:blank"
 _MAX_QUOTED = 2000
-"""Characters of a value that are told back to whoever sent it."""
+"""Maximum number of characters of a value returned to its sender."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,16 +74,16 @@ class RenderedProblem:
     body: bytes
 
     def response(self, *, head: bool = False) -> Response:
-        """Return the Starlette response; `head` leaves the body out and its length in."""
+        """Return the Starlette response; `head` omits the body but not its length."""
         headers = {**self.headers, "content-length": str(len(self.body))}
         return Response(b"" if head else self.body, self.status, headers)
 
 
 def render(problem: Problem, accept: str | None = None, *, url: str = _NOWHERE) -> RenderedProblem:
-    """Return the problem in the form the client prefers, problem+json by default.
+    """Return the problem in the form that the client prefers, by default problem+json.
 
-    `url` is the resource the problem is with; RDF is about it. Headers that could not be sent safely are left out, so
-    that a hostile name can never turn a refusal into a failure.
+    `url` is the resource of the problem, and the subject of the RDF. Headers that cannot be sent safely are left out,
+    so that a hostile name can never turn a refusal into a failure.
     """
     chosen = choose_offer(accept, _OFFERS) or JSON
     if chosen in _SYNTAXES:
@@ -137,9 +137,9 @@ def _json(problem: Problem) -> bytes:
 
 
 def document(problem: Problem, url: str = _NOWHERE) -> Document:
-    """Return the problem with the resource at `url`: a hydra:Error and, where fields do not fit, a sh:ValidationReport.
+    """Return a problem of the resource at `url`: a hydra:Error and, for violations, a sh:ValidationReport.
 
-    What is near is linked by rdfs:seeAlso. The robot's words are ros:words, those of another agent ros:reason.
+    Similar resources are linked by rdfs:seeAlso. Text of the robot is ros:words, that of another agent ros:reason.
     """
     node = NamedNode(f"{url}#problem")
     report = validation_report(url, [_cleaned(one) for one in problem.violations]) if problem.violations else None
@@ -165,7 +165,7 @@ def _cleaned(violation: Violation) -> Violation:
 def _rdf(problem: Problem, syntax: Syntax, url: str) -> bytes:
     try:
         return serialize(document(problem, url), syntax)
-    except ValueError:  # the URL of the request is no IRI
+    except ValueError:  # the URL of the request is not an IRI
         return serialize(document(problem), syntax)
 
 
@@ -188,7 +188,7 @@ def _page(problem: Problem) -> str:
 
 
 def _clean(text: str) -> str:
-    """Text that every form can carry: no control characters, no lone surrogates, not endless."""
+    """Return text that every format can represent: truncated, without control characters and lone surrogates."""
     shown = text if len(text) <= _MAX_QUOTED else text[:_MAX_QUOTED] + "..."
     return "".join(char if char.isprintable() or char == "\n" else "\N{REPLACEMENT CHARACTER}" for char in shown)
 

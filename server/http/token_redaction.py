@@ -1,6 +1,6 @@
 """Redaction of rosld's own access tokens from texts. Pure.
 
-What rosld says itself (problem details, receipts, logs, names it gives) has no token in it, whatever a client sent.
+No output of rosld (problem details, receipts, logs, chosen names) contains a token, whatever a client sent.
 """
 
 from __future__ import annotations
@@ -10,26 +10,26 @@ from urllib.parse import quote, unquote
 
 PREFIX = "rosld_"
 _RANDOM = 43
-"""Characters after the prefix: 256 random bits, base64url (RFC 4648 5) without padding."""
+"""Number of characters after the prefix: 256 random bits, base64url (RFC 4648 5) without padding."""
 LENGTH = len(PREFIX) + _RANDOM
-"""Characters of a token."""
+"""Number of characters of a token."""
 _TOKEN = re.compile(rf"{PREFIX}(?=[\w-]*[A-Z])(?=[\w-]*[a-z])[A-Za-z0-9_-]{{{_RANDOM}}}")
-"""Both cases occur in every token but one in 10^9, and hardly in a name of ROS that is as long."""
+"""Pattern of tokens: all but one in 10^9 have both cases, unlike most ROS names of this length."""
 _ENCODED = re.compile("%(?:2[Dd]|3[0-9]|4[1-9A-Fa-f]|5[0-9AaFf]|6[1-9A-Fa-f]|7[0-9Aa])")
-"""A character that tokens consist of, percent-encoded, which nobody does without need."""
+"""A percent-encoded character of tokens, which needs no encoding."""
 PLACEHOLDER = "rosld-token-withheld"
-"""What stands in place of a token; fit for URLs."""
+"""Replacement of a token, valid in URLs."""
 
 
 def contains_token(text: str) -> bool:
-    """Whether a text holds a token of rosld, percent-encoded or not."""
+    """Whether a text contains a token of rosld, percent-encoded or not."""
     if PREFIX in text and _TOKEN.search(text):
         return True
     return _ENCODED.search(text) is not None and _TOKEN.search(unquote(text)) is not None
 
 
 def redact_tokens(text: str) -> str:
-    """Return the text with `PLACEHOLDER` in place of every token, percent-encoded ones too."""
+    """Replace every token in a text by `PLACEHOLDER`, percent-encoded ones too."""
     if PREFIX in text:
         text = _TOKEN.sub(PLACEHOLDER, text)
     if "%" in text and _TOKEN.search(unquote(text)):
@@ -38,7 +38,7 @@ def redact_tokens(text: str) -> str:
 
 
 def redact_tokens_in(value: object) -> object:
-    """Return the same of every string in a JSON value; other values are as they are."""
+    """Replace the tokens in all strings of a JSON value."""
     if isinstance(value, str):
         return redact_tokens(value)
     if isinstance(value, dict):

@@ -1,1 +1,1 @@
-"""The framework of resources: requests, the contract of a resource, representations, problems."""
+"""Framework of resources: requests, the base class of resources, representations and problems."""

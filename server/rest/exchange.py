@@ -1,4 +1,4 @@
-"""The request that a resource answers: its query, headers and body, each checked when it is read."""
+"""The request that a resource answers: its query, headers and body, each validated when read."""
 
 from __future__ import annotations
 
@@ -26,54 +26,54 @@ _NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
 class Exchange:
-    """A request: `method` (after a form said which), `query` (the first value of each name), headers, body."""
+    """A request: `method` (as overridden by a form), `query` (the first value of each name), headers, body."""
 
     def __init__(self, request: Request, body_limit: int, body_seconds: float = TIMEOUT) -> None:
         self.request = request
         self.method = request.method
         self.headers = _fields(request.scope["headers"])
-        """The header fields by lower-case name; several of one name are joined by commas (RFC 9110 5.3)."""
+        """Header fields by lower-case name; several with one name are joined by commas (RFC 9110 5.3)."""
         self._body_limit = body_limit
         self._body_seconds = body_seconds
         self._body: bytes | None = None
         self.typed: Sequence[tuple[str, str]] = ()
         self.auth = UNRESTRICTED
-        """Who asks, and what they may do."""
+        """Permissions of the agent."""
         self.client: Client | None = None
-        """Whose limits it counts against, once it was let pass."""
+        """Client whose limits apply, after admission."""
         self.audit = AuditContext()
-        """What it tells of its write, for its receipt."""
+        """Audit of its write, for the receipt."""
         self.answering: Protected | None = None
-        """The resource that answers, once it is known."""
+        """Resource that answers, once known."""
 
     @property
     def agent(self) -> Agent:
-        """The agent that sent the request."""
+        """Agent that sent the request."""
         return self.auth.permissions.agent
 
     @property
     def permissions(self) -> Permissions:
-        """The permissions of the agent."""
+        """Permissions of the agent."""
         return self.auth.permissions
 
     @cached_property
     def query(self) -> Mapping[str, str]:
-        """The query's parameters; of a name that occurs twice the first counts. Raises a 400 Problem."""
+        """Parameters of the query, by name; the first of several with one name counts. Raises a 400 Problem."""
         raw = self.request.scope["query_string"]
         return _remembered(raw) if len(raw) <= 4096 else _query(raw)
 
     def header(self, name: str) -> str | None:
-        """Return the value of a header field, None where it is missing; `name` is in lower case."""
+        """Return the value of a header field (name in lower case), None if it is missing."""
         return self.headers.get(name)
 
     @property
     def hosts(self) -> Sequence[str]:
-        """Every Host field of the request."""
+        """Host fields of the request."""
         return [value.decode("latin-1") for name, value in self.request.scope["headers"] if name == b"host"]
 
     @property
     def receive(self) -> Receive:
-        """The ASGI callable that receives the body."""
+        """ASGI callable that receives the body."""
         return self.request.receive
 
     @property
@@ -83,14 +83,14 @@ class Exchange:
 
     @property
     def prefer(self) -> Preferences:
-        """The request's preferences (RFC 7240)."""
+        """Preferences of the request (RFC 7240)."""
         return parse_prefer(self.header("prefer"))
 
     @property
     def media_type(self) -> str:
-        """The media type of a body that is to be read, without parameters.
+        """Media type of the body without parameters, for reading.
 
-        Raises a 415 Problem where the body states none, or a charset that is not read here.
+        Raises a 415 Problem if the body has no media type, or an unsupported charset.
         """
         found = self._content_type
         if found is None:
@@ -100,13 +100,13 @@ class Exchange:
 
     @property
     def codec(self) -> str:
-        """The Python codec of the charset that the body states, UTF-8 where it states none. Raises a 415 Problem."""
+        """Python codec of the body's charset, by default UTF-8. Raises a 415 Problem."""
         found = self._content_type
         return UTF_8 if found is None else codec_for(found)
 
     @property
     def essence(self) -> str | None:
-        """The media type of the body without parameters; None without Content-Type."""
+        """Media type of the body without parameters, None without Content-Type."""
         found = self._content_type
         return None if found is None else found.essence
 
@@ -120,11 +120,11 @@ class Exchange:
 
     @property
     def is_conditional(self) -> bool:
-        """Whether it has If-Match or If-None-Match (RFC 9110 13.1)."""
+        """Whether the request has If-Match or If-None-Match (RFC 9110 13.1)."""
         return "if-match" in self.headers or "if-none-match" in self.headers
 
     def override(self, method: str, media_type: str, body: bytes, query: Mapping[str, str] = _NOTHING) -> None:
-        """Replace the request by the one that a form means; `query` is added to the present query."""
+        """Replace the request by the meaning of a form; `query` is added to the present query."""
         if query:
             self.__dict__["query"] = MappingProxyType({**self.query, **query})
         self.method = method
@@ -132,7 +132,7 @@ class Exchange:
         self._body = body
 
     def redirect_internally(self, scope: Scope) -> None:
-        """Turn into the same request to another URL of this server, which `scope` has."""
+        """Redirect the request to another URL of this server, given by `scope`."""
         self.request = Request(scope, self.request.receive)
         self.__dict__.pop("query", None)
 
@@ -144,30 +144,30 @@ class Exchange:
         return self._body
 
     async def body(self) -> bytes:
-        """Return the whole body in UTF-8, whatever charset it states; raises Problems as `raw_body`.
+        """Return the complete body in UTF-8, whatever its charset. Raises Problems as `raw_body` does.
 
-        Raises a 415 Problem for a charset that is not read here, and a 400 Problem for bytes that are none of it.
+        Also raises a 415 Problem for an unsupported charset, and a 400 Problem for bytes that are invalid in it.
         """
         return self.to_utf8(await self.raw_body() if self._body is None else self._body)
 
     def to_utf8(self, data: bytes) -> bytes:
-        """Return a part of the body in UTF-8. Raises a 415 and a 400 Problem as `body`."""
+        """Return a part of the body in UTF-8. Raises 415 and 400 Problems as `body` does."""
         found = self._content_type
         return data if found is None else to_utf8(data, found)
 
     @property
     def consumed_body(self) -> bytes | None:
-        """The body if it was read completely; for a form, its meaning."""
+        """Body if it was read completely; for a form, its meaning."""
         return self._body
 
     async def chunks(self, *, limit: int) -> AsyncIterator[bytes]:
-        """The body as it comes, for a write that streams; raises the Problems of `body`."""
+        """Yield the body as it arrives, for a streaming write. Raises the Problems of `body`."""
         async for chunk in read_chunks(self, limit=limit, timeout=self._body_seconds):
             self.audit.hash_chunk(chunk)
             yield chunk
 
     def query_values(self, name: str) -> list[str]:
-        """The values of a parameter that may be there several times, each once; none that is empty.
+        """Return the non-empty values of a parameter that may be repeated, each once.
 
         Raises a 400 Problem.
         """

@@ -1,6 +1,6 @@
-"""Interaction models (LDP 4, 5): the requested one, its Link headers, the members of containers, and names from Slug.
+"""Interaction models (LDP 4, 5): the requested model, its Link headers, membership of containers, and names from Slug.
 
-Pure functions of links, triples and names; invalid requests are Problems.
+Pure functions of links, triples and names; invalid requests raise Problems.
 """
 
 from __future__ import annotations
@@ -28,19 +28,18 @@ _LINKS: Mapping[Model, tuple[Link, ...]] = {
 }
 _KNOWN = frozenset(kind.value.removeprefix(ldp.iri) for kinds in MODEL_TYPES.values() for kind in kinds)
 _SERVERS_OWN = frozenset({ldp.contains, rdf.type})
-"""Properties that the server itself says: no membership is written with them."""
+"""Server-managed properties, which membership triples must not use."""
 
 
 # Models
 
 
 def requested_model(links: Sequence[Link], url: str, media_type: str | None, *, container_hint: bool) -> Model:
-    """Return the interaction model that a request asks for (LDP 5.2.3.4), by its Link headers, its body and its URL.
+    """Return the interaction model that a request selects by its Link headers, its body and its URL (LDP 5.2.3.4).
 
-    `url` is the URL that the request is sent to, `media_type` that of its body, None where it has none.
-    `container_hint`: what is to be made has a URL that ends in a slash. A PUT says where, so there both must agree.
-    Raises Problems: 400 for an unknown model and for models that exclude each other, 409 for a model that does not fit
-    the URL or the body.
+    `url` is the URL of the request, `media_type` that of its body, None without one. `container_hint`: the URL of the
+    new resource ends in a slash. In a PUT, which determines the URL, both must agree. Raises Problem 400 for an unknown
+    model and for models that exclude each other, 409 for a model that does not match the URL or the body.
     """
     asked = _asked(links, url)
     container = _container(asked)
@@ -67,10 +66,10 @@ def requested_model(links: Sequence[Link], url: str, media_type: str | None, *, 
 
 
 def model_links(model: Model) -> tuple[Link, ...]:
-    """Return the links of relation `type` in every answer about a resource of this model.
+    """Return the `type` links of every response about a resource of this model.
 
-    LDP 4.2.1.4 wants ldp:Resource, 5.2.1.4 the one type of container, 4.4.1.2 allows ldp:NonRDFSource. ldp:Container
-    is none of the types that 5.2.1.4 lists: it is said in the RDF only.
+    LDP 4.2.1.4 requires ldp:Resource, 5.2.1.4 the one type of container, 4.4.1.2 allows ldp:NonRDFSource. 5.2.1.4 does
+    not list ldp:Container, which is only stated in the RDF.
     """
     return _LINKS[model]
 
@@ -130,11 +129,11 @@ def _prefixed(names: Iterable[str]) -> Iterator[str]:
 
 
 def parse_membership(triples: Iterable[Triple], url: str, model: Model) -> Membership | None:
-    """What membership triples of the container at `url` are made of, as its body says; None for a Basic container.
+    """Return the membership that the body of the container at `url` declares, None for a Basic container.
 
-    The membership resource is the container itself, and the relation ldp:member, where nothing else is said (LDP
-    5.4.1.2, 5.4.1.3); an Indirect container must say its ldp:insertedContentRelation (LDP 5.5.1.2). Raises 409 Problems
-    for what is said twice, both ways round (LDP 5.4.1.4), or by no IRI.
+    Defaults are the container itself as the membership resource and the relation ldp:member (LDP 5.4.1.2, 5.4.1.3); an
+    Indirect container must declare ldp:insertedContentRelation (LDP 5.5.1.2). Raises 409 Problems for repeated
+    declarations, both directions (LDP 5.4.1.4), or non-IRIs.
     """
     if model not in (Model.DIRECT_CONTAINER, Model.INDIRECT_CONTAINER):
         return None
@@ -158,11 +157,10 @@ def parse_membership(triples: Iterable[Triple], url: str, model: Model) -> Membe
 
 
 def member_derived_uri(membership: Membership | None, body: RdfBody, url: str) -> str:
-    """What stands for a new member at `url` in membership triples: the member-derived URI (LDP 5.4.1.5, 5.5.1.2).
+    """Return the member-derived URI of a new member at `url` for membership triples (LDP 5.4.1.5, 5.5.1.2).
 
-    It is the member itself, or the object of the inserted content relation in the body it is made from, `NO_MEMBER`
-    where that says none. What is said of the member itself comes before what is said of others. Raises 409 Problems
-    where there is more than one, or one that is no IRI.
+    It is the member itself or, with an inserted content relation, its object in the body, `NO_MEMBER` if there is none.
+    Statements about the member take precedence. Raises 409 Problems for several objects, or a non-IRI.
     """
     if membership is None or membership.content in (None, ldp.MemberSubject.value):
         return url
@@ -184,14 +182,14 @@ def member_derived_uri(membership: Membership | None, body: RdfBody, url: str) -
 
 
 def member_derived_uris(members: Iterable[tuple[str, str | None]]) -> Iterator[str]:
-    """Return the URIs of members in membership triples, from their URLs and records."""
+    """Yield the URIs of members in membership triples, from their URLs and records."""
     return (url if stated is None else stated for url, stated in members if stated != NO_MEMBER)
 
 
 def membership_declaration(membership: Membership, container_url: str) -> list[Triple]:
-    """What a Direct or Indirect container says of its own membership triples, each once.
+    """Return the declaration by a Direct or Indirect container of its membership triples.
 
-    It is the same whether its client said it or left it to the defaults (LDP 5.4.1.3, 5.4.1.4, 5.5.1.2).
+    It includes the defaults, whether the client stated them or not (LDP 5.4.1.3, 5.4.1.4, 5.5.1.2).
     """
     container = NamedNode(container_url)
     relation = ldp.isMemberOfRelation if membership.inverse else ldp.hasMemberRelation
@@ -213,7 +211,7 @@ def membership_triples(membership: Membership, members: Iterable[str]) -> list[T
 
 
 def _one(said: Sequence[Triple], predicate: NamedNode) -> NamedNode | None:
-    """Return the one IRI that a container says by a predicate, None where it says nothing."""
+    """Return the single IRI that a container states with a predicate, or None."""
     found = list(dict.fromkeys(triple.object for triple in said if triple.predicate == predicate))
     if len(found) > 1:
         values = " and ".join(map(str, found[:5]))
@@ -243,28 +241,28 @@ def _content(said: NamedNode | None, model: Model) -> NamedNode | None:
 
 
 MAX_LENGTH = 100
-"""Characters of a name."""
+"""Maximum number of characters of a name."""
 _COUNTED = range(2, 10)
-"""The numbers that are tried before chance: looking through all the names of a large container would take its time."""
+"""Numbers tried before random suffixes: searching all names of a large container would take too long."""
 _SOUNDS = tuple(consonant + vowel for consonant in "bdfghjklmnprstvz" for vowel in "aeiou")
 _RESERVED = re.compile(r"\.meta$", re.IGNORECASE)
 _SUFFIX = re.compile(r"(?:\.[0-9A-Za-z]{1,15})?")
 _READ = MAX_LENGTH * 12
-"""Characters of a Slug that are read: each of a name's may be four bytes, each percent-encoded."""
+"""Number of characters of a Slug that are read: each of a name's may be four bytes, each percent-encoded."""
 _INVISIBLE = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0") | {
     chr(code) for span in (range(0x180B, 0x1810), range(0xFE00, 0xFE10), range(0xE0100, 0xE01F0)) for code in span
 }
-"""Letters and marks that nobody sees (Unicode's Default_Ignorable_Code_Point): two names would look the same."""
+"""Invisible letters and marks (Unicode's Default_Ignorable_Code_Point), which would make two names look the same."""
 
 
 def choose_name(slug: str | None, taken: Callable[[str], bool], *, suffix: str = "") -> str:
-    """Return a name for a new member, not yet percent-encoded: readable, one segment of a path, and nobody's before.
+    """Return a name for a new member, not yet percent-encoded: readable, a single path segment, and never used before.
 
-    Letters, marks, digits, `-`, `_` and `.` of the Slug are kept, everything else becomes `-`; without a Slug, or where
-    nothing of it remains, the name is made of sounds. In NFC, at most 100 characters, it begins with a letter, a digit
-    or `_`, and does not end in a dot or in `.meta`. `taken` says of a name whether it is there or ever was (LDP
-    5.2.3.11); then numbers and at last chance are added. `suffix`, such as `.png`, is what a name without an extension
-    of its own ends in; raises ValueError for one that is no extension.
+    Letters, marks, digits, `-`, `_` and `.` of the Slug are retained, everything else becomes `-`; without a usable
+    Slug the name is made of random syllables. It is in NFC, has at most 100 characters, begins with a letter, a digit
+    or `_`, and does not end in a dot or in `.meta`. `taken` returns whether a name exists or ever did (LDP 5.2.3.11);
+    then a number or, at last, a random suffix is added. `suffix`, such as `.png`, is appended to a name without an
+    extension; raises ValueError for an invalid one.
     """
     if not _SUFFIX.fullmatch(suffix) or _RESERVED.search(suffix):
         raise ValueError(f"{suffix!r} is no extension such as '.png'")
@@ -281,13 +279,13 @@ def _candidates(stem: str, extension: str) -> Iterator[str]:
 
 
 def _join(stem: str, added: str, extension: str) -> str:
-    """Return a name of all three, the stem cut short where it is too long; what was cut may have ended well before."""
+    """Join the parts of a name, truncating the stem if needed (and dropping separators at its new end)."""
     kept = stem[: MAX_LENGTH - len(added) - len(extension)].rstrip("-.")
     return unicodedata.normalize("NFC", kept + added + extension)
 
 
 def _readable(slug: str) -> str:
-    """Return the usable characters of a Slug, perhaps none."""
+    """Return the usable characters of a Slug, which may be none."""
     text = unicodedata.normalize("NFC", _decode(slug))
     kept = "".join(char if _is_kept(char) else "-" for char in text if char not in _INVISIBLE)
     name = re.sub(r"-{2,}", "-", kept)
@@ -299,13 +297,13 @@ def _readable(slug: str) -> str:
 
 
 def _decode(slug: str) -> str:
-    """Return the text of a Slug (RFC 5023 9.7.1): its octets percent-decoded, then read as UTF-8."""
+    """Return the text of a Slug (RFC 5023 9.7.1): its octets percent-decoded, then decoded as UTF-8."""
     raw = slug[:_READ].encode("latin-1", "ignore") if _is_latin(slug) else slug[:_READ].encode("utf-8", "ignore")
     return unquote_to_bytes(raw).decode("utf-8", "replace")
 
 
 def _is_latin(text: str) -> bool:
-    """Whether these are the octets of a header field, as they come from the web."""
+    """Whether a text consists of the octets of a header field."""
     return all(char <= "\xff" for char in text)
 
 
@@ -314,7 +312,7 @@ def _is_kept(char: str) -> bool:
 
 
 def _split(name: str, suffix: str) -> tuple[str, str]:
-    """Return a name without its extension, and the extension; `suffix` for a name that has none."""
+    """Return a name without its extension, and the extension; `suffix` if it has none."""
     stem, dot, last = name.rpartition(".")
     if dot and stem and re.fullmatch(r"[0-9A-Za-z]{1,15}", last):
         return stem, dot + last
@@ -322,7 +320,7 @@ def _split(name: str, suffix: str) -> tuple[str, str]:
 
 
 def _word() -> str:
-    """Return a name by chance that can be read aloud: two words of three sounds, of 5 * 10^11 such names."""
+    """Return a random pronounceable name: two words of three syllables, of 5 * 10^11 possible names."""
     number, sounds = secrets.randbelow(len(_SOUNDS) ** 6), []
     for _ in range(6):
         number, sound = divmod(number, len(_SOUNDS))

@@ -1,6 +1,6 @@
-"""Large documents: their representations are made in worker processes, and sent from files.
+"""Large documents: representations rendered in worker processes, and sent from files.
 
-A file is made once for all who ask for it meanwhile, and the last few are kept. A page shows the first triples only.
+A file is created once for all concurrent requests, and the last few are cached. A page shows only the first triples.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from rosld.server.runtime.offload import Work, WorkerPool
 _T = TypeVar("_T")
 
 EXCERPT = 250
-"""Triples of a large document that a page shows."""
+"""Number of triples of a large document that a page shows."""
 MAX_BYTES = 512 * 1024 * 1024
-"""Bytes of files that are kept, beside the newest."""
+"""Maximum number of bytes of cached files, in addition to the newest."""
 MAX_FILES = 16
 
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """The first triples of a document, and the number of all."""
+    """The first triples of a document, and the total number."""
 
     document: Document
     total: int
@@ -52,7 +52,7 @@ class LargeDocuments:
         self._making: dict[Hashable, asyncio.Future[tuple[Path, int]]] = {}
 
     async def file(self, name: Hashable, state: State, media_type: str) -> tuple[FileIO, int]:
-        """Return the representation of a state in a media type, opened, and its size; `name` tells it from all others.
+        """Return the opened representation of a state in a media type, and its size; `name` is the cache key.
 
         Raises CannotCarry, and the Problems of `WorkerPool.run`.
         """
@@ -60,7 +60,7 @@ class LargeDocuments:
             path, size = await self._made(name, state, media_type)
             try:
                 return await asyncio.to_thread(FileIO, path), size
-            except FileNotFoundError:  # pushed out by others meanwhile
+            except FileNotFoundError:  # removed in favour of others meanwhile
                 continue
 
     async def _made(self, name: Hashable, state: State, media_type: str) -> tuple[Path, int]:
@@ -88,14 +88,14 @@ class LargeDocuments:
         return path, size
 
     def _push_out(self) -> None:
-        """Remove the files that were used the longest ago, until the others are few enough. Who reads one goes on."""
+        """Remove the least recently used files beyond the limits; readers of open files are not affected."""
         files = self._files
         while len(files) > 1 and (len(files) > MAX_FILES or sum(size for _, size in files.values()) > MAX_BYTES):
             _, (path, _) = files.popitem(last=False)
             path.unlink(missing_ok=True)
 
     async def excerpt(self, state: State, limit: int = EXCERPT) -> Excerpt:
-        """Return the first triples of a large state's document; with those about the document's own subject first."""
+        """Return the first triples of a large state's document, preferring those about the document's own subject."""
         url, ntriples, total = await self._run(state, partial(first_triples, state.describe, limit))
         triples = tuple(quad.triple for quad in parse(ntriples, RdfFormat.N_TRIPLES))
         return Excerpt(Document(url, triples), total)
@@ -114,20 +114,20 @@ class LargeDocuments:
 
 
 def excerpt_state(state: State, excerpt: Excerpt) -> State:
-    """Return a state that says the excerpt only."""
+    """Return a state that contains only the excerpt."""
     return replace(state, describe=lambda: excerpt.document, weight=0, renderings={}, redactions={}, token=state.tag)
 
 
-# In a worker
+# --- in a worker process
 
 
 def write_document(describe: Callable[[], Document], media_type: str, path: Path) -> int:
-    """Write a document in the syntax of a media type to a file; its size. Raises CannotCarry."""
+    """Write a document in the syntax of a media type to a file; return its size. Raises CannotCarry."""
     return path.write_bytes(serialize(describe(), media_type))
 
 
 def first_triples(describe: Callable[[], Document], limit: int) -> tuple[str, bytes, int]:
-    """Return the URL of a document, its first triples as N-Triples, and how many it has in all."""
+    """Return the URL of a document, its first triples as N-Triples, and the total number of triples."""
     document = describe()
     triples: list[Triple] = list(itertools.islice(document.triples, limit))
     return document.url, pyoxigraph_serialize(triples, format=RdfFormat.N_TRIPLES) or b"", len(document.triples)

@@ -1,4 +1,4 @@
-"""Pages and their forms: how a browser reads resources and writes to them."""
+"""Pages and their forms, for reading and writing resources with a browser."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ from rosld.server.robot.software_stop import SoftwareStop
 
 _PROBLEM_OFFERS = ("application/problem+json", "application/json", "text/turtle", "application/ld+json", "text/html")
 _SMALL_FORM = 64 * 1024
-"""Characters of a form that the loop reads itself: percent signs alone take 25 ms."""
+"""Maximum number of characters of a form parsed on the loop: percent signs alone take 25 ms."""
 _MAX_FIELDS = 10_000
 _SHORT_PAGE = 300
-"""Triples of a page that the loop renders itself: some 8 ms."""
+"""Maximum number of triples of a page rendered on the loop: some 8 ms."""
 
 
 class PageRenderer:
-    """Renders the pages of one robot's resources."""
+    """Renderer of the pages of one robot's resources."""
 
     headers: Mapping[str, str] = {name.lower(): value for name, value in HEADERS.items()}
 
@@ -62,16 +62,16 @@ class PageRenderer:
 
     @property
     def space(self) -> Space:
-        """The URLs of this server."""
+        """URLs of this server."""
         return self._session.space
 
     @property
     def site(self) -> Site:
-        """Return the values of this server that every page shows."""
+        """Values of this server that every page shows."""
         return self.site_for(ALLOW_ALL)
 
     def site_for(self, permissions: Permissions) -> Site:
-        """The same, for one who may do this much."""
+        """Return the values that every page shows to an agent with these permissions."""
         session, stop_state = self._session, self._stops.stop_state
         state = session.graph.state
         stale = f"since {_moment(state.since_ns)}: {state.why}" if isinstance(state, Stale) else None
@@ -94,12 +94,12 @@ class PageRenderer:
         )
 
     def _stop_warning(self, permissions: Permissions) -> str:
-        """Why the stopped robot may go on moving, empty where nothing says so, or it is not for this reader to know."""
+        """Return why the stopped robot may still move; empty if nothing indicates it, or the reader may not know."""
         may_read = permissions.may_read(self._session.space.stop)
         return (self._stops.warning or "") if self._stops.stop_state is not None and may_read else ""
 
     def _stop_token(self, permissions: Permissions) -> str:
-        """Return the token of the form that stops the robot, empty where it is not for this reader to stop."""
+        """Return the token of the stop form; empty if the reader may not stop the robot."""
         session = self._session
         usable = self._stops.is_usable and permissions.may("POST", session.space.stop)
         return self._keys.token(_of_agent(session.space.stop, permissions)) if usable else ""
@@ -113,7 +113,7 @@ class PageRenderer:
     async def page(
         self, resource: Resource, state: State, notices: Sequence[Notice] = (), permissions: Permissions = ALLOW_ALL
     ) -> bytes:
-        """The page of a resource as it is, for one who may do this much."""
+        """Return the page of a resource in its current form, for an agent with these permissions."""
         return await self._page(resource, state, await resource.forms(), notices, permissions)
 
     async def _page(
@@ -124,7 +124,7 @@ class PageRenderer:
         notices: Sequence[Notice],
         permissions: Permissions,
     ) -> bytes:
-        """Return a page with these forms; of what is large it shows the beginning, and says so."""
+        """Return a page with these forms; a large state is shown as an excerpt, with a notice."""
         if state.is_large:
             excerpt = await self._large.excerpt(state)
             state = excerpt_state(state, excerpt)
@@ -142,7 +142,7 @@ class PageRenderer:
         return await asyncio.to_thread(render_page, page)
 
     def problem(self, exchange: Exchange, problem: Problem, url: str) -> Response | None:
-        """Return a problem with the resource at `url` as a page, for those who prefer one; None for all others."""
+        """Return a problem of the resource at `url` as a page for clients that prefer one, else None."""
         if choose_offer(exchange.accept, _PROBLEM_OFFERS) != "text/html":
             return None
         page = ProblemPage(
@@ -164,9 +164,9 @@ class PageRenderer:
         return Response(render_problem(page), problem.status, headers, "text/html; charset=utf-8")
 
     async def read_form(self, exchange: Exchange, resource: Resource) -> Form:
-        """Check a posted form and turn the request into the one it means; return the form.
+        """Check a posted form and turn the request into the one it stands for; return the form.
 
-        Raises Problems (403 for a foreign form, 405 for a method without one), InvalidForm where it does not fit.
+        Raises Problems (403 for a foreign form, 405 for a method without one), and InvalidForm for invalid values.
         """
         pairs = await self._pairs(exchange)
         token, method, typed = split_hidden(pairs)
@@ -188,9 +188,9 @@ class PageRenderer:
     async def form_errors(
         self, resource: Resource, refusal: InvalidForm, permissions: Permissions = ALLOW_ALL
     ) -> Response:
-        """The page again with the form as it was filled in, and with what is wrong: beside the fields that do not fit.
+        """Return the page with the submitted form and its errors, next to the fields they concern.
 
-        Raises the problem itself where there is no page to tell it on.
+        Raises the problem itself if there is no page to show it on.
         """
         form, problem = refusal.form, refusal.problem
         if isinstance(form, DeleteForm):
@@ -213,7 +213,7 @@ class PageRenderer:
         return Response(body, problem.status, headers, "text/html; charset=utf-8")
 
     async def with_notice(self, resource: Resource, sentence: str, permissions: Permissions = ALLOW_ALL) -> Response:
-        """Return the page with a notice, after a form that was carried out with a reservation (202)."""
+        """Return the page with a notice, after a form was accepted with a reservation (202)."""
         state = await resource.state()
         state = state if permissions.is_unrestricted else resource.redact(state, permissions)
         body = await self.page(resource, state, [Notice(sentence, NoticeLevel.WARNING)], permissions)
@@ -232,9 +232,9 @@ class PageRenderer:
         return (receipt_notice(receipt, None if href is None else NoticeLink(href, "Receipt")),)
 
     def referring_url(self, exchange: Exchange) -> str | None:
-        """Return the URL of the page that a form stood on (RFC 9110 10.1.3), under the name of this site.
+        """Return the URL of the page with the submitted form (RFC 9110 10.1.3), under the base of this server.
 
-        None where that is not told.
+        None if the request does not state it.
         """
         space = self._session.space
         try:

@@ -1,4 +1,4 @@
-"""Pages of containers, and the parts of a container that a request prefers (LDP 7.2)."""
+"""Pages of containers, and the selection of a container's parts by preferences (LDP 7.2)."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _CONTAINMENT = f"{ldp.iri}PreferContainment"
 _MEMBERSHIP = f"{ldp.iri}PreferMembership"
 _MINIMAL = f"{ldp.iri}PreferMinimalContainer"
 _EMPTY = f"{ldp.iri}PreferEmptyContainer"
-"""The name that drafts of LDP had for the minimal container."""
+"""Name of the minimal container in drafts of LDP."""
 _KNOWN = frozenset({_CONTAINMENT, _MEMBERSHIP, _MINIMAL})
 
 
 @dataclass(frozen=True, slots=True)
 class ContainerParts:
-    """Parts in a representation of a container. `applied`: a preference chose them, and the response says so."""
+    """Parts in a representation of a container. `applied`: a preference selected them, which the response states."""
 
     containment: bool = True
     membership: bool = True
@@ -44,13 +44,13 @@ class ContainerParts:
 
     @property
     def variant(self) -> str:
-        """A short name of what is left out, empty where nothing is: representations that differ need other ETags."""
+        """Short name of the omitted parts, empty if there are none: different representations need different ETags."""
         held = ((self.containment, "c"), (self.membership, "m"), (self.minimal, "s"))
         return "".join(letter for is_held, letter in held if not is_held)
 
     @property
     def preference_applied(self) -> str | None:
-        """The value of Preference-Applied (RFC 7240 3); None where no preference was."""
+        """Value of Preference-Applied (RFC 7240 3), None if no preference was applied."""
         return preference_applied("return=representation") if self.applied else None
 
 
@@ -58,11 +58,11 @@ ALL_PARTS = ContainerParts()
 
 
 def select_parts(preferences: Preferences) -> ContainerParts:
-    """What `include` and `omit` of return=representation choose (LDP 7.2.2).
+    """Return the parts that `include` and `omit` of return=representation select (LDP 7.2.2).
 
-    What is omitted is left out. Where something is included, members and membership that are not are left out; what the
-    container says beside these comes along unless it is omitted by name, for it says what the membership triples are.
-    Hints that contradict each other (7.2.2.3 leaves those open) or are unknown are passed over.
+    Omitted parts are left out. With an inclusion, members and membership must be included explicitly; the other
+    statements of the container remain unless omitted by name, because they define the membership triples. Contradicting
+    hints (which 7.2.2.3 leaves open) and unknown ones are ignored.
     """
     include, omit = _hints(preferences.include), _hints(preferences.omit)
     include, omit = include - omit, omit - include
@@ -85,9 +85,9 @@ def _is_wanted(hint: str, include: frozenset[str], omit: frozenset[str]) -> bool
 
 
 MAX_PAGE_SIZE = 1000
-"""Members of one page; a container with more comes in pages."""
+"""Maximum number of members on a page; larger containers are paged."""
 Key: TypeAlias = "int | str"
-"""What members are ordered by: numbers, or names as they stand in URLs, those of containers with their slash."""
+"""Sort key of members: a number, or a name as in URLs (for a container with its slash)."""
 _TOKEN = re.compile(r"(0|[1-9][0-9]{0,17})(?:-([1-9][0-9]{0,3}))?")
 _NAMED = re.compile(r"([1-9][0-9]{0,3})?:([!-~]{1,4096})")
 _COUNT = re.compile(r"0*([1-9][0-9]{0,8})")
@@ -95,14 +95,14 @@ _COUNT = re.compile(r"0*([1-9][0-9]{0,8})")
 
 @dataclass(frozen=True, slots=True)
 class PagePosition:
-    """Position of a page: `limit` members after the one of number or name `after`; 0 is before all of them."""
+    """Position of a page: `limit` members after the number or name `after`; 0 is before all of them."""
 
     after: Key = 0
     limit: int = MAX_PAGE_SIZE
 
     @property
     def token(self) -> str:
-        """The value in `?page=`."""
+        """Value of `?page=`."""
         limit = "" if self.limit == MAX_PAGE_SIZE else str(self.limit)
         if isinstance(self.after, str):
             return f"{limit}:{self.after}"
@@ -111,7 +111,7 @@ class PagePosition:
 
 @dataclass(frozen=True, slots=True)
 class LdpPage:
-    """A page of the container at URL `container`: its own token and those of its neighbours, None where it has none."""
+    """A page of the container at URL `container`: its own token and those of its neighbours, None for missing ones."""
 
     container: str
     token: str
@@ -122,11 +122,11 @@ class LdpPage:
 
     @property
     def url(self) -> str:
-        """Its URL."""
+        """URL of the page."""
         return page_url(self.container, self.token)
 
     def neighbours(self) -> tuple[SequenceLink, ...]:
-        """Return the neighbours: first, prev, next and last, as far as they are known and there."""
+        """Return the known neighbours: first, prev, next and last."""
         tokens = {"first": self.first, "prev": self.prev, "next": self.next, "last": self.last}
         return tuple(
             SequenceLink(rel, page_url(self.container, token)) for rel, token in tokens.items() if token is not None
@@ -135,7 +135,7 @@ class LdpPage:
     def links(self, etag: str | None = None) -> tuple[Link, ...]:
         """Return the links of a page: its type, its neighbours, and its container.
 
-        The link to the container has its entity tag (`"x"` or `x`), so that changes between pages are noticed.
+        The link to the container has its entity tag (`"x"` or `x`), so that clients notice changes between pages.
         """
         noted = () if etag is None else (("etag", etag.removeprefix('"').removesuffix('"')),)
         return (
@@ -145,11 +145,11 @@ class LdpPage:
         )
 
     def add_to(self, document: Document) -> Document:
-        """Return a document of the members on this page, and what the page itself is."""
+        """Return a document of the members on this page with the triples of the page."""
         return replace(document, triples=(*document.triples, *self.triples()))
 
     def triples(self) -> list[Triple]:
-        """Return the same in RDF."""
+        """Return the triples of the page."""
         relations = {"first": xhv.first, "prev": xhv.prev, "next": xhv.next, "last": xhv.last}
         return triples_about(
             NamedNode(self.url),
@@ -160,7 +160,7 @@ class LdpPage:
 
 
 def require_page(exchange: Exchange, container: str, count: int) -> None:
-    """Raise the 303 to the first page where a request is to be answered by pages."""
+    """Raise the 303 to the first page if the response must be paged."""
     query = exchange.request.scope["query_string"].decode("latin-1")
     first = redirect_to_first(container, count, exchange.prefer, query)
     if first is not None:
@@ -178,7 +178,7 @@ def page_query(token: str) -> str:
 
 
 def parse_position(token: str) -> PagePosition:
-    """Return the place among numbered members that `?page=` names; a 404 Problem for what names none."""
+    """Return the position among numbered members in `?page=`. Raises a 404 Problem for an invalid one."""
     found = _TOKEN.fullmatch(token)
     if found is None or int(found[2] or 1) > MAX_PAGE_SIZE:
         raise _no_page(token)
@@ -186,7 +186,7 @@ def parse_position(token: str) -> PagePosition:
 
 
 def parse_named_position(token: str) -> PagePosition:
-    """Return the place among members ordered by name that `?page=` names; a 404 Problem for what names none."""
+    """Return the position among members ordered by name in `?page=`. Raises a 404 Problem for an invalid one."""
     found = _NAMED.fullmatch(token)
     if found is None:
         place = parse_position(token)
@@ -218,11 +218,11 @@ def page_of(
     before: Sequence[Key] = (),
     last: PagePosition | None = None,
 ) -> LdpPage:
-    """Return the page at a place, where `keys` are those of the members after it: one more than it tells, if there are.
+    """Return the page at a position; `keys` are those of the following members, one more than a page if possible.
 
-    So the last page has no `next`, though it be full. `before` are the keys up to the place, the last one first: one
-    more than a page tells, if there are. So the page before ends where this one begins; where fewer than a page are
-    left it is the first one. `last` is where the last page begins, if that is known.
+    The additional key shows whether there is a `next` page. `before` are the preceding keys in reverse order, one more
+    than a page if possible, so that the previous page ends where this one begins; if there is less than a page, the
+    previous one is the first. `last` is the position of the last page, if known.
     """
     next_ = PagePosition(keys[place.limit - 1], place.limit) if len(keys) > place.limit else None
     prev = PagePosition(before[place.limit] if len(before) > place.limit else 0, place.limit) if before else None
@@ -243,9 +243,9 @@ def last_page_size(count: int, limit: int) -> int:
 
 
 def last_position(limit: int, count: int, latest: Sequence[Key]) -> PagePosition:
-    """Where the last page begins of `count` members.
+    """Return the position of the last page of `count` members.
 
-    `latest` are the keys of the last ones, the last one first: one more than that page tells, if there are.
+    `latest` are the keys of the last members in reverse order, one more than on that page if possible.
     """
     left = last_page_size(count, limit)
     return PagePosition(latest[left] if len(latest) > left else 0, limit)
@@ -261,10 +261,10 @@ def requested_page_size(preferences: Preferences) -> int | None:
 
 
 def redirect_to_first(container: str, count: int, preferences: Preferences, query: str = "") -> Problem | None:
-    """Return the 303 to the first page of a container of `count` members, None where it is told at once.
+    """Return the 303 to the first page of a container of `count` members, None if it needs no paging.
 
-    It comes in pages where it has more members than `MAX_PAGE_SIZE`, or than the request prefers. What its `query` asks
-    for besides (`format=ttl`) is asked of the page.
+    It is paged if it has more members than `MAX_PAGE_SIZE`, or than the request prefers. The other parameters in
+    `query` (such as `format=ttl`) are retained.
     """
     limit = requested_page_size(preferences) or MAX_PAGE_SIZE
     if count <= limit:

@@ -1,4 +1,4 @@
-"""Path items: the operations that resources declare for `/openapi.json` (OpenAPI 3.1.1, 4.8.9), and its parts."""
+"""Path items: the operations of resources in `/openapi.json` (OpenAPI 3.1.1, 4.8.9), and the parts of that document."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BYTES = "application/octet-stream"
 
 @dataclass(frozen=True, slots=True)
 class QueryParameter:
-    """A parameter of the query (4.8.12)."""
+    """A query parameter (4.8.12)."""
 
     name: str
     about: str
@@ -26,7 +26,7 @@ class QueryParameter:
 
     @property
     def is_list(self) -> bool:
-        """Whether it may be given several times."""
+        """Whether the parameter may be repeated."""
         return self.schema.get("type") == "array"
 
 
@@ -37,13 +37,13 @@ DRY_RUN = QueryParameter(
     "dry-run", "Whether the write is only planned and checked: 200 with the plan, and nothing is done.", BOOLEAN
 )
 OF_EVERY_WRITE = (FORMAT, DRY_RUN)
-"""Parameters that every write takes."""
+"""Parameters of every write."""
 FIELD_READS = (*OFFERS, BYTES, "text/plain")
-"""What a value is read as, of which `FIELD` asks for a part."""
+"""Media types of a value with `FIELD`."""
 
 
 _DONE = {"PUT": (200, 201, 204), "POST": (200, 201, 204), "PATCH": (200, 201, 204), "DELETE": (204,)}
-"""Statuses of what was done, where a resource says nothing else."""
+"""Default statuses of success."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,16 +69,16 @@ class WriteMethod:
 
 
 USUAL_STATUSES = WriteMethod()
-"""Of a method of which nothing in particular is told."""
+"""Default description of a method."""
 
 
 @dataclass(frozen=True, slots=True)
 class PathItem:
-    """The operations of a URL, or of each URL that fits a template.
+    """The operations of a URL, or of each URL that matches a template.
 
-    `reads` are the media types of GET, `plain` is the schema of `application/json` among them (JSON-LD where there is
-    none), `query` what GET takes. `streams`: its changes can be had as an event stream. `methods` are those that it may
-    have, where they are more than it has now.
+    `reads` are the media types of GET, `plain` is the schema of `application/json` among them (None: JSON-LD), `query`
+    are the parameters of GET. `streams`: changes are available as an event stream. `methods` are the possible methods,
+    if there are more than the current ones.
     """
 
     summary: str
@@ -88,11 +88,11 @@ class PathItem:
     writes: Mapping[str, WriteMethod] = field(default_factory=dict)
     streams: bool = True
     has_shape: bool = False
-    """Whether `?shape` asks for the shape of what may be written."""
+    """Whether `?shape` returns the shape of writable content."""
     is_paged: bool = False
-    """Whether it is a container that may come in pages: GET then takes `page` and the preferences of LDP."""
+    """Whether it is a container that may be paged: GET then takes `page` and the preferences of LDP."""
     members: Mapping[str, str] = field(default_factory=dict)
-    """The URLs of what the members of its JSON are the values of, by their names: who may not read one is not told."""
+    """URLs of the sources of JSON members, by member name: members with an unreadable source are hidden."""
     methods: frozenset[str] | None = None
 
     def write(self, method: str) -> WriteMethod:
@@ -101,12 +101,12 @@ class PathItem:
 
     @property
     def is_document(self) -> bool:
-        """Whether it is RDF and nothing else."""
+        """Whether the resource has only RDF representations."""
         return self.plain is None and self.streams and self.reads == OFFERS
 
     @property
     def has_value(self) -> bool:
-        """Whether there is a changing value that a condition can be about."""
+        """Whether there is a changing value for conditions."""
         return self.plain is not None and self.streams
 
     @property
@@ -123,7 +123,7 @@ class PathItem:
 
 
 MAX_PART = 100_000
-"""Bytes of a part, in JSON."""
+"""Maximum number of bytes of a part, in JSON."""
 PART_QUERY = (
     QueryParameter(
         "below",
@@ -137,7 +137,7 @@ _MAX_DIGITS = 6
 
 @dataclass(frozen=True, slots=True)
 class PartRequest:
-    """A requested part: its number, among the parts about paths that begin with `below`."""
+    """A requested part: its number, among the parts of the paths that begin with `below`."""
 
     below: str
     number: int
@@ -171,7 +171,7 @@ def part_url(url: str, below: str, number: int = 0) -> str:
 
 
 def parse_part(query: Mapping[str, str]) -> PartRequest | None:
-    """Return the part that a query asks for, None where it asks for the whole. Raises a 400 Problem."""
+    """Return the part that a query requests, None for the whole document. Raises a 400 Problem."""
     if "below" not in query and "part" not in query:
         return None
     below, number = query.get("below", "/"), query.get("part", "0")

@@ -1,7 +1,8 @@
 """Base class of resources: everything that has a URL.
 
-A resource is made for a request and holds no state of its own: `state()` tells what it is like now. Verbs it lists in
-`methods` are its coroutines of the same names; `verbs.py` has done negotiation, `Allow` and preconditions before them.
+A resource is created for a request and has no state of its own: `state()` returns the current one. The methods listed
+by `methods()` are coroutines of the same names; `verbs.py` handles negotiation, `Allow` and preconditions before it
+calls them.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ from rosld.server.storage.record import Write
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A source of pictures: `watch` calls back whenever there may be a new one, `newest` gives it as a file.
+    """A source of pictures: `watch` calls back when there may be a new one, `newest` returns it as a file.
 
-    `newest` gives None where there is none that was not given before, or none can be drawn.
+    `newest` returns None if there is no new picture, or none can be drawn.
     """
 
     media_type: str
@@ -47,9 +48,9 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class RobotWrite:
-    """A write to the robot: `does` describes it, `carry_out` performs it and returns whether it was received.
+    """A write to the robot with its description; `carry_out` performs it and returns whether it was received.
 
-    `carry_out` raises RosError, and Problems where the robot declines.
+    `carry_out` raises RosError, and Problems if the robot declines.
     """
 
     description: str
@@ -58,7 +59,7 @@ class RobotWrite:
 
 @dataclass(frozen=True, slots=True)
 class StorageWrite:
-    """Writes to the storage, done together in one transaction."""
+    """Writes to the storage, applied in one transaction."""
 
     description: str
     writes: tuple[Write, ...]
@@ -70,7 +71,7 @@ Plan: TypeAlias = "RobotWrite | StorageWrite"
 R = TypeVar("R", bound="Resource")
 READ = frozenset({"GET", "HEAD", "OPTIONS"})
 ABSENT = frozenset({"OPTIONS"})
-"""What is answered of what is not there, and is not made by a write to its URL."""
+"""Methods of a missing resource that a write to its URL would not create."""
 LDP = "http://www.w3.org/ns/ldp#"
 CONFORMS_TO = "http://purl.org/dc/terms/conformsTo"
 RESOURCE = Link(f"{LDP}Resource", "type")
@@ -79,28 +80,28 @@ BASIC_CONTAINER = Link(f"{LDP}BasicContainer", "type")
 
 
 class Resource:
-    """Base of all resources: readable, nothing else."""
+    """Base of all resources: read-only by default."""
 
     kind = "Resource"
     shape = ""
-    """The name of the shape of its documents, in `/shapes/documents`."""
+    """Name of the shape of its documents, in `/shapes/documents`."""
     item: PathItem | None = None
-    """Its path item for `/openapi.json`, if that is always the same."""
+    """Path item for `/openapi.json`, if it is constant."""
     links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE)
     accepts: Mapping[str, Sequence[str]] = {}
-    """The media types that PUT, POST and PATCH take, by method."""
+    """Media types that PUT, POST and PATCH accept, by method."""
     in_turn: frozenset[str] = frozenset()
-    """The methods whose outcome depends on what is there: such writes of one URL are carried out in turn."""
+    """Methods whose outcome depends on the current state: such writes to one URL are serialized."""
     is_cacheable = True
-    """Whether the same path means the same kind of resource for ever."""
+    """Whether the path always leads to the same kind of resource."""
     passes_unknown_parameters: frozenset[str] = frozenset()
-    """The methods that pass over query parameters that nobody declares, which are 400 elsewhere."""
+    """Methods that ignore undeclared query parameters, which otherwise cause a 400."""
     takes_forms = True
-    """Whether a posted form is one of our pages' (else the resource reads it itself)."""
+    """Whether a posted form is a form of our pages (otherwise the resource reads it itself)."""
     title = ""
-    """What its page is called: a ROS name as a rule."""
+    """Heading of its page: usually a ROS name."""
     _permissions = ALLOW_ALL
-    """The permissions that the state was made for; ALLOW_ALL if `redact` removes from it what an agent may not see."""
+    """Permissions that the state is limited to; ALLOW_ALL if `redact` limits it for an agent."""
 
     def __init__(self, space: Space, url: str) -> None:
         self.space = space
@@ -108,11 +109,11 @@ class Resource:
 
     @property
     def variant_key(self) -> Hashable:
-        """Identifier of a partial view of the URL's state: a page, some parts, or what one agent may see."""
+        """Identifier of a partial view (such as a page, or the view of one agent)."""
         return self._permissions.rights_key
 
     def __eq__(self, other: object) -> bool:
-        """Whether the other resource has the same state, so that those who wait for changes can share it."""
+        """Whether the other resource has the same state, so that readers of changes can share it."""
         return (
             isinstance(other, Resource)
             and type(other) is type(self)
@@ -127,27 +128,27 @@ class Resource:
 
     @property
     def is_absent(self) -> bool:
-        """Whether there is nothing at its URL, and no write to it would make something, as far as is known unread."""
+        """Whether nothing exists at its URL and writes to it create nothing, as far as known without reading."""
         return False
 
     def methods(self) -> frozenset[str]:
-        """Return the verbs it answers; what `Allow` says but for those withheld, unless it is absent."""
+        """Return the methods of the resource; `Allow` has them unless they are withheld or the resource is absent."""
         return READ
 
     @property
     def withheld(self) -> frozenset[str]:
-        """The verbs that are refused for now, though it answers them: 423, because the robot is stopped."""
+        """Methods that are currently refused (423), because the robot is stopped."""
         return frozenset()
 
     async def current_methods(self) -> frozenset[str]:
-        """Return the verbs it answers in its present state, which may have to be read: what OPTIONS says."""
+        """Return the methods in the current state, which may have to be read: the answer to OPTIONS."""
         return ABSENT if self.is_absent else self.methods()
 
     async def methods_if_there(self) -> frozenset[str]:
         """Return the methods of the current state, if there is anything to GET."""
         try:
             await self.state()
-        except (RosError, Problem) as error:  # another one may pass, and tells nothing of what is there
+        except (RosError, Problem) as error:  # other errors may be temporary, and do not mean that nothing exists
             problem = problem_of(error) if isinstance(error, RosError) else error
             if problem.status in (404, 410):
                 return self.methods() - {"GET", "HEAD"}
@@ -158,16 +159,16 @@ class Resource:
         return self.item or PathItem(self.kind)
 
     def deny_reason(self, method: str) -> str:
-        """Why a verb is not allowed, in a sentence for a 405."""
+        """Return why a method is not allowed, in a sentence for a 405."""
         return f"{self.kind} resources do not answer {method}."
 
     @property
     def deny_about(self) -> Sequence[str]:
-        """The URLs of the other resources that `deny_reason` may name."""
+        """URLs of the other resources that `deny_reason` may mention."""
         return ()
 
     def not_allowed(self, method: str, status: int = 405) -> Problem:
-        """Return the Problem of a verb that is not allowed; 403 where what is not allowed is a write of the graph."""
+        """Return the Problem of a method that is not allowed; 403 for a forbidden write of a graph."""
         headers = {"Allow": allow_field(self)} if status == 405 else {}
         return Problem(status, self.deny_reason(method), headers=headers, about=self.deny_about)
 
@@ -176,7 +177,7 @@ class Resource:
         raise NotImplementedError
 
     def redact(self, state: State, permissions: Permissions) -> State:
-        """Return its state as an agent may see it who may not know of everything."""
+        """Return the state as seen by an agent with these permissions."""
         return state.redact(permissions)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
@@ -194,28 +195,28 @@ class Resource:
 
     @property
     def changes_subtree(self) -> bool:
-        """Whether its writes change what lies below it, too, so that they take the right to all of that."""
+        """Whether writes affect the subtree and therefore need permission for all of it."""
         return False
 
     @property
     def also_changes(self) -> Sequence[str]:
-        """Return the URLs of other resources that a write changes, and so needs permission for."""
+        """URLs of other resources that a write changes, and so needs permission for."""
         return ()
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        """The URLs of the shapes of the document."""
+        """URLs of the shapes of the document."""
         return (self.space.document_shape(self.shape),) if self.shape else ()
 
     @property
     def constrained_by(self) -> str | None:
-        """The URL of what constrains the bodies it takes, such as the shape of its type."""
+        """URL of the constraints on request bodies, such as the shape of its type."""
         return None
 
     def page(
         self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]
     ) -> Page | bytes:
-        """Return its page for people, rendered already where it has a template of its own."""
+        """Return its page, already rendered if it has its own template."""
         return Page(
             site,
             self.kind,
@@ -240,7 +241,7 @@ class Resource:
 
     @property
     def query(self) -> str:
-        """The query string of a variant, such as one page of several."""
+        """Query string of a variant, such as a page of a container."""
         return self.url.partition("?")[2]
 
     def listing(self) -> MemberColumns | None:
@@ -258,22 +259,22 @@ class Resource:
         return made
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the resource that query and preferences ask for: a page of this one, a variant, itself."""
+        """Return the resource that query and preferences select: a page of this one, a variant, or itself."""
         return self
 
     def streams_body(self, exchange: Exchange) -> bool:
-        """Whether a write reads its body itself, as it comes, because it may be larger than memory."""
+        """Whether a write reads its body incrementally, because it may be larger than memory."""
         return False
 
     def keep_alive(self, exchange: Exchange) -> AbstractContextManager[float | None]:
-        """Return the context of an event stream of changes. Raises Problems; entering it raises nothing.
+        """Return the context of an event stream of changes. May raise Problems, but not on entry.
 
         Its value is the interval of keep-alive comments in seconds, None for the default.
         """
         return nullcontext()
 
     async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
-        """Return a response that is no representation of the whole, such as the bytes of one field."""
+        """Return a response other than a representation of the resource, such as the bytes of one field."""
         return None
 
     async def plan_graph_change(self, change: TripleChanges) -> Plan | None:
@@ -284,36 +285,36 @@ class Resource:
         return None
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
-        """Plan to make the graph exactly these triples, or to delete it (None).
+        """Plan to replace the graph by these triples, or to delete it (None).
 
-        Everything that can be refused is, and nothing moves. Raises Problems (403 if it is never writable),
-        LoweringError for what does not fit, and RosError.
+        All checks are done, but nothing is changed. Raises Problems (403 if it is never writable), LoweringError for
+        triples that do not fit, and RosError.
         """
         raise self.not_allowed("PUT", 403)
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Carry out a PUT (RFC 9110 9.3.4), which is called only while it is among `methods()`.
+        """Handle a PUT (RFC 9110 9.3.4); called only while it is among `methods()`.
 
-        Raises Problems (405 unless overridden), BodyError, LoweringError and RosError; so do the other three verbs.
+        Raises Problems (405 unless overridden), BodyError, LoweringError and RosError, as do the other three methods.
         """
         raise self.not_allowed("PUT")
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Carry out a POST (RFC 9110 9.3.3); raises as `put`."""
+        """Handle a POST (RFC 9110 9.3.3). Raises as `put`."""
         raise self.not_allowed("POST")
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Carry out a PATCH (RFC 5789); raises as `put`."""
+        """Handle a PATCH (RFC 5789). Raises as `put`."""
         raise self.not_allowed("PATCH")
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Carry out a DELETE (RFC 9110 9.3.5); raises as `put`."""
+        """Handle a DELETE (RFC 9110 9.3.5). Raises as `put`."""
         raise self.not_allowed("DELETE")
 
 
 @dataclass(frozen=True, slots=True)
 class CreatedAnswer:
-    """A resource that a write made: answered as 201 with its location and, as body, its state if there is one."""
+    """A created resource: answered as 201 with its location and, as body, its state if there is one."""
 
     location: str
     resource: Resource
@@ -323,7 +324,7 @@ class CreatedAnswer:
 
 @dataclass(frozen=True, slots=True)
 class ShownAnswer:
-    """A resource that shows what became of a write: answered as 200 with its state and its Content-Location."""
+    """A resource that shows the outcome of a write: answered as 200 with its state and its Content-Location."""
 
     resource: Resource
     state: State
@@ -331,17 +332,17 @@ class ShownAnswer:
 
 
 Answer: TypeAlias = Response | CreatedAnswer | ShownAnswer
-"""What a write answers: a finished response, or a resource still to be represented as the request prefers."""
+"""Answer to a write: a finished response, or a resource still to be represented as the request prefers."""
 
 
 def _heading(title: str, path: str) -> str:
-    """Return the heading of the page at a path below the base: the own name of a top-level container."""
+    """Return the heading of the page at a path below the base; top-level containers have fixed ones."""
     route, slash, rest = path.partition("/")
     return SECTIONS.get(route, route.capitalize()) if slash and not rest else title or path
 
 
 def permanent_redirect(url: str) -> Problem:
-    """Return 308: the resource is at `url` (RFC 9110 15.4.9)."""
+    """Return the 308 to `url` (RFC 9110 15.4.9)."""
     return Problem(308, f"It is at {url}", title="Moved", headers={"Location": to_uri(url)})
 
 

@@ -23,7 +23,7 @@ from rosld.server.runtime.tasks import end_tasks
 
 
 class RawResponse(Response):
-    """A response whose header list is ready."""
+    """A response with a prepared header list."""
 
     def __init__(self, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
         self.status_code = status
@@ -33,14 +33,14 @@ class RawResponse(Response):
 
 
 def no_content() -> RawResponse:
-    """204: it was done, and there is nothing more to say (RFC 9110 15.3.5)."""
+    """Return a 204 (RFC 9110 15.3.5)."""
     return RawResponse(204, b"", [])
 
 
 def bytes_response(
     exchange: Exchange, data: bytes, media_type: str, etag: ETag, more: Iterable[tuple[str, str]] = ()
 ) -> RawResponse:
-    """Return the response to a GET with bytes: 200, 304, or 412 by RFC 9110 13.1.
+    """Return the response to a GET with bytes: 200, 304, or 412 (RFC 9110 13.1).
 
     `more` are further headers.
     """
@@ -62,8 +62,8 @@ def resource_headers(
 ) -> dict[str, str]:
     """Return the headers of every response about a resource: Allow, Link, and Accept-*.
 
-    `methods` are the current ones if they are known better than by the resource without its state; `shapes` are those
-    of its state beside that of its class.
+    `methods` are the current ones, if known better than by the resource without its state; `shapes` are those of its
+    state in addition to that of its class.
     """
     methods = (resource.methods() if methods is None else methods) - resource.withheld
     links = (*resource.links, *(Link(url, CONFORMS_TO) for url in (*resource.conforms_to, *shapes)))
@@ -79,21 +79,21 @@ def resource_headers(
 
 
 rendered = lru_cache(maxsize=4096)(render_links)
-"""The Link field of links that are the same from one request to the next."""
+"""Cached `render_links`, for links that recur between requests."""
 
 
 CHUNK = 128 * 1024
-"""Bytes read at a time; answers of no more are read at once."""
+"""Bytes per read; smaller answers are read at once."""
 READ_TIMEOUT = 60.0
-"""Seconds after which a reader who takes nothing more is taken for gone."""
+"""Seconds without progress after which a reader counts as disconnected."""
 UNKNOWN = "application/octet-stream"
-"""The media type of a body that states none (RFC 9110 8.3)."""
+"""Media type of a body without a Content-Type (RFC 9110 8.3)."""
 CONTENT_SECURITY_POLICY = (
     "sandbox; default-src 'none'; img-src 'self' data:; media-src 'self' data:; "
     "style-src 'self' 'unsafe-inline'; font-src 'self' data:"
 )
 _ATTACHED = frozenset({"application/pdf"})
-"""What browsers refuse to show in a sandbox: it is offered for saving."""
+"""Media types that browsers refuse to show in a sandbox, and so are offered for download."""
 _PLAIN_NAME = frozenset("!#$&+-.^_`|~ ()[]{},;=@'")
 
 Piece: TypeAlias = "bytes | Span"
@@ -101,9 +101,9 @@ _T = TypeVar("_T")
 
 
 def exact_media_type(stated: str | None) -> str:
-    """Return the Content-Type of a body to be kept, exactly as it was stated; a 415 Problem where it is none.
+    """Return the Content-Type of a body to be stored, unchanged. Raises a 415 Problem if it is invalid.
 
-    Parameters are kept, and any charset is: nothing here reads such a body.
+    Parameters are retained, with any charset: the server does not read such a body.
     """
     if stated is None:
         return UNKNOWN
@@ -126,12 +126,12 @@ async def file_response(
     if_range: str | None = None,
     head: bool = False,
 ) -> Response:
-    """Return the answer to a GET (or HEAD) of the file at `path` of `size` bytes.
+    """Return the response to a GET (or HEAD) of the file at `path` of `size` bytes.
 
-    `headers` (lower-case names) are sent beside its own. 200 with all of it, or 206 with what Range asks for while
-    If-Range holds. `etag` is quoted; If-Match and If-None-Match are checked before (RFC 9110 13.2.2). `name` is what it
-    is called when it is saved. The file is opened here, off the loop, and what is removed afterwards is still sent
-    whole. Raises a 416 Problem and FileNotFoundError.
+    `headers` (lower-case names) are added to its own. The response is 200 with the file, or 206 with the ranges of
+    Range if If-Range matches. `etag` is quoted; If-Match and If-None-Match are checked before (RFC 9110 13.2.2). `name`
+    is the file name for downloads. The file is opened here, off the loop, and is sent completely even if it is removed
+    afterwards. Raises a 416 Problem and FileNotFoundError.
     """
     spans = None if head else select_ranges(range_, if_range, etag, size)
     pieces: list[Piece]
@@ -156,12 +156,12 @@ async def file_response(
 
 
 def file_stream(headers: list[tuple[bytes, bytes]], file: FileIO, size: int) -> Response:
-    """200 with all of a file that is open, which is closed when it was sent."""
+    """Return a 200 with the contents of an open file, which is closed after sending."""
     return _FileStream(200, headers, file, [Span(0, size)])
 
 
 async def unless_gone(receive: Receive, work: Coroutine[object, object, _T]) -> _T:
-    """Return the result of work, which is cancelled if the client disconnects; nobody reads the Problem then."""
+    """Return the result of work, which is cancelled with a (never read) Problem if the client disconnects."""
     working, listening = asyncio.ensure_future(work), asyncio.ensure_future(_gone(receive))
     try:
         await asyncio.wait({working, listening}, return_when=asyncio.FIRST_COMPLETED)
@@ -173,7 +173,7 @@ async def unless_gone(receive: Receive, work: Coroutine[object, object, _T]) -> 
 
 
 class _FileStream(Response):
-    """A response that reads its file as fast as its reader takes it, and closes it when that one is done or gone."""
+    """A response that reads its file as fast as the client receives it, and closes it at the end."""
 
     def __init__(self, status: int, headers: list[tuple[bytes, bytes]], file: FileIO, pieces: Sequence[Piece]) -> None:
         self.status_code = status
@@ -186,7 +186,7 @@ class _FileStream(Response):
         self._sent = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it."""
+        """Send the response."""
         working = asyncio.ensure_future(self._send(send))
         listening = asyncio.ensure_future(_gone(receive))
         try:
@@ -214,7 +214,7 @@ class _FileStream(Response):
         return await asyncio.shield(self._reading)
 
     def _close(self) -> None:
-        """Close the file, but not under a thread that is reading it."""
+        """Close the file, but not while a thread reads it."""
         if self._reading is None or self._reading.done():
             self._file.close()
         else:
@@ -222,13 +222,13 @@ class _FileStream(Response):
 
 
 async def _gone(receive: Receive) -> None:
-    """Return when the client has gone."""
+    """Wait until the client has disconnected."""
     while (await receive())["type"] != "http.disconnect":
         pass
 
 
 def _parts(pieces: Iterable[Piece]) -> Iterator[Piece]:
-    """Yield the pieces with long spans cut into chunks."""
+    """Yield the pieces, with long spans split into chunks."""
     for piece in pieces:
         if isinstance(piece, bytes):
             yield piece
@@ -238,7 +238,7 @@ def _parts(pieces: Iterable[Piece]) -> Iterator[Piece]:
 
 
 def _bytes(file: FileIO, span: Span) -> bytes:
-    """Exactly these bytes of a file."""
+    """Return exactly these bytes of a file."""
     file.seek(span.start)
     parts: list[bytes] = []
     missing = len(span)
@@ -257,7 +257,7 @@ def _whole(path: Path, pieces: Iterable[Piece]) -> bytes:
 
 
 def _fixed_headers(media_type: str, name: str | None) -> dict[str, str]:
-    """Return the headers of every response with a file, whole or in part."""
+    """Return the headers of every response with a file or a part of it."""
     return {
         "accept-ranges": "bytes",
         "x-content-type-options": "nosniff",
@@ -267,7 +267,7 @@ def _fixed_headers(media_type: str, name: str | None) -> dict[str, str]:
 
 
 def _disposition(media_type: str, name: str | None) -> str:
-    """Content-Disposition (RFC 6266): to be shown where browsers can, saved under its name."""
+    """Return the Content-Disposition (RFC 6266): shown inline if browsers can, and saved under its name."""
     essence = media_type.partition(";")[0].strip(" \t").lower()
     kind = "attachment" if essence in _ATTACHED else "inline"
     if not name:

@@ -1,4 +1,4 @@
-"""The table from errors of ROS, lifting and lowering to problems of HTTP."""
+"""Mapping of errors of ROS, lifting and lowering to HTTP problems."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _STATUS: tuple[tuple[type[RosError], int], ...] = (
 
 
 def problem_of(error: RosError) -> Problem:
-    """Return the Problem of a ROS error: its sentence, the robot's words, and whether the robot may have acted."""
+    """Return the Problem of a ROS error: its sentence, the robot's text, and whether the robot may have acted."""
     status = next((status for kind, status in _STATUS if isinstance(error, kind)), 502)
     extra: dict[str, object] = {"sent": error.sent.value}
     about = error.about
@@ -48,14 +48,14 @@ def problem_of(error: RosError) -> Problem:
 
 
 def problem_of_out_of_memory(error: BaseException, *, is_write: bool) -> Problem:
-    """507 for a write that there is no memory for, 503 for anything else."""
+    """Return a 507 for a write that lacks memory, a 503 for anything else."""
     words = str(error) if isinstance(error, NotEnoughMemory) else "The server is short of memory: try again later."
     headers = {"Retry-After": str(RETRY_AFTER_SECONDS)}
     return Problem(507 if is_write else 503, words, headers=headers, extra={"reason": "memory"})
 
 
 def problem_of_body(error: BodyError | LoweringError) -> Problem:
-    """400 for a body that cannot be read (413, 415 for its IRIs, its charset), 422 with violations for a misfit."""
+    """Return a 400 for an unreadable body (413, 415 for its IRIs, its charset), or a 422 with the violations."""
     if isinstance(error, LoweringError):
         return Problem(422, str(error), title="Does not fit", violations=error.violations, about=error.about)
     if isinstance(error, UnsupportedCharset):

@@ -1,4 +1,4 @@
-"""The state of a resource at one moment, and its renderings, each cached."""
+"""The state of a resource at one moment, and its cached renderings."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from rosld.server.hypermedia.views import View
 
 LARGE_BYTES = 256 * 1024
-"""Bytes of N-Triples from which a document is large: some 2,500 triples, which take 10 ms to be rendered."""
+"""Minimum number of bytes of N-Triples of a large document: some 2,500 triples, which take 10 ms to render."""
 
 
 class Rendering(NamedTuple):
-    """A representation ready to be sent: its bytes and all headers that do not change from request to request."""
+    """A representation ready to be sent: its bytes and all headers that do not depend on the request."""
 
     body: bytes
     headers: list[tuple[bytes, bytes]]
@@ -34,19 +34,18 @@ class Rendering(NamedTuple):
 
 @dataclass(eq=False)
 class State:
-    """What a resource is like: its RDF (made when first needed), and its plain JSON where there is a ROS value.
+    """The state of a resource: its RDF (created when first needed), and its plain JSON if there is a ROS value.
 
-    `token` is the state part of its ETag; without one it is a digest of the RDF. `plain` returns ROS's own JSON or
-    raises the Problem that says why there is none (406). `received_ns` is when its newest sample was received, for Age.
-    `max_age`: seconds for which it may be shown without asking again (RFC 9111 5.2.2.1); 0: ask each time.
-    `view` is what its page is drawn from, where that is more than its RDF. `scope` names what `tag` is unique in, where
-    that outlives this run of the server. `part` ends the variant of its ETags where it is only a part of the resource,
-    so that the part guards a write as the whole does. `headers` go with every representation.
-    `shapes` are the URLs of those that the messages in it conform to, beside that of its class.
-    `is_long`: what it says takes a while to be written, so that a thread does it.
-    `weight` is about how many bytes of N-Triples it says, where that may be many: from `LARGE_BYTES` on its
-    representations are made in worker processes, to which `describe` goes as a pickle. A state is kept as long as
-    nothing changes, and its renderings with it.
+    `token` is the state part of its ETag; by default a digest of the RDF. `plain` returns ROS's own JSON, or raises the
+    Problem that explains why there is none (406). `received_ns` is the time of receipt of the newest sample, for Age.
+    `max_age`: seconds for which it may be shown without revalidation (RFC 9111 5.2.2.1); 0: always revalidate. `view`
+    is the content of its page if that is more than its RDF. `scope` is the scope in which `tag` is unique, if it
+    outlives this run of the server. `part` ends the variant of its ETags if it is only a part of the resource, so that
+    a part guards a write like the whole. `headers` are added to every representation. `shapes` are the URLs of the
+    shapes of its messages, in addition to that of its class. `is_long`: rendering takes a while, and so is done in a
+    thread. `weight` is the approximate number of bytes of N-Triples, if there may be many: from `LARGE_BYTES` on,
+    representations are rendered in worker processes, which receive a pickle of `describe`. A state and its renderings
+    are cached until something changes.
     """
 
     describe: Callable[[], Document]
@@ -63,7 +62,7 @@ class State:
     is_long: bool = False
     renderings: dict[str, Rendering] = field(default_factory=dict)
     redactions: dict[str, State] = field(default_factory=dict)
-    """What `redact` returned, by the key of the rights that it was made for."""
+    """Results of `redact`, by the key of the rights."""
 
     @property
     def is_large(self) -> bool:
@@ -72,18 +71,18 @@ class State:
 
     @cached_property
     def document(self) -> Document:
-        """The RDF of the resource."""
+        """RDF of the resource."""
         return self.describe()
 
     @cached_property
     def json_value(self) -> object:
-        """The plain JSON, read. Raises the Problem of `plain`."""
+        """Parsed plain JSON. Raises the Problem of `plain`."""
         assert self.plain is not None
         return orjson.loads(self.plain())
 
     @cached_property
     def tag(self) -> str:
-        """The state part of the ETag."""
+        """State part of the ETag."""
         return self.token if self.token is not None else digest(serialize(self.document, Syntax.N_TRIPLES))
 
     def redact(
@@ -92,9 +91,9 @@ class State:
         document: Callable[[], Document] | None = None,
         plain: Callable[[], bytes] | None = None,
     ) -> State:
-        """Return the state without what the agent may not read. Its tag is the same, so that it guards writes as well.
+        """Return the state without what the agent may not read; the tag is unchanged, so that it also guards writes.
 
-        `document` and `plain` replace its own where the resource makes these for the agent from the beginning.
+        `document` and `plain` replace its own if the resource creates them for the agent from the start.
         """
         if self.is_large and document is None:
             # A worker process unpickles it.
@@ -117,7 +116,7 @@ class State:
 
 @dataclass(eq=False)
 class MessageState(State):
-    """State with the newest message of each publisher; messages in between may have been passed over.
+    """State with the newest message of each publisher; messages in between may have been skipped.
 
     `messages` are their publishers, epochs and sequence numbers.
     """
@@ -127,7 +126,7 @@ class MessageState(State):
 
 @dataclass(eq=False)
 class EndedState(State):
-    """The last state of what has ended; `open_members` are those of its plain JSON that may still change."""
+    """The last state of an ended resource; `open_members` are the members of its plain JSON that may still change."""
 
     open_members: frozenset[str] = frozenset()
 
@@ -137,6 +136,6 @@ def _describe_redacted(describe: Callable[[], Document], permissions: Permission
 
 
 def require_memory(state: State) -> None:
-    """Raise NotEnoughMemory where there is none to work on what a state says."""
+    """Raise NotEnoughMemory if memory does not suffice to process a state's document."""
     if state.weight:
         PROCESS_MEMORY.require(state.weight * PER_CHARACTER, f"a document of {state.weight} bytes of N-Triples")

@@ -42,10 +42,23 @@ JsonSchema: TypeAlias = dict[str, Json]
 ANYTHING: JsonSchema = {}
 TEXT: JsonSchema = {"type": "string"}
 BOOLEAN: JsonSchema = {"type": "boolean"}
+NUMBER: JsonSchema = {"type": "number"}
 URI: JsonSchema = {"type": "string", "format": "uri"}
 OBJECT: JsonSchema = {"type": "object"}
 NOTHING: JsonSchema = {"type": "null"}
 JSON_LD: JsonSchema = {"anyOf": [{"type": "object"}, {"type": "array", "items": {}}]}
+
+
+def json_object(required: Mapping[str, Json] | None = None, optional: Mapping[str, Json] | None = None) -> JsonSchema:
+    """Return the schema of an object with these members."""
+    properties = {**(required or {}), **(optional or {})}
+    return {"type": "object", "properties": properties, **({"required": list[Json](required)} if required else {})}
+
+
+def json_array(items: JsonSchema) -> JsonSchema:
+    """Return the schema of an array."""
+    return {"type": "array", "items": items}
+
 
 _MAX_NODES = 2000
 _DEEPEST = 32

@@ -32,7 +32,7 @@ from rosld.ontology.urls import Space
 from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas, json_object, nullable
 from rosld.server.resources.limit_checks import STRICTNESS
 from rosld.server.resources.named_resource import READ_ONLY, KeptResource
 from rosld.server.resources.services import InvocableResource, sender_of
@@ -311,7 +311,7 @@ def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> JsonSc
         "id": TEXT, "url": URI, "action": TEXT, "sentBy": nullable(TEXT), "ended": nullable(TEXT), "status": status,
         "words": nullable(TEXT),
     }  # fmt: skip
-    return {"type": "object", "properties": {**words, **told}}
+    return json_object(optional={**words, **told})
 
 
 def _failure(space: Space, action: str, sending: GoalSubmission) -> Problem | None:

@@ -23,7 +23,7 @@ from rosld.server.html.page import Csrf, Notice, NoticeLevel, Page, SequenceLink
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import JsonSchema, MessageSchemas
+from rosld.server.hypermedia.json_schema import JsonSchema, MessageSchemas, json_object
 from rosld.server.patches.n3patch import apply_patch, read_patch
 from rosld.server.patches.patch import apply_update
 from rosld.server.rest.exchange import Exchange
@@ -237,7 +237,7 @@ class UnfinishedBag(Resource):
         return READ if self.settings.read_only else READ | {"PATCH", "DELETE"}
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        ends: JsonSchema = {"type": "object", "properties": {"status": {"const": "ended"}}, "required": ["status"]}
+        ends: JsonSchema = json_object({"status": {"const": "ended"}})
         return PathItem(f"The recording {self.name}", writes={"PATCH": WriteMethod("Ends it", sends=ends)})
 
 

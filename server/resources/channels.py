@@ -38,7 +38,7 @@ from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.origin import OriginPolicy, normalize_authority
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import OBJECT, TEXT, URI, JsonSchema, MessageSchemas
+from rosld.server.hypermedia.json_schema import OBJECT, TEXT, URI, JsonSchema, MessageSchemas, json_object
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, OFFERS
 from rosld.server.rest.path_item import PathItem, WriteMethod
@@ -63,16 +63,10 @@ STORAGE_DESCRIPTION = "http://www.w3.org/ns/solid/terms#storageDescription"
 Resolve: TypeAlias = Callable[[Scope], Resource]
 Route: TypeAlias = Callable[[Location], Resource]
 
-_SUBSCRIPTION: JsonSchema = {
-    "type": "object",
-    "properties": {
-        "@context": {},
-        "type": TEXT,
-        "topic": URI,
-        **dict.fromkeys(("rate", "state", "startAt", "endAt", "accept"), TEXT),
-    },
-    "required": ["@context", "type", "topic"],
-}
+_SUBSCRIPTION: JsonSchema = json_object(
+    {"@context": {}, "type": TEXT, "topic": URI},
+    {**dict.fromkeys(("rate", "state", "startAt", "endAt", "accept"), TEXT)},
+)
 
 
 class Notifications:

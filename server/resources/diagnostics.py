@@ -22,7 +22,7 @@ from rosld.server.html.render import render_diagnostics
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, json_array, json_object
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.messages import decode
 from rosld.server.rest.exchange import Exchange
@@ -50,33 +50,12 @@ _MAX_MESSAGES = 4000
 _MAX_CHANGES = 100
 _MAX_NAME = 500
 _NAME = QueryParameter("name", "The name of a part: it alone, with what it said before as far as that is recorded.")
-_STATE: JsonSchema = {
-    "type": "object",
-    "properties": {
-        "topic": URI,
-        "name": TEXT,
-        "hardware": TEXT,
-        "level": {"type": "string", "enum": [level.name for level in Level]},
-        "message": TEXT,
-        "values": {"type": "object", "additionalProperties": TEXT},
-        "received": TEXT,
-        "since": TEXT,
-    },
-    "required": ["topic", "name", "level", "message"],
-}
-_CHANGE: JsonSchema = {
-    "type": "object",
-    "properties": {"time": TEXT, "level": TEXT, "message": TEXT},
-    "required": ["time", "level", "message"],
-}
-_PLAIN: JsonSchema = {
-    "type": "object",
-    "properties": {
-        "states": {"type": "array", "items": _STATE},
-        "changes": {"type": "array", "items": _CHANGE},
-    },
-    "required": ["states"],
-}
+_STATE: JsonSchema = json_object(
+    {"topic": URI, "name": TEXT, "level": {"type": "string", "enum": [level.name for level in Level]}, "message": TEXT},
+    {"hardware": TEXT, "values": {"type": "object", "additionalProperties": TEXT}, "received": TEXT, "since": TEXT},
+)
+_CHANGE: JsonSchema = json_object({"time": TEXT, "level": TEXT, "message": TEXT})
+_PLAIN: JsonSchema = json_object({"states": json_array(_STATE)}, {"changes": json_array(_CHANGE)})
 
 
 class DiagnosticsResource(Resource):

@@ -30,7 +30,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.brief_value import LatestValue, LatestValues, brief_json
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, TopicSource
-from rosld.server.hypermedia.json_schema import TEXT, URI, Json, JsonSchema
+from rosld.server.hypermedia.json_schema import NUMBER, TEXT, URI, Json, JsonSchema, json_array, json_object
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.type_inference import is_light
 from rosld.server.hypermedia.value import Reading
@@ -66,34 +66,32 @@ _CLASSES: Mapping[EntryKind, NamedNode] = {
 _KEPT = frozenset({EntryKind.QUERY, EntryKind.MAPPING, EntryKind.DOCUMENT})
 """What has a path and no name of ROS."""
 NOTHING_AT_HAND = LatestValue(None)
-_RESULTS: JsonSchema = {
-    "type": "object",
-    "properties": {
+_RESULTS: JsonSchema = json_object(
+    {
         "query": TEXT,
         "total": {"type": "integer"},
-        "template": TEXT,
         "results": {
             "type": "array",
             "maxItems": MAX_RESULTS,
-            "items": {
-                "type": "object",
-                "properties": {
-                    "name": TEXT,
+            "items": json_object(
+                {
                     "kind": {"type": "string", "enum": list[Json](kind.value for kind in EntryKind)},
-                    "type": {"anyOf": [TEXT, {"type": "array", "items": TEXT}]},
                     "url": URI,
                     "match": {"type": "string", "enum": list[Json](sorted({match.label for match in Match}))},
+                },
+                {
+                    "name": TEXT,
+                    "type": {"anyOf": [TEXT, json_array(TEXT)]},
                     "field": TEXT,
                     "value": {},
-                    "rate": {"type": "number"},
+                    "rate": NUMBER,
                     "resource": URI,
                 },
-                "required": ["kind", "url", "match"],
-            },
+            ),
         },
     },
-    "required": ["query", "total", "results"],
-}
+    {"template": TEXT},
+)
 
 
 class FindResource(Resource):

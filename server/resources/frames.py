@@ -17,7 +17,16 @@ from rosld.server.html.page import Csrf, FramesPage, Notice
 from rosld.server.html.render import render_frames
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
-from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, nullable
+from rosld.server.hypermedia.json_schema import (
+    BOOLEAN,
+    NUMBER,
+    TEXT,
+    URI,
+    JsonSchema,
+    json_array,
+    json_object,
+    nullable,
+)
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
@@ -29,29 +38,24 @@ from rosld.server.space.drawing import pose_json
 from rosld.server.space.frame_buffer import TOPICS, FrameNode, frame_tree
 
 _LOOK_SECONDS = 1.0
-_NUMBERS: JsonSchema = {"anyOf": [{"type": "array", "items": {"type": "number"}}, {"type": "null"}]}
-_PLAIN: JsonSchema = {
-    "type": "object",
-    "properties": {
-        "frames": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {
+_NUMBERS: JsonSchema = {"anyOf": [json_array(NUMBER), {"type": "null"}]}
+_PLAIN: JsonSchema = json_object(
+    {
+        "frames": json_array(
+            json_object(
+                {
                     "name": TEXT,
                     "parent": nullable(TEXT),
-                    "static": {"type": "boolean"},
+                    "static": BOOLEAN,
                     "pose": _NUMBERS,
                     "received": nullable(TEXT),
-                    "publishers": {"type": "array", "items": URI},
+                    "publishers": json_array(URI),
                     "problem": TEXT,
-                },
-                "required": ["name", "parent", "static", "pose", "received", "publishers", "problem"],
-            },
-        }
-    },
-    "required": ["frames"],
-}
+                }
+            )
+        )
+    }
+)
 
 
 class FramesResource(Resource):

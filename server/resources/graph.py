@@ -22,7 +22,7 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema
+from rosld.server.hypermedia.json_schema import BOOLEAN, NUMBER, TEXT, URI, JsonSchema, json_array, json_object
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
@@ -51,35 +51,17 @@ _PARAMETERS = (
         "format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS, *_DRAWINGS]}
     ),
 )
-_PLAIN: JsonSchema = {
-    "type": "object",
-    "properties": {
-        "vertices": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {
-                    "name": TEXT,
-                    "kind": {"type": "string", "enum": ["node", "topic", "service", "action"]},
-                    "url": URI,
-                    "rate": {"type": "number"},
-                    "problem": TEXT,
-                    "unheard": {"type": "boolean"},
-                },
-                "required": ["name", "kind", "url"],
-            },
-        },
-        "edges": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {"source": URI, "target": URI, "problem": TEXT},
-                "required": ["source", "target"],
-            },
-        },
-    },
-    "required": ["vertices", "edges"],
-}
+_PLAIN: JsonSchema = json_object(
+    {
+        "vertices": json_array(
+            json_object(
+                {"name": TEXT, "kind": {"type": "string", "enum": ["node", "topic", "service", "action"]}, "url": URI},
+                {"rate": NUMBER, "problem": TEXT, "unheard": BOOLEAN},
+            )
+        ),
+        "edges": json_array(json_object({"source": URI, "target": URI}, {"problem": TEXT})),
+    }
+)
 
 
 class GraphResource(Resource):

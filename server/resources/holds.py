@@ -39,7 +39,7 @@ from rosld.server.html.forms import DeleteForm, Form, HoldForm, HoldTerms
 from rosld.server.html.inputs import Json
 from rosld.server.http.fields import parse_decimal
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, json_object, nullable
 from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
 from rosld.server.resources.named_resource import READ_ONLY, KeptResource
@@ -114,7 +114,7 @@ def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> JsonSc
     words: JsonSchema = {"id": TEXT, "url": URI, "topic": TEXT, "holder": TEXT, "rate": number, "lease": number}
     message = ANYTHING if schema is None else schemas.read(schema)
     rest: JsonSchema = {"for": nullable(number), "then": TEXT, "kept": {"type": "boolean"}, "trouble": nullable(TEXT)}
-    return {"type": "object", "properties": {**words, **rest, "message": message}}
+    return json_object(optional={**words, **rest, "message": message})
 
 
 def hold_form(

@@ -31,7 +31,7 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.catalogue import TopicSource
-from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, json_array, json_object
 from rosld.server.resources.memento import is_recorded
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
@@ -123,20 +123,9 @@ _PARAMETERS = (
     ),
     FORMAT,
 )
-_PLAIN: JsonSchema = {
-    "type": "object",
-    "properties": {
-        "y": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {"topic": URI, "field": TEXT, "type": TEXT, "series": {"type": ["string", "null"]}},
-                "required": ["topic", "field", "type", "series"],
-            },
-        },
-    },
-    "required": ["y"],
-}
+_PLAIN: JsonSchema = json_object(
+    {"y": json_array(json_object({"topic": URI, "field": TEXT, "type": TEXT, "series": {"type": ["string", "null"]}}))}
+)
 
 
 class PlotResource(Resource):

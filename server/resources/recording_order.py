@@ -18,7 +18,7 @@ from rosld.ontology.vocab import ros
 from rosld.server.history.recording_orders import RecordingOrder, Trigger
 from rosld.server.html.forms import NameChoices, ValueForm
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import TEXT, JsonSchema
+from rosld.server.hypermedia.json_schema import TEXT, JsonSchema, json_object
 from rosld.server.rest.formats import JSON
 from rosld.shapes.value import MessageShape
 
@@ -94,22 +94,22 @@ _TRIGGER: JsonSchema = {
     },
     "required": ["condition"],
 }
-SCHEMA: JsonSchema = {
-    "type": "object",
-    "properties": {
-        "name": {**TEXT, "description": "What it is called, /bags/NAME/; else by the time at which it begins."},
+SCHEMA: JsonSchema = json_object(
+    {
         "topics": {
             "type": "array",
             "items": TEXT,
             "minItems": 1,
             "description": "Names of topics, or globs such as /camera/*.",
-        },
+        }
+    },
+    {
+        "name": {**TEXT, "description": "What it is called, /bags/NAME/; else by the time at which it begins."},
         "before": {**_SECONDS, "description": "Seconds of the history that it begins with."},
         "duration": {**_SECONDS, "description": "Seconds after which it ends; else PATCH ends it."},
         "trigger": _TRIGGER,
     },
-    "required": ["topics"],
-}
+)
 
 
 def read_order(data: bytes, media_type: str, url: str, *, is_form: bool = False) -> RecordingOrder:

@@ -34,7 +34,7 @@ from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
 from rosld.server.html.forms import DeleteForm, Form, message_form
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, json_object, nullable
 from rosld.server.hypermedia.value import refusal_text
 from rosld.server.receipts.audit_context import Sender
 from rosld.server.resources.accepted_shape import message_shape, shape_query
@@ -51,14 +51,13 @@ from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
-_CALL: JsonSchema = {
-    "type": "object",
-    "properties": {
+_CALL: JsonSchema = json_object(
+    optional={
         **dict.fromkeys(("id", "service", "state"), TEXT),
         **{name: nullable(TEXT) for name in ("sentBy", "ended", "words")},
         "url": URI,
-    },
-}
+    }
+)
 
 
 Schema = TypeVar("Schema", bound=ServiceSchema | ActionSchema)

@@ -30,7 +30,7 @@ from rosld.server.html.render import render_space
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema
+from rosld.server.hypermedia.json_schema import BOOLEAN, NUMBER, TEXT, URI, JsonSchema, json_array, json_object
 from rosld.server.pictures.form import OCCUPANCY_GRID
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.namespaces import listed_graph
@@ -137,42 +137,34 @@ _PARAMETERS = (
     ),
     FORMAT,
 )
-_PLAIN: JsonSchema = {
-    "type": "object",
-    "properties": {
+_PLAIN: JsonSchema = json_object(
+    {
         "frame": {"type": ["string", "null"]},
-        "show": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {
+        "show": json_array(
+            json_object(
+                {
                     "topic": URI,
                     "kind": TEXT,
                     "frame": TEXT,
-                    "pose": {"anyOf": [{"type": "array", "items": {"type": "number"}}, {"type": "null"}]},
+                    "pose": {"anyOf": [json_array(NUMBER), {"type": "null"}]},
                     "problem": TEXT,
-                },
-                "required": ["topic", "kind", "frame", "pose", "problem"],
-            },
-        },
-        "goals": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {
+                }
+            )
+        ),
+        "goals": json_array(
+            json_object(
+                {
                     "url": URI,
                     "name": TEXT,
                     "type": TEXT,
                     "method": {"type": "string", "enum": ["POST", "PUT"]},
                     "field": TEXT,
-                    "stamped": {"type": "boolean"},
-                },
-                "required": ["url", "name", "type", "method", "field", "stamped"],
-            },
-        },
-    },
-    "required": ["frame", "show", "goals"],
-}
+                    "stamped": BOOLEAN,
+                }
+            )
+        ),
+    }
+)
 
 
 class SpaceResource(Resource):

@@ -19,7 +19,16 @@ from rosld.server.html.site import QUERY_EDITOR_POLICY
 from rosld.server.http.body import FORM
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import ANYTHING, BOOLEAN, TEXT, URI, JsonSchema, MessageSchemas
+from rosld.server.hypermedia.json_schema import (
+    ANYTHING,
+    BOOLEAN,
+    TEXT,
+    URI,
+    JsonSchema,
+    MessageSchemas,
+    json_array,
+    json_object,
+)
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import HTML, RDF_BODIES
 from rosld.server.rest.pages import PageRenderer
@@ -198,7 +207,7 @@ PARTIAL = QueryParameter(
     "partial", "Whether an answer is taken without values that cannot be read.", {"type": "boolean"}
 )
 TIMEOUT = QueryParameter("timeout", "The seconds that the query may take.", {"type": "number", "exclusiveMinimum": 0})
-_GRAPHS: JsonSchema = {"type": "array", "items": URI}
+_GRAPHS: JsonSchema = json_array(URI)
 _QUERY = QueryParameter("query", "A query (SPARQL 1.1 Protocol 2.1); without one the endpoint describes itself.")
 _OF_BOTH = (
     QueryParameter("default-graph-uri", "The graphs that are the default graph together.", _GRAPHS),
@@ -244,16 +253,12 @@ class SparqlResource(Resource):
         self.accepts: Mapping[str, Sequence[str]] = {"POST": taken}
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        form: JsonSchema = {
-            "type": "object",
-            "properties": {"query": TEXT, "default-graph-uri": _GRAPHS, "named-graph-uri": _GRAPHS, "partial": BOOLEAN},
-            "required": ["query"],
-        }
-        update: JsonSchema = {
-            "type": "object",
-            "properties": {"update": TEXT, "using-graph-uri": _GRAPHS, "using-named-graph-uri": _GRAPHS},
-            "required": ["update"],
-        }
+        form: JsonSchema = json_object(
+            {"query": TEXT}, {"default-graph-uri": _GRAPHS, "named-graph-uri": _GRAPHS, "partial": BOOLEAN}
+        )
+        update: JsonSchema = json_object(
+            {"update": TEXT}, {"using-graph-uri": _GRAPHS, "using-named-graph-uri": _GRAPHS}
+        )
         updates = self._updates is not None
         post = WriteMethod(
             sends={"anyOf": [form, update]} if updates else form,

@@ -19,7 +19,7 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens
-from rosld.server.hypermedia.json_schema import TEXT, JsonSchema, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import BOOLEAN, TEXT, JsonSchema, MessageSchemas, json_array, nullable
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
 from rosld.server.rest.path_item import PathItem, QueryParameter, WriteMethod
@@ -58,7 +58,7 @@ class StopResource(Resource):
         words: JsonSchema = {"does": TEXT, "state": TEXT, "subscribers": nullable(count), "words": nullable(TEXT)}
         step: JsonSchema = {"type": "object", "properties": words}
         who: JsonSchema = dict.fromkeys(("by", "since", "reason", "warning"), nullable(TEXT))
-        told: JsonSchema = {"stopped": {"type": "boolean"}, **who, "steps": {"type": "array", "items": step}}
+        told: JsonSchema = {"stopped": BOOLEAN, **who, "steps": json_array(step)}
         plain: JsonSchema = {"type": "object", "properties": told}
         reason: JsonSchema = {"type": "string", "maxLength": 500}
         stop = WriteMethod(

@@ -12,24 +12,20 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Recording
 from rosld.adapters.model import Encoding, RosError
-from rosld.ontology.urls import Space
 from rosld.server.history.bag_export import EXPORT_FORMATS, CannotExport, ExportFormat, require_encoding
 from rosld.server.history.recording_orders import RecordingRefused
-from rosld.server.history.recordings import Recordings
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import MessageSchemas
-from rosld.server.resources.bags import BagResource
+from rosld.server.resources.bags import BagBase, BagResource, Bags
 from rosld.server.resources.ldp.bodies import single_chunk
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import ANY_TYPE, BYTES, PathItem, QueryParameter, WriteMethod
-from rosld.server.rest.resource import ABSENT, READ, RESOURCE, Answer, CreatedAnswer, Resource, permanent_redirect
+from rosld.server.rest.resource import ABSENT, READ, RESOURCE, Answer, CreatedAnswer, permanent_redirect
 from rosld.server.rest.responses import UNKNOWN, file_response, file_stream, resource_headers, unless_gone
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.runtime.version_cache import VersionCache
-from rosld.server.settings import Settings
 
 _EXPORTED = tuple(each.media_type for each in EXPORT_FORMATS.values())
 _FORMAT = QueryParameter(
@@ -39,16 +35,14 @@ _FORMAT = QueryParameter(
 )
 
 
-class BagFile(Resource):
+class BagFile(BagBase):
     """The bytes of a recording, whole or in ranges; or converted into a bag of ROS 1 or ROS 2."""
 
     kind = "File of a recording"
-    is_cacheable = False
     links = (RESOURCE,)
 
-    def __init__(self, space: Space, recordings: Recordings, recording: Recording) -> None:
-        super().__init__(space, f"{space.bag(recording.name)}file")
-        self.recordings = recordings
+    def __init__(self, bags: Bags, recording: Recording) -> None:
+        super().__init__(bags, f"{bags.session.space.bag(recording.name)}file")
         self.recording = recording
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -133,25 +127,19 @@ class BagFile(Resource):
         return file_stream(raw, file, size)
 
 
-class BagUpload(Resource):
+class BagUpload(BagBase):
     """`/bags/NAME` without a slash at its end: where a recording is sent to; what there is of it has the slash."""
 
     kind = "Recording to be sent"
-    is_cacheable = False
     takes_forms = False
 
-    def __init__(
-        self, space: Space, settings: Settings, states: VersionCache[State], recordings: Recordings, name: str
-    ) -> None:
-        super().__init__(space, space.url("bags", (name,)))
-        self.settings = settings
-        self.states = states
-        self.recordings = recordings
+    def __init__(self, bags: Bags, name: str) -> None:
+        super().__init__(bags, bags.session.space.url("bags", (name,)))
         self.name = name
 
     def methods(self) -> frozenset[str]:
         is_there = self._is_there
-        sent = frozenset[str]() if self.settings.read_only else frozenset({"PUT"})
+        sent = frozenset[str]() if self.session.settings.read_only else frozenset({"PUT"})
         return (READ if is_there else ABSENT) | sent
 
     @property
@@ -180,7 +168,7 @@ class BagUpload(Resource):
 
         Raises a 409 Problem where the name is taken, 422 where it is no recording, 507 where it cannot be stored.
         """
-        limit, whole = self.settings.upload_limit, exchange.consumed_body
+        limit, whole = self.session.settings.upload_limit, exchange.consumed_body
         chunks = exchange.chunks(limit=limit) if whole is None else single_chunk(whole)
         try:
             await self.recordings.receive(self.name, chunks)
@@ -189,27 +177,22 @@ class BagUpload(Resource):
             raise Problem(status, f"{error}.") from error
         except OSError as error:
             raise Problem(507, f"The recording cannot be stored: {error.strerror or error}.") from error
-        resource = BagResource(
-            self.space, self.settings, self.states, self.recordings, self.recordings.readable[self.name]
-        )
+        resource = BagResource(self.bags, self.recordings.readable[self.name])
         return CreatedAnswer(resource.url, resource, await resource.state())
 
 
-class UnreadableBag(Resource):
+class UnreadableBag(BagBase):
     """`/bags/NAME/` of a file that cannot be opened: it has taken the name, until DELETE removes it."""
 
     kind = "File that cannot be opened"
-    is_cacheable = False
 
-    def __init__(self, space: Space, settings: Settings, recordings: Recordings, name: str) -> None:
-        super().__init__(space, space.bag(name))
-        self.settings = settings
-        self.recordings = recordings
+    def __init__(self, bags: Bags, name: str) -> None:
+        super().__init__(bags, bags.session.space.bag(name))
         self.name = name
         self.item = PathItem(f"The file {self.name}, which cannot be opened")
 
     def methods(self) -> frozenset[str]:
-        return ABSENT if self.settings.read_only else ABSENT | {"DELETE"}
+        return ABSENT if self.session.settings.read_only else ABSENT | {"DELETE"}
 
     async def state(self) -> State:
         raise Problem(404, f"{self.recordings.unreadable[self.name].problem}. DELETE removes its file.")

@@ -19,7 +19,6 @@ from rosld.server.html.page import SequenceLink
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
-from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.bag_selection import (
     PARAMETERS,
     BagSelection,
@@ -31,6 +30,7 @@ from rosld.server.resources.bag_selection import (
     selection_of,
     topics_of,
 )
+from rosld.server.resources.bags import BagBase, Bags
 from rosld.server.resources.messages import decode, field_response, lift_sample
 from rosld.server.resources.pictures import (
     cloud_is_preferred,
@@ -45,8 +45,6 @@ from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, Qu
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
-from rosld.server.runtime.version_cache import VersionCache
 
 PAGE = 100
 """Messages on one page of `/bags/B/messages/`."""
@@ -54,20 +52,17 @@ PAGE = 100
 _PAGE = QueryParameter("page", "A page of messages, from 0.", {"type": "integer", "minimum": 0})
 
 
-class BagMessages(Resource):
+class BagMessages(BagBase):
     """The messages of a recording: a container in pages (`?page=N` from 0; without it, links only)."""
 
     kind = "Messages"
     shape = "Container"
     is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
-
     number: int | None = None
 
-    def __init__(self, session: Session, states: VersionCache[State], recording: Recording) -> None:
-        super().__init__(session.space, session.space.bag_messages(recording.name))
-        self.session = session
-        self.states = states
+    def __init__(self, bags: Bags, recording: Recording) -> None:
+        super().__init__(bags, bags.session.space.bag_messages(recording.name))
         self.recording = recording
         self.item = PathItem(f"The messages of {self.recording.name}", query=(FORMAT, _PAGE, *PARAMETERS))
 
@@ -91,7 +86,7 @@ class BagMessages(Resource):
         """Return the page that `?page=`, or a filter, asks for; a 404 Problem where there is none."""
         wanted = exchange.query.get("page")
         if wanted is None:
-            return selection_of(self.session, self.recording, exchange) or self
+            return selection_of(self.bags, self.recording, exchange) or self
         first, last = _pages(self.recording)
         if not (wanted.isascii() and wanted.isdigit()) or int(wanted) > last:
             raise Problem(404, f"?page={wanted}: the pages of {self.recording.name} are {first} to {last}.")
@@ -100,20 +95,14 @@ class BagMessages(Resource):
         return self.variant(url=f"{self.url}?page={int(wanted)}", number=int(wanted))
 
 
-class BagMessage(Resource):
+class BagMessage(BagBase):
     """One message of a recording."""
 
     kind = "Recorded message"
     shape = "Record"
-    is_cacheable = False
 
-    def __init__(
-        self, session: Session, states: VersionCache[State], pictures: PictureCache, recording: Recording, index: int
-    ) -> None:
-        super().__init__(session.space, session.space.bag_message(recording.name, index))
-        self.session = session
-        self.states = states
-        self.pictures = pictures
+    def __init__(self, bags: Bags, recording: Recording, index: int) -> None:
+        super().__init__(bags, bags.session.space.bag_message(recording.name, index))
         self.recording = recording
         self.index = index
         self.title = f"{recording.name}, message {index}"
@@ -166,13 +155,13 @@ class BagMessage(Resource):
         """Return `?field=PATH`: the bytes of one field; or its picture or points, where that is preferred."""
         if cloud_is_preferred(exchange, is_cloud=False):
             sample = (await self.message()).sample
-            return await cloud_response(self, self.session.schemas, self.pictures, self.url, sample, exchange)
+            return await cloud_response(self, self.session.schemas, self.bags.pictures, self.url, sample, exchange)
         wanted = explicit_picture_type(exchange)
         if wanted is not None:
             message = await self.message()
             require_picture(message.topic, (message.sample.schema,))
             return await picture_response(
-                self, self.session.schemas, self.pictures, self.url, message.sample, exchange, wanted
+                self, self.session.schemas, self.bags.pictures, self.url, message.sample, exchange, wanted
             )
         if "field" not in exchange.query:
             return None
@@ -194,12 +183,12 @@ class BagMoment(BagSelection):
     kind = "Moment of a recording"
 
     def __init__(
-        self, session: Session, recording: Recording, at_ns: int, topics: Sequence[str], query: str, detail: Detail
+        self, bags: Bags, recording: Recording, at_ns: int, topics: Sequence[str], query: str, detail: Detail
     ) -> None:
         self._at_ns = at_ns
         self._topics = topics
-        self._own = session.space.bag_moment(recording.name) + (f"?{query}" if query else "")
-        super().__init__(session, recording, MessageFilter(), 0, query, detail)
+        self._own = bags.session.space.bag_moment(recording.name) + (f"?{query}" if query else "")
+        super().__init__(bags, recording, MessageFilter(), 0, query, detail)
         self.title = f"{recording.name} at {date_time(0, at_ns)}"
         self.item = PathItem(f"{self.recording.name} at one moment", query=(FORMAT, _TIME, _TOPIC))
 
@@ -214,7 +203,7 @@ class BagMoment(BagSelection):
         at_ns = read_time(given["time"], time.time_ns()) if "time" in given else self.recording.end_ns
         names = topics_of(self.recording, given["topic"]) if "topic" in given else self.recording.topics.keys()
         text = "&".join(f"{name}={quote(value, safe='/:.-*')}" for name, value in given.items())
-        return BagMoment(self.session, self.recording, at_ns, sorted(names), text, detail_of(exchange))
+        return BagMoment(self.bags, self.recording, at_ns, sorted(names), text, detail_of(exchange))
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
         return ()
@@ -242,6 +231,6 @@ class BagMoment(BagSelection):
         return orjson.dumps({"time": date_time(0, self._at_ns), "messages": messages})
 
 
-def bag_moment(session: Session, recording: Recording) -> BagMoment:
+def bag_moment(bags: Bags, recording: Recording) -> BagMoment:
     """Return the moment at which a recording ended, which requests ask others of."""
-    return BagMoment(session, recording, recording.end_ns, sorted(recording.topics), "", Detail.RDF)
+    return BagMoment(bags, recording, recording.end_ns, sorted(recording.topics), "", Detail.RDF)

@@ -8,16 +8,15 @@ from functools import partial
 
 from rosld.adapters.base import Recording
 from rosld.ontology.describe_graph import container_document
-from rosld.ontology.urls import Location, Space
+from rosld.ontology.urls import Location
 from rosld.server.history.recording_orders import RecordingOrder, RecordingRefused
 from rosld.server.history.recordings import Recordings
 from rosld.server.html.forms import Form
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import MessageSchemas
-from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.bag_files import BagFile, BagUpload, UnreadableBag
 from rosld.server.resources.bag_messages import BagMessage, BagMessages, bag_moment
-from rosld.server.resources.bags import ArmedBag, BagResource, RunningBag, bag_urls
+from rosld.server.resources.bags import ArmedBag, BagBase, BagResource, Bags, RunningBag, bag_urls
 from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
 from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, read_order, recording_form
 from rosld.server.resources.recording_trigger import (
@@ -41,12 +40,9 @@ from rosld.server.rest.resource import (
     permanent_redirect,
 )
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
-from rosld.server.runtime.version_cache import VersionCache
-from rosld.server.settings import Settings
 
 
-class BagContainer(Resource):
+class BagContainer(BagBase):
     """`/bags/`: the recordings of this source, the history, and those that clients make or send."""
 
     kind = "Recordings"
@@ -54,18 +50,11 @@ class BagContainer(Resource):
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"POST": MEDIA_TYPES}
 
-    def __init__(
-        self,
-        session: Session,
-        states: VersionCache[State],
-        recordings: Recordings,
-        triggers: RecordingTriggers | None = None,
-    ) -> None:
+    is_cacheable = True
+
+    def __init__(self, bags: Bags, triggers: RecordingTriggers | None = None) -> None:
         """`triggers` follows what a recording may wait for; without it none can."""
-        super().__init__(session.space, session.space.container("bags"))
-        self.session = session
-        self.states = states
-        self.recordings = recordings
+        super().__init__(bags, bags.session.space.container("bags"))
         self._triggers = triggers
 
     async def forms(self) -> Sequence[Form]:
@@ -126,66 +115,57 @@ class BagContainer(Resource):
 
     async def _begin(self, order: RecordingOrder, exchange: Exchange) -> RunningBag | ArmedBag:
         """Return the recording that was begun, or that waits for its trigger. Raises RecordingRefused, OSError."""
-        space, settings = self.space, self.session.settings
         if order.trigger is None:
-            may_record = partial(may_read_topic, space, exchange.permissions)
-            return RunningBag(space, settings, self.states, self.recordings, self.recordings.begin(order, may_record))
+            may_record = partial(may_read_topic, self.space, exchange.permissions)
+            return RunningBag(self.bags, self.recordings.begin(order, may_record))
         if self._triggers is None:
             raise RecordingRefused("nothing waits for triggers here")
         await self._triggers.follow(order, exchange.permissions)
         armed = await self.recordings.arm(order, exchange.agent, self._triggers.occurrences)
-        return ArmedBag(space, settings, self.recordings, armed)
+        return ArmedBag(self.bags, armed)
 
 
-def bag_route(
-    session: Session,
-    states: VersionCache[State],
-    recordings: Recordings,
-    pictures: PictureCache,
-    location: Location,
-    triggers: RecordingTriggers | None = None,
-) -> Resource:
+def bag_route(bags: Bags, location: Location, triggers: RecordingTriggers | None = None) -> Resource:
     """Return the resource at `/bags/` or below. Raises a 404 Problem, or 308 if only the slash differs."""
-    match location.segments:
-        case ():
-            return (
-                BagContainer(session, states, recordings, triggers)
-                if location.is_container
-                else _slash(session.space, location)
-            )
-        case (name,) if not location.is_container:
-            return BagUpload(session.space, session.settings, states, recordings, name)
-        case (name,):
-            return _bag(session.space, session.settings, states, recordings, name)
-        case (name, "file") if not location.is_container:
-            return BagFile(session.space, recordings, _recording(recordings, name))
-        case (name, "at") if not location.is_container:
-            return bag_moment(session, _recording(recordings, name))
-        case (name, "ldes"):
-            if location.is_container:  # where the breadcrumb of a page of the stream leads
-                raise permanent_redirect(session.space.bag_stream(name))
-            return EventStreamResource(session, states, recordings.history, _recording(recordings, name))
-        case (name, "ldes", page) if not location.is_container:
-            return event_stream_page(session, states, recordings.history, _recording(recordings, name), page)
-        case (name, "messages"):
+    space, recordings = bags.session.space, bags.recordings
+    match location.segments, location.is_container:
+        case (), True:
+            return BagContainer(bags, triggers)
+        case (name,), False:
+            return BagUpload(bags, name)
+        case (name,), True:
+            return _bag(bags, name)
+        case (name, "file"), False:
+            return BagFile(bags, _recording(recordings, name))
+        case (name, "at"), False:
+            return bag_moment(bags, _recording(recordings, name))
+        case (name, "ldes"), False:
+            return EventStreamResource(bags, _recording(recordings, name))
+        case (name, "ldes"), True:  # where the breadcrumb of a page of the stream leads
+            raise permanent_redirect(space.bag_stream(name))
+        case (name, "ldes", page), False:
+            return event_stream_page(bags, _recording(recordings, name), page)
+        case (name, "messages"), True:
+            return BagMessages(bags, _recording(recordings, name))
+        case (name, "messages", index), False:
             recording = _recording(recordings, name)
-            return BagMessages(session, states, recording) if location.is_container else _slash(session.space, location)
-        case (name, "messages", index) if not location.is_container:
-            recording = _recording(recordings, name)
-            return BagMessage(session, states, pictures, recording, _message_index(recording, index))
+            return BagMessage(bags, recording, _message_index(recording, index))
+        case (), False:
+            raise permanent_redirect(space.container("bags"))
+        case (name, "messages"), False:
+            raise permanent_redirect(space.bag_messages(_recording(recordings, name).name))
     raise Problem(404, "Under /bags/B/ there are messages/, ldes, at and file, and nothing else.")
 
 
-def _bag(space: Space, settings: Settings, states: VersionCache[State], recordings: Recordings, name: str) -> Resource:
+def _bag(bags: Bags, name: str) -> Resource:
     """Return the recording of a name, in any state. Raises a 404 Problem if there is none."""
+    recordings = bags.recordings
     if name in recordings.armed:
-        return ArmedBag(space, settings, recordings, recordings.armed[name])
+        return ArmedBag(bags, recordings.armed[name])
     if name in recordings.unreadable:
-        return UnreadableBag(space, settings, recordings, name)
+        return UnreadableBag(bags, name)
     running = recordings.running.get(name)
-    if running is not None:
-        return RunningBag(space, settings, states, recordings, running)
-    return BagResource(space, settings, states, recordings, _recording(recordings, name))
+    return BagResource(bags, _recording(recordings, name)) if running is None else RunningBag(bags, running)
 
 
 def _message_index(recording: Recording, segment: str) -> int:
@@ -197,11 +177,6 @@ def _message_index(recording: Recording, segment: str) -> int:
     if is_number and int(segment) < first:
         raise Problem(410, f"Message {segment} of {recording.name} was removed: the oldest is {first}.")
     raise Problem(404, f"{recording.name} has the messages {first} to {beyond - 1}, not {segment}.")
-
-
-def _slash(space: Space, location: Location) -> Resource:
-    url = space.container("bags", location.segments)
-    raise permanent_redirect(url)
 
 
 def _recording(recordings: Recordings, name: str) -> Recording:

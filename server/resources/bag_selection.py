@@ -29,15 +29,15 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
+from rosld.server.resources.bags import BagBase, Bags
 from rosld.server.resources.messages import DecodedSample, decode, lift_sample
 from rosld.server.resources.series import read_time
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS
 from rosld.server.rest.path_item import QueryParameter
-from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.resource import RDF_SOURCE, RESOURCE
 from rosld.server.rest.state import State
 from rosld.server.robot.schemas import Schemas
-from rosld.server.robot.session import Session
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,21 +109,19 @@ class Detail(Enum):
     JSON = "json"
 
 
-class BagSelection(Resource):
+class BagSelection(BagBase):
     """A page of the messages of a recording that fit a filter."""
 
     kind = "Messages"
-    is_cacheable = False
 
     def __init__(
-        self, session: Session, recording: Recording, wanted: MessageFilter, limit: int, query: str, detail: Detail
+        self, bags: Bags, recording: Recording, wanted: MessageFilter, limit: int, query: str, detail: Detail
     ) -> None:
-        self._base = session.space.bag_messages(recording.name)
+        self._base = bags.session.space.bag_messages(recording.name)
         self._query = query
         self.start = wanted.start
-        super().__init__(session.space, self._page_url(self.start))
+        super().__init__(bags, self._page_url(self.start))
         self.title = f"Messages of {recording.name}"
-        self.session = session
         self.recording = recording
         self.wanted = wanted
         self.limit = limit
@@ -224,7 +222,7 @@ class BagSelection(Resource):
         }
 
 
-def selection_of(session: Session, recording: Recording, exchange: Exchange) -> BagSelection | None:
+def selection_of(bags: Bags, recording: Recording, exchange: Exchange) -> BagSelection | None:
     """Return the requested page, or None without a topic, time or number in the query. Raises Problems."""
     query = exchange.query
     given = {name: query[name] for name in _NAMES if name in query}
@@ -242,7 +240,7 @@ def selection_of(session: Session, recording: Recording, exchange: Exchange) -> 
     wanted = MessageFilter(topics, max(since, 0), until, max(start, recording.first))
     if start and start < recording.first:
         raise Problem(410, f"?start={start}: the oldest messages were removed, the first is {recording.first}.")
-    return BagSelection(session, recording, wanted, limit, text, detail_of(exchange))
+    return BagSelection(bags, recording, wanted, limit, text, detail_of(exchange))
 
 
 def topics_of(recording: Recording, text: str) -> frozenset[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import orjson
@@ -26,14 +27,38 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import JsonSchema, MessageSchemas, json_object
 from rosld.server.patches.n3patch import apply_patch, read_patch
 from rosld.server.patches.patch import apply_update
+from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import MERGE_PATCH, SPARQL_UPDATE
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, ShownAnswer
 from rosld.server.rest.state import State
+from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import call_every, loop_time
 from rosld.server.runtime.version_cache import VersionCache
-from rosld.server.settings import Settings
+
+
+@dataclass(frozen=True, slots=True)
+class Bags:
+    """The recordings, and what is needed to read and describe them."""
+
+    session: Session
+    states: VersionCache[State]
+    recordings: Recordings
+    pictures: PictureCache
+
+
+class BagBase(Resource):
+    """Base of recordings and of their parts."""
+
+    is_cacheable = False
+
+    def __init__(self, bags: Bags, url: str) -> None:
+        super().__init__(bags.session.space, url)
+        self.bags = bags
+        self.session = bags.session
+        self.states = bags.states
+        self.recordings = bags.recordings
 
 
 class ArmedView:
@@ -109,31 +134,20 @@ _TOPIC_BYTES = 200
 """Bytes that a recording says of a topic."""
 
 
-class BagResource(Resource):
+class BagResource(BagBase):
     """One recording that can be read."""
 
     kind = "Recording"
     shape = "Bag"
-    is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(
-        self,
-        space: Space,
-        settings: Settings,
-        states: VersionCache[State],
-        recordings: Recordings,
-        recording: Recording,
-    ) -> None:
-        super().__init__(space, space.bag(recording.name))
-        self.settings = settings
-        self.states = states
-        self.recordings = recordings
+    def __init__(self, bags: Bags, recording: Recording) -> None:
+        super().__init__(bags, bags.session.space.bag(recording.name))
         self.recording = recording
         self.item = PathItem(f"The recording {self.recording.name}")
 
     def methods(self) -> frozenset[str]:
-        is_own = self.recording.name in self.recordings.finished and not self.settings.read_only
+        is_own = self.recording.name in self.recordings.finished and not self.session.settings.read_only
         return READ | {"DELETE"} if is_own else READ
 
     def deny_reason(self, method: str) -> str:
@@ -219,22 +233,19 @@ _LOOK_SECONDS = 1.0
 """Between two looks of those who follow a recording that is being made."""
 
 
-class UnfinishedBag(Resource):
+class UnfinishedBag(BagBase):
     """A recording that is not complete: PATCH ends it."""
 
     shape = "Bag"
-
-    is_cacheable = False
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"PATCH": PATCHES}
 
-    def __init__(self, space: Space, settings: Settings, name: str) -> None:
-        super().__init__(space, space.bag(name))
-        self.settings = settings
+    def __init__(self, bags: Bags, name: str) -> None:
+        super().__init__(bags, bags.session.space.bag(name))
         self.name = name
 
     def methods(self) -> frozenset[str]:
-        return READ if self.settings.read_only else READ | {"PATCH", "DELETE"}
+        return READ if self.session.settings.read_only else READ | {"PATCH", "DELETE"}
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         ends: JsonSchema = json_object({"status": {"const": "ended"}})
@@ -246,26 +257,15 @@ class RunningBag(UnfinishedBag):
 
     kind = "Recording being made"
 
-    def __init__(
-        self,
-        space: Space,
-        settings: Settings,
-        states: VersionCache[State],
-        recordings: Recordings,
-        one: RunningRecording,
-    ) -> None:
-        super().__init__(space, settings, one.name)
-        self.states = states
-        self.recordings = recordings
+    def __init__(self, bags: Bags, one: RunningRecording) -> None:
+        super().__init__(bags, one.name)
         self.one = one
 
     @property
     def _finished(self) -> Resource | None:
         """The recording as it can be read, once it has ended: who follows it sees it end."""
         recording = self.recordings.readable.get(self.one.name)
-        if recording is None:
-            return None
-        return BagResource(self.space, self.settings, self.states, self.recordings, recording)
+        return None if recording is None else BagResource(self.bags, recording)
 
     async def state(self) -> State:
         if self._finished is not None:
@@ -331,9 +331,8 @@ class ArmedBag(UnfinishedBag):
 
     kind = "Recording that waits for its trigger"
 
-    def __init__(self, space: Space, settings: Settings, recordings: Recordings, one: ArmedRecording) -> None:
-        super().__init__(space, settings, one.name)
-        self.recordings = recordings
+    def __init__(self, bags: Bags, one: ArmedRecording) -> None:
+        super().__init__(bags, one.name)
         self.one = one
 
     async def state(self) -> State:

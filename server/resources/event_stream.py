@@ -15,19 +15,17 @@ from rosld.adapters.base import MessageFilter, Recording
 from rosld.ontology.describe_bags import StreamLink, StreamProfile, event_stream_document, observation_triples
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
-from rosld.server.history.history import History
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import PROFILE_QUERY, VARY_PROFILE, choose_profile
 from rosld.server.http.problem import Problem
 from rosld.server.resources.bag_selection import DecodedRecord, decode_records, record_document
+from rosld.server.resources.bags import BagBase, Bags
 from rosld.server.resources.messages import lift_sample
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
-from rosld.server.runtime.version_cache import VersionCache
 
 MEMBERS = 100
 """Messages on a page, and links to pages on a page of links."""
@@ -80,28 +78,17 @@ def top_level(first: int, beyond: int) -> int:
     return level
 
 
-class EventStreamResource(Resource):
+class EventStreamResource(BagBase):
     """An event stream (`page` is None), or a page of it."""
 
     kind = "Event stream"
-    is_cacheable = False
     _profile = StreamProfile.RECORD
     _suffix = ""
 
-    def __init__(
-        self,
-        session: Session,
-        states: VersionCache[State],
-        history: History,
-        recording: Recording,
-        page: PageNumber | None = None,
-    ) -> None:
-        self.session = session
-        self.states = states
-        self.history = history
+    def __init__(self, bags: Bags, recording: Recording, page: PageNumber | None = None) -> None:
+        super().__init__(bags, _url(bags.session.space, recording, page))
         self.recording = recording
         self._page = page
-        super().__init__(session.space, _url(session.space, recording, page))
         self.shape = "EventStream" if page is None else "StreamPage"
         self.title = f"Messages of {recording.name}"
         self.item = PathItem(f"The messages of {self.recording.name} as an event stream", query=(FORMAT, PROFILE))
@@ -150,7 +137,7 @@ class EventStreamResource(Resource):
 
     @property
     def _is_finished(self) -> bool:
-        return self.recording is not self.history.recording
+        return self.recording is not self.recordings.history.recording
 
     def _links(self, first: int, beyond: int, settled: int) -> list[StreamLink]:
         if self._page is None:
@@ -191,13 +178,13 @@ class EventStreamResource(Resource):
         return Document(said.url, (*own, *lifted))
 
 
-def event_stream_page(
-    session: Session, states: VersionCache[State], history: History, recording: Recording, name: str
-) -> EventStreamResource:
+def event_stream_page(bags: Bags, recording: Recording, name: str) -> EventStreamResource:
     """Return the page of this name. Raises 404 and 410 Problems."""
     identity, *numbers = name.split("-")
     if not _NAME.fullmatch(name):
-        raise Problem(404, f"{name[:60]} is no page of the stream: {_url(session.space, recording)} links to them.")
+        raise Problem(
+            404, f"{name[:60]} is no page of the stream: {_url(bags.session.space, recording)} links to them."
+        )
     if identity != recording.identity:
         raise Problem(410, f"This was a page of another recording of the name {recording.name}, which is gone.")
     page = PageNumber(*map(int, numbers))
@@ -206,7 +193,7 @@ def event_stream_page(
         raise Problem(404, f"{recording.name} has no messages from {page.start} on: {beyond} is the next.")
     if page.end <= recording.first:
         raise Problem(410, f"The messages of this page were removed: the oldest is {recording.first}.")
-    return EventStreamResource(session, states, history, recording, page)
+    return EventStreamResource(bags, recording, page)
 
 
 def _url(space: Space, recording: Recording, page: PageNumber | None = None) -> str:

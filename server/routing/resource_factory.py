@@ -18,6 +18,7 @@ from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.activities import ActivityContainer, ActivityResource
 from rosld.server.resources.bag_messages import BagMessage
 from rosld.server.resources.bag_routes import bag_route
+from rosld.server.resources.bags import Bags
 from rosld.server.resources.cockpit_panels import CockpitSources, QueryTables
 from rosld.server.resources.cockpits import cockpit_route
 from rosld.server.resources.complex_resource import ComplexResource
@@ -81,6 +82,7 @@ class ResourceFactory:
         self._things = ThingDescriptions(
             services.session, services.affordances, services.software_stop, services.instance_id
         )
+        self._bags = Bags(services.session, self.states, services.recordings, services.pictures)
         self._latest_values = LatestValues(services.session.topics, services.session.schemas)
         self._level_times = LevelTimes()
         self._query_tables = QueryTables()
@@ -215,11 +217,10 @@ class ResourceFactory:
 
     def bag_at(self, location: Location, triggers: RecordingTriggers | None = None) -> Resource:
         """A recording, a part of one, or their container; `triggers` follows the conditions of armed recordings."""
-        services = self.services
-        return bag_route(self.session, self.states, services.recordings, services.pictures, location, triggers)
+        return bag_route(self._bags, location, triggers)
 
     def bag_message(self, recording: Recording, index: int) -> BagMessage:
-        return BagMessage(self.session, self.states, self.services.pictures, recording, index)
+        return BagMessage(self._bags, recording, index)
 
     def document_at(self, location: Location) -> Resource:
         return stored_route(self.services.documents, location)

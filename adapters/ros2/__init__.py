@@ -1,4 +1,4 @@
-"""ROS 2, spoken through the rclpy of the robot's own ROS, which is imported when a source asks for it."""
+"""ROS 2 through the rclpy of the robot's own ROS installation, which is imported when a source needs it."""
 
 from rosld.adapters.ros2.adapter import Ros2Adapter, adapter
 

@@ -1,7 +1,7 @@
-"""Actions: goals are sent, followed and canceled through the services and topics that an action is made of.
+"""Actions: goals are sent, followed and canceled with the services and topics of an action.
 
-Results are asked for by a goal's id, so those of goals that others sent are known too, as long as the server keeps
-them. Everything here runs on the thread that talks to ROS.
+Results are requested by the id of a goal, so those of other clients' goals are available, too, as long as the server
+stores them. Everything here runs on the ROS thread.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ _MAX_REMEMBERED = 1000
 
 @dataclass
 class _Goal:
-    """A goal as far as it is known: its status, and whether its end is being asked for.
+    """A known goal: its status, and whether the request for its result is pending.
 
-    `held` is what became known of a goal of ours before it was known to be accepted; None once it is.
+    `held` are events of our own goal from before its acceptance; None after it.
     """
 
     own: bool
@@ -60,7 +60,7 @@ class _Goal:
 
 @dataclass
 class _Line:
-    """One action that is listened to, by followers or because goals of ours are under way."""
+    """An action that has followers, or pending goals of ours."""
 
     name: str
     type: str
@@ -72,12 +72,12 @@ class _Line:
 
     @property
     def is_needed(self) -> bool:
-        """Whether somebody follows it or a goal of ours has not ended."""
+        """Whether the action has followers or a pending goal of ours."""
         return self.followers > 0 or any(goal.own and not _is_over(goal) for goal in self.goals.values())
 
 
 class Actions:
-    """The actions of a system; `tell` is called with events of their goals."""
+    """Actions of a system; `tell` is called with events of their goals."""
 
     def __init__(
         self, participant: Participant, calls: Calls, waiter: Waiter, tell: Callable[[GoalId, GoalEvent], None]
@@ -91,7 +91,7 @@ class Actions:
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def send(self, action: Action, goal: bytes, until: float) -> GoalId:
-        """Send a goal. Raises Refused where it is rejected, TimedOut, Unreachable, UnknownType."""
+        """Send a goal. Raises Refused if it is rejected, TimedOut, Unreachable, UnknownType."""
         type = _type_of(action)
         try:
             asked = deserialize(f"{type}_Goal", goal)
@@ -121,12 +121,12 @@ class Actions:
         return GoalId(action.name, id.hex())
 
     async def cancel(self, goal: GoalId, until: float) -> None:
-        """Ask for a goal to be canceled. Raises Refused, NotFound, TimedOut, Unreachable."""
+        """Cancel a goal. Raises Refused, NotFound, TimedOut, Unreachable."""
         try:
             id = bytes.fromhex(goal.id)
         except ValueError:
             id = b""
-        if len(id) != _UUID or not any(id):  # zero is read as: all goals (action_msgs/srv/CancelGoal)
+        if len(id) != _UUID or not any(id):  # a zero id cancels all goals (action_msgs/srv/CancelGoal)
             raise NotFound(
                 f"{goal.action} has no goal {goal.id!r}: a goal's id is {2 * _UUID} hex digits, not all zero"
             )
@@ -138,7 +138,7 @@ class Actions:
             raise Refused(f"the goal {goal.id} of {goal.action} is not canceled: {words}", sent=Sent.YES)
 
     async def cancel_all(self, action: str, until: float) -> None:
-        """Ask for all goals of an action to be canceled: a zero id without a time is read so (CancelGoal.srv).
+        """Cancel all goals of an action, with a zero id and no time (CancelGoal.srv).
 
         Raises Refused, TimedOut, Unreachable.
         """
@@ -154,7 +154,7 @@ class Actions:
         return await self._calls.call(f"{action}/_action/cancel_goal", _CANCEL, request, until)
 
     async def follow(self, action: Action, until: float) -> Callable[[], None]:
-        """Announce all goals of an action until the result is called. Waits for their current states."""
+        """Report all goals of an action until the returned function is called. Waits for their current status."""
         line = self._listen(action.name, _type_of(action))
         line.followers += 1
         await self._wait_for_server(line, until)
@@ -171,7 +171,7 @@ class Actions:
         return stop
 
     def drop_gone_servers(self, actions: Mapping[str, Action]) -> None:
-        """Give up the goals of servers that have gone."""
+        """End the goals of servers that have disappeared."""
         for line in list(self._lines.values()):
             action = actions.get(line.name)
             if action is None or not action.servers:
@@ -183,7 +183,7 @@ class Actions:
                 line.heard = False
 
     def close(self) -> None:
-        """Stop listening."""
+        """Stop following all actions."""
         for task in self._tasks:
             task.cancel()
         for line in list(self._lines.values()):
@@ -213,7 +213,7 @@ class Actions:
             reader.close()
 
     async def _wait_for_server(self, line: _Line, until: float) -> None:
-        """Wait for the server's topics, so that nothing it says of a goal is missed."""
+        """Wait for the server's topics, so that no message about a goal is missed."""
         while not (line.status.publishers() and line.feedback.publishers()) and self._loop.time() < until:  # noqa: ASYNC110
             await asyncio.sleep(_PAUSE)
 
@@ -224,7 +224,7 @@ class Actions:
         try:
             self._loop.call_soon_threadsafe(self._take_and_rearm, line, reader, take)
         except RuntimeError:
-            pass  # the thread's loop has ended
+            pass  # the thread's event loop has ended
 
     def _take_and_rearm(self, line: _Line, reader: Reader, take: Callable[[_Line], None]) -> None:
         if self._lines.get(line.name) is line:
@@ -256,7 +256,7 @@ class Actions:
         if not status.is_final:
             goal.status = status
             self._event(line, id, GoalEvent(time.time_ns(), status, own=goal.own))
-        elif not goal.own:  # the result of ours is awaited since it was accepted
+        elif not goal.own:  # the result of our own goal is requested on its acceptance
             self._begin(self._end(line, id, goal, self._loop.time() + _RESULT, status))
 
     def _take_feedback(self, line: _Line) -> None:
@@ -264,11 +264,11 @@ class Actions:
             id = taken.data[_HEAD : _HEAD + _UUID].hex()
             goal = line.goals.get(id)
             if goal is not None and not _is_over(goal):
-                feedback = taken.data[:_HEAD] + taken.data[_HEAD + _UUID :]  # 16 bytes in, nothing is aligned otherwise
+                feedback = taken.data[:_HEAD] + taken.data[_HEAD + _UUID :]  # removing 16 bytes preserves the alignment
                 self._event(line, id, GoalEvent(taken.received_ns, feedback=feedback, own=goal.own))
 
     async def _end(self, line: _Line, id: str, goal: _Goal, until: float, known: GoalStatus | None = None) -> None:
-        """Announce the end of a goal, with its result if the server returns it."""
+        """Report the end of a goal, with its result if the server returns it."""
         goal.ending = known is not None
         words = result = None
         status = known or GoalStatus.LOST

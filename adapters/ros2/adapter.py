@@ -1,4 +1,4 @@
-"""The adapter: the contract's methods, on the server's loop, over a system that lives on a thread of its own."""
+"""The `Adapter` of ROS 2: its methods run on the server's event loop and use a system in a separate thread."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ _CAPABILITIES = Capabilities(
 
 
 def adapter(source: str, options: AdapterOptions) -> Ros2Adapter:
-    """Return the adapter for a source `ros2:?domain=42&namespace=/robot1`.
+    """Return the adapter for a source such as `ros2:?domain=42&namespace=/robot1`.
 
-    Raises ValueError for what is no such source, and where there is no rclpy.
+    Raises ValueError for other sources, and if rclpy is not available.
     """
     read = read_source(source)
     require_rclpy()
@@ -50,7 +50,7 @@ def adapter(source: str, options: AdapterOptions) -> Ros2Adapter:
 
 @dataclass
 class _Own:
-    """Messages that rosld published on a topic: the newest few, and their count."""
+    """Newest messages that rosld published on a topic, and their count."""
 
     ref: TypeRef
     epoch: int
@@ -59,7 +59,7 @@ class _Own:
 
 
 class Ros2Adapter(ThreadAdapter[System]):
-    """A ROS 2 system, reached through rclpy. Implements the contract's `Adapter`."""
+    """A ROS 2 system, reached through rclpy. Implements `Adapter`."""
 
     def __init__(self, source: Source, options: AdapterOptions) -> None:
         library = TypeLibrary(ros_version=2, folders=definition_folders(options.types))
@@ -73,11 +73,11 @@ class Ros2Adapter(ThreadAdapter[System]):
 
     @property
     def capabilities(self) -> Capabilities:
-        """Everything ROS 2 has can be read and written."""
+        """Capabilities for reading and writing everything in ROS 2."""
         return _CAPABILITIES
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Join the domain and discover the system. Raises Unreachable where the middleware cannot be started."""
+        """Join the domain and discover the system. Raises Unreachable if the middleware cannot be started."""
         if self._system is not None:
             return
         thread = IoThread("rosld-ros2")
@@ -135,7 +135,7 @@ class Ros2Adapter(ThreadAdapter[System]):
         return await self._schema_in_time(ref.name, looking, deadline)
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> TopicSubscription:
-        """Subscribe to a topic; no message is taken before one is read."""
+        """Subscribe to a topic; messages are taken only when they are read."""
         thread, system = self._running()
         depth = max(1, depth)
         feed = self._feeds.get(topic)
@@ -154,10 +154,10 @@ class Ros2Adapter(ThreadAdapter[System]):
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
-        """Publish, advertising first if need be. Raises Refused, Unreachable, UnknownType.
+        """Publish a message, advertising the topic first if necessary. Raises Refused, Unreachable, UnknownType.
 
-        With a subscriber connected it neither waits nor changes thread: the message is put where the thread
-        takes it, one wake-up for many.
+        With a connected subscriber, this neither waits nor changes threads: messages are queued for the thread, with
+        one wake-up for many.
         """
         thread, system = self._running()
         publication = system.publications.by_topic.get(topic)
@@ -170,7 +170,10 @@ class Ros2Adapter(ThreadAdapter[System]):
         return Published(publication.matched)
 
     async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
-        """Make a writer that suits the topic's readers, and wait for one. Raises Refused, Unreachable, UnknownType."""
+        """Create a writer that suits the topic's readers, and wait for one.
+
+        Raises Refused, Unreachable, UnknownType.
+        """
         _, system = self._running()
         publication = system.publications.by_topic.get(topic)
         latch = publication is not None and publication.latched
@@ -178,7 +181,7 @@ class Ros2Adapter(ThreadAdapter[System]):
             await self._advertise(topic, type, latch, deadline)
 
     async def unadvertise(self, topic: str) -> None:
-        """Stop advertising. Raises NotFound where rosld advertises nothing."""
+        """Stop advertising. Raises NotFound if rosld does not advertise the topic."""
         thread, system = self._running()
         self._own.pop(topic, None)
         if (feed := self._feeds.get(topic)) is not None:
@@ -186,27 +189,27 @@ class Ros2Adapter(ThreadAdapter[System]):
         await thread.run(system.publications.unadvertise(topic))
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Call a service. Raises Refused, TimedOut, Unreachable, NotFound; ROS 2's nodes give no words of failure."""
+        """Call a service. Raises Refused, TimedOut, Unreachable, NotFound; ROS 2's nodes give no error messages."""
         thread, system = self._running()
         return await thread.run(system.call(service, type, request, thread_time(deadline)))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """Send a goal. Raises Refused where it is rejected, TimedOut, Unreachable, NotFound."""
+        """Send a goal. Raises Refused if it is rejected, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
         return await thread.run(system.send_goal(action, type, goal, thread_time(deadline)))
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """Ask for a goal to be canceled. Raises Refused, TimedOut, Unreachable, NotFound."""
+        """Cancel a goal. Raises Refused, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
         await thread.run(system.cancel_goal(goal, thread_time(deadline)))
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
-        """Ask for all goals of an action to be canceled. Raises Refused, TimedOut, Unreachable, NotFound."""
+        """Cancel all goals of an action. Raises Refused, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
         await thread.run(system.cancel_goals(action, thread_time(deadline)))
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """Announce all goals of an action to the sink. Raises NotFound."""
+        """Report all goals of an action to the sink. Raises NotFound."""
         thread, system = self._running()
         return GoalWatch(thread, await thread.run(system.follow_goals(action, thread_time(deadline))))
 
@@ -216,28 +219,28 @@ class Ros2Adapter(ThreadAdapter[System]):
         await thread.run(system.change_state(node, transition, thread_time(deadline)))
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the current values of those names that exist, from their nodes."""
+        """Return the current values of existing parameters, from their nodes."""
         thread, system = self._running()
         return await thread.run(system.parameters.get(names, thread_time(deadline)))
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Set them, those of one node all or none. Raises Refused naming the parameter, with the node's reason."""
+        """Set parameters, all or none of each node. Raises Refused naming the parameter, with the node's reason."""
         thread, system = self._running()
         await thread.run(system.parameters.set(values, thread_time(deadline)))
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """Delete them. Raises NotFound, and Refused by nodes that keep what they declared."""
+        """Delete parameters. Raises NotFound, and Refused if a node does not delete declared ones."""
         thread, system = self._running()
         await thread.run(system.parameters.delete(names, thread_time(deadline)))
 
     async def _advertise(self, topic: str, type: TypeRef, latch: bool, deadline: float) -> Publication:
-        """Advertise a topic; when it returns the graph has it."""
+        """Advertise a topic, and update the graph."""
         thread, system = self._running()
         self._require_type(topic, type)
         return await thread.run(system.publications.advertise(topic, type, latch, thread_time(deadline)))
 
     def _keep_own(self, publication: Publication, data: bytes) -> None:
-        """Make the published message a sample of rosld before `publish` returns."""
+        """Store a published message as a sample of rosld before `publish` returns."""
         topic = publication.topic
         own = self._own.get(topic)
         if own is None or own.ref != publication.ref:

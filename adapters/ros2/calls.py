@@ -1,6 +1,6 @@
-"""Calls of services: any number at once, each with its own deadline, over clients that are kept a while.
+"""Service calls: any number at once, each with its own deadline, over clients that are cached for some time.
 
-Everything here runs on the thread that talks to ROS and waits for nothing but its own loop.
+Everything here runs on the ROS thread, and blocks only its event loop.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ _LONGEST_LOOK = 0.05
 _SETTLING = 0.05
 _LONGEST_SETTLING = 0.5
 _SETTLING_STEPS = 10
-"""Parts in which that is waited: on a busy machine each takes longer, as it does for the server to hear of us."""
+"""Number of parts of this wait: on a busy machine each takes longer, like the server's discovery of our client."""
 
 
 @dataclass(eq=False)
 class _Line:
-    """A client, and those who wait for its answers."""
+    """A client, and its pending calls."""
 
     client: Client
     pending: dict[int, asyncio.Future[object]] = field(default_factory=dict)
@@ -35,7 +35,7 @@ class _Line:
 
 
 class Calls:
-    """The services of a ROS 2 system, called with objects of their types' classes."""
+    """Services of a ROS 2 system, called with objects of their types' classes."""
 
     def __init__(self, participant: Participant, waiter: Waiter) -> None:
         self._participant = participant
@@ -44,7 +44,10 @@ class Calls:
         self._lines: dict[tuple[str, str], _Line] = {}
 
     async def call(self, service: str, type: str, request: object, until: float) -> object:
-        """Return the response. Raises TimedOut, Unreachable, UnknownType; `until` is a time of the thread's loop."""
+        """Return the response.
+
+        Raises TimedOut, Unreachable, UnknownType; `until` is a time of the thread's event loop.
+        """
         if until <= self._loop.time():
             raise TimedOut(f"the time was up before {service} was called")
         line = self._line(service, type)
@@ -57,7 +60,7 @@ class Calls:
             line.used = self._loop.time()
 
     def drop_gone_servers(self) -> None:
-        """Fail calls to servers that have gone, and drop unused clients."""
+        """Fail calls to servers that have disappeared, and drop unused clients."""
         now = self._loop.time()
         for key, line in list(self._lines.items()):
             if line.pending and not line.client.ready():
@@ -70,14 +73,14 @@ class Calls:
                 self._close(line)
 
     def forget(self, service: str) -> None:
-        """Give up the idle clients of a service that is no longer there."""
+        """Close the idle clients of a service that no longer exists."""
         for key, line in list(self._lines.items()):
             if key[0] == service and not line.users:
                 del self._lines[key]
                 self._close(line)
 
     def close(self) -> None:
-        """Give up everything."""
+        """Fail pending calls and close all clients."""
         for line in self._lines.values():
             for future in line.pending.values():
                 if not future.done():
@@ -98,9 +101,9 @@ class Calls:
         return line
 
     async def _wait_for_server(self, service: str, line: _Line, until: float) -> None:
-        """Wait for a server, and once more as long as that took for the server to know of us.
+        """Wait for a server, and then as long again for the server to discover the client.
 
-        A server that does not know the client yet has nobody to send its answer to, and the middleware drops it.
+        A server that has not discovered the client cannot send its response, and the middleware drops it.
         """
         began = self._loop.time()
         pause = _FIRST_LOOK
@@ -141,7 +144,7 @@ class Calls:
         try:
             self._loop.call_soon_threadsafe(self._take, line)
         except RuntimeError:
-            pass  # the thread's loop has ended
+            pass  # the thread's event loop has ended
 
     def _take(self, line: _Line) -> None:
         while (taken := line.client.take()) is not None:

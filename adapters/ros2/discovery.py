@@ -13,21 +13,21 @@ from rosld.adapters.ros2.graph import GraphInputs, Observation, compose, foreign
 from rosld.adapters.ros2.middleware import Names, Participant
 
 _LEAVING = 5.0
-"""Seconds that a robot may take to go away node by node."""
+"""Maximum seconds in which all nodes of a robot that is switched off disappear."""
 
 
 class LiveGraph:
-    """The current graph, with changes announced to the sink. `current` is thread-safe."""
+    """The current graph; changes are reported to the sink. `current` is thread-safe."""
 
     def __init__(self, graph: Graph, sink: Sink) -> None:
         self.current = graph
         self.has_robot = False
-        """Whether nodes of the robot have been seen, and not all of them have gone."""
+        """Whether nodes of the robot are present."""
         self._sink = sink
         self._before_leaving: tuple[Graph, float] | None = None
 
     def update(self, seen: Observation, known: GraphInputs, *, has_robot: bool) -> None:
-        """Rebuild the graph from what was seen; where all nodes of the robot have gone it is stale."""
+        """Rebuild the graph from an observation; it is stale if all nodes of the robot have disappeared."""
         if has_robot or not self.has_robot:
             self.has_robot = has_robot
             graph = compose(self.current, seen, known)
@@ -37,7 +37,7 @@ class LiveGraph:
             self._show(stale(self._last_whole(), time.time_ns(), "none of its nodes can be seen any more"))
 
     def mark_stale(self, reason: str) -> None:
-        """Say that the graph is as it was, and why."""
+        """Mark the graph as stale, with a reason."""
         self._show(stale(self.current, time.time_ns(), reason))
 
     def _show(self, graph: Graph) -> None:
@@ -46,7 +46,7 @@ class LiveGraph:
             self._sink.graph_changed(graph)
 
     def _note_leaving(self, graph: Graph) -> None:
-        """Remember the graph as it was before nodes began to leave: they may all be about to."""
+        """Store the graph from before nodes began to disappear, in case all of them do."""
         now = asyncio.get_running_loop().time()
         before, after = (each.nodes.keys() - {graph.own_node} for each in (self.current, graph))
         if after > before:
@@ -57,7 +57,7 @@ class LiveGraph:
             self._before_leaving = self.current, now
 
     def _last_whole(self) -> Graph:
-        """Return the graph as last known: nodes that left one by one, but in one go, are still in it."""
+        """Return the last known graph, including nodes that have disappeared one after another just now."""
         if isinstance(self.current.state, Stale) or self._before_leaving is None:
             return self.current
         whole, since = self._before_leaving
@@ -69,12 +69,12 @@ class LiveGraph:
 _COUNTS = 1.0
 _ALL = 10.0
 _EVERY = 0.2
-_SHARE = 20  # looks may take one part in so many of our time
+_SHARE = 20  # polls may take this fraction of our time
 _AT_ONCE = 25
 
 
 class Discovery:
-    """Looks at the system through one participant; `seen` is what was found last. Belongs to the thread of ROS."""
+    """Polls the system through one participant; `seen` is the last observation. Belongs to the ROS thread."""
 
     def __init__(self, participant: Participant) -> None:
         self.seen = Observation()
@@ -87,11 +87,11 @@ class Discovery:
         self._looking = asyncio.Lock()
 
     def look_soon(self) -> None:
-        """End the pause until the next look."""
+        """End the pause before the next poll."""
         self._wanted.set()
 
     async def pause(self) -> None:
-        """Wait until it is time to look again."""
+        """Wait until the next poll is due."""
         try:
             await asyncio.wait_for(self._wanted.wait(), min(max(_EVERY, _SHARE * self._took), _ALL))
         except asyncio.TimeoutError:
@@ -99,7 +99,7 @@ class Discovery:
         self._wanted.clear()
 
     async def look(self, topics: Sequence[str] = ()) -> None:
-        """Look now; at the endpoints of these topics whether something hints at a change or not."""
+        """Poll now, always including the endpoints of these topics."""
         async with self._looking:
             started = time.monotonic()
             await self._look(topics)
@@ -135,7 +135,7 @@ class Discovery:
         self.seen = Observation(nodes, topics, services, publishers, subscribers, providers, callers)
 
     def _incomplete(self, topic: str) -> bool:
-        """Whether an endpoint was seen before its node was: who it is comes a moment later."""
+        """Whether an endpoint was discovered before its node, which follows a moment later."""
         seen = self.seen
         return any(not each.node for of in (seen.publishers, seen.subscribers) for each in of.get(topic, ()))
 

@@ -1,7 +1,7 @@
-"""Feeds: the newest samples of one topic, taken from the middleware's history when somebody looks.
+"""Feeds: the newest samples of one topic, taken from the middleware's history when they are read.
 
-A feed belongs to the server's loop, on which its samples are taken; only its reader and what is known of its
-publishers are replaced by the thread that talks to ROS, each in one assignment.
+A feed belongs to the server's event loop, which takes the samples; only its reader and the facts about its publishers
+are replaced by the ROS thread, each with one assignment.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _REMEMBERED = 256
 
 @dataclass(frozen=True)
 class Publishers:
-    """What is known of a topic's publishers: for each node (not us) how many it has, and who has which gid.
+    """Facts about a topic's publishers: the number for each node (except ours), and the nodes by gid.
 
-    `types` is each node's type, `latched` are the nodes whose messages stay, `type` is the topic's as far as known.
+    `types` are the nodes' types, `latched` are the nodes with latched publishers, `type` is the topic's type if known.
     """
 
     nodes: Counter[str] = field(default_factory=Counter)
@@ -39,7 +39,7 @@ class Publishers:
 
 @dataclass
 class _Stream:
-    """One publisher's newest samples, and the state of their counting."""
+    """One publisher's newest samples, and the state of its count."""
 
     epoch: int
     kept: deque[Sample]
@@ -48,7 +48,7 @@ class _Stream:
     identities: deque[tuple[int, int | None]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
 
     def count(self, taken: TakenMessage, *, alone: bool) -> int:
-        """The number of the next message, as the publisher counts from the first we saw; one further otherwise."""
+        """Return the next message's number: by the publisher's own count since the first message, else the next."""
         if taken.number is not None and alone and self.number is not None:
             step = taken.number - self.number
             if step <= 0:
@@ -63,7 +63,7 @@ class _Stream:
 
 
 class _Streams:
-    """The newest samples of each publisher of one topic; `own` is the node under which we publish."""
+    """Newest samples of each publisher of one topic; `own` is our publishing node."""
 
     def __init__(self, own: str, epoch: int) -> None:
         self.own = own
@@ -73,22 +73,22 @@ class _Streams:
         self._views: dict[int, tuple[Sample, ...]] = {}
 
     def put_own(self, sample: Sample) -> None:
-        """Keep what we published."""
+        """Add a message that we published."""
         self._stream(self.own, sample.epoch).kept.append(sample)
         self._views.clear()
 
     def forget_own(self) -> None:
-        """Forget what we published."""
+        """Forget the messages that we published."""
         if self._by_publisher.pop(self.own, None) is not None:
             self._views.clear()
 
     def put(self, taken: TakenMessage, name: str, publishers: Publishers, latched: bool) -> bool:
-        """Keep what the publisher of this name sent; whether it is new."""
+        """Add a message of the publisher with this name; return whether it is new."""
         stream = self._stream(name, self.epoch)
         if latched:
             identity = taken.source_ns, taken.number
             if identity in stream.identities:
-                return False  # a new reader of a latched topic is told again what the one before it heard
+                return False  # a new reader of a latched topic receives the previous reader's messages again
             stream.identities.append(identity)
         sequence = stream.count(taken, alone=publishers.nodes[name] == 1)
         self.epoch = max(self.epoch, stream.epoch)
@@ -102,14 +102,14 @@ class _Streams:
                 taken.received_ns,
                 sequence,
                 stream.epoch,
-                name in publishers.latched or (latched and not name),  # only what is latched is read so
+                name in publishers.latched or (latched and not name),  # only latched topics are read with this profile
             )
         )
         self._views.clear()
         return True
 
     def latest(self, depth: int, publishers: Publishers) -> Sequence[Sample]:
-        """The newest `depth` samples of each publisher, in order of receipt; the same object until one arrives."""
+        """Return the newest `depth` samples of each publisher by time of receipt; the same object if nothing is new."""
         view = self._views.get(depth)
         if view is None:
             newest = [sample for stream in self._current_streams(publishers) for sample in tuple(stream.kept)[-depth:]]
@@ -117,7 +117,7 @@ class _Streams:
         return view
 
     def deepen(self, depth: int) -> None:
-        """Keep so many of the newest samples from now on."""
+        """Store this number of the newest samples from now on."""
         self.depth = depth
         for stream in self._by_publisher.values():
             if stream.kept.maxlen != depth:
@@ -125,7 +125,7 @@ class _Streams:
         self._views.clear()
 
     def attribute(self, publishers: Publishers) -> None:
-        """What came before it was known who publishes is the only publisher's, once that is known."""
+        """Attribute messages from before the discovery of their publisher to the only publisher, once it is known."""
         self._views.clear()
         nameless = self._by_publisher.get("")
         name = next(iter(publishers.nodes), "")
@@ -142,7 +142,7 @@ class _Streams:
         return stream
 
     def _current_streams(self, publishers: Publishers) -> list[_Stream]:
-        """The streams of those who publish, and of others only the one who spoke last, until somebody speaks after."""
+        """Return the streams of current publishers, and the latest one of a former publisher, until a newer message."""
         here = {*publishers.nodes, self.own}
         present = [stream for name, stream in self._by_publisher.items() if name in here and stream.kept]
         gone = [stream for name, stream in self._by_publisher.items() if name not in here and stream.kept]
@@ -153,17 +153,17 @@ class _Streams:
 
 
 class _Echoes:
-    """Recently published messages of rosld, for recognizing the middleware's echo of them."""
+    """Recently published messages of rosld, to recognize their echoes from the middleware."""
 
     def __init__(self) -> None:
         self._published: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
 
     def note(self, sample: Sample) -> None:
-        """Expect an echo of this."""
+        """Expect the echo of a message."""
         self._published.append((sample.received_ns, sample.data))
 
     def take(self, taken: TakenMessage) -> bool:
-        """Whether it is what we published ourselves: the same bytes, written just when we wrote them."""
+        """Whether this is the echo of our own message: the same bytes, written at about the same time."""
         for published in self._published:
             written, data = published
             if -_ECHO_NS < taken.source_ns - written < _ECHO_NS and data == taken.data:
@@ -190,17 +190,17 @@ class Feed:
 
     @property
     def depth(self) -> int:
-        """The number of newest samples kept of each publisher."""
+        """Number of newest samples stored per publisher."""
         return self._streams.depth
 
     @property
     def epoch(self) -> int:
-        """The newest epoch of its publishers."""
+        """Newest epoch of the publishers."""
         return self._streams.epoch
 
     @property
     def own(self) -> str:
-        """The node under which we publish."""
+        """Our publishing node."""
         return self._streams.own
 
     @own.setter
@@ -209,11 +209,11 @@ class Feed:
 
     @property
     def reader(self) -> Reader | None:
-        """The reader of the topic; None while it is not read."""
+        """Reader of the topic, or None while it is not read."""
         return self._reader
 
     def read_with(self, reader: Reader | None) -> Reader | None:
-        """Take from this reader from now on; the one before, to be closed. Called on the thread that talks to ROS."""
+        """Replace the reader; return the previous one, to be closed. Called on the ROS thread."""
         before, self._reader = self._reader, reader
         if before is not None:
             self._waiter.disarm(before.handle)
@@ -221,38 +221,38 @@ class Feed:
         return before
 
     def add_own_sample(self, sample: Sample) -> None:
-        """We published this: it is a sample, and its echo is none. Called on the server's loop."""
+        """Add a message that we published, and expect its echo. Called on the server's event loop."""
         self._echoes.note(sample)
         self._streams.put_own(sample)
         self.watches.notify()
 
     def forget_own(self) -> None:
-        """We publish no more."""
+        """Forget our messages after we stopped publishing."""
         self._streams.forget_own()
 
     def latest(self, depth: int) -> Sequence[Sample]:
-        """The newest `depth` samples of each publisher, in order of receipt; the same object until one arrives."""
+        """Return the newest `depth` samples of each publisher by time of receipt; the same object if nothing is new."""
         self._drain()
         return self._streams.latest(depth, self._seen_publishers)
 
     def deepen(self, depth: int) -> None:
-        """Keep so many of the newest samples from now on."""
+        """Store this number of the newest samples from now on."""
         self._streams.deepen(depth)
 
     def watch(self, wake: Callable[[], None]) -> LoopWatch:
-        """Wake on the loop after something new arrived."""
+        """Wake on the event loop after new messages."""
         watch = self.watches.add(wake)
         self._rearm()
         return watch
 
     def close(self) -> None:
-        """Show nothing any more."""
+        """Stop reading and waking."""
         reader = self._reader
         if reader is not None:
             self._waiter.disarm(reader.handle)
 
     def _drain(self) -> bool:
-        """Take what is there; whether something new was."""
+        """Take available messages; return whether there were new ones."""
         publishers, reader = self.publishers, self._reader
         if publishers is not self._seen_publishers:
             self._seen_publishers = publishers
@@ -275,7 +275,7 @@ class Feed:
         return self._streams.put(taken, name, publishers, latched)
 
     def _who(self, taken: TakenMessage, publishers: Publishers) -> str:
-        """Return the sender: by its gid if the middleware has it, else the only publishing node."""
+        """Return the sending node: by its gid if the middleware reports it, else the only publishing node."""
         if taken.gid is not None and (found := publishers.gids.get(taken.gid)) is not None:
             return found
         return next(iter(publishers.nodes)) if len(publishers.nodes) == 1 else ""
@@ -300,11 +300,11 @@ class Feed:
         try:
             self._server.call_soon_threadsafe(action)
         except RuntimeError:
-            pass  # the server's loop has ended
+            pass  # the server's event loop has ended
 
 
 class TopicSubscription:
-    """One interest in a topic; implements the contract's `Subscription`."""
+    """A subscription to a topic; implements `Subscription`."""
 
     def __init__(self, feed: Feed, depth: int, release: Callable[[TopicSubscription], None]) -> None:
         self.feed = feed
@@ -314,17 +314,17 @@ class TopicSubscription:
         self._watches: list[LoopWatch] = []
 
     def latest(self) -> Sequence[Sample]:
-        """Return the newest `depth` samples of each publisher, oldest first; the same object while nothing new came."""
+        """Return the newest `depth` samples of each publisher, oldest first; the same object if nothing is new."""
         return () if self._closed else self.feed.latest(self.depth)
 
     def watch(self, wake: Callable[[], None]) -> Watch:
-        """Call `wake` on the server's loop after something new came."""
+        """Call `wake` on the server's event loop after new messages."""
         watch = self.feed.watch(wake)
         self._watches.append(watch)
         return watch
 
     def close(self) -> None:
-        """Give this interest back. Idempotent."""
+        """End the subscription. Idempotent."""
         if not self._closed:
             self._closed = True
             for watch in self._watches:

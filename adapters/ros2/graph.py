@@ -1,4 +1,4 @@
-"""The computation graph from the middleware's view of the system. Pure; unchanged parts are shared."""
+"""Computation graph from the middleware's view of the system. No I/O; unchanged parts are shared."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FEEDBACK = "/_action/feedback"
 
 @dataclass(frozen=True)
 class Observation:
-    """One look at the system. What is ours is in it under our names; `advertised` is what we publish on purpose."""
+    """An observation of the system, including our own things; `advertised` are our explicit publications."""
 
     nodes: tuple[str, ...] = ()
     topics: Names = field(default_factory=dict)
@@ -43,9 +43,9 @@ class Observation:
 
 @dataclass(frozen=True)
 class GraphInputs:
-    """What the graph is made of beside the observation.
+    """Inputs of the graph in addition to the observation.
 
-    `problems` says of types' names why they cannot be used here.
+    `problems` are the reasons why types cannot be used here, by name.
     """
 
     hidden_node: str
@@ -59,12 +59,12 @@ class GraphInputs:
 
     @property
     def ours(self) -> frozenset[str]:
-        """Our nodes."""
+        """Names of our nodes."""
         return frozenset((self.hidden_node, self.own_node))
 
 
 def compose(previous: Graph, seen: Observation, known: GraphInputs) -> Graph:
-    """Return the graph of an observation; `previous` itself where nothing changed."""
+    """Return the graph of an observation, which is `previous` itself if nothing changed."""
     providers = _by_service(seen.providers, known)
     callers = _by_service(seen.callers, known)
     topics = _topics(seen, known)
@@ -95,14 +95,14 @@ def compose(previous: Graph, seen: Observation, known: GraphInputs) -> Graph:
 
 
 def stale(previous: Graph, since_ns: int, why: str) -> Graph:
-    """Return the last known graph, as one that cannot be seen any more."""
+    """Return the last known graph, marked as stale."""
     if isinstance(previous.state, Stale):
         return previous
     return replace(previous, state=Stale(since_ns, why), revision=previous.revision + 1)
 
 
 def foreign_nodes(seen: Observation, hidden_node: str) -> tuple[str, ...]:
-    """The nodes that are not our hidden one, each name once."""
+    """Return the distinct names of all nodes except our hidden one."""
     return tuple(name for name in dict.fromkeys(seen.nodes) if name != hidden_node)
 
 
@@ -132,7 +132,7 @@ def _topic(
 
 
 def _endpoints(seen: list[SeenEndpoint], *, publish: bool) -> tuple[Endpoint, ...]:
-    """The endpoints whose nodes are known; only what publishes can keep messages for those who come late."""
+    """Return the endpoints with known nodes. Only publishers can be latched."""
     found = [
         Endpoint(each.node, each.type, publish and each.qos.durability == "transient_local", None, each.qos)
         for each in seen
@@ -148,7 +148,7 @@ def _service(name: str, types: tuple[str, ...], providers: tuple[str, ...], know
 
 
 def of_action(service: str) -> str | None:
-    """Why an action's own service is not called by itself: it would send or cancel goals past who follows them."""
+    """Return why an action's service must not be called directly (past the followers of its goals), or None."""
     action = action_of(service)
     return action and f"it is a part of the action {action}: goals are sent, followed and canceled by that"
 
@@ -188,7 +188,7 @@ def _by_service(by_node: Mapping[str, Names], known: GraphInputs) -> dict[str, t
 
 
 def _shared(previous: Mapping[str, _V], made: Mapping[str, _V]) -> Mapping[str, _V]:
-    """Return these values, sorted; equal ones are the previous objects, and so is the mapping if all are."""
+    """Return these values, sorted; reuse equal previous values, and the mapping if all are equal."""
     kept: dict[str, _V] = {}
     for name in sorted(made):
         new, old = made[name], previous.get(name)
@@ -199,7 +199,7 @@ def _shared(previous: Mapping[str, _V], made: Mapping[str, _V]) -> Mapping[str, 
 
 
 def type_in_use(graph: Graph, ref: TypeRef) -> TypeRef:
-    """The type of this name that a topic has, where its hash is not said."""
+    """Return the type with the hash that a topic's type of this name has, unless the hash is given."""
     if ref.hash is not None:
         return ref
     types = (each for topic in graph.topics.values() for each in topic.types)

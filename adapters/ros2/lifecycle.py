@@ -1,7 +1,7 @@
-"""Lifecycles: managed nodes, queried through their own services, and followed by their transition events.
+"""Lifecycles: managed nodes, queried with their own services, and followed by their transition events.
 
-A node is asked when it appears, when it tells of a transition, and now and then, for what it tells may get lost.
-Everything here runs on the thread that talks to ROS.
+A node is queried when it appears, when it reports a transition, and periodically, because events may get lost.
+Everything here runs on the ROS thread.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ _FIRST_RETRY = 2.0
 _AGAIN = 10.0
 _AT_ONCE = 16
 _TRIES = 4
-"""Times that a node is asked until its state is the same before and after."""
+"""Maximum number of queries until a node's state is the same before and after."""
 _MAX_TRANSITIONS = 64
 
 
 @dataclass(eq=False)
 class _Managed:
-    """A managed node: what is known of it, and when to ask it next."""
+    """A managed node: its known lifecycle, and the time of its next query."""
 
     lifecycle: Lifecycle
     reader: Reader | None = None
@@ -56,27 +56,27 @@ class _Managed:
 
     @property
     def is_underway(self) -> bool:
-        """Whether a transition is being made."""
+        """Whether a transition is in progress."""
         return self.lifecycle.state is not None and self.lifecycle.state.is_underway
 
 
 @dataclass
 class Lifecycles:
-    """The lifecycles of all nodes but ours. `changed` is called when something changed."""
+    """Lifecycles of all nodes except ours. `changed` is called after changes."""
 
     participant: Participant
     calls: Calls
     waiter: Waiter
     changed: Callable[[], None]
     by_node: Mapping[str, Lifecycle] = field(default_factory=dict)
-    """The lifecycles by node; the same object until one changes."""
+    """Lifecycles by node; the same object until one changes."""
     _managed: dict[str, _Managed] = field(default_factory=dict)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _few: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(_AT_ONCE))
     _loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
 
     def follow(self, providers: Mapping[str, Names], ours: Iterable[str]) -> None:
-        """Set the present nodes (with their services); ask the new, silent and long unasked ones."""
+        """Set the present nodes (with their services); query those that are new, did not respond, or are due."""
         there = {node for node, services in providers.items() if _is_managed(node, services)} - set(ours)
         for gone in self._managed.keys() - there:
             self._leave(self._managed.pop(gone))
@@ -90,12 +90,12 @@ class Lifecycles:
         self._list_anew()
 
     async def wait_settled(self, seconds: float) -> None:
-        """Wait until the nodes being asked have answered, up to a timeout."""
+        """Wait until pending queries have ended, for at most `seconds`."""
         if self._tasks:
             await asyncio.wait(tuple(self._tasks), timeout=seconds)
 
     async def change(self, node: str, label: str, until: float) -> None:
-        """Have a node make a transition; what it then tells of its state is known when this returns or raises.
+        """Request a transition of a node; its new state is known when this returns or raises.
 
         Raises Refused, TimedOut, Unreachable, UnknownType.
         """
@@ -114,40 +114,40 @@ class Lifecycles:
             one.ask_at = 0.0
         try:
             await self._learn(node, one, until)
-        except RosError as error:  # what was asked for is done all the same, or not
+        except RosError as error:  # the transition may have been made nevertheless
             self._silent(one, error)
         if not answer.success:
             raise Refused(f"{node} did not make the transition {label!r}", sent=Sent.YES)
 
     async def _make_sure(self, node: str, one: _Managed, until: float) -> None:
-        """Ask a node for its state; one in transition may not answer, and is not waited for."""
+        """Query a node's state, without waiting for a node in transition, which may not respond."""
         if not one.is_underway:
             await self._learn(node, one, until)
             return
         try:
             await self._learn(node, one, min(until, self._loop.time() + _SHORT_PATIENCE))
         except RosError:
-            pass  # it was heard of what it does
+            pass  # its state is known from events
 
     def close(self) -> None:
-        """Stop asking and following."""
+        """Stop querying and following nodes."""
         for task in self._tasks:
             task.cancel()
         for one in self._managed.values():
             self._leave(one)
         self._managed.clear()
 
-    # What nodes tell by themselves
+    # Events
 
     def _begin_following(self, node: str) -> _Managed:
-        """Return a managed node that appeared: followed from now on, where its types are known here."""
+        """Return a new managed node, followed from now on if its types are known here."""
         problem = class_problem(_STATE)
         if problem is not None:
             return _Managed(Lifecycle(f"{node}/change_state", unknown=problem), ask_at=float("inf"))
         one = _Managed(Lifecycle(f"{node}/change_state"))
         try:
             one.reader = self.participant.reader(f"{node}/transition_event", _EVENT, _EVENTS_QOS)
-        except Exception:  # whatever the middleware finds wrong with the name: then it is asked now and then
+        except Exception:  # any error of the middleware about the name: the node is only queried
             return one
         self._arm(node, one)
         return one
@@ -160,10 +160,13 @@ class Lifecycles:
         try:
             self._loop.call_soon_threadsafe(self._take, node, one)
         except RuntimeError:
-            pass  # the thread's loop has ended
+            pass  # the thread's event loop has ended
 
     def _take(self, node: str, one: _Managed) -> None:
-        """Process transition events: an ongoing one is announced at once, because the node may not answer meanwhile."""
+        """Process transition events.
+
+        A transition in progress is shown at once, as the node may not respond meanwhile.
+        """
         if _take_events(one):
             if one.is_underway:
                 self._list_anew()
@@ -177,7 +180,7 @@ class Lifecycles:
             self.waiter.disarm(reader.handle)
             reader.close()
 
-    # Asking
+    # Queries
 
     def _ask_soon(self, node: str, one: _Managed) -> None:
         one.asking = True
@@ -200,14 +203,14 @@ class Lifecycles:
         self._list_anew()
 
     def _silent(self, one: _Managed, error: Exception) -> None:
-        """Record that a node does not answer; during a transition, only that is reported."""
+        """Record that a node does not respond. During a transition, its state is not replaced."""
         if not one.is_underway:
             why = error.sentence if isinstance(error, RosError) else error
             words = f"it does not tell the state of its lifecycle: {why}"
             one.lifecycle = replace(one.lifecycle, transitions=(), unknown=words)
 
     async def _learn(self, node: str, one: _Managed, until: float) -> None:
-        """Ask a node for its state and its transitions, as of one moment. Raises what calls raise."""
+        """Query a node's state and its transitions consistently. Raises what calls raise."""
         for _ in range(_TRIES):
             _take_events(one)
             now, possible = await asyncio.gather(

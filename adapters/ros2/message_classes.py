@@ -1,4 +1,4 @@
-"""Classes of messages as rclpy has them, by the names of types; messages made of bytes and bytes of messages."""
+"""rclpy's message classes by the names of types, and conversion between messages and bytes."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any, cast
 from rosld.adapters.model import UnknownType
 
 _classes: dict[str, Any] = {}
-"""The classes that were found, by the names of their types: a class that is missing may be installed yet."""
+"""Classes that were found, by type name; others are not cached because they may be installed later."""
 
 
 def class_problem(type: str) -> str | None:
-    """Why messages of a type cannot be read or sent here, None where they can."""
+    """Return why messages of a type cannot be read or sent here, or None."""
     try:
         message_class(type)
     except UnknownType as error:
@@ -50,7 +50,7 @@ def _deserialize(kind: Any, data: bytes) -> object:
 
 
 def message_class(type: str) -> Any:
-    """Return the Python class of a type, with its type support. Raises UnknownType saying what is lacking."""
+    """Return the Python class of a type, with its type support. Raises UnknownType with the missing part."""
     if (known := _classes.get(type)) is not None:
         return known
     package, _, rest = type.partition("/")
@@ -88,7 +88,7 @@ _DERIVED = {
 
 
 def _within(module: Any, kind: str, name: str) -> Any:
-    """Return a class of a module of types; what is derived from a service or an action lies within its class."""
+    """Return a class in a module of types; a derived type's class is nested in that of its service or action."""
     derived = _DERIVED if kind == "action" else {"_Event": ("Event",)} if kind == "srv" else {}
     for end, steps in derived.items():
         if name.endswith(end):

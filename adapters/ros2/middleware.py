@@ -1,9 +1,9 @@
-"""A participant in a ROS 2 system: subscriptions, publishers, clients, and what the middleware sees.
+"""Participant in a ROS 2 system: subscriptions, publishers, clients, and the middleware's view of the system.
 
-With `message_classes` and `qos_profiles` it is all that uses rclpy, which is imported when it is first used.
+Besides `message_classes` and `qos_profiles`, only this module uses rclpy, which is imported on first use.
 
-Contexts are our own, never rclpy's global one, so that no signal handler is touched. Topics are read as bytes, taken
-from the middleware's own history; there is no executor. What is used here is shared by Humble and all later ROS.
+Contexts are our own, not rclpy's global one, so that no signal handlers are changed. Topics are read as bytes from the
+middleware's own history; there is no executor. All used parts of rclpy exist in Humble and later releases.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from rosld.adapters.ros2.profiles import profile_of_qos, qos_of_profile
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
 Names: TypeAlias = Mapping[str, tuple[str, ...]]
-"""Names of topics or services to the names of their types."""
+"""Names of topics or services, with the names of their types."""
 
 
 class Handle(Protocol):
-    """A handle of rclpy's C++ side: entering it keeps it from being destroyed."""
+    """A handle of rclpy's C++ part: entering it prevents its destruction."""
 
     pointer: int
 
@@ -37,7 +37,7 @@ class Handle(Protocol):
 
 
 class SeenEndpoint(NamedTuple):
-    """An endpoint as the middleware knows it; `node` is empty while it does not know whose it is."""
+    """An endpoint known to the middleware; `node` is empty while its node is unknown."""
 
     node: str
     type: TypeRef
@@ -46,9 +46,9 @@ class SeenEndpoint(NamedTuple):
 
 
 class TakenMessage(NamedTuple):
-    """A message as taken: times in nanoseconds of the wall clock, 0 where the middleware does not tell.
+    """A message as taken: times in nanoseconds (wall clock), 0 if the middleware does not report them.
 
-    `number` is the publisher's own count of it, and `gid` who sent it; None where the middleware does not tell.
+    `number` is the publisher's sequence number and `gid` its id, None if the middleware does not report them.
     """
 
     data: bytes
@@ -60,7 +60,7 @@ class TakenMessage(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ParameterChange:
-    """Event of a node: parameters that were added (`new`) or changed, and those deleted."""
+    """Event of a node: parameters that were added (`new`), changed or deleted."""
 
     node: str
     set: tuple[str, ...]
@@ -80,7 +80,7 @@ class Reader:
         self._take = subscription.handle.take_message
 
     def take(self) -> TakenMessage | None:
-        """Return the next message in the history; None where there is none, or no longer a subscription."""
+        """Return the next message in the history, or None if there is none or the subscription has ended."""
         try:
             with self.handle:
                 taken = self._take(self._type, True)
@@ -99,12 +99,11 @@ class Reader:
         )
 
     def publishers(self) -> int:
-        """How many publishers are matched; 1 where rclpy does not tell (Humble)."""
+        """Return the number of matched publishers; 1 if rclpy does not report it (Humble)."""
         count = getattr(self._subscription.handle, "get_publisher_count", None)
         return 1 if count is None else int(count())
 
     def close(self) -> None:
-        """End the subscription."""
         self._node.destroy_subscription(self._subscription)
 
 
@@ -118,7 +117,7 @@ class ParameterEvents:
         self.handle: Handle = self._subscription.handle
 
     def take(self) -> ParameterChange | None:
-        """Return the next change in the history, None where there is none."""
+        """Return the next change in the history, or None."""
         try:
             with self.handle:
                 taken = self._subscription.handle.take_message(self._subscription.msg_type, False)
@@ -145,14 +144,14 @@ class Writer:
         self._publisher = publisher
 
     def publish(self, data: bytes) -> None:
-        """Hand over a message. Raises ValueError where the middleware does not take it."""
+        """Publish a message. Raises ValueError if the middleware refuses it."""
         try:
             self._publisher.publish(data)
         except Exception as error:
             raise ValueError(str(error)) from error
 
     def subscribers(self) -> int:
-        """How many subscribers are matched, our own reader included."""
+        """Return the number of matched subscribers, including our own reader."""
         return int(self._publisher.get_subscription_count())
 
     def close(self) -> None:
@@ -161,7 +160,7 @@ class Writer:
 
 
 class Client:
-    """A client of one service; its answers are taken when its handle is ready."""
+    """A client of one service, whose responses can be taken when its handle is ready."""
 
     def __init__(self, node: Any, client: Any) -> None:
         self.handle: Handle = client.handle
@@ -173,12 +172,12 @@ class Client:
         return bool(self._client.service_is_ready())
 
     def send(self, request: object) -> int:
-        """Send a request (an object of the type's class); the number its answer will have."""
+        """Send a request (an object of the type's class); return the number of its response."""
         with self.handle:
             return int(self._client.handle.send_request(request))
 
     def take(self) -> tuple[int, object] | None:
-        """Return the next answer with its number, None where there is none."""
+        """Return the next response with its number, or None."""
         try:
             with self.handle:
                 header, response = self._client.handle.take_response(self._client.srv_type.Response)
@@ -187,12 +186,11 @@ class Client:
         return None if header is None else (int(header.request_id.sequence_number), response)
 
     def close(self) -> None:
-        """Give it up."""
         self._node.destroy_client(self._client)
 
 
 class Wakeup:
-    """A guard condition: wakes who waits for it, from any thread."""
+    """A guard condition, which wakes a wait set from any thread."""
 
     def __init__(self, context: Any) -> None:
         guard = importlib.import_module("rclpy.guard_condition").GuardCondition
@@ -200,19 +198,17 @@ class Wakeup:
         self.handle: Handle = self._guard.handle
 
     def trigger(self) -> None:
-        """Wake."""
         try:
             self._guard.trigger()
         except _invalid_handle():
-            pass  # nobody waits any more
+            pass  # nobody is waiting any more
 
     def close(self) -> None:
-        """Give it up."""
         self._guard.destroy()
 
 
 class WaitSet:
-    """Waits until one of some handles has something to be taken."""
+    """Waits until one of several handles is ready."""
 
     def __init__(self, context: Any) -> None:
         self._context = context
@@ -221,7 +217,7 @@ class WaitSet:
         self._set: Any = None
 
     def wait(self, readers: Sequence[Handle], clients: Sequence[Handle], wakeup: Handle, seconds: float) -> set[int]:
-        """The pointers of the handles that are ready. The handles must be entered."""
+        """Return the pointers of the handles that are ready. The handles must be entered."""
         room = (_room(len(readers)), _room(len(clients)))
         if self._set is None or room != self._room:
             self._set = self._implementation.WaitSet(room[0], 1, 0, room[1], 0, 0, self._context.handle)
@@ -238,7 +234,7 @@ class WaitSet:
 
 
 class Participant:
-    """Our part in a ROS 2 system: a hidden node that looks, reads and calls, and one that is seen while we publish."""
+    """Our participant in a ROS 2 system: a hidden node for reading and calling, and a visible one while we publish."""
 
     def __init__(self, name: str, domain: int | None, namespace: str) -> None:
         context = importlib.import_module("rclpy.context").Context()
@@ -255,20 +251,20 @@ class Participant:
         self.shown_name: str | None = None
 
     def wakeup(self) -> Wakeup:
-        """Return a guard condition of this context."""
+        """Return a new guard condition."""
         return Wakeup(self.context)
 
     def wait_set(self) -> WaitSet:
-        """Return a wait set of this context."""
+        """Return a new wait set."""
         return WaitSet(self.context)
 
     def node_names(self) -> tuple[str, ...]:
-        """The nodes that can be seen, ours included; a name is there once for each node that has it."""
+        """Return the visible nodes, including ours; a name is repeated if several nodes have it."""
         found = self._hidden.get_node_names_and_namespaces()
         return tuple(_full_name(name, namespace) for name, namespace in found if name != _UNKNOWN)
 
     def topics(self) -> Names:
-        """Return the topics and their types, ours included."""
+        """Return the topics and their types, including ours."""
         return {name: tuple(types) for name, types in self._hidden.get_topic_names_and_types()}
 
     def services(self) -> Names:
@@ -280,14 +276,14 @@ class Participant:
         return self._of(self._hidden.get_service_names_and_types_by_node, node)
 
     def clients_of(self, node: str) -> Names:
-        """The services that a node has clients of."""
+        """Return the services of which a node has clients."""
         return self._of(self._hidden.get_client_names_and_types_by_node, node)
 
     def counts(self, topic: str) -> tuple[int, int]:
-        """Return the numbers of publishers and subscribers of a topic; none for a name that ROS 2 does not allow."""
+        """Return the numbers of publishers and subscribers of a topic; zeros for a name that ROS 2 does not allow."""
         try:
             return self._hidden.count_publishers(topic), self._hidden.count_subscribers(topic)
-        except Exception:  # each ROS has an error of its own for a name that another's middleware let through
+        except Exception:  # releases raise different errors for a name that another middleware accepts
             return 0, 0
 
     def publishers(self, topic: str) -> tuple[SeenEndpoint, ...]:
@@ -295,23 +291,23 @@ class Participant:
         return _endpoints(self._hidden.get_publishers_info_by_topic, topic)
 
     def subscribers(self, topic: str) -> tuple[SeenEndpoint, ...]:
-        """Return the subscribers of a topic, our own included."""
+        """Return the subscribers of a topic, including ours."""
         return _endpoints(self._hidden.get_subscriptions_info_by_topic, topic)
 
     def show(self, name: str) -> None:
-        """Create a node of this name, to publish from."""
+        """Create a visible node of this name, to publish from."""
         if self._shown is None:
             self._shown = _node(name, self.namespace, self.context)
             self.shown_name = _full_name(name, self.namespace)
 
     def hide(self) -> None:
-        """Take the node that publishes away."""
+        """Remove the visible node."""
         if self._shown is not None:
             node, self._shown, self.shown_name = self._shown, None, None
             node.destroy_node()
 
     def reader(self, topic: str, type: str, qos: Qos) -> Reader:
-        """Subscribe. Raises UnknownType, ValueError."""
+        """Return a new subscription. Raises UnknownType, ValueError."""
         events = _no_events("SubscriptionEventCallbacks")
         subscription = self._hidden.create_subscription(
             message_class(type), topic, _ignore, profile_of_qos(qos), event_callbacks=events, raw=True
@@ -319,7 +315,7 @@ class Participant:
         return Reader(self._hidden, subscription, qos)
 
     def writer(self, topic: str, type: str, qos: Qos) -> Writer:
-        """Publish, from the node that is shown. Raises UnknownType, ValueError."""
+        """Return a new publisher of the visible node. Raises UnknownType, ValueError."""
         events = _no_events("PublisherEventCallbacks")
         publisher = self._shown.create_publisher(
             message_class(type), topic, profile_of_qos(qos), event_callbacks=events
@@ -327,15 +323,15 @@ class Participant:
         return Writer(self._shown, publisher, qos)
 
     def client(self, service: str, type: str) -> Client:
-        """Return a client of a service. Raises UnknownType, ValueError."""
+        """Return a new client of a service. Raises UnknownType, ValueError."""
         return Client(self._hidden, self._hidden.create_client(message_class(type), service))
 
     def parameter_events(self) -> ParameterEvents:
-        """Subscribe to the changes of all nodes' parameters."""
+        """Return a subscription to the parameter changes of all nodes."""
         return ParameterEvents(self._hidden)
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the system."""
         self.hide()
         self._hidden.destroy_node()
         self.context.try_shutdown()
@@ -344,13 +340,13 @@ class Participant:
         namespace, _, name = node.rpartition("/")
         try:
             return {each: tuple(types) for each, types in ask(name, namespace or "/")}
-        except Exception:  # the node has gone: each ROS has an error of its own for that
+        except Exception:  # the node has disappeared, for which releases raise different errors
             return {}
 
 
 @cache
 def _invalid_handle() -> Any:
-    """The error of a handle that was destroyed."""
+    """Return the class of the error about a destroyed handle."""
     return importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation.InvalidHandle
 
 
@@ -379,7 +375,7 @@ def _no_events(name: str) -> Any:
 def _endpoints(ask: Any, topic: str) -> tuple[SeenEndpoint, ...]:
     try:
         return tuple(map(_endpoint, ask(topic)))
-    except Exception:  # as for `counts`
+    except Exception:  # see `counts`
         return ()
 
 
@@ -399,9 +395,9 @@ def _full_name(name: str, namespace: str) -> str:
 
 
 def _room(wanted: int) -> int:
-    """Room for some more than are wanted, so that a wait set serves for a while."""
+    """Return a capacity with some reserve, so that a wait set can be reused."""
     return 0 if wanted == 0 else 1 << (wanted - 1).bit_length()
 
 
 def _ignore(_: object) -> None:
-    """No executor ever calls this."""
+    """Do nothing: no executor calls this."""

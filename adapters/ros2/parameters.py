@@ -1,7 +1,7 @@
-"""Parameters: each node's own, asked and set through its services, all nodes at once; events keep the list live.
+"""Parameters of all nodes, read and set concurrently through their services; events update the list.
 
-What a node declares of them is asked with their names, and of those that an event names for the first time soon after.
-A parameter's name is NODE + "/" + PARAMETER. Everything here runs on the thread that talks to ROS.
+Declarations are requested together with the names, and those of new parameters soon after their event. A parameter's
+name is NODE + "/" + PARAMETER. Everything here runs on the ROS thread.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ _MAX_PARAMETERS = 20_000
 
 @dataclass
 class _Owner:
-    """A node with parameters: their names, what it declares of them, and when to ask for them next.
+    """A node with parameters: their names and declarations, and the time of its next query.
 
-    `new` are names of which was not asked yet what is declared; `describes` is whether the node tells at all.
+    `new` are names whose declarations have not been requested yet; `describes` is whether the node returns
+    declarations.
     """
 
     names: frozenset[str] = frozenset()
@@ -70,7 +71,7 @@ class _Owner:
 
 @dataclass
 class Parameters:
-    """The parameters of all nodes but ours. `changed` is called, with the names that did, when something changed."""
+    """Parameters of all nodes except ours. `changed` is called with the names of changed parameters."""
 
     calls: Calls
     changed: Callable[[Sequence[str]], None]
@@ -82,16 +83,16 @@ class Parameters:
 
     @property
     def graph_parameters(self) -> Mapping[str, Parameter]:
-        """The parameters by name; the same object until one comes or goes."""
+        """Return the parameters by name; the same object until one is added or removed."""
         return self._listed
 
     @property
     def simulated_time(self) -> bool:
-        """Whether a node's `use_sim_time` holds."""
+        """Whether a node has `use_sim_time` set."""
         return any(owner.uses_simulated_time for owner in self.owners.values())
 
     def follow(self, providers: Mapping[str, Names], ours: Iterable[str]) -> None:
-        """Set the present nodes (with their services); ask the new, silent and long unasked ones."""
+        """Set the present nodes (with their services); query those that are new, did not respond, or are due."""
         there = {node for node in providers if _provides(providers, node, "list_parameters")} - set(ours)
         for gone in self.owners.keys() - there:
             del self.owners[gone]
@@ -107,7 +108,7 @@ class Parameters:
         self._list_anew()
 
     async def wait_settled(self, seconds: float) -> None:
-        """Wait until the nodes being asked have answered, up to a timeout."""
+        """Wait until pending queries have ended, for at most `seconds`."""
         if self._tasks:
             await asyncio.wait(tuple(self._tasks), timeout=seconds)
 
@@ -121,7 +122,7 @@ class Parameters:
         self.changed([f"{change.node}/{name}" for name in (*change.set, *change.deleted)])
 
     def owner_of(self, name: str) -> tuple[str, str] | None:
-        """The node and its parameter of a name: the pair that is known, else the longest node's name that fits."""
+        """Return node and parameter for a name: the known pair, else the longest node name that is a prefix."""
         known = self._listed.get(name)
         if known is not None and known.node is not None:
             return known.node, name[len(known.node) + 1 :]
@@ -130,7 +131,7 @@ class Parameters:
         return None if node is None else (node, name[len(node) + 1 :])
 
     async def get(self, names: Sequence[str], until: float) -> dict[str, ParameterValue]:
-        """The values of those names that there are; a name that holds others gives a dict of what lies below."""
+        """Return the values of existing names; that of a prefix of other names is a dict."""
         trees = {name: self._below(name) for name in names if name not in self._listed}
         wanted: dict[str, None] = dict.fromkeys(name for name in names if self.owner_of(name) is not None)
         wanted.update(dict.fromkeys(each for below in trees.values() for each in below))
@@ -143,7 +144,7 @@ class Parameters:
         }
 
     async def set(self, values: Mapping[str, ParameterValue], until: float) -> None:
-        """Set them, those of one node all or none. Raises Refused naming the parameter, NotFound, TimedOut."""
+        """Set parameters, all or none of each node. Raises Refused naming the parameter, NotFound, TimedOut."""
         by_node: dict[str, dict[str, tuple[str, ParameterValue]]] = {}
         for name, value in values.items():
             node, parameter = self._owner(name)
@@ -154,7 +155,7 @@ class Parameters:
         await _all_done(*(self._set(node, given, until) for node, given in by_node.items()))
 
     async def delete(self, names: Sequence[str], until: float) -> None:
-        """Delete them, or what lies below them. Raises NotFound, Refused."""
+        """Delete parameters, or those below a prefix. Raises NotFound, Refused."""
         by_node: dict[str, list[str]] = {}
         for name in names:
             leaves = [name] if name in self._listed else self._below(name)
@@ -166,12 +167,12 @@ class Parameters:
         await _all_done(*(self._delete(node, given, until) for node, given in by_node.items()))
 
     def close(self) -> None:
-        """Stop asking."""
+        """Cancel pending queries."""
         for task in self._tasks:
             task.cancel()
 
     def _as_declared(self, name: str, value: ParameterValue) -> ParameterValue:
-        """The value in the type that is declared, where it fits; the node judges all others."""
+        """Return the value converted to the declared type if possible; the node checks other values."""
         known = self._listed.get(name)
         type = None if known is None or known.descriptor is None else known.descriptor.type
         fit = None if type is None else coerce(value, type)
@@ -184,12 +185,12 @@ class Parameters:
         return found
 
     def _below(self, name: str) -> list[str]:
-        """Return the names of the parameters that lie below a name, which is no parameter itself."""
+        """Return the names of the parameters below a prefix that is not itself a parameter."""
         prefix = "/" if name == "/" else f"{name}/"
         return [each for each in self._listed if each.startswith(prefix)]
 
     async def _values(self, names: Iterable[str], until: float, *, strict: frozenset[str]) -> dict[str, ParameterValue]:
-        """The values of parameters; a node that does not answer fails those that were asked for by name alone."""
+        """Return the values of parameters. A node that does not respond is an error only for `strict` names."""
         by_node: dict[str, list[tuple[str, str]]] = {}
         for name in names:
             node, parameter = self._owner(name)
@@ -208,7 +209,7 @@ class Parameters:
 
     async def _ask_values(self, node: str, wanted: list[tuple[str, str]], until: float) -> dict[str, ParameterValue]:
         response = await self._ask(node, "get_parameters", {"names": [parameter for _, parameter in wanted]}, until)
-        if len(response.values) != len(wanted):  # one of them is not declared, and the whole answer is empty
+        if len(response.values) != len(wanted):  # a parameter is undeclared, which makes the whole response empty
             if len(wanted) == 1:
                 return {}
             halves = (wanted[: len(wanted) // 2], wanted[len(wanted) // 2 :])
@@ -248,7 +249,7 @@ class Parameters:
         return {name: value.type for name, value in zip(parameters, response.values, strict=False)}
 
     def _note(self, node: str, *, set: Iterable[str] = (), deleted: Iterable[str] = ()) -> None:
-        """Show at once what was just done; the node's own event follows."""
+        """Apply our own change at once; the node's event follows."""
         owner = self.owners.get(node)
         if owner is not None:
             self._became(node, owner, tuple(set), tuple(deleted))
@@ -257,7 +258,7 @@ class Parameters:
     def _became(
         self, node: str, owner: _Owner, set: Sequence[str], deleted: Sequence[str], new: Sequence[str] = ()
     ) -> None:
-        """Process added and deleted parameters; declarations of new ones are requested soon."""
+        """Process added and deleted parameters; request the declarations of new ones soon."""
         owner.generation += 1
         room = max(0, _MAX_PARAMETERS - len(owner.names))
         came = [name for name in dict.fromkeys(set) if name not in owner.names][:room]
@@ -289,7 +290,7 @@ class Parameters:
             if descriptors is not None:
                 owner.wait = _FIRST_RETRY
             owner.uses_simulated_time = simulated
-            if generation == owner.generation:  # else an event told of something younger
+            if generation == owner.generation:  # else an event was newer than this response
                 owner.names = names
             else:
                 owner.ask_at = loop.time() + _FIRST_RETRY
@@ -308,12 +309,12 @@ class Parameters:
         return frozenset(list(response.result.names)[:_MAX_PARAMETERS])
 
     def _ask_again(self, owner: _Owner) -> None:
-        """Ask a node that did not answer again, each time after a longer while."""
+        """Schedule another query of a node, with an increasing delay."""
         owner.ask_at = asyncio.get_running_loop().time() + owner.wait
         owner.wait = min(2 * owner.wait, _LONGEST_RETRY)
 
     async def _describe(self, node: str, owner: _Owner, names: Iterable[str]) -> dict[str, Descriptor] | None:
-        """Return the declarations of parameters by a node; None if it does not answer in time."""
+        """Return a node's declarations of parameters, or None if it does not respond in time."""
         found: dict[str, Descriptor] = {}
         waiting = [sorted(names)] if owner.describes else []
         until = asyncio.get_running_loop().time() + _PATIENCE
@@ -324,14 +325,14 @@ class Parameters:
                 if len(response.descriptors) == len(some):
                     told = zip(some, map(descriptor_of, response.descriptors), strict=True)
                     found.update((name, descriptor) for name, descriptor in told if descriptor is not None)
-                elif len(some) > 1:  # one of them is not declared, and the whole answer is empty
+                elif len(some) > 1:  # one of them is undeclared, which makes the whole response empty
                     waiting += (some[: len(some) // 2], some[len(some) // 2 :])
         except (RosError, ValueError):
             return None
         return found
 
     async def _describe_new(self, node: str, owner: _Owner) -> None:
-        """Ask what is declared of new parameters, and of those that come meanwhile."""
+        """Request the declarations of new parameters until there are no more."""
         while owner.new and self.owners.get(node) is owner:
             names = owner.new
             async with self._few:
@@ -371,12 +372,12 @@ class Parameters:
 
 
 def _provides(providers: Mapping[str, Names], node: str, service: str) -> bool:
-    """Whether a node has one of the services of parameters."""
+    """Whether a node has this parameter service."""
     return _SERVICES[service] in providers[node].get(f"{node}/{service}", ())
 
 
 async def _all(*coroutines: Any) -> list[Any]:
-    """Return the results of all, which are all waited for; then the first error is raised."""
+    """Return all results; wait for all coroutines before raising the first error."""
     results = await asyncio.gather(*coroutines, return_exceptions=True)
     for result in results:
         if isinstance(result, BaseException):
@@ -385,7 +386,7 @@ async def _all(*coroutines: Any) -> list[Any]:
 
 
 async def _all_done(*writes: Any) -> None:
-    """Carry out writes to several nodes; of an error it is known whether another node may have been written to."""
+    """Execute writes to several nodes. The error reports whether another node may have been changed."""
     results = await asyncio.gather(*writes, return_exceptions=True)
     errors = [each for each in results if isinstance(each, BaseException)]
     for error in errors:

@@ -1,4 +1,4 @@
-"""Quality of service: conversion to and from rclpy's profiles, and the profiles that match every endpoint. Pure."""
+"""Quality of service: conversion from and to rclpy's profiles, and profiles that match all endpoints. No I/O."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from rosld.adapters.model import Endpoint, Qos
 
 _LATCHED_DEPTH = 16
-"""A latched topic's late look holds at least so many messages: those of several publishers share one history."""
+"""Minimum history depth for a latched topic, because several publishers share the history."""
 
 
 def override_for(topic: str, overrides: Sequence[tuple[str, Qos]]) -> Qos:
@@ -20,9 +20,9 @@ def override_for(topic: str, overrides: Sequence[tuple[str, Qos]]) -> Qos:
 
 
 def reading_profile(publishers: Sequence[Endpoint], depth: int, override: Qos = Qos()) -> Qos:  # noqa: B008
-    """Return the profile to read with: best effort, so that no reliable writer ever waits for us.
+    """Return the profile for reading: best effort, so that no reliable writer ever waits for us.
 
-    Where all publishers are transient-local it is theirs, so that what they said before we came is heard.
+    If all publishers are transient local and reliable, so is the profile, to receive their earlier messages.
     """
     known = [each.qos for each in publishers if each.qos is not None]
     profile = Qos("best_effort", "volatile", "keep_last", depth)
@@ -32,9 +32,10 @@ def reading_profile(publishers: Sequence[Endpoint], depth: int, override: Qos = 
 
 
 def publishing_profile(subscribers: Sequence[Endpoint], *, latch: bool, override: Qos = Qos()) -> Qos:  # noqa: B008
-    """Return the profile that all subscribers accept, and that keeps the last message for later ones where `latch`.
+    """Return a profile that all subscribers accept; with `latch`, later subscribers receive the last message.
 
-    DDS 1.4, 2.2.3: whoever offers more than is requested fits. So it is reliable, and whatever else was requested.
+    DDS 1.4, 2.2.3: the offered quality must be at least the requested one, so the profile is reliable, and has the
+    strictest requested values.
     """
     known = [each.qos for each in subscribers if each.qos is not None]
     keeps = latch or any(qos.durability == "transient_local" for qos in known)
@@ -51,7 +52,7 @@ def publishing_profile(subscribers: Sequence[Endpoint], *, latch: bool, override
 
 
 def apply_override(profile: Qos, override: Qos) -> Qos:
-    """Return the profile, but for what the override says."""
+    """Return the profile with the values of the override."""
     said = {each.name: value for each in fields(Qos) if (value := getattr(override, each.name)) not in (None, 0)}
     return replace(profile, **said)
 
@@ -77,7 +78,7 @@ _POLICIES = {
 
 
 def qos_of_profile(profile: Any) -> Qos:
-    """Return the Qos of an endpoint from rclpy's profile; None for defaults and unknown policies."""
+    """Return the Qos for rclpy's profile of an endpoint; None for defaults and unknown policies."""
     words = {policy: table.get(getattr(profile, policy).name) for policy, table in _POLICIES.items()}
     return Qos(
         **words,
@@ -89,13 +90,13 @@ def qos_of_profile(profile: Any) -> Qos:
 
 
 def _nanoseconds(duration: Any) -> int | None:
-    """Return a time; None for "infinite" and for an unspecified time (zero)."""
+    """Return a time; None if it is infinite or unspecified (zero)."""
     found = int(duration.nanoseconds)
     return found if 0 < found < _FOR_EVER // 2 else None
 
 
 def profile_of_qos(qos: Qos) -> Any:
-    """rclpy's profile; what is not said is best effort's opposite: reliable, volatile, the last one."""
+    """Return rclpy's profile; the defaults are reliable, volatile, and a history of one."""
     module = importlib.import_module("rclpy.qos")
     duration = importlib.import_module("rclpy.duration").Duration
     given: dict[str, object] = {

@@ -1,6 +1,6 @@
 """Publications of rosld: one writer per topic, with a profile that all its subscribers accept.
 
-Made on the thread that talks to ROS; how many are matched may be asked on any.
+Created on the ROS thread; the number of matched subscribers is available on any thread.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from rosld.adapters.ros2.types import Types
 
 _PAUSE = 0.005
 _PATIENCE = 0.5
-"""Seconds that a new publication waits for all subscribers, after the first."""
+"""Maximum seconds that a new publication waits for further subscribers after the first."""
 _SETTLING = 0.1
-"""Seconds until a matched best-effort subscriber, for whom nothing is repeated, knows of us as well."""
+"""Seconds for a matched best-effort subscriber, to which nothing is sent twice, to discover us as well."""
 
 
 class Publication:
-    """A topic that rosld publishes; `ours` returns rosld's own reader of it, which does not count."""
+    """A topic that rosld publishes; `ours` returns rosld's own reader of it, which is not counted."""
 
     def __init__(self, topic: str, ref: TypeRef, writer: Writer, ours: Callable[[], Reader | None]) -> None:
         self.topic = topic
@@ -35,7 +35,7 @@ class Publication:
 
     @property
     def qos(self) -> Qos:
-        """The profile it is published with."""
+        """Profile of the publication."""
         return self.writer.qos
 
     @property
@@ -45,17 +45,17 @@ class Publication:
 
     @property
     def matched(self) -> int:
-        """The number of connected subscribers."""
+        """Number of connected subscribers."""
         reader = self._ours()
         own = reader is not None and is_compatible(reader.qos, self.qos)
         return max(0, self.writer.subscribers() - own)
 
     def carries(self, type: TypeRef) -> bool:
-        """Whether messages of this type can be published here."""
+        """Whether the topic accepts messages of this type."""
         return type.name == self.ref.name and type.hash in (None, self.ref.hash)
 
     async def wait_matched(self, wanted: int, until: float, patience: float) -> None:
-        """Wait for one subscriber until then, and for as many as are wanted no longer than `patience` seconds."""
+        """Wait for one subscriber until a time, then at most `patience` seconds for `wanted` subscribers."""
         loop = asyncio.get_running_loop()
         while self.matched == 0 and loop.time() < until:  # noqa: ASYNC110 - the middleware tells of no match
             await asyncio.sleep(_PAUSE)
@@ -64,13 +64,13 @@ class Publication:
             await asyncio.sleep(_PAUSE)
 
     async def wait_settled(self, until: float) -> None:
-        """Wait until matched subscribers know of us too."""
+        """Wait until matched subscribers have discovered us, too."""
         left = until - asyncio.get_running_loop().time()
         if left > 0 and self.matched:
             await asyncio.sleep(min(left, _SETTLING))
 
     def send(self, data: bytes) -> None:
-        """Hand over a message; one that the middleware does not take is lost, as one on a broken line would be."""
+        """Publish a message; one that the middleware refuses is lost, as on a broken connection."""
         try:
             self.writer.publish(data)
         except ValueError:
@@ -78,10 +78,10 @@ class Publication:
 
 
 class Publications:
-    """The topics that rosld publishes. Belongs to the thread of ROS, but for `suits` and reading `by_topic`.
+    """The topics that rosld publishes. Belongs to the ROS thread, except for `suits` and reading `by_topic`.
 
-    `graph` tells the system's graph as it is now, `reader_of` what rosld itself reads a topic with, and `look` has the
-    graph show what a topic's endpoints are.
+    `graph` returns the current graph, `reader_of` rosld's own reader of a topic, and `look` updates a topic's endpoints
+    in the graph.
     """
 
     def __init__(
@@ -104,13 +104,13 @@ class Publications:
 
     @property
     def by_topic(self) -> Mapping[str, Publication]:
-        """The current publications."""
+        """Current publications by topic."""
         return self._by_topic
 
     async def advertise(self, topic: str, type: TypeRef, latch: bool, until: float) -> Publication:
-        """Publish a topic from now on, and wait for its subscribers as `Adapter.publish` promises.
+        """Start publishing a topic, and wait for its subscribers as specified by `Adapter.publish`.
 
-        Raises Refused where it is ours with another type, UnknownType, Unreachable.
+        Raises Refused if we publish the topic with another type, UnknownType, Unreachable.
         """
         wanted = 1
         async with self._advertising:
@@ -121,13 +121,13 @@ class Publications:
                 publication = await self._advertise(topic, type, latch, until)
                 known = self._graph().topics.get(topic)
                 wanted = max(1, len(known.subscribers) if known else 0)
-        # Outside the lock: a topic whose subscribers never match must not hold up the others.
+        # Outside of the lock, so that a topic whose subscribers never match does not delay others.
         await publication.wait_matched(wanted, until, _PATIENCE)
         await publication.wait_settled(until)
         return publication
 
     def suits(self, publication: Publication, latch: bool) -> bool:
-        """Whether all subscribers still accept a publication's profile. From any thread."""
+        """Whether all subscribers still accept a publication's profile (thread-safe)."""
         wanted = self._profile(publication.topic, latch or publication.latched)
         return replace(wanted, depth=publication.qos.depth) == publication.qos
 

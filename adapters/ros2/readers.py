@@ -1,4 +1,4 @@
-"""The topics that are read: one reader for each feed, with the profile that fits the topic's publishers now."""
+"""Readers of topics: one for each feed, with a profile that matches the topic's current publishers."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from rosld.adapters.ros2.profiles import override_for, reading_profile
 from rosld.adapters.ros2.types import Types
 
 _PROOF = 5.0
-"""Seconds to find out whether messages of a type can be decoded."""
+"""Maximum seconds for checking whether messages of a type can be decoded."""
 
 
 class Readers:
-    """Reads feeds. `refresh_soon` is called when a topic turns out not to be readable. Belongs to the thread of ROS."""
+    """Readers of feeds. `refresh_soon` is called when a topic is found to be unreadable. Belongs to the ROS thread."""
 
     def __init__(
         self, participant: Participant, types: Types, options: AdapterOptions, refresh_soon: Callable[[], None]
@@ -39,7 +39,7 @@ class Readers:
         return feed.reader if feed is not None else None
 
     def add(self, feed: Feed) -> None:
-        """Read a topic from the next `follow` on."""
+        """Read a topic, starting with the next `follow`."""
         self._feeds[feed.topic] = feed
 
     def remove(self, feed: Feed) -> None:
@@ -61,7 +61,7 @@ class Readers:
             self.follow(feed, graph, seen(feed.topic))
 
     def follow(self, feed: Feed, graph: Graph, seen: Sequence[SeenEndpoint]) -> None:
-        """Read a feed's topic with the profile that fits its publishers now."""
+        """Read a feed's topic with a profile that matches its current publishers."""
         if self._feeds.get(feed.topic) is not feed:
             return
         feed.own = graph.own_node
@@ -82,7 +82,7 @@ class Readers:
             self._read_with(feed, type, wanted)
 
     def _prove(self, type: TypeRef, graph: Graph) -> None:
-        """Find out, once, whether messages of a type that is read can be decoded: else its topics say why not."""
+        """Check once whether messages of a type can be decoded; if not, its topics are marked as unreadable."""
         if type in self._proved:
             return
         self._proved.add(type)
@@ -102,7 +102,7 @@ class Readers:
     def _read_with(self, feed: Feed, type: TypeRef, wanted: Qos) -> None:
         try:
             reader: Reader | None = self._participant.reader(feed.topic, type.name, wanted)
-        except Exception:  # a name that ROS 2 does not allow, a profile that the middleware refuses
+        except Exception:  # a name that ROS 2 does not allow, or a profile that the middleware refuses
             return
         if (before := feed.read_with(reader)) is not None:
             before.close()

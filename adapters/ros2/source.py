@@ -1,4 +1,4 @@
-"""Sources: `ros2:?domain=42&namespace=/robot1`, checked, and whether there is an rclpy to reach them with."""
+"""Sources: `ros2:?domain=42&namespace=/robot1`, and whether rclpy is available."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ HOW_TO_GET_IT = (
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A domain (None: ROS_DOMAIN_ID's, else 0) and the namespace of our own nodes in it."""
+    """A domain (None: ROS_DOMAIN_ID or 0), and the namespace of our own nodes in it."""
 
     domain: int | None = None
     namespace: str = "/"
 
 
 def read_source(text: str) -> Source:
-    """Return the source that `ros2`, `ros2:` or `ros2:?domain=42&namespace=/robot1` names.
+    """Return the source in `ros2`, `ros2:` or `ros2:?domain=42&namespace=/robot1`.
 
     Raises ValueError with a sentence for the user.
     """
@@ -62,7 +62,7 @@ def _namespace(text: str) -> str:
 
 
 def require_rclpy() -> None:
-    """Raise ValueError, saying how to get it, where rclpy is not there or cannot be loaded."""
+    """Raise ValueError, with instructions, if rclpy is missing or cannot be loaded."""
     try:
         importlib.import_module("rclpy.node")
     except ModuleNotFoundError as error:

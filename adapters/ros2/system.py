@@ -1,4 +1,4 @@
-"""rosld in a ROS 2 system: everything on the thread that talks to ROS, and the polling that keeps it up to date."""
+"""rosld in a ROS 2 system: all work on the ROS thread, and the polling of the graph."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from rosld.adapters.ros2.wait_set import Waiter
 _EVERY = 0.2
 _SOON = 0.02
 _DISCOVERY = 4.0
-"""Seconds to wait for the first node: announcements that get lost are made again after three."""
+"""Seconds to wait for the first node: lost announcements are repeated after three."""
 _STABLE = 0.3
 _PATIENCE = 0.5
 
 
 class System:
-    """Polls, reads topics, publishes, calls. Made and used on the thread that talks to ROS, but for `graph`."""
+    """Polls the system, reads and publishes topics, calls services. Used on the ROS thread, except for `graph`."""
 
     def __init__(self, source: Source, graph: Graph, options: AdapterOptions, library: TypeLibrary, sink: Sink) -> None:
         self._sink = sink
@@ -59,11 +59,11 @@ class System:
 
     @property
     def graph(self) -> Graph:
-        """The system as it was last seen."""
+        """The last known graph."""
         return self._graph.current
 
     async def open(self, until: float) -> None:
-        """Poll until discovery has found the system, whose end no event announces."""
+        """Poll until discovery is complete, which no event reports."""
         self.waiter.start()
         watch_parameter_events(self._participant, self.waiter, self._parameter_event)
         loop = asyncio.get_running_loop()
@@ -98,7 +98,7 @@ class System:
     # Reading
 
     def read(self, feed: Feed) -> None:
-        """Begin to read a topic."""
+        """Start reading a topic."""
         self._readers.add(feed)
         self._follow(feed)
 
@@ -107,7 +107,7 @@ class System:
         self._readers.remove(feed)
 
     def deepen(self, feed: Feed) -> None:
-        """Heed that a feed wants another depth."""
+        """Apply a feed's new depth."""
         self._follow(feed)
 
     def _follow(self, feed: Feed) -> None:
@@ -143,17 +143,17 @@ class System:
         return await self.actions.send(action, goal, until)
 
     async def cancel_goal(self, goal: GoalId, until: float) -> None:
-        """Ask for a goal to be canceled. Raises Refused, TimedOut, Unreachable, NotFound."""
+        """Cancel a goal. Raises Refused, TimedOut, Unreachable, NotFound."""
         self._action(goal.action)
         await self.actions.cancel(goal, until)
 
     async def cancel_goals(self, name: str, until: float) -> None:
-        """Ask for all goals of an action to be canceled. Raises Refused, TimedOut, Unreachable, NotFound."""
+        """Cancel all goals of an action. Raises Refused, TimedOut, Unreachable, NotFound."""
         self._action(name)
         await self.actions.cancel_all(name, until)
 
     async def follow_goals(self, name: str, until: float) -> Callable[[], None]:
-        """Announce all goals of an action to the sink until what is returned is called. Raises Refused, NotFound."""
+        """Report all goals of an action to the sink until the returned function is called. Raises Refused, NotFound."""
         return await self.actions.follow(self._action(name), until)
 
     def _action(self, name: str) -> Action:
@@ -176,7 +176,7 @@ class System:
     # The graph
 
     async def look(self, topics: Sequence[str] = ()) -> None:
-        """Look at the system now; at the endpoints of these topics whether something hints at a change or not."""
+        """Poll the system now, always including the endpoints of these topics."""
         await self._discovery.look(topics)
         providers = self._discovery.seen.providers
         self.parameters.follow(providers, self._ours())
@@ -184,7 +184,7 @@ class System:
         self.refresh()
 
     def refresh(self) -> None:
-        """Rebuild the graph and announce it where it changed."""
+        """Rebuild the graph and report changes."""
         self._refreshing = False
         seen = self._discovery.seen
         has_robot = any(self._is_robots(name) for name in foreign_nodes(seen, self._participant.hidden_name))
@@ -192,7 +192,7 @@ class System:
         self._readers.follow_all(self.graph, lambda topic: seen.publishers.get(topic, ()))
 
     def refresh_soon(self) -> None:
-        """Rebuild the graph, once for all that happens in this turn of the loop."""
+        """Rebuild the graph once for all changes in this iteration of the loop."""
         if not self._refreshing:
             self._refreshing = True
             asyncio.get_running_loop().call_soon(self.refresh)
@@ -204,7 +204,7 @@ class System:
                 await self.look()
                 self.calls.drop_gone_servers()
                 self.actions.drop_gone_servers(self.graph.actions)
-            except Exception as error:  # whatever the middleware provokes: the next look tries again
+            except Exception as error:  # any error of the middleware: the next poll retries
                 self._graph.mark_stale(f"the system cannot be looked at: {error}")
                 await asyncio.sleep(_EVERY)
 
@@ -221,12 +221,12 @@ class System:
         )
 
     def _ours(self) -> tuple[str, ...]:
-        """Return the nodes of rosld, which are never asked."""
+        """Return the nodes of rosld, which are never queried."""
         shown = self._participant.shown_name
         return (self._participant.hidden_name,) if shown is None else (self._participant.hidden_name, shown)
 
     def _is_robots(self, node: str) -> bool:
-        """Whether a node is the robot's: neither ours nor one of the tools, which hide."""
+        """Whether a node belongs to the robot, not to rosld or to tools, which are hidden."""
         return node != self._participant.shown_name and not node.rpartition("/")[2].startswith("_")
 
     def _parameters_changed(self, names: Sequence[str]) -> None:
@@ -237,13 +237,13 @@ class System:
     def _parameter_event(self, change: ParameterChange) -> None:
         if change.node not in self._ours():
             self.parameters.event(change)
-        self._discovery.look_soon()  # a node that begins tells of its parameters: a hint to look
+        self._discovery.look_soon()  # a new node reports its parameters, so poll soon
 
 
 def watch_parameter_events(
     participant: Participant, waiter: Waiter, on_event: Callable[[ParameterChange], None]
 ) -> None:
-    """Call `on_event` on this loop with each change of any node's parameters, until the waiter stops."""
+    """Call `on_event` on the current event loop with each change of any node's parameters, until the waiter stops."""
     events = participant.parameter_events()
     loop = asyncio.get_running_loop()
 
@@ -251,7 +251,7 @@ def watch_parameter_events(
         waiter.arm(events.handle, "reader", ready)
 
     def ready() -> None:
-        with contextlib.suppress(RuntimeError):  # the thread's loop has ended
+        with contextlib.suppress(RuntimeError):  # the thread's event loop has ended
             loop.call_soon_threadsafe(take)
 
     def take() -> None:
@@ -263,11 +263,11 @@ def watch_parameter_events(
 
 
 def hidden_name() -> str:
-    """Return the name of the node that looks: hidden, as those of ROS 2's own tools are."""
+    """Return the name of the reading node, which is hidden like those of ROS 2's own tools."""
     return f"_{unique_name()}"
 
 
 def unique_name() -> str:
-    """A name that no other rosld has, also where containers share a host's name and each has the process id 1."""
+    """Return a name unique among rosld nodes, even if containers share a host name and all have the process id 1."""
     host = re.sub(r"\W", "_", socket.gethostname(), flags=re.ASCII)
     return f"rosld_{host}_{os.getpid()}_{time.monotonic_ns() % 10**6}"

@@ -25,9 +25,9 @@ _MAX_ASKED = 3
 def definition_folders(
     given: Iterable[Path], environment: Mapping[str, str] = os.environ, prefix: str = sys.prefix
 ) -> Sequence[Path]:
-    """The folders in which definitions may lie: those given, then the share folders of the ROS that is sourced.
+    """Return the folders that may contain definitions: those given, then the share folders of the sourced ROS.
 
-    Wheels have theirs in the venv.
+    For wheels, the share folder of the virtual environment.
     """
     prefixes = [each for each in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if each]
     shares = [Path(each) / "share" for each in (*prefixes, prefix)]
@@ -62,7 +62,7 @@ class DescriptionMessage(Protocol):
 
 
 class Types:
-    """The type library as the thread that talks to ROS uses it."""
+    """The type library for the ROS thread."""
 
     def __init__(self, library: TypeLibrary, calls: Calls) -> None:
         self.library = library
@@ -76,17 +76,17 @@ class Types:
         }
 
     def problem(self, name: str) -> str | None:
-        """Why messages of a type cannot be read or sent here, None where they can."""
+        """Return why messages of a type cannot be read or sent here, or None."""
         if name not in self._problems:
             self._problems[name] = class_problem(name)
         return self._problems[name]
 
     def note_problem(self, name: str, words: str) -> None:
-        """Messages of this type cannot be decoded, as these words say."""
+        """Record why messages of a type cannot be decoded."""
         self._problems[name] = words
 
     def with_hash(self, ref: TypeRef) -> TypeRef:
-        """Return the type with the hash of the local definition, if the middleware has none (Humble)."""
+        """Return the type with the local definition's hash if the middleware reports none (Humble)."""
         if ref.hash is not None:
             return ref
         if ref.name not in self._hashes:
@@ -97,7 +97,7 @@ class Types:
         return TypeRef(ref.name, self._hashes[ref.name])
 
     async def schema(self, ref: TypeRef, users: Sequence[str], until: float) -> Schema:
-        """Return the schema of a type: from what lies here, else, if its hash is known, asked of the nodes that use it.
+        """Return the schema of a type: from local definitions, else, if its hash is known, from the nodes that use it.
 
         Raises UnknownType.
         """
@@ -130,9 +130,9 @@ class Types:
             return None
 
     def _learn(self, ref: TypeRef, answer: DescriptionMessage) -> Schema:
-        """The schema in the answer of a node: from the sources, which have constants and comments, else as described.
+        """Return the schema in a node's response: from sources, which have constants and comments, else as described.
 
-        Raises ValueError where neither can be read, or has the hash.
+        Raises ValueError if neither can be read or has the right hash.
         """
         sources = {each.type_name: (each.encoding, each.raw_file_contents) for each in answer.type_sources}
         kind = written_form(ref.name)
@@ -147,7 +147,7 @@ class Types:
 
 
 def _with_nested(text: str, sources: Mapping[str, tuple[str, str]]) -> str:
-    """A definition with those of the messages that it may nest appended."""
+    """Return a definition with those of the messages that it may nest appended."""
     parts = [text.rstrip("\n")]
     for name, (kind, nested) in sources.items():
         if kind == "msg":

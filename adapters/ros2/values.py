@@ -1,4 +1,4 @@
-"""Parameter values and descriptors of ROS 2 as Python's own types, exactly: 1 is an integer, 1.0 a double."""
+"""ROS 2 parameter values and descriptors as Python's own types: 1 is an integer, 1.0 a double."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class ValueMessage(Protocol):
 
 
 def from_message(message: ValueMessage) -> ParameterValue | None:
-    """Return the value; None where the parameter is declared but not set."""
+    """Return the value, or None if the parameter is declared but not set."""
     try:
         tag = Tag(message.type)
     except ValueError:
@@ -68,9 +68,9 @@ def from_message(message: ValueMessage) -> ParameterValue | None:
 
 
 def to_fields(name: str, value: object, current: int | None = None) -> dict[str, object]:
-    """Return the fields of the message of a value; `current` is the tag that the parameter has now, for an empty list.
+    """Return the fields of a value's message; `current` is the parameter's tag, used for an empty list.
 
-    Raises Refused, naming the parameter, for what ROS 2's parameters cannot hold.
+    Raises Refused, naming the parameter, for a value that ROS 2's parameters cannot have.
     """
     tag = _tag(name, value, current)
     if tag is Tag.BYTE_ARRAY and isinstance(value, bytes):
@@ -116,7 +116,7 @@ def _check(name: str, value: object) -> None:
 
 
 _LONGEST = 4096
-"""The characters that are kept of a text."""
+"""Maximum number of characters of a text."""
 
 _READ = frozenset({Operation.GET_PARAMETER})
 _WRITE = _READ | {Operation.SET_PARAMETER}
@@ -134,7 +134,7 @@ _TYPES: Mapping[int, ParameterType] = {
 
 
 def operations_on(descriptor: Descriptor | None) -> frozenset[Operation]:
-    """Return the operations on a parameter: nodes keep typed and read-only ones."""
+    """Return the operations on a parameter: typed and read-only ones cannot be deleted."""
     if descriptor is not None and descriptor.read_only:
         return _READ
     return _WRITE if descriptor is not None and descriptor.type is not None else _WRITE | {Operation.DELETE_PARAMETER}
@@ -161,7 +161,7 @@ class DescriptorMessage(Protocol):
 
 
 def descriptor_of(message: DescriptorMessage) -> Descriptor | None:
-    """Return the declaration in a message; None for an undeclared parameter."""
+    """Return the declaration in a message, or None for an undeclared parameter."""
     dynamic = bool(message.dynamic_typing)
     type = None if dynamic else _TYPES.get(message.type)
     found = Descriptor(
@@ -181,7 +181,7 @@ def _text(text: str) -> str:
 
 
 def _range(type: ParameterType | None, message: DescriptorMessage) -> Range | None:
-    """The range that is about values of the type; the ends may come in either order, the step with either sign."""
+    """Return the range for values of the type; the ends may be in any order, the step may have any sign."""
     if type is ParameterType.INTEGER:
         ranges = message.integer_range
     elif type is ParameterType.DOUBLE:

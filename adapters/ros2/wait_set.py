@@ -1,7 +1,6 @@
-"""The thread that waits for the middleware and notifies readers; it takes no messages itself.
+"""Thread that waits for the middleware and notifies readers, without taking messages itself.
 
-Whoever wants to be told arms a handle; once told, it is armed no more until it says so again, so that many messages
-cost one wake, and what nobody watches costs nothing.
+A handle is armed for a single notification, so that many messages cost one wake-up, and unwatched topics nothing.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ _AT_MOST = 1.0
 
 
 class Waiter:
-    """Waits on a thread of its own. `arm` and `disarm` may be called on any thread."""
+    """Waits in a separate thread. `arm` and `disarm` are thread-safe."""
 
     def __init__(self, participant: Participant) -> None:
         self._wakeup = participant.wakeup()
@@ -28,11 +27,10 @@ class Waiter:
         self._thread = threading.Thread(target=self._run, name="rosld-ros2-wait", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
         self._thread.start()
 
     def arm(self, handle: Handle, kind: Literal["reader", "client"], ready: Callable[[], None]) -> None:
-        """Call `ready` once, on the waiting thread, when there is something to take; it must be quick."""
+        """Call `ready` once, on the waiting thread, when something can be taken; it must be fast."""
         with self._lock:
             self._armed[id(handle)] = handle, kind, ready
         self._wakeup.trigger()
@@ -45,7 +43,7 @@ class Waiter:
             self._wakeup.trigger()
 
     def stop(self, timeout: float) -> None:
-        """End the thread; waits at most `timeout` seconds."""
+        """End the thread; wait at most `timeout` seconds."""
         self._stopping = True
         self._wakeup.trigger()
         if self._thread.is_alive():
@@ -65,7 +63,7 @@ class Waiter:
             for key, (handle, _, _) in armed.items():
                 try:
                     stack.enter_context(handle)
-                except Exception:  # it was destroyed meanwhile
+                except Exception:  # the handle was destroyed
                     self._forget(key, handle)
                 else:
                     entered[key] = handle
@@ -81,7 +79,7 @@ class Waiter:
         return [armed[key][2] for key in told if self._forget(key, armed[key][0])]
 
     def _forget(self, key: int, handle: Handle) -> bool:
-        """Disarm a handle; False where it was disarmed before."""
+        """Disarm a handle; return False if it was not armed."""
         with self._lock:
             found = self._armed.get(key)
             if found is None or found[0] is not handle:

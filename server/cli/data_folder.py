@@ -1,4 +1,4 @@
-"""The folder of `--data`: bound to one base URL, which is in the IRIs of its data, and locked by one server."""
+"""The folder of `--data`: bound to one base URL, the prefix of the IRIs in its data, and locked by one server."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from rosld.server.storage.files import FileLock, write_note
 NAME = "base-url"
 LOCK = "lock"
 _MOMENT = 1.0
-"""Seconds that a process which was killed may take to be gone for good."""
+"""Seconds to wait for a killed process to release its lock."""
 
 
 @contextmanager
 def lock(folder: Path) -> Iterator[None]:
-    """Within it no other process serves the folder, which is made where it is missing.
+    """Hold the lock of the folder, which is created if missing, against other processes.
 
-    Raises ValueError where another process still does after a moment, OSError where the folder cannot be written. What
-    a process that died left behind is no obstacle: a child of it lets go as soon as it comes to run.
+    Raises ValueError if another process still has the lock after a moment, and OSError if the folder is not writable. A
+    lock file left by a dead process is no obstacle: its children release the lock when they run.
     """
     folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / LOCK)
@@ -31,7 +31,7 @@ def lock(folder: Path) -> Iterator[None]:
                 f"{folder} is served by another rosld (process {lock.read() or 'unknown'}): "
                 "end that one first, or give this one another folder with --data"
             )
-        with suppress(OSError):  # a full disk: the lock holds without it
+        with suppress(OSError):  # a full disk: the lock works without it
             lock.write(f"{os.getpid()}\n")
         yield
     finally:
@@ -48,15 +48,15 @@ def _acquire(lock: FileLock) -> bool:
 
 
 def read_base(folder: Path) -> str | None:
-    """Return the base that a folder belongs to, None for one that belongs to none yet."""
+    """Return the base URL of a folder, None for a new one."""
     note = folder / NAME
     return note.read_text("utf-8").strip() if note.exists() else None
 
 
 def bind_base(folder: Path, base: str) -> None:
-    """Make the folder where it is missing, and this base its own.
+    """Create the folder if missing, and bind it to this base URL.
 
-    Raises ValueError where it belongs to another base, OSError where it cannot be written.
+    Raises ValueError if it belongs to another base URL, and OSError if it is not writable.
     """
     folder.mkdir(parents=True, exist_ok=True)
     found = read_base(folder)
@@ -67,5 +67,5 @@ def bind_base(folder: Path, base: str) -> None:
 
 
 def unbind(folder: Path) -> None:
-    """The folder, which holds nothing, belongs to no base any more."""
+    """Unbind an empty folder from its base URL."""
     (folder / NAME).unlink(missing_ok=True)

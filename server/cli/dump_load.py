@@ -1,4 +1,4 @@
-"""`rosld dump` and `rosld load`: all that clients have stored, as one archive."""
+"""`rosld dump` and `rosld load`: all data stored by clients, as one archive."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rosld.server.storage.sqlite import BLOBS, CHECK_SECONDS
 
 
 def dump(folder: Path, output: Path) -> None:
-    """Write the records of a data folder, whether a server runs on it or not. Raises Failure."""
+    """Write the records of a data folder, in use or not, to an archive. Raises Failure."""
     draft = output.with_name(f".{output.name}.{os.getpid()}")
     with user_errors():
         base = data_folder.read_base(folder)
@@ -39,13 +39,13 @@ def dump(folder: Path, output: Path) -> None:
 
 
 NOTICED_SECONDS = 4 * CHECK_SECONDS
-"""Seconds after which a server that runs on the folder reads the new records, and no file of the old ones."""
+"""Seconds after which a server on the folder reads the new records, and no old file any more."""
 
 
 def load(archive: Path, folder: Path, base: str | None) -> None:
-    """Put what a dump holds in place of everything in a data folder. Raises Failure, with nothing changed.
+    """Replace everything in a data folder by the contents of a dump. Raises Failure, with nothing changed.
 
-    `base` is what its IRIs shall begin with; a folder that is there knows it, else it is the dump's own.
+    `base` is the new prefix of its IRIs, by default that of an existing folder, or else that of the dump.
     """
     with user_errors(), archive.open("rb") as file:
         unpacking = ArchiveReader(file)
@@ -69,4 +69,4 @@ def load(archive: Path, folder: Path, base: str | None) -> None:
     if freed:
         time.sleep(NOTICED_SECONDS)
         with contextlib.closing(Blobs(folder / BLOBS, durable=True)) as blobs:
-            blobs.remove(freed)  # or whoever keeps them still: then the next start of a server removes them
+            blobs.remove(freed)  # those that a process still uses are removed at the next start of a server

@@ -12,19 +12,19 @@ from rosld.adapters.model import RosError
 
 
 class Failure(click.ClickException):
-    """Ends the command with exit code 1 and one line on stderr."""
+    """Error that ends the command with exit code 1 and one line on stderr."""
 
     def __init__(self, sentence: str) -> None:
         super().__init__(" ".join(sentence.split()))
 
     def show(self, file: IO[Any] | None = None) -> None:
-        """Write the line."""
+        """Write the line to stderr, or to `file`."""
         click.echo(f"rosld: {self.message}", file=file, err=file is None)
 
 
 @contextmanager
 def user_errors() -> Iterator[None]:
-    """Raise Failure in place of the RosError, OSError or ValueError of a user's source, folder, address or file."""
+    """Turn a RosError, OSError or ValueError about a user's source, folder, address or file into a Failure."""
     try:
         yield
     except RosError as error:

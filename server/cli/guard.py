@@ -1,4 +1,4 @@
-"""`rosld guard`: watches the rosld that serves a folder of data, and ends the holds that it had when it dies."""
+"""`rosld guard`: watches the rosld that serves a data folder, and ends its holds if it dies."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rosld.server.settings import Settings
 from rosld.server.storage.files import FileLock
 
 LOOK_SECONDS = 0.1
-"""Between two looks at whether the rosld that is watched lives."""
+"""Interval of checks whether the watched rosld is alive."""
 _SUBSCRIBER_SECONDS = 10.0
 _ONCE_SECONDS = 30.0
 """Seconds that `--once` waits for a robot that does not answer; systemd kills after 90 s."""
@@ -32,7 +32,7 @@ _log = logging.getLogger("rosld")
 
 
 def guard(source: str, folder: Path, options: AdapterOptions, *, once: bool) -> None:
-    """Watch until a signal comes, or `once` until nothing is left to be done. Raises Failure."""
+    """Watch until a signal or, with `once`, until nothing is left to do. Raises Failure."""
     configure_logging()
     with user_errors():
         folder.mkdir(parents=True, exist_ok=True)
@@ -53,7 +53,7 @@ async def _guarded(adapter: Adapter, folder: Path, *, once: bool) -> None:
         await asyncio.wait([watching, ending], return_when=asyncio.FIRST_COMPLETED)
         await end_tasks((watching, ending))
         if not watching.cancelled():
-            watching.result()  # which raises what ended the watch
+            watching.result()  # raises the error of the watch
     finally:
         await session.close()
 
@@ -74,7 +74,7 @@ async def _watch(session: Session, notes: HoldNotes, folder: Path, *, once: bool
 
 
 def _is_served(lock: FileLock) -> bool:
-    """Whether a rosld lives that serves the folder: it holds the lock, which ends with it however it ends."""
+    """Whether a living rosld serves the folder: it holds the lock, which its end always releases."""
     if not lock.acquire(shared=True):
         return True
     lock.release()
@@ -96,4 +96,4 @@ async def _end(session: Session, notes: HoldNotes, note: HoldNote) -> None:
         notes.write(replace(note, outcome=f"rosld guard: {outcome.words}"))
     if outcome.subscribers is not None:
         with contextlib.suppress(RosError):
-            await session.adapter.unadvertise_always(note.topic)  # so that the next rosld is no second publisher
+            await session.adapter.unadvertise_always(note.topic)  # so that the next rosld is not a second publisher

@@ -34,7 +34,7 @@ SYNTAXES: Mapping[str, Syntax] = {
 _COMPRESSION = 4
 _BUFFER = 1 << 20
 _STRIDE = 500
-"""Messages between two steps of the progress bar."""
+"""Number of messages between two updates of the progress bar."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ def target(path: Path) -> Target:
 
 
 def lift(recording: Path, output: Path, base: str, options: AdapterOptions, settings: LiftSettings) -> None:
-    """Write all of a recording to `output`, with a progress bar on stderr. Raises Failure."""
+    """Write a complete recording to `output`, with a progress bar on stderr. Raises Failure."""
     for number in end_signals():
         if number is not signal.SIGINT:
             signal.signal(number, _exit)  # an exception, so that the draft is removed
@@ -75,7 +75,7 @@ def _exit(number: int, frame: object) -> NoReturn:
 
 def write(lifting: Lifting, to: Target) -> None:
     """Write the descriptions, then every message, with a progress bar on stderr."""
-    gc.freeze()  # what is loaded stays: the collector need not look through it again and again
+    gc.freeze()  # the garbage collector need not scan the loaded objects repeatedly
     to_bytes = writer(to.syntax, lifting)
     recording = lifting.recording
     with (
@@ -93,9 +93,9 @@ def write(lifting: Lifting, to: Target) -> None:
 
 @contextlib.contextmanager
 def draft_file(to: Target) -> Iterator[IO[bytes]]:
-    """A temporary file beside the target, which replaces it at the end of the block, or is removed if that raises.
+    """Yield a temporary file next to the target, which replaces it at the end, or is removed after an exception.
 
-    Raises Failure where the folder does not exist.
+    Raises Failure if the folder does not exist.
     """
     path = to.path.with_name(f".{to.path.name}.{os.getpid()}")
     try:

@@ -17,7 +17,7 @@ OPEN_SECONDS = 5.0
 
 
 async def open_at_once(adapter: Adapter, sink: Sink) -> None:
-    """Open an adapter for a command that does not wait for a robot that is off.
+    """Open an adapter for a command that does not wait for an unreachable robot.
 
     Raises Unreachable for one, and what `Adapter.open` raises.
     """
@@ -45,14 +45,14 @@ def open_source(source: str, options: AdapterOptions) -> Iterator[Adapter]:
 
 
 def types_in_use(graph: Graph) -> set[TypeRef]:
-    """Return the types that topics, services and actions of the graph have."""
+    """Return the types of topics, services and actions in the graph."""
     topics = {ref for topic in graph.topics.values() for ref in topic.types}
     services = {service.type for service in graph.services.values() if service.type is not None}
     return topics | services | {action.type for action in graph.actions.values() if action.type is not None}
 
 
 def types(source: str, options: AdapterOptions) -> None:
-    """Print one line a type: its name and, after a tab, its hash where it is known."""
+    """Print one line per type: its name and, after a tab, its hash if known."""
     with user_errors(), open_source(source, options) as adapter:
         found = types_in_use(adapter.graph) | set(adapter.known_types())
     hashed = {ref.name for ref in found if ref.hash is not None}

@@ -1,4 +1,4 @@
-"""The command line: `rosld serve`, `guard`, `lift`, `token`, `dump` and others. Each has a module of its own."""
+"""The command line: `rosld serve`, `guard`, `lift`, `token`, `dump` and others, each in its own module."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _KINDS: Mapping[str, click.ParamType[Any]] = {
 
 
 class _GlobCommand(click.Command):
-    """A command with options that are globs, which a shell replaces by names of files where they are not quoted."""
+    """A command with glob options, which a shell expands to file names unless they are quoted."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         try:
@@ -78,7 +78,7 @@ def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str
 def _profiles(
     context: click.Context, parameter: click.Parameter, values: tuple[str, ...]
 ) -> tuple[tuple[str, Qos], ...]:
-    """Return the globs and profiles in GLOB=PROFILE options; a glob may hold an equals sign, a profile does not."""
+    """Return the globs and profiles in GLOB=PROFILE options; a glob may contain an equals sign, a profile does not."""
     profiles: list[tuple[str, Qos]] = []
     for value in values:
         glob, _, profile = value.rpartition("=")
@@ -117,7 +117,7 @@ def _option(one: Declaration) -> Callable[[_F], _F]:
 
 
 def _options(*names: str) -> Callable[[_F], _F]:
-    """Return the options of these settings, of all that have one where none is named."""
+    """Return the options of these settings, by default of all that have one."""
 
     def decorate(command: _F) -> _F:
         for one in reversed(declared.declarations()):
@@ -135,7 +135,7 @@ def _output(help: str) -> Callable[[_F], _F]:
 
 
 def _others() -> str:
-    """The settings that are no options, as text for the help."""
+    """Return the settings without an option, as text for the help."""
     rows = (
         f"  {one.name} ({one.default}{' ' + one.unit if one.unit else ''})"
         for one in declared.declarations()
@@ -168,7 +168,7 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
 
 
 def settings_of(others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> Settings:
-    """Return the settings that the parameters of `serve` give. Raises Failure for values that do not go together."""
+    """Return the settings for the parameters of `serve`. Raises Failure for inconsistent values."""
     with user_errors():
         options |= {name.replace("-", "_"): declared.parse(name, text) for name, text in others}
         if base_url is not None:

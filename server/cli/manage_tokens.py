@@ -1,4 +1,4 @@
-"""`rosld token`: add, list and remove tokens in the file of `--auth` (TOML), which a running server reads again."""
+"""`rosld token`: add, list and remove tokens in the file of `--auth` (TOML), which a running server reloads."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _TOKEN = re.compile(r"^[ \t]*\[\[[ \t]*token[ \t]*\]\]")
 
 
 def add(file: Path, name: str, modes: Sequence[str], globs: Sequence[str]) -> None:
-    """Give an agent a new token, and a rule with these modes at these globs if there are any; print the token.
+    """Add a token for an agent, and a rule if there are modes or globs; print the token.
 
-    It is printed here and never again: the file holds its digest. Raises Failure where the file cannot be read.
+    It is printed only once: the file contains its digest. Raises Failure if the file cannot be read.
     """
     token = tokens.generate_token()
     made = datetime.now(timezone.utc).strftime("%Y-%m-%d")
@@ -40,7 +40,7 @@ def add(file: Path, name: str, modes: Sequence[str], globs: Sequence[str]) -> No
 
 
 def count_tokens(file: Path) -> None:
-    """Print each agent that has tokens, and how many. Raises Failure where the file cannot be read."""
+    """Print each agent with tokens, and their number. Raises Failure if the file cannot be read."""
     with user_errors():
         found = _read(file)
     counts: dict[str, int] = {}
@@ -51,7 +51,7 @@ def count_tokens(file: Path) -> None:
 
 
 def remove(file: Path, name: str) -> None:
-    """Remove all tokens of an agent; the rules that name it stay. Raises Failure where it has no token."""
+    """Remove all tokens of an agent, but not the rules that name it. Raises Failure if it has no token."""
     with user_errors():
         found = _read(file)
         if name not in found.tokens.agents.values():
@@ -61,7 +61,7 @@ def remove(file: Path, name: str) -> None:
 
 
 def _parts(text: str) -> Iterator[str]:
-    """Return the text table by table, each from its heading to the next one."""
+    """Split the text into tables, each from its heading to the next one."""
     starts = [0, *(match.start() for match in _TABLE.finditer(text)), len(text)]
     return (text[start:end] for start, end in itertools.pairwise(starts))
 
@@ -84,13 +84,13 @@ def _read(file: Path) -> AuthConfig:
 
 
 def _text(text: str) -> str:
-    """A text as TOML has it."""
+    """Return a TOML string."""
     escaped = "".join(f"\\u{ord(char):04x}" if char in '"\\' or not char.isprintable() else char for char in text)
     return f'"{escaped}"'
 
 
 def _write(file: Path, text: str) -> None:
-    """Put a whole file in the place of another at once, readable by its owner alone; it must be in order."""
+    """Replace a file atomically by a valid one that only its owner can read."""
     try:
         config.from_toml(text.encode())
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""A recording as documents (itself, its types, each message), and their writer."""
+"""A recording as documents (of itself, its types, and each message), and their writers."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Lifting:
         self._publishers: dict[str, str | None] = {"": None}
 
     def descriptions(self) -> Iterator[Document]:
-        """Yield the recording with its topics, then each type that can be read."""
+        """Yield the document of the recording with its topics, then that of each readable type."""
         yield bag_document(self.recording, self._space)
         refs = list(dict.fromkeys(topic.type for topic in self.recording.topics.values()))
         for ref in refs:
@@ -113,18 +113,18 @@ class Lifting:
 _HEADER = re.compile(rb"(?:@(?:base|prefix) [^\n]*\n)+")
 _PLACE = 8_172_635_445_362_718
 _PLACE_NS = 7_263_544_536_271_829_123
-"""Stand for a message's index and time in a template: numbers that occur nowhere else."""
+"""Placeholders of a message's index and time in a template: numbers that do not occur elsewhere."""
 _INDEX = b"%d" % _PLACE
 _RECEIVED = date_time(0, _PLACE_NS).encode()
 _PROOFS = 3
-"""Messages of each stream that are described in full, to see that the template says the same."""
+"""Number of messages of each stream that are described in full, to verify the template."""
 
 
 class Writer(Protocol):
-    """Writes the parts of one file, each as bytes to append."""
+    """Writer of the parts of one file, each as bytes to append."""
 
     def document(self, document: Document) -> bytes:
-        """Return the bytes of a document. Raises CannotCarry as `serialize`."""
+        """Return the bytes of a document. Raises CannotCarry as `serialize` does."""
         ...
 
     def message(self, told: DescribedMessage) -> bytes:
@@ -138,7 +138,7 @@ def writer(syntax: Syntax, lifting: Lifting) -> Writer:
 
 
 class Paragraphs:
-    """Turtle and TriG; a prefix is declared when it is new or changes its meaning."""
+    """Writer of Turtle and TriG; a prefix is declared when it is new or changes its meaning."""
 
     def __init__(self, syntax: Syntax, lifting: Lifting) -> None:
         self._syntax = syntax
@@ -156,7 +156,7 @@ class Paragraphs:
         return self.document(self._lifting.document(told))
 
     def _new(self, header: bytes) -> bytes:
-        """Return the new lines of a header; the base is always one."""
+        """Return the new lines of a header; the base is always included."""
         base, *prefixes = header.splitlines(keepends=True)
         declared = {line.split(b" ", 2)[1]: line for line in prefixes}
         fresh = [line for name, line in declared.items() if self._declared.get(name) != line]
@@ -165,9 +165,9 @@ class Paragraphs:
 
 
 class Template:
-    """The description of the messages of one stream, with gaps for index and time: made once, filled in for each.
+    """Template of a stream's message descriptions, with placeholders for index and time.
 
-    The first few are described in full as well. Should one of them differ otherwise, all are.
+    The first few messages are also described in full. If one of them differs otherwise, all are.
     """
 
     def __init__(self, text: bytes) -> None:
@@ -181,23 +181,23 @@ class Template:
         return self._text.replace(_INDEX, b"%d" % recorded.index).replace(_RECEIVED, received.encode())
 
     def verify(self, recorded: RecordedMessage, described: bytes) -> None:
-        """Compare with a description made in full."""
+        """Compare the template with a full description."""
         self._proofs += 1
         self._holds = self._holds and self.text(recorded) == described
 
     @property
     def is_verified(self) -> bool:
-        """Whether it holds and has been compared often enough."""
+        """Whether the template is correct, and has been compared often enough."""
         return self._holds and self._proofs >= _PROOFS
 
     @property
     def is_unverified(self) -> bool:
-        """Whether it still is to be compared."""
+        """Whether further comparisons are needed."""
         return self._holds and self._proofs < _PROOFS
 
 
 class Lines:
-    """N-Triples and N-Quads."""
+    """Writer of N-Triples and N-Quads."""
 
     def __init__(self, syntax: Syntax, lifting: Lifting) -> None:
         self._syntax = syntax
@@ -205,11 +205,11 @@ class Lines:
         self._templates: dict[tuple[str, str, TypeRef], Template] = {}
 
     def document(self, document: Document) -> bytes:
-        """Return the document as lines, one a triple or quad."""
+        """Return the document with one triple or quad per line."""
         return serialize_named(document, self._syntax)
 
     def message(self, told: DescribedMessage) -> bytes:
-        """The lines of one recorded message: its description by the stream's template, its values by its lifter."""
+        """Return the lines of one message: its description by the stream's template, its values by its lifter."""
         if told.lifted is None:
             return self.document(self._lifting.document(told))
         recorded = told.recorded

@@ -1,4 +1,4 @@
-"""`rosld record`: live topics of a source into an MCAP file, a ROS 1 bag or the folder of a ROS 2 bag."""
+"""`rosld record`: records live topics of a source into an MCAP file, a ROS 1 bag or a ROS 2 bag folder."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PROGRESS_SECONDS = 1.0
 
 
 def record(source: str, output: Path, topics: Sequence[str], duration: float | None, options: AdapterOptions) -> None:
-    """Record until a signal comes, or for `duration` seconds, and say on stderr how far it is. Raises Failure."""
+    """Record until a signal, or for `duration` seconds, with progress on stderr. Raises Failure."""
     file = _mcap_file(output)
     for path in {output, file}:
         if path.exists():
@@ -57,12 +57,12 @@ def record(source: str, output: Path, topics: Sequence[str], duration: float | N
 
 
 def _mcap_file(output: Path) -> Path:
-    """Return the file that is written first: that of the output, or a temporary one to convert at the end."""
+    """Return the file that is written first: the output, or a temporary one to convert at the end."""
     return output if output.suffix == SUFFIX else output.with_name(f"{output.name}{SUFFIX}")
 
 
 def _require_format(output: Path, encoding: Encoding) -> None:
-    """Raise ValueError where the name of the output is of no format, or of one of the other ROS."""
+    """Raise ValueError if the name of the output has no known format, or that of the other ROS version."""
     own = "FILE.bag, a ROS 1 bag" if encoding is Encoding.ROS1 else "FOLDER, a ROS 2 bag"
     if output.suffix == SUFFIX or output.suffix == (BAG.suffix if encoding is Encoding.ROS1 else ""):
         return
@@ -71,13 +71,13 @@ def _require_format(output: Path, encoding: Encoding) -> None:
 
 
 def _convert(file: Path, output: Path, options: AdapterOptions) -> None:
-    """Write what was recorded in the format that the output's name says. Raises OSError, RosError, CannotExport."""
+    """Convert the recording to the format of the output's name. Raises OSError, RosError and CannotExport."""
     wanted = BAG if output.suffix == BAG.suffix else ROSBAG2
     export(file, output, wanted, AdapterOptions(types=options.types))
 
 
 def _not_live(source: str) -> str:
-    """Why a source cannot be recorded that is read as the path of a recording."""
+    """Return why a source that is read as the path of a recording cannot be recorded."""
     path = source.removeprefix("recording:").partition("?")[0]
     if Path(path).exists():
         return f"{source} is a recording already"
@@ -85,7 +85,7 @@ def _not_live(source: str) -> str:
 
 
 class _Recording(NullSink):
-    """One recording of an adapter that is opened for it, and the sink of that adapter."""
+    """One recording of an adapter opened for it, and the sink of that adapter."""
 
     def __init__(self, adapter: Adapter, output: Path, topics: Sequence[str]) -> None:
         self._adapter = adapter
@@ -121,13 +121,13 @@ class _Recording(NullSink):
         return writer
 
     def graph_changed(self, graph: Graph) -> None:
-        """There may be other topics."""
+        """Follow new topics after a change of the graph."""
         if self._loop is not None and not self._loop.is_closed():
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._live.refresh)
 
     async def _tell(self, writer: RecordingWriter, ended: asyncio.Event) -> None:
-        """Say how far it is: over and over in one line of a terminal; nowhere else. End with the recording."""
+        """Report the progress in one line of a terminal (and only there); end with the recording."""
         is_terminal = os.isatty(sys.stderr.fileno())
         while True:
             await asyncio.sleep(_PROGRESS_SECONDS)

@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from rosld.server.app import Application
 
 MAX_FILES = 256
-"""Open files that are left to everything else than clients: databases, recordings, robots, connections in reserve."""
+"""Number of open files reserved for other uses than clients: databases, recordings, robots, reserve connections."""
 EXIT_SECONDS = 8.0
-"""Seconds after which a server that was told to end is ended, whatever still holds it: Docker kills after ten."""
+"""Seconds after which an ending server is killed, whatever still blocks it: Docker kills after ten."""
 
 
 def serve(source: str, settings: Settings, *, base_given: bool) -> None:
-    """Serve a source until a signal comes. Raises Failure where it cannot begin."""
+    """Serve a source until a signal. Raises Failure if it cannot start."""
     configure_logging()
     raise_file_limit()
     with opened(source, settings, _announce, base_given=base_given) as serving:
@@ -46,7 +46,7 @@ def serve(source: str, settings: Settings, *, base_given: bool) -> None:
 def opened(
     source: str, settings: Settings, on_listening: Callable[[str], None], *, base_given: bool
 ) -> Iterator[Serving]:
-    """Yield a server that has its address and its data folder. Raises Failure where it cannot begin."""
+    """Yield a server with its bound address and its data folder. Raises Failure if it cannot start."""
     with user_errors():
         adapter = adapter_for(source, settings.adapter_options)
         sock = bind(settings.host, settings.port)
@@ -66,7 +66,7 @@ def opened(
 def _announce(url: str) -> None:
     """Freeze loaded objects, and print the URL; the server continues if stdout is closed."""
     gc.collect()
-    gc.freeze()  # what is loaded now stays: each collection that looks through it would hold up all requests
+    gc.freeze()  # a collection that scans the loaded objects would delay all requests
     with contextlib.suppress(OSError):
         print(url, flush=True)
 
@@ -117,7 +117,7 @@ class Serving:
         self.stop()
 
     def stop(self) -> None:
-        """Shut down, in order when it is called first, at once when it is called again."""
+        """Shut down: gracefully on the first call, at once on the second."""
         if not self._server.started and self._work is not None:
             self._work.cancel()
         self._app.end_streams()
@@ -129,7 +129,7 @@ def end_at_the_latest(seconds: float) -> None:
     """End the process after some seconds, even if a thread is stuck."""
 
     def end() -> None:
-        with contextlib.suppress(OSError):  # the terminal may have gone
+        with contextlib.suppress(OSError):  # the terminal may be closed
             os.write(2, b"rosld: ended by force, something did not let go in time\n")
         os._exit(1)
 
@@ -139,7 +139,7 @@ def end_at_the_latest(seconds: float) -> None:
 
 
 def raise_file_limit() -> None:
-    """As many open files as the system lets this process have: each subscription and each client takes one."""
+    """Raise the limit of open files to the maximum: each subscription and each client needs one."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     limit = 65536 if hard == resource.RLIM_INFINITY else min(hard, 65536)
     if soft != resource.RLIM_INFINITY and soft < limit:

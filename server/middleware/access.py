@@ -79,7 +79,7 @@ class Preflight:
 
 
 def _share(response: Response, headers: Mapping[str, str]) -> None:
-    """Add CORS headers to a response, joining Vary. The header list is copied: it may belong to a kept rendering."""
+    """Add CORS headers to a response, joining Vary. The header list is copied: it may belong to a cached rendering."""
     names = {name.encode("latin-1") for name in headers}
     kept = [pair for pair in response.raw_headers if pair[0] not in names]
     varied = [value.decode("latin-1") for name, value in response.raw_headers if name == b"vary"]

@@ -1,1 +1,1 @@
-"""What the process has beside the robot and the web: memory, worker processes, clocks, signals, identifiers."""
+"""Process-level services: memory, worker processes, clocks, signals and identifiers."""

@@ -1,7 +1,7 @@
 """Dry runs: requests that plan and check a write, and end where it would take effect.
 
-Whatever sends something to the robot, or stores something, calls `end_dry_run` right before. So no resource has to know
-of dry runs, and none can forget them.
+Every function that sends something to the robot, or stores something, calls `end_dry_run` right before. So resources
+need not handle dry runs, and cannot forget them.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ MAX_STEPS = 100
 
 
 class PlannedStep(NamedTuple):
-    """A step that would be carried out: what it does in words, and the URLs of what it touches."""
+    """A planned step: its description, and the URLs of the resources that it affects."""
 
     description: str
     touches: tuple[str, ...]
 
 
 class DryRun:
-    """The plan of one request: its steps, what was checked, and the status of the real answer as far as it is known.
+    """The plan of one request: its steps, the completed checks, and the expected status of the real response.
 
     `limits` are the URLs of the resources and types whose limits were checked, `conditions` those of conditions.
     """
@@ -34,7 +34,7 @@ class DryRun:
         self.status: int | None = None
 
     def add_step(self, description: str, touches: tuple[str, ...]) -> None:
-        """Add a step, unless it is there already."""
+        """Add a step, unless it is present already."""
         step = PlannedStep(description, touches)
         if step not in self.steps and len(self.steps) < MAX_STEPS:
             self.steps.append(step)
@@ -45,16 +45,16 @@ class DryRunEnded(Exception):
 
 
 current_dry_run: ContextVar[DryRun | None] = ContextVar("dry_run", default=None)
-"""The dry run that this task carries out; None in every other task."""
+"""Dry run of the current task, or None."""
 
 
 def is_dry_run() -> bool:
-    """Whether the request that this task answers is a dry run."""
+    """Whether the current task answers a dry run."""
     return current_dry_run.get() is not None
 
 
 def expect_status(status: int) -> None:
-    """Have a dry run tell this as the status of the real answer."""
+    """Set the expected status of the real response in a dry run."""
     dry_run = current_dry_run.get()
     if dry_run is not None:
         dry_run.status = status
@@ -69,14 +69,14 @@ def end_dry_run(status: int | None = None) -> None:
 
 
 def note_limits(url: str) -> None:
-    """Have a dry run tell that the limits on a resource or a type were checked."""
+    """Record in a dry run that the limits on a resource or a type were checked."""
     dry_run = current_dry_run.get()
     if dry_run is not None:
         _add(dry_run.limits, url)
 
 
 def note_conditions(iris: Iterable[str]) -> None:
-    """Have a dry run tell that conditions were checked."""
+    """Record in a dry run that conditions were checked."""
     dry_run = current_dry_run.get()
     if dry_run is not None:
         for iri in iris:

@@ -1,7 +1,7 @@
-"""How much memory a process may still take, asked before something large is begun.
+"""Estimates of the memory available to a process, to refuse large operations in time.
 
-An allocation that fails in native code (the RDF parser, the dataset) ends the process, and so does the system where a
-container's memory is used up. So what is known to need much is refused in time.
+An allocation that fails in native code (the RDF parser, the dataset) ends the process, and so does the kernel when a
+container's memory is used up.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 MARGIN = 48 * 1024 * 1024
-"""Bytes that are never asked for: what is not asked about needs some, too."""
+"""Bytes reserved for operations that do not check memory."""
 PER_BYTE = 56
-"""Bytes that a body may take while it is read and stored, for each of its own: measured with short Turtle."""
+"""Bytes needed per byte of a body while it is read and stored, measured with short Turtle."""
 DATASET_PER_TRIPLE = 1280
 DATASET_PER_CHARACTER = 4
-"""Bytes that the dataset takes for a triple, and for each of its characters, while it takes them in.
+"""Bytes that the dataset needs to load a triple, and for each of its characters.
 
-Measured with triples of 25 and of 113 characters: 1320 and 1400 for one.
+Measured with triples of 25 and of 113 characters: 1320 and 1400 bytes each.
 """
 SENT_PER_CHARACTER = 6
-"""Bytes that a character of N-Triples takes on its way to the query process: as text, pickled, and in a frame."""
+"""Bytes per character of N-Triples sent to the query process: as text, pickled, and in a frame."""
 PER_CHARACTER = 24
-"""Bytes that a document takes for a character of its N-Triples while it is patched or rendered, measured likewise."""
+"""Bytes per character of a document's N-Triples while it is patched or rendered, measured likewise."""
 CACHE_SECONDS = 0.25
-"""Seconds for which what was measured is gone by, less what was asked for since."""
+"""Seconds for which a measurement is reused, reduced by the memory required since."""
 _MIB = 1024 * 1024
 _AVAILABLE = re.compile(rb"^(?:MemAvailable|SwapFree): +(\d+) kB", re.MULTILINE)
 
@@ -42,11 +42,11 @@ _INACTIVE_FILE = re.compile(rb"^inactive_file (\d+)", re.MULTILINE)
 
 
 class NotEnoughMemory(MemoryError):
-    """What was asked for would need more memory than is left; nothing of it was begun."""
+    """An operation was refused because it would need more memory than is available."""
 
 
 class Memory:
-    """The memory of a process, of which `measure` returns what is left. In any thread."""
+    """Memory of a process; `measure` returns the available bytes. Thread-safe."""
 
     def __init__(self, measure: Callable[[], int | None]) -> None:
         self._measure = measure
@@ -54,7 +54,7 @@ class Memory:
         self._left = 0
 
     def require(self, needed: int, what: str) -> None:
-        """Raise NotEnoughMemory where so many bytes are not left; `what` needs them, such as `a body of 9 bytes`."""
+        """Raise NotEnoughMemory if fewer bytes are available; `what` needs them, such as `a body of 9 bytes`."""
         if needed * 4 < self._left and time.monotonic() < self._until:
             self._left -= needed
             return
@@ -68,7 +68,7 @@ class Memory:
         self._left -= needed
 
     def _refresh(self) -> int | None:
-        """The bytes that may still be taken, less the margin; None where nothing is known."""
+        """Measure the available bytes, less the margin; return None if unknown."""
         found = self._measure()
         left = None if found is None else found - MARGIN
         self._left = sys.maxsize if left is None else left
@@ -77,9 +77,9 @@ class Memory:
 
 
 def available_bytes(pid: int | None = None) -> int | None:
-    """The bytes that a process may still take: by its own limits, its container's, and what the machine has.
+    """Return the bytes available to a process by its own limits, those of its container, and the machine's memory.
 
-    It is this process, or a child of it.
+    The process is this one or a child of it.
     """
     process = Path("/proc", "self" if pid is None else str(pid))
     found = [*_of_process(process, pid or 0), *_of_machine()]
@@ -89,7 +89,7 @@ def available_bytes(pid: int | None = None) -> int | None:
 
 
 def trim() -> None:
-    """Return to the system what this process has freed and its allocator still holds."""
+    """Return the memory that the allocator retains to the system."""
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:
@@ -97,7 +97,7 @@ def trim() -> None:
 
 
 def is_out_of_memory(error: BaseException) -> bool:
-    """Whether an error says that the system gave no memory: for an object, a thread, a process."""
+    """Whether an error is a lack of memory for an object, a thread or a process."""
     if isinstance(error, OSError):
         return error.errno in (errno.ENOMEM, errno.EAGAIN)
     return isinstance(error, MemoryError) or (
@@ -106,7 +106,7 @@ def is_out_of_memory(error: BaseException) -> bool:
 
 
 def _of_process(process: Path, pid: int) -> Iterator[int]:
-    """What the limit of address space leaves; 0 is this process. Elsewhere than on Linux nothing tells what is used."""
+    """Yield the rest of the address space limit; 0 is this process. Only Linux reports the usage."""
     if sys.platform != "linux":
         return
     with contextlib.suppress(OSError, ValueError, IndexError):
@@ -144,4 +144,4 @@ def _mebibytes(size: int) -> str:
 
 
 PROCESS_MEMORY = Memory(available_bytes)
-"""The memory of this process."""
+"""Memory of this process."""

@@ -146,7 +146,7 @@ async def end_tasks(tasks: Iterable[asyncio.Future[Any]]) -> None:
 
 
 class KeyedLock:
-    """Serialises the conditional writes at each URL (RFC 9110 13.1.1: no update is lost)."""
+    """Locks that serialize conditional writes to each URL (RFC 9110 13.1.1: no lost updates)."""
 
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
@@ -157,7 +157,7 @@ class KeyedLock:
         """Hold the locks of these URLs. Raises a 503 Problem if one is not free within the timeout, in seconds."""
         held: list[asyncio.Lock] = []
         try:
-            for url in sorted(urls):  # in one order: two writes of the same URLs never wait for each other
+            for url in sorted(urls):  # sorted: two writes of the same URLs never wait for each other
                 held.append(await self._acquire(url))
             yield
         finally:

@@ -11,18 +11,18 @@ T = TypeVar("T")
 
 @dataclass(slots=True)
 class VersionCache(Generic[T]):
-    """Values by URL, each of one version of what it was made of; the oldest go first."""
+    """Values by URL, each for one version of its sources; the oldest are removed first."""
 
     limit: int = 4096
     _entries: dict[str, tuple[Hashable, T]] = field(default_factory=dict)
 
     def find(self, url: str, version: Hashable) -> T | None:
-        """Return what is kept for a URL, if it is of this version."""
+        """Return the cached value of a URL if it has this version, else None."""
         entry = self._entries.get(url)
         return entry[1] if entry is not None and entry[0] == version else None
 
     def put(self, url: str, version: Hashable, value: T) -> T:
-        """Keep a value; returns it."""
+        """Cache a value and return it."""
         self._entries.pop(url, None)
         self._entries[url] = (version, value)
         if len(self._entries) > self.limit:
@@ -34,13 +34,13 @@ class VersionCache(Generic[T]):
         self._entries.clear()
 
     def get_or_make(self, url: str, version: Hashable, make: Callable[[], T]) -> T:
-        """Return the value for a URL at this version: kept, or made now."""
+        """Return the cached value of a URL at this version, or create it."""
         found = self.find(url, version)
         return found if found is not None else self.put(url, version, make())
 
 
 class IdentityKey:
-    """Compares by identity: a version that costs nothing to compare."""
+    """Key that compares by identity: a version that is cheap to compare."""
 
     __slots__ = ("value",)
 

@@ -1,7 +1,7 @@
-"""Watchdog of the event loop: measures how long it is kept from running, and tells which code did it.
+"""Watchdog of the event loop: measures its pauses, and finds the code that caused them.
 
-A timer on the loop is due every few milliseconds; how late it runs is how long the loop was paused. A thread looks at
-the same clock, and takes the stack of the loop's thread while the timer is late.
+A timer on the loop is due every few milliseconds; its delay is the length of a pause. A thread checks the same clock,
+and samples the stack of the loop's thread while the timer is late.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ _log = logging.getLogger("rosld")
 
 BEAT_SECONDS = 0.01
 WATCH_SECONDS = 0.05
-"""Between two looks of the thread: each wakes the processor, and only a pause that it meets gets a stack."""
+"""Interval of the thread's checks: each wakes the processor, and only a pause that it meets gets a stack."""
 LATE_SECONDS = 0.02
-"""From here on the stack of a pause is taken."""
+"""Minimum length of a pause whose stack is sampled."""
 LOGGED_SECONDS = 0.1
-"""From here on a pause is logged. On a busy machine the system itself takes shorter ones."""
+"""Minimum length of a logged pause; on a busy machine the system itself causes shorter ones."""
 LONG_SECONDS = 1.0
-"""From here on a pause is a warning, whoever took the processor, and its stack is logged."""
+"""Minimum length of a pause that is a warning in any case, and logged with its stack."""
 LOG_INTERVAL_SECONDS = 60.0
 RECENT_SECONDS = 60.0
 _SLOTS = 6
 _FRAMES = 12
 _PACKAGE = Path(rosld.__file__).parent
 _RUNNERS = ("/asyncio/runners.py", "/uvloop/__init__.py")
-"""Files that run a loop: code that they were called by runs nothing itself."""
+"""Files that run a loop: their callers are idle."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """One pause of the event loop: its length and how much of it the loop's thread was working, in seconds.
+    """A pause of the event loop: its length, and the time that the loop's thread was working, in seconds.
 
-    `ended_ns` is the wall clock when it ended. `code` is the innermost function of rosld that ran then, `stack` all of
-    it; both are None where the loop's thread waited for others.
+    `ended_ns` is the wall-clock time of its end. `code` is the innermost running function of rosld, `stack` the
+    complete stack; both are None if the loop's thread was waiting.
     """
 
     seconds: float
@@ -58,9 +58,9 @@ class Pause:
 
 @dataclass(frozen=True, slots=True)
 class Pauses:
-    """The longest pause since the server started, and the seconds of the longest within the last minute.
+    """The longest pause since the start of the server, and the seconds of the longest in the last minute.
 
-    `busiest` is the one in which the loop's thread itself worked the longest: where others have the processor, or the
+    `busiest` is the pause in which the loop's thread itself worked the longest; if others have the processor, or the
     interpreter's lock, that is less than the longest.
     """
 
@@ -70,7 +70,7 @@ class Pauses:
 
 
 class Watchdog:
-    """Measures the pauses of the loop that it is started on."""
+    """Meter of the pauses of the loop on which it is started."""
 
     def __init__(self) -> None:
         self._longest = self._busiest = Pause(0.0, 0.0, time.time_ns())
@@ -85,27 +85,27 @@ class Watchdog:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begin to measure the running loop, which this is called on."""
+        """Start to measure the running loop."""
         self._loop_thread = threading.get_ident()
         self._schedule(asyncio.get_running_loop())
         self._thread = threading.Thread(target=self._watch, name="loop-watchdog", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """Measure no more. Idempotent."""
+        """Stop measuring. Idempotent."""
         self._ended.set()
         if self._timer is not None:
             self._timer.cancel()
 
     @property
     def pauses(self) -> Pauses:
-        """What was measured so far."""
+        """Measurements so far."""
         since = time.monotonic() - RECENT_SECONDS
         return Pauses(
             self._longest, self._busiest, max((seconds for at, seconds in self._slots if at >= since), default=0.0)
         )
 
-    # On the loop
+    # --- on the loop
 
     def _schedule(self, loop: asyncio.AbstractEventLoop) -> None:
         self._busy = time.thread_time()
@@ -138,7 +138,7 @@ class Watchdog:
         if late >= LOGGED_SECONDS and (waiting is None or late > waiting.seconds):
             self._to_log = pause
 
-    # In the thread
+    # --- in the thread
 
     def _watch(self) -> None:
         logged = -LOG_INTERVAL_SECONDS
@@ -152,29 +152,29 @@ class Watchdog:
                 _log.log(_level(pause), "%s", describe_pause(pause))
 
     def _stack(self) -> tuple[str | None, str | None]:
-        """The innermost function of rosld that the loop's thread runs, and the whole stack."""
+        """Return the innermost function of rosld that the loop's thread runs, and the complete stack."""
         try:
             stack = _thread_stack(self._loop_thread)
-        except OSError:  # a disk is full, which says so elsewhere
+        except OSError:  # the disk is full, which is reported elsewhere
             return None, None
         code = running_code(stack)
         return code, None if code is None else "\n".join(map(str, reversed(stack[:_FRAMES])))
 
 
 def _level(pause: Pause) -> int:
-    """How loud a pause is logged: a short one in which no code of rosld ran is that of a busy machine."""
+    """Return the log level of a pause; a short one without code of rosld is due to a busy machine."""
     return logging.WARNING if pause.code is not None or pause.seconds >= LONG_SECONDS else logging.INFO
 
 
 def describe_pause(pause: Pause) -> str:
-    """A pause in words for the log, with its stack where it was long."""
+    """Return the description of a pause for the log, with the stack of a long one."""
     where = f", in {pause.code}" if pause.code else ""
     head = f"the event loop was paused for {pause.seconds:.2f} s, {pause.busy:.2f} s of them at work{where}"
     return f"{head}\n{pause.stack}" if pause.stack and pause.seconds >= LONG_SECONDS else head
 
 
 def running_code(stack: Sequence[StackFrame]) -> str | None:
-    """The innermost function of rosld on a stack, as `module.function`; None where none but the loop's own runs."""
+    """Return the innermost function of rosld on a stack as `module.function`, None if the loop was idle."""
     for frame in stack:
         if frame.file.endswith(_RUNNERS):
             return None

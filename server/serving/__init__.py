@@ -1,1 +1,1 @@
-"""The HTTP server process: sockets, limits of connections, TLS, signals, the lifespan."""
+"""The HTTP server process: sockets, connection limits, TLS, signals and the lifespan."""

@@ -1,4 +1,4 @@
-"""Connections: uvicorn's HTTP/1.1 protocol with bounds on what a stranger may send before a request is one."""
+"""Connections: uvicorn's HTTP/1.1 protocol with limits on the input before and between requests."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rosld.server.serving.connections import Connections, WebSocketConnection
 from rosld.server.serving.request_head import LONGEST_TARGET, RequestHead
 
 _FRAMING_RATIO = 16
-"""Bytes of chunk sizes, chunk extensions and trailers that may come with each byte of a chunked body.
+"""Allowed bytes of chunk sizes, chunk extensions and trailers for each byte of a chunked body.
 
-A byte in a chunk of its own takes five more.
+A byte in a chunk of its own needs five.
 """
 LINGER_SECONDS = 2.0
-"""How long a client may go on sending after its answer: closing at once would reset it before it has read why."""
+"""Seconds that a client may go on sending after the response: closing at once would reset the connection unread."""
 
 
 def _nothing() -> None:
@@ -38,11 +38,11 @@ def _is_never(method: bytes, path: bytes) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ConnectionBounds:
-    """What a client has before it is cut off: bytes of a head, seconds to send one, seconds to read what it is sent.
+    """Limits of a connection: bytes of a head, seconds to send one, seconds to read what is sent.
 
-    `connect` is asked whether the client at an address may have one more connection, `open_websocket` whether it may
-    have one more WebSocket. They raise a Problem if not; what they answer is called when the connection ends.
-    `is_urgent` says of a method and a path whether such a request is answered also beyond the most connections.
+    `connect` counts a connection, and `open_websocket` a WebSocket, of the client at an address. They raise a Problem
+    if it has too many, and return a function to call when the connection ends. `is_urgent` returns whether a request
+    with this method and path is answered even beyond the maximum number of connections.
     """
 
     head_bytes: int = 64 * 1024
@@ -54,40 +54,40 @@ class ConnectionBounds:
 
 
 class BoundedConfig(uvicorn.Config):
-    """uvicorn's configuration with bounds for its connections."""
+    """Configuration of uvicorn with limits of connections."""
 
     bounds = ConnectionBounds()
     connections = Connections(3000)
 
 
 class Connection(HttpToolsProtocol):
-    """Ends connections whose request line and headers are too large (431) or too slow (408); says 400 in RFC 9457.
+    """Connection with limits: too large (431) or too slow (408) heads end it, and errors are RFC 9457 problems.
 
-    An `Upgrade` to anything but a WebSocket is ignored (RFC 9110 7.8): the head is parsed a second time without it, by
-    a new parser, which goes on with the body. What the first parser says of that head is passed over.
+    An `Upgrade` to anything but a WebSocket is ignored (RFC 9110 7.8): the head is parsed again without it by a new
+    parser, which continues with the body. The first parser's results for that head are discarded.
     """
 
     _bounds = BoundedConfig.bounds
     _head_is_open = True
     _head_size = 0
     _block_size = 0
-    """Bytes that came last: a head that began within them is not longer."""
+    """Bytes received last: a head that began within them is not longer."""
     _framing = 0
-    """Bytes that may yet come beside the body of this request."""
+    """Remaining bytes of framing allowed for the body of this request."""
     _is_handshake = False
     _is_coded = False
-    """Whether the head names a transfer coding."""
+    """Whether the head has a transfer coding."""
     _impatience: asyncio.TimerHandle | None = None
     _unread: asyncio.TimerHandle | None = None
     _let_go: Callable[[], None] = staticmethod(_nothing)
     _is_over = False
     _refusal: Problem | None = None
-    """Why nothing is answered on this connection but urgent requests."""
+    """Problem of a connection on which only urgent requests are answered."""
     _ending: Problem | None = None
-    """What is to be told when the requests under way are answered."""
+    """Problem to send after the responses to the current requests."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """A client connected, and has a while to say what it wants."""
+        """Start the timer for the first request, and count the connection."""
         super().connection_made(transport)
         config = self.config if isinstance(self.config, BoundedConfig) else BoundedConfig
         self._bounds, self._connections = config.bounds, config.connections
@@ -100,7 +100,7 @@ class Connection(HttpToolsProtocol):
             self.end_idle()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The client has gone."""
+        """Release the connection after the client has disconnected."""
         self._be_patient()
         self.resume_writing()
         self._connections.close(self)
@@ -108,12 +108,12 @@ class Connection(HttpToolsProtocol):
         super().connection_lost(exc)
 
     def end_idle(self) -> None:
-        """End the connection, which is idle, to make room for another."""
+        """Close this idle connection to make room for another."""
         self._is_over = True
         self.transport.close()
 
     def data_received(self, data: bytes) -> None:
-        """Bytes came."""
+        """Parse received bytes, within the limits."""
         if self._is_over:
             return
         self._block_size = len(data)
@@ -132,7 +132,7 @@ class Connection(HttpToolsProtocol):
             self._check_progress()
 
     def _parse(self, data: bytes) -> None:
-        """Parse bytes, and in them heads with an `Upgrade` that is ignored once more without it."""
+        """Parse bytes; heads with an ignored `Upgrade` are parsed again without it."""
         rest: bytes | memoryview = data
         while True:
             try:
@@ -158,13 +158,13 @@ class Connection(HttpToolsProtocol):
             self.handle_websocket_upgrade()
 
     def _check_progress(self) -> None:
-        """End the connection of a head that is too large already, or of chunks that hold nothing; time other heads."""
+        """Close the connection of a head that is too large or of chunks without content; time other heads."""
         if self._is_over or self._is_handshake or self.transport.is_closing():
             return
         if not self._head_is_open:
             if self._framing < 0:
                 self._end(Problem(431, "The chunk extensions and trailers are far larger than the body."))
-            elif self._is_answered:  # nobody reads this body: it may not keep the connection open
+            elif self._is_answered:  # this body is not read: it must not keep the connection open
                 self.timeout_keep_alive_task = self.loop.call_later(
                     self.timeout_keep_alive, self.timeout_keep_alive_handler
                 )
@@ -183,7 +183,7 @@ class Connection(HttpToolsProtocol):
         return self.cycle is None or self.cycle.response_complete
 
     def on_response_complete(self) -> None:
-        """A request is answered."""
+        """Continue after the response to a request."""
         is_last = not self.pipeline
         if is_last:
             self._connections.end_request(self)
@@ -192,7 +192,7 @@ class Connection(HttpToolsProtocol):
             self._say(self._ending)
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """A field of the head. Those of a trailer section are dropped: they are no fields of it (RFC 9110 6.5.1)."""
+        """Take a field of the head; fields of a trailer section are discarded (RFC 9110 6.5.1)."""
         if not self._head_is_open:
             return
         name = name.lower()
@@ -203,7 +203,7 @@ class Connection(HttpToolsProtocol):
         self.headers.append((name, value))
 
     def on_headers_complete(self) -> None:
-        """The head of a request is there. Its scope has the transport, for who must know when the client is silent.
+        """Take a complete head; the scope gets the transport, for code that detects silent clients.
 
         Raises Problems, which the parser passes on as its own error.
         """
@@ -221,7 +221,7 @@ class Connection(HttpToolsProtocol):
         super().on_headers_complete()
 
     def _check(self, head: RequestHead) -> None:
-        """Raises the Problem of a head that is out of the ordinary; notes whether it opens a WebSocket."""
+        """Check an unusual head, and note whether it opens a WebSocket. Raises a Problem for an invalid one."""
         if head.size > self._bounds.head_bytes:
             raise self._too_large
         head.check()
@@ -233,14 +233,14 @@ class Connection(HttpToolsProtocol):
         return self._bounds.is_urgent(head.method, httptools.parse_url(head.target).path)
 
     def on_body(self, body: bytes) -> None:
-        """A piece of a body."""
+        """Take a part of a body."""
         self._framing += len(body) * (1 + _FRAMING_RATIO)
         super().on_body(body)
 
     def on_message_complete(self) -> None:
-        """A request is there; what follows is the head of the next."""
+        """Take a complete request; the head of the next one follows."""
         if self.parser.should_upgrade():
-            return  # the head is parsed again, or there is no next
+            return  # the head is parsed again, or there is no next one
         self._head_is_open, self._head_size = True, 0
         super().on_message_complete()
 
@@ -248,7 +248,7 @@ class Connection(HttpToolsProtocol):
         return self._is_handshake
 
     def send_400_response(self, msg: str) -> None:
-        """What came is no HTTP."""
+        """Refuse bytes that are not HTTP."""
         self._end(_UNREADABLE)
 
     def _too_slow(self) -> None:
@@ -256,25 +256,25 @@ class Connection(HttpToolsProtocol):
         self._end(Problem(408, f"No whole request came within {self._bounds.head_seconds:g} s."))
 
     def pause_writing(self) -> None:
-        """The client reads more slowly than it is sent to: for a while it may."""
+        """Start the timer for a client that reads more slowly than data is sent."""
         super().pause_writing()
         if self._unread is None:
             self._unread = self.loop.call_later(self._bounds.read_seconds, self._give_up)
 
     def resume_writing(self) -> None:
-        """The client has read what was sent, or nearly."""
+        """Stop the timer after the client has read most of the data."""
         super().resume_writing()
         if self._unread is not None:
             self._unread.cancel()
             self._unread = None
 
     def _give_up(self) -> None:
-        """Nothing can be told to a client that reads nothing."""
+        """Abort the connection of a client that does not read."""
         self._unread = None
         self.transport.abort()
 
     def handle_websocket_upgrade(self) -> None:
-        """The connection is a WebSocket's from now on."""
+        """Hand the connection over to the WebSocket protocol."""
         try:
             close = self._bounds.open_websocket(self.client[0] if self.client else None)
         except Problem as problem:
@@ -297,9 +297,9 @@ class Connection(HttpToolsProtocol):
             self._impatience = None
 
     def _end(self, ending: Problem) -> None:
-        """Tell why, after the answers to earlier requests, and close when the client has heard it.
+        """Send a problem after the responses to earlier requests, and close once the client has received it.
 
-        It is also the answer to the request whose body is at fault. To the application its client has gone.
+        It is also the response to the request with an invalid body, whose application gets a disconnect.
         """
         if self._is_over or self.transport.is_closing():
             return
@@ -313,7 +313,7 @@ class Connection(HttpToolsProtocol):
             self._refuse_body(ending)
 
     def _refuse_body(self, ending: Problem) -> None:
-        """Answer the newest request, whose body is at fault, unless its answer has begun: then only close."""
+        """Answer the newest request, whose body is invalid; only close if its response has begun."""
         if self.cycle.response_started:
             self.transport.close()
             return
@@ -323,7 +323,7 @@ class Connection(HttpToolsProtocol):
             self.pipeline.popleft()  # it has not reached the application
             self._ending = ending
         else:
-            self.flow.resume_reading()  # what is not read when the connection closes resets it, and the answer is lost
+            self.flow.resume_reading()  # unread data would reset the connection on closing, and lose the response
             self._say(ending)
 
     def _say(self, ending: Problem) -> None:

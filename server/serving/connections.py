@@ -1,4 +1,4 @@
-"""The open connections of a server, WebSocket connections included: their limits, and a reserve for the stop."""
+"""Open connections of a server, including WebSockets: their limits, and a reserve for the stop."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ if TYPE_CHECKING:
 
 
 RESERVED_CONNECTIONS = 64
-"""Connections beyond the most there may be, for requests that are always answered."""
+"""Number of connections beyond the limit, for requests that are always answered."""
 SILENT_SECONDS = 60.0
-"""A WebSocket that was sent nothing for so long may be ended to make room."""
+"""Seconds without output after which a WebSocket may be ended to make room."""
 
 
 class Endable(Protocol):
-    """A connection that can be ended while nothing is under way on it."""
+    """A connection that can be ended while it is idle."""
 
     def end_idle(self) -> None:
-        """End it, telling why where the protocol has words for it."""
+        """End the connection, with a reason if the protocol has one."""
 
 
 class Connections:
     """Open connections, at most `limit` and a reserve. Belongs to one loop.
 
-    A new one beyond `limit` takes the place of the one that has been idle longest: of a connection without a request
-    under way, or else of a WebSocket that was sent nothing for a minute. Where there is none, it is in the reserve. The
-    same holds within the reserve, so that it cannot be filled with connections on which nothing is asked.
+    A new one beyond `limit` replaces the longest idle one: a connection without a current request, or else a WebSocket
+    without output for a minute. Otherwise it is placed in the reserve, which replaces idle connections in the same way,
+    so that connections without requests cannot fill it.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Connections:
         return len(self._open) + len(self._extra)
 
     def open(self, connection: Endable, *, is_extra: bool = False) -> bool:
-        """Add a connection, in the reserve if necessary or requested; return False if that is full, too."""
+        """Add a connection, in the reserve if necessary or requested; return False if that is full too."""
         if not is_extra and (len(self._open) < self._limit or self._end_longest_idle()):
             self._open.add(connection)
             self._idle[connection] = None
@@ -62,7 +62,7 @@ class Connections:
         return True
 
     def start_request(self, connection: Endable) -> bool:
-        """Note that a request is under way. False where the connection is in the reserve."""
+        """Record a request in progress; return False if the connection is in the reserve."""
         if connection in self._extra:
             self._idle_extra.pop(connection, None)
             return False
@@ -70,7 +70,7 @@ class Connections:
         return True
 
     def end_request(self, connection: Endable) -> None:
-        """Note that the requests on a connection are answered."""
+        """Record that the requests on a connection are answered."""
         if connection in self._open:
             idle = self._idle
         elif connection in self._extra:
@@ -81,18 +81,18 @@ class Connections:
         idle.move_to_end(connection)
 
     def upgrade(self, connection: Endable, websocket: Endable) -> None:
-        """Note that a connection has become a WebSocket."""
+        """Record that a connection has become a WebSocket."""
         self.close(connection)
         self._open.add(websocket)
         self.note_activity(websocket)
 
     def note_activity(self, websocket: Endable) -> None:
-        """Note that something is sent on a WebSocket."""
+        """Record output on a WebSocket."""
         self._websockets[websocket] = self._clock()
         self._websockets.move_to_end(websocket)
 
     def close(self, connection: Endable) -> None:
-        """Note that a connection has ended, or will at once."""
+        """Record that a connection has ended, or will at once."""
         self._open.discard(connection)
         self._extra.discard(connection)
         self._idle.pop(connection, None)
@@ -117,21 +117,21 @@ class Connections:
 
 
 TRY_AGAIN_LATER = 1013
-"""Why a connection is closed (RFC 6455 7.4.1, as registered at IANA)."""
+"""Close code (RFC 6455 7.4.1, as registered at IANA)."""
 
 
 class WebSocketConnection(WebSocketsSansIOProtocol):
-    """A WebSocket that says when it was last sent something, and that can be ended to make room for others."""
+    """A WebSocket that records its output, and can be ended to make room for others."""
 
     _connections: Connections | None = None
     _when_lost: Sequence[Callable[[], None]] = ()
 
     def count(self, connections: Connections, when_lost: Sequence[Callable[[], None]]) -> None:
-        """Count it from now on; `when_lost` are called when it has ended."""
+        """Count the WebSocket from now on, and call `when_lost` at its end."""
         self._connections, self._when_lost = connections, when_lost
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The client has gone."""
+        """Release the connection after the client has disconnected."""
         if self._connections is not None:
             self._connections.close(self)
         for each in self._when_lost:
@@ -139,13 +139,13 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         super().connection_lost(exc)
 
     async def send(self, message: ASGISendEvent) -> None:
-        """Send what the application says."""
+        """Send a message of the application."""
         if self._connections is not None and not self.disconnected:
             self._connections.note_activity(self)
         await super().send(message)
 
     def end_idle(self) -> None:
-        """Close it: the client is told to try again later."""
+        """Close the WebSocket, asking the client to try again later."""
         self.stop_keepalive()
         if self.handshake_complete and not self.close_sent and not self.transport.is_closing():
             self.queue.put_nowait({"type": "websocket.disconnect", "code": TRY_AGAIN_LATER})

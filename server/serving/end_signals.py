@@ -1,4 +1,4 @@
-"""The signals that ask a command to end."""
+"""Signals that end a command."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ _END = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 def end_signals() -> tuple[signal.Signals, ...]:
-    """Return the signals that end a command in order.
+    """Return the signals that end a command in an orderly way.
 
-    SIGHUP is left out where it is ignored already: that is what `nohup` asks for.
+    SIGHUP is left out if it is already ignored, as with `nohup`.
     """
     return tuple(one for one in _END if one != signal.SIGHUP or signal.getsignal(one) is not signal.SIG_IGN)

@@ -23,7 +23,7 @@ from rosld.server.sparql.process.pool import Aborted
 
 
 def require_certificate(certificate: Path, key: Path | None) -> None:
-    """Raise ValueError with a sentence where a certificate cannot be served with."""
+    """Raise ValueError with a sentence if a certificate cannot be used."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     try:
         context.load_cert_chain(certificate, key, password=_no_password)
@@ -49,14 +49,14 @@ _log = logging.getLogger("rosld")
 KEEP_ALIVE_SECONDS = 30
 GRACE_SECONDS = 2
 MAX_CONNECTIONS = 3000
-"""Connections at a time. One more takes the place of one that is idle, or only POST /stop is answered on it."""
+"""Maximum number of connections; a new one replaces an idle one, or is limited to POST /stop."""
 
 MESSAGE_BYTES = 4096
-"""The most a WebSocket's client may send at once: it has nothing to say."""
+"""Maximum number of bytes of a WebSocket client's message, which is ignored anyway."""
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """A bound socket that does not listen yet. Raises ValueError saying why it is refused, and what to do."""
+    """Return a bound socket that does not listen yet. Raises ValueError with the reason and the next step."""
     try:
         family, kind, proto, _, address = socket.getaddrinfo(
             host.strip("[]"), port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -80,7 +80,7 @@ def _bind_error(host: str, port: int, error: Exception) -> str:
 
 
 class Server(uvicorn.Server):
-    """uvicorn's server, which says when it listens and leaves signals to us (it would end the process too early)."""
+    """Server of uvicorn that reports when it listens, and leaves signals to us (it would end the process too early)."""
 
     def __init__(
         self,
@@ -111,30 +111,30 @@ class Server(uvicorn.Server):
         self._listening = listening
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen, then say so."""
+        """Start to listen, then report it."""
         await super().startup(sockets)
         self._listening()
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Capture none."""
+        """Capture no signals."""
         yield
 
 
 def run(main: Coroutine[Any, Any, None]) -> None:
-    """Run on a loop of uvloop."""
+    """Run on a uvloop event loop."""
     uvloop.run(main)
 
 
 class _WithoutTokens(logging.Formatter):
-    """Formats records, tracebacks included, without tokens of rosld."""
+    """Formatter of records, including tracebacks, that removes tokens of rosld."""
 
     def format(self, record: logging.LogRecord) -> str:
         return redact_tokens(super().format(record))
 
 
 def configure_logging() -> None:
-    """All logs to stderr; of uvicorn only what went wrong here, not what strangers send."""
+    """Log to stderr; from uvicorn only internal errors, not those in received data."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_WithoutTokens("%(levelname)s %(name)s: %(message)s"))
     logging.basicConfig(level=logging.INFO, handlers=[handler])
@@ -144,9 +144,9 @@ def configure_logging() -> None:
 
 
 def _unless_cancelled(record: logging.LogRecord) -> bool:
-    """Leaves out the requests that are cut short when the server ends: that is no error.
+    """Drop records of requests that are cancelled when the server ends.
 
-    An answer that is broken off on purpose is told in one line.
+    A deliberately aborted response is logged in one line instead.
     """
     if record.exc_info is not None and isinstance(record.exc_info[1], Aborted):
         _log.info("an answer was broken off: %s", record.exc_info[1])

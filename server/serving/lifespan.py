@@ -62,7 +62,7 @@ class Lifespan:
 
 @asynccontextmanager
 async def lifespan(app: ASGIApp) -> AsyncIterator[None]:
-    """Starts the app and, at the end, stops it. Raises what the app raises; both run in one task, as apps expect."""
+    """Start the app and, at the end, stop it in the same task, as apps expect. Raises what the app raises."""
     to_app: asyncio.Queue[Message] = asyncio.Queue()
     from_app: asyncio.Queue[Message] = asyncio.Queue()
     scope = {"type": "lifespan", "asgi": {"version": "3.0", "spec_version": "2.0"}, "state": {}}
@@ -85,14 +85,14 @@ async def lifespan(app: ASGIApp) -> AsyncIterator[None]:
 async def _step(
     name: str, running: asyncio.Task[None], to_app: asyncio.Queue[Message], from_app: asyncio.Queue[Message]
 ) -> None:
-    """Sends one event and waits for its answer, or for the app's end."""
+    """Send one event and wait for its answer, or for the end of the app."""
     await to_app.put({"type": f"lifespan.{name}"})
     answer = asyncio.ensure_future(from_app.get())
     try:
         await asyncio.wait({running, answer}, return_when=asyncio.FIRST_COMPLETED)
         if answer.done() and answer.result()["type"] == f"lifespan.{name}.complete":
             return
-        await running  # raises what went wrong
+        await running  # raises the error
         if answer.done():
             raise RuntimeError(answer.result().get("message", f"the app failed at {name}"))
     finally:

@@ -1,7 +1,7 @@
-"""The head of an HTTP/1.1 request: what may be read on, and how (RFC 9112).
+"""The head of an HTTP/1.1 request: whether and how the rest may be read (RFC 9112).
 
 An `Upgrade` that is not accepted is ignored (RFC 9110 7.8), which the parser (llhttp) cannot do: it stops at the end of
-the head, and what follows would be read as the next request although it may be the body of this one.
+the head, and the rest would be read as the next request although it may be the body of this one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from rosld.server.http.problem import Problem
 Headers = Sequence[tuple[bytes, bytes]]
 _VERSIONS = ("1.0", "1.1")
 LONGEST_TARGET = 0xFFFF
-"""Bytes of the longest request target that httptools can split into path and query."""
+"""Maximum number of bytes of a request target that httptools can split into path and query."""
 
 
 class RequestHead(NamedTuple):
@@ -27,15 +27,15 @@ class RequestHead(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes of the head, white space around the values left out."""
+        """Number of bytes of the head, without white space around values."""
         line = len(self.method) + len(self.target) + len("  HTTP/1.1\r\n")
         return line + sum(len(name) + len(value) + len(": \r\n") for name, value in self.headers) + len("\r\n")
 
     @property
     def is_websocket_handshake(self) -> bool:
-        """Whether it asks for a WebSocket and for nothing else, and has no body (RFC 6455 4.2.1).
+        """Whether the request opens a WebSocket, and has no body (RFC 6455 4.2.1).
 
-        Java's client states that its body has no bytes.
+        Java's client states a body of zero bytes.
         """
         names = {name for name, _ in self.headers}
         return (
@@ -49,13 +49,13 @@ class RequestHead(NamedTuple):
 
     @property
     def without_upgrade(self) -> bytes:
-        """The same head, to be sent as it was but for its `Upgrade` fields."""
+        """Head without its `Upgrade` fields."""
         lines = [b"%b %b HTTP/%b\r\n" % (self.method, self.target, self.version.encode("ascii"))]
         lines += [b"%b: %b\r\n" % (name, value) for name, value in self.headers if name != b"upgrade"]
         return b"".join((*lines, b"\r\n"))
 
     def check(self) -> None:
-        """Raise the Problem of a request that cannot be read to its end, or not as what it is meant."""
+        """Raise the Problem of a request that cannot be read completely or unambiguously."""
         if len(self.target) > LONGEST_TARGET:
             raise Problem(431, f"The request line is longer than {LONGEST_TARGET} bytes.")
         if self.version not in _VERSIONS:

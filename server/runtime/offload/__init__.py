@@ -1,4 +1,4 @@
-"""Worker processes for what would keep the event loop from running, or has to be ended when it takes too long."""
+"""Worker processes for work that would block the event loop, or must be ended when it takes too long."""
 
 from rosld.server.runtime.offload.pool import Work, WorkerPool
 

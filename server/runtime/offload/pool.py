@@ -1,4 +1,4 @@
-"""A few worker processes, started when there is work for them and ended when there has been none for a while."""
+"""Pool of worker processes, started on demand and ended when idle."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ _T = TypeVar("_T")
 _log = logging.getLogger("rosld")
 
 Work: TypeAlias = Callable[[], _T]
-"""What a worker does: a `functools.partial` of a function of a module, whose arguments can be pickled."""
+"""Work of a worker: a `functools.partial` of a module's function with picklable arguments."""
 
 MAX_WORKERS = max(1, min(2, (os.cpu_count() or 2) - 1))
-"""Workers at a time: a processor is left for the server."""
+"""Maximum number of workers: one processor is left to the server."""
 WORK_SECONDS = 120.0
-"""The longest that one piece of work may take."""
+"""Default maximum seconds for one piece of work."""
 WORKER_BYTES = 6 * 1024 * 1024 * 1024
-"""Bytes of address space that a worker may have."""
+"""Maximum bytes of address space of a worker."""
 IDLE_SECONDS = 30.0
-"""How long a worker without work is kept."""
+"""Seconds after which an idle worker ends."""
 MAX_QUEUED = 32
-"""The most pieces of work that wait."""
+"""Maximum number of waiting pieces of work."""
 _BUFFER = 1024 * 1024
 _AT_ONCE_SECONDS = 0.5
-"""A worker that ends within these did not end by its work."""
+"""Minimum lifetime in seconds of a worker whose end is attributed to its work."""
 _START = "import sys; sys.path[:] = sys.argv[1:-1]; from rosld.server.runtime.offload.worker import main; main()"
-"""What a worker runs: with the same modules as the server, wherever that found them."""
+"""The program of a worker; it finds modules where the server does."""
 
 
 class WorkerPool:
-    """Does work in other processes. Belongs to one loop."""
+    """Pool that runs work in other processes. Belongs to one loop."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class WorkerPool:
         memory: int = WORKER_BYTES,
         subject: str = "document",
     ) -> None:
-        """`subject` is the word for what is worked on."""
+        """Initialize; `subject` is the name of the processed objects in error messages."""
         self._seconds = seconds
         self._memory = memory
         self._subject = subject
@@ -60,10 +60,10 @@ class WorkerPool:
         self._busy: set[_Worker] = set()
 
     async def run(self, work: Work[_T], seconds: float | None = None) -> _T:
-        """Do work in a worker: what it returns, or what it raises of OSError, ValueError, LookupError and of rosld.
+        """Return the result of work, or raise its exception (OSError, ValueError, LookupError or one of rosld).
 
-        The worker is killed after `seconds` (None: those of the pool). Raises Problems: 503 where too much waits or a
-        worker ended early, 507 where its memory did not suffice.
+        The worker is killed after `seconds` (None: those of the pool). Raises Problem 503 if too much work waits or a
+        worker ended early, and 507 if its memory did not suffice.
         """
         data = _pickle(work)
         if data is None:  # such as rights that depend on types, which only this process knows
@@ -91,7 +91,7 @@ class WorkerPool:
             except (asyncio.TimeoutError, OSError, EOFError) as error:
                 worker.end()
                 if worker.has_worked and not is_new and time.monotonic() - begun < _AT_ONCE_SECONDS:
-                    continue  # it had ended since its last work: another one does it
+                    continue  # it ended while idle: use another one
                 raise self._too_much(seconds) from error
             except BaseException:
                 worker.end()
@@ -142,18 +142,18 @@ class WorkerPool:
 
     @property
     def command(self) -> list[str]:
-        """What starts a worker."""
+        """Command line of a worker."""
         return [sys.executable, "-c", _START, *sys.path, str(self._memory)]
 
     async def close(self) -> None:
-        """End all workers, also those at work. Idempotent."""
+        """End all workers, including busy ones. Idempotent."""
         for worker in (*self._idle, *self._busy):
             worker.end()
         self._idle.clear()
 
 
 class _Worker:
-    """One worker process, and the socket to it."""
+    """A worker process and the socket to it."""
 
     def __init__(
         self, process: subprocess.Popen[bytes], reader: asyncio.StreamReader, writer: asyncio.StreamWriter
@@ -166,20 +166,20 @@ class _Worker:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it may take work."""
+        """Whether the worker can accept work."""
         return self._process.poll() is None and not self._reader.at_eof()
 
     async def done(self, data: bytes, seconds: float) -> tuple[Outcome, object]:
-        """Have it do pickled work within these seconds. Raises OSError and EOFError where it ends meanwhile."""
+        """Run pickled work within these seconds. Raises OSError and EOFError if the worker ends meanwhile."""
         self.pieces += 1
         self._writer.writelines((ORDER.pack(len(data), seconds), data))
         await self._writer.drain()
         size = LENGTH.unpack(await self._reader.readexactly(LENGTH.size))[0]
         reply = await self._reader.readexactly(size)
-        return cast("tuple[Outcome, object]", pickle.loads(reply))  # our own worker's
+        return cast("tuple[Outcome, object]", pickle.loads(reply))  # from our own worker
 
     def end(self) -> None:
-        """Kill it, at once and without waiting."""
+        """Kill the worker without waiting."""
         with contextlib.suppress(OSError, RuntimeError):
             self._writer.close()
         with contextlib.suppress(OSError):
@@ -188,7 +188,7 @@ class _Worker:
 
 
 def _pickle(work: Work[object]) -> bytes | None:
-    """Work for another process; None where it must stay in this one."""
+    """Pickle work for another process; return None if it must stay in this one."""
     try:
         return pickle.dumps(work, protocol=5)
     except (pickle.PicklingError, TypeError, AttributeError):
@@ -196,7 +196,7 @@ def _pickle(work: Work[object]) -> bytes | None:
 
 
 def _start(workers: WorkerPool) -> tuple[subprocess.Popen[bytes], socket.socket]:
-    """A new worker process and our end of the socket to it. Raises OSError."""
+    """Start a worker process; return it and our end of the socket. Raises OSError."""
     ours, theirs = socket.socketpair()
     with theirs:
         try:

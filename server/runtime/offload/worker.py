@@ -1,8 +1,8 @@
-"""A worker process: does one piece of work after the other, and is killed where one takes too long.
+"""A worker process: does one piece of work after another, and is killed if one takes too long.
 
-It shares nothing with the server but a socket, on which work and results go to and fro as pickles, each after its
-length. A thread in the server would not do: the RDF parser and the serialisers hold the interpreter's lock for as long
-as they work, and freeing a million triples does for a fifth of a second.
+It shares with the server only a socket, which carries work and results as pickles, each after its length. A thread in
+the server would not do: the RDF parser and the serializers hold the interpreter's lock while they work, and so does
+freeing a million triples, for a fifth of a second.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ LENGTH = struct.Struct("<Q")
 ORDER = struct.Struct("<Qd")
 """Header of work: its length in bytes, and its time limit in seconds."""
 _NICENESS = 5
-"""How much nicer than the server a worker is: whoever moves or stops the robot never waits for its processor."""
+"""The nice increment of workers, so that moving or stopping the robot never waits for the processor."""
 _LARGE = 256 * 1024 * 1024
-"""Bytes of memory beyond which a worker ends after its work: what it took is given back for certain."""
+"""Bytes of memory above which a worker ends after its work, to return the memory for certain."""
 _PIECE = 1024 * 1024
 
 
 class Outcome(Enum):
-    """What became of work: its value, an exception that it raised on purpose, or one that nobody foresaw, in words."""
+    """Outcome of work: its value, an expected exception, or the description of an unexpected one."""
 
     VALUE = "value"
     RAISED = "raised"
@@ -41,9 +41,9 @@ class Outcome(Enum):
 
 
 def main() -> None:
-    """Do what comes on the socket that is standard input, until it ends. The argument is the bytes of memory."""
+    """Run the work received on standard input (a socket) until its end; the argument is the memory limit in bytes."""
     _take_limits(int(sys.argv[-1]))
-    gc.disable()  # work is short, and what it made is freed at its end
+    gc.disable()  # work is short, and its objects are freed at its end
     with socket.socket(fileno=0) as connection:
         while (order := _read(connection)) is not None:
             signal.setitimer(signal.ITIMER_REAL, order[1])
@@ -59,7 +59,7 @@ def main() -> None:
 
 
 def _take_limits(memory: int) -> None:
-    """Be the first to be ended where the machine is short of memory, and take no more than so many bytes."""
+    """Volunteer for the out-of-memory killer, and limit the memory in bytes."""
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     with suppress(OSError, ValueError):
         os.nice(_NICENESS)
@@ -69,10 +69,10 @@ def _take_limits(memory: int) -> None:
 
 
 def _do(data: bytes) -> bytes:
-    """Do work: its outcome, pickled."""
+    """Run work and return its pickled outcome."""
     outcome: tuple[Outcome, object]
     try:
-        work: Callable[[], object] = pickle.loads(data)  # from the server, on a socket that nobody else has
+        work: Callable[[], object] = pickle.loads(data)  # from the server, on a private socket
         outcome = Outcome.VALUE, work()
     except (MemoryError, OSError, ValueError, LookupError) as error:
         outcome = Outcome.RAISED, error
@@ -86,14 +86,14 @@ def _do(data: bytes) -> bytes:
 
 
 def _memory() -> int:
-    """The bytes of memory that this process has now; 0 where that cannot be told."""
+    """Return the bytes of memory of this process, 0 if unknown."""
     with suppress(OSError, IndexError, ValueError):
         return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
     return 0
 
 
 def _read(connection: socket.socket) -> tuple[bytes, float] | None:
-    """The next piece of work and the seconds it may take; None where the server has gone."""
+    """Read the next piece of work and its time limit in seconds; return None if the server has closed the socket."""
     head = _exactly(connection, ORDER.size)
     if head is None:
         return None

@@ -7,7 +7,7 @@ SCHEME = "aircraft"
 
 
 def adapter(source: str, options: AdapterOptions) -> Adapter:
-    """The adapter of the source `aircraft`, the only aircraft there is. Raises ValueError for anything after it."""
+    """Return the adapter of the source `aircraft`. Raises ValueError for anything after it."""
     if source.rstrip(":/") != SCHEME:
         raise ValueError(f"there is only one aircraft: say {SCHEME!r}, not {source!r}")
     return Aircraft(options)

@@ -1,4 +1,4 @@
-"""The embedded aircraft: a small ROS system on the server's own loop."""
+"""Embedded aircraft: a small ROS system on the server's event loop."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _KNOWN_PARAMETER = frozenset({Operation.GET_PARAMETER, Operation.SET_PARAMETER, 
 
 
 def initial_parameters() -> parameters.Tree:
-    """Return the parameters that the aircraft starts with."""
+    """Return the initial parameters of the aircraft."""
     return {
         "aircraft": {
             "registration": "RO-SLD",
@@ -63,12 +63,12 @@ class Aircraft(EmbeddedRobot):
         )
 
     def _start(self) -> None:
-        """Bring the aircraft to life: off, at rest."""
+        """Start the aircraft, switched off and at rest."""
         self._flight = Flight(since_ns=time.monotonic_ns())
         self._tick(asyncio.get_running_loop().time(), 0)
 
     async def close(self) -> None:
-        """Let the aircraft rest, with nothing left advertised. Idempotent."""
+        """End the goal and stop advertising. Idempotent."""
         if self._fly is not None:
             words = "the aircraft is no longer there"
             self._announce(ACTION, self._fly.id, GoalEvent(time.time_ns(), GoalStatus.LOST, words, own=True))
@@ -80,7 +80,7 @@ class Aircraft(EmbeddedRobot):
         return values
 
     def _accept(self, action: str, goal: Message) -> str:
-        """Fly. Raises Refused while the aircraft is off or flies already."""
+        """Accept a flight. Raises Refused while the aircraft is off or already flying."""
         distance = float(getattr(goal, "distance", math.nan))
         try:
             self._fly = accept(self._flight, self._fly, secrets.token_hex(16), distance, time.monotonic_ns())
@@ -95,13 +95,13 @@ class Aircraft(EmbeddedRobot):
         return True
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the values of those names that exist."""
+        """Return the values of existing parameters."""
         self._require_reachable(deadline)
         found = {name: parameters.read_name(self._parameters, name) for name in names}
         return {name: parameters.deep_copy(value) for name, value in found.items() if value is not None}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Set all of them or, when one is refused, none."""
+        """Set all parameters, or none if one is refused."""
         self._require_reachable(deadline)
         tree = self._parameters
         for name, value in values.items():
@@ -110,7 +110,7 @@ class Aircraft(EmbeddedRobot):
         self._replace_parameters(tree, values)
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """Delete all of them or, when one is not there, none."""
+        """Delete all parameters, or none if one does not exist."""
         self._require_reachable(deadline)
         tree = self._parameters
         for name in names:
@@ -129,7 +129,7 @@ class Aircraft(EmbeddedRobot):
         return self._fly.id if self._fly is not None else None
 
     def _fly_on(self, now_ns: int) -> None:
-        """Announce the progress of the flight, or the end of its goal."""
+        """Report the progress of the flight, or the end of its goal."""
         fly = self._fly
         if fly is None:
             return
@@ -152,7 +152,7 @@ class Aircraft(EmbeddedRobot):
         return _KNOWN_PARAMETER if name != "/" else _KNOWN_PARAMETER - {Operation.DELETE_PARAMETER}
 
     def _tick(self, began: float, turn: int) -> None:
-        """Publish the speed, and again at the next whole period; periods that a busy loop missed are left out."""
+        """Publish the speed, and again at the next whole period; periods that a busy loop missed are skipped."""
         loop = asyncio.get_running_loop()
         speed = self._flight.speed_at(time.monotonic_ns())
         self._publish(SPEED, {"data": speed})

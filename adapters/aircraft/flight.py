@@ -1,7 +1,7 @@
-"""The flight model: the state of the paper's aircraft at a time, and after a command.
+"""Flight model: the state of the paper's aircraft at a time, and after a command.
 
-A `Flight` is a frozen state and a time; everything else follows from them, so that no clock is needed to test it.
-Times are nanoseconds of any monotonic clock.
+A `Flight` is a frozen state and a time, from which everything else follows, so that tests need no clock. Times are
+nanoseconds of any monotonic clock.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from rosld.adapters.model import GoalStatus
 MAX_SPEED = 1000.0
 MAX_DIRECTION = 360.0
 ACCELERATION = 100.0
-"""How much the speed changes in a second, up or down."""
+"""Change of the speed per second, up or down."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """The aircraft since `since_ns`, when it had `speed` and began to change towards `commanded`."""
+    """State of the aircraft at `since_ns`, when it had `speed` and began to change towards `commanded`."""
 
     on: bool = False
     speed: float = 0.0
@@ -29,29 +29,29 @@ class Flight:
 
     @property
     def power(self) -> str:
-        """The power in the paper's words."""
+        """The power in the paper's terms."""
         return "on" if self.on else "off"
 
     def speed_at(self, now_ns: int) -> float:
-        """Return the speed at a time not before `since_ns`; exactly the commanded one as soon as it is reached."""
+        """Return the speed at a time not before `since_ns`; exactly the commanded one once it is reached."""
         way = self.commanded - self.speed
         gone = ACCELERATION * (now_ns - self.since_ns) / 1e9
         return self.commanded if abs(way) <= gone else self.speed + math.copysign(gone, way)
 
 
 class Declined(Exception):
-    """The aircraft refuses a command now; the text is its answer."""
+    """A command that the aircraft refuses; the message is its response."""
 
 
 def start(flight: Flight, now_ns: int) -> Flight:
-    """The flight of an aircraft that is switched on now. Raises Declined when it is on already."""
+    """Return the flight after switching on. Raises Declined if the aircraft is on already."""
     if flight.on:
         raise Declined("the aircraft is already started")
     return replace(flight, on=True, since_ns=now_ns)
 
 
 def stop(flight: Flight, now_ns: int) -> Flight:
-    """The flight of an aircraft that is switched off now; the same when it is off. Raises Declined while it moves."""
+    """Return the flight after switching off, if it was on. Raises Declined while the aircraft moves."""
     speed = flight.speed_at(now_ns)
     if flight.on and speed > 0:
         raise Declined(f"the aircraft still moves at {speed:g}: set the speed to 0 first")
@@ -59,7 +59,7 @@ def stop(flight: Flight, now_ns: int) -> Flight:
 
 
 def set_power(flight: Flight, power: str, now_ns: int) -> Flight:
-    """Switched "on" or "off", which is to start or to stop. Declined for other words."""
+    """Return the flight after switching "on" or "off". Raises Declined for other words, and like `start` and `stop`."""
     if power == "on":
         return start(flight, now_ns)
     if power == "off":
@@ -68,13 +68,13 @@ def set_power(flight: Flight, power: str, now_ns: int) -> Flight:
 
 
 def set_speed(flight: Flight, speed: float, now_ns: int) -> Flight:
-    """On its way to another speed. Declined while off and outside 0 to 1000."""
+    """Return the flight after commanding a speed. Raises Declined while off, and outside 0 to 1000."""
     _on_and_within(flight, "speed", speed, MAX_SPEED)
     return replace(flight, speed=flight.speed_at(now_ns), commanded=_positive(speed), since_ns=now_ns)
 
 
 def set_heading(flight: Flight, direction: float, now_ns: int) -> Flight:
-    """Heading to another direction, at once. Declined while off and outside 0 to 360."""
+    """Return the flight with another direction. Raises Declined while off, and outside 0 to 360."""
     _on_and_within(flight, "direction", direction, MAX_DIRECTION)
     return replace(flight, speed=flight.speed_at(now_ns), direction=_positive(direction), since_ns=now_ns)
 
@@ -82,24 +82,24 @@ def set_heading(flight: Flight, direction: float, now_ns: int) -> Flight:
 def _on_and_within(flight: Flight, what: str, value: float, limit: float) -> None:
     if not flight.on:
         raise Declined(f"the aircraft is off: start it before setting its {what}")
-    if not 0 <= value <= limit:  # NaN is within nothing
+    if not 0 <= value <= limit:  # false for NaN
         raise Declined(f"the {what} must be between 0 and {limit:g}, not {value:g}")
 
 
 def _positive(value: float) -> float:
-    return value + 0.0  # -0.0 is 0.0 to a pilot
+    return value + 0.0  # turns -0.0 into 0.0
 
 
 ACTION = "/aircraft/fly"
 TYPE = "rosld_aircraft/action/Fly"
 MAX_DISTANCE = 100_000.0
 PACE = 100.0
-"""How far the aircraft flies in a second."""
+"""Distance that the aircraft flies per second."""
 
 
 @dataclass(frozen=True, slots=True)
 class FlyGoal:
-    """A goal that was taken at `since_ns`: so far to fly; `canceling` once it was asked to be canceled."""
+    """A goal accepted at `since_ns` to fly a distance; `canceling` after a request to cancel it."""
 
     id: str
     distance: float
@@ -122,20 +122,19 @@ class GoalEnd:
 def accept(flight: Flight, underway: FlyGoal | None, id: str, distance: float, now_ns: int) -> FlyGoal:
     """Return the goal to fly a distance from now on.
 
-    Raises Declined while the aircraft is off, while another goal is underway, and for less than 0 or more than
-    `MAX_DISTANCE`.
+    Raises Declined while the aircraft is off or has another goal, and for distances below 0 or above `MAX_DISTANCE`.
     """
     if not flight.on:
         raise Declined("the aircraft is off: start it before it is to fly")
     if underway is not None:
         raise Declined("the aircraft flies already: cancel that goal first, or wait for its end")
-    if not 0 <= distance <= MAX_DISTANCE:  # NaN is within nothing
+    if not 0 <= distance <= MAX_DISTANCE:  # false for NaN
         raise Declined(f"the distance must be between 0 and {MAX_DISTANCE:g}, not {distance:g}")
     return FlyGoal(id, distance, now_ns)
 
 
 def cancel(fly: FlyGoal) -> FlyGoal:
-    """Return the goal, to be canceled."""
+    """Return the goal with a request to cancel it."""
     return replace(fly, canceling=True)
 
 

@@ -26,7 +26,7 @@ class _Number(Protocol):
 
 
 class AircraftService(NamedTuple):
-    """A service: its type, and what it does with a flight, a request and the time."""
+    """A service: its type, and its function of a flight, a request and a time."""
 
     type: str
     answer: Callable[[Flight, Message, int], Answer]

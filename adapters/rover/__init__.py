@@ -1,6 +1,6 @@
-"""A mobile robot in a small world, embedded: `rosld serve rover`.
+"""Embedded mobile robot in a small world: `rosld serve rover`.
 
-Everything but `adapter.py` needs only numpy, so that a ROS node can run the same robot.
+Everything except `adapter.py` needs only numpy, so that a ROS node can run the same robot.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def rover_adapter(source: str, options: AdapterOptions) -> Adapter:
     """Return the adapter of a source such as `rover` or `rover:?battery=0.21`. Raises ValueError for a bad option."""
-    from rosld.adapters.rover.adapter import Rover  # imported late: a ROS node's Python may lack what it needs
+    from rosld.adapters.rover.adapter import Rover  # late: a ROS node's Python may lack its dependencies
     from rosld.adapters.rover.simulation import read_source
 
     return Rover(read_source(source), options)

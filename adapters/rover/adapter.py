@@ -1,7 +1,7 @@
-"""The embedded rover: a mobile robot of one node on the server's own loop.
+"""Embedded rover: a mobile robot of one node on the server's event loop.
 
-It resembles a robot of ROS 2: messages in CDR, parameters that its node declares. Messages of a topic are made only
-while it has a subscription.
+It resembles a ROS 2 robot: messages in CDR, parameters declared by its node. Messages of a topic are created only while
+the topic has a subscription.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from rosld.adapters.rover.settings import DEFAULTS, NODE
 from rosld.adapters.rover.simulation import Simulation, Start
 
 PERIOD = 0.05
-"""Seconds between two looks at what is due."""
+"""Seconds between checks of what is due."""
 _FEEDBACK_PERIOD = 0.2
 _CAPABILITIES = Capabilities(system="rover", encoding=ENCODING, writes=True, creates_topics=True, parameter_trees=False)
 _STATUSES: Mapping[Outcome, GoalStatus] = MappingProxyType(
@@ -88,7 +88,7 @@ class Rover(EmbeddedRobot):
         self._tick()
 
     async def close(self) -> None:
-        """End, with nothing left advertised. Idempotent."""
+        """Stop the rover, end its goal, and stop advertising. Idempotent."""
         goal = self._current_goal()
         if goal is not None:
             event = GoalEvent(time.time_ns(), GoalStatus.LOST, "the rover is no longer there", own=True)
@@ -96,7 +96,7 @@ class Rover(EmbeddedRobot):
         await super().close()
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
-        """Subscribe to a topic; the first subscription has what the rover publishes there now."""
+        """Subscribe to a topic. The first subscription immediately receives the current message of a periodic topic."""
         is_first = not self._topics.is_subscribed(topic)
         subscription = await super().subscribe(topic, depth=depth)
         if is_first and topic in PERIODIC and self._sink is not None:
@@ -108,7 +108,7 @@ class Rover(EmbeddedRobot):
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
-        """Publish without waiting: no subscriber can match later.
+        """Publish a message. Never waits, because no subscriber can match later.
 
         Raises Refused for another type, and for a velocity that cannot be decoded.
         """
@@ -122,19 +122,19 @@ class Rover(EmbeddedRobot):
         return published
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """Let the rover drive somewhere. Raises Refused for an invalid pose, and for another type."""
+        """Send a goal for navigation. Raises Refused for an invalid pose, and for another type."""
         sent = await super().send_goal(action, type, goal, deadline=deadline)
         self._tell_feedback(time.monotonic())
         return sent
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the values of those names that exist."""
+        """Return the values of existing parameters."""
         self._require_reachable(deadline)
         found = {name: read(self._parameters, name) for name in names}
         return {name: value for name, value in found.items() if value is not None}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Set all of them or, when one is refused, none."""
+        """Set all parameters, or none if one is refused."""
         self._require_reachable(deadline)
         self._parameters = with_values(self._parameters, values)
         self._simulation.configure(self._parameters, time.monotonic())
@@ -143,7 +143,7 @@ class Rover(EmbeddedRobot):
                 self._sink.parameter_changed(name)
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """Refused: the node keeps what it declared."""
+        """Raise Refused, because declared parameters cannot be deleted, or NotFound for others."""
         self._require_reachable(deadline)
         refuse_deletion(names)
 
@@ -180,7 +180,7 @@ class Rover(EmbeddedRobot):
         return journey.id if journey is not None else None
 
     def _tick(self) -> None:
-        """Say what is due, and look again after a while."""
+        """Publish what is due, and schedule the next check."""
         now = time.monotonic()
         self._simulation.advance(now)
         for topic in PERIODIC:
@@ -201,7 +201,7 @@ class Rover(EmbeddedRobot):
         self._publish(topic, said.say(view))
 
     def _tell_of_goals(self, now: float) -> None:
-        """Announce ended goals and, periodically, the progress of the rover."""
+        """Report ended goals and, periodically, the progress of the rover."""
         for ended in self._simulation.take_ended():
             self._tell_end(ended)
         if now >= self._due.get(NAVIGATE_TO, now):
@@ -225,5 +225,5 @@ class Rover(EmbeddedRobot):
 
 
 def _next(due: float, period: float, now: float) -> float:
-    """When a topic is due again: a period later, or from now on where a busy loop missed it."""
+    """Return when a topic is due next: one period later, or one period from now if a busy loop missed that."""
     return due + period if due + period > now else now + period

@@ -1,6 +1,6 @@
-"""The differential drive: from a commanded velocity to the motion, step by step, and its battery. Pure.
+"""Differential drive: step by step from a commanded velocity to the motion, and its battery. No I/O.
 
-The base has no watchdog: it follows the last command until the next.
+The base has no watchdog: it follows the last command until the next one.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from typing import NamedTuple
 from rosld.adapters.rover.world import World
 
 RADIUS = 0.2
-"""Metres from the middle of the rover to its rim."""
+"""Metres from the centre of the rover to its rim."""
 WHEEL_SEPARATION = 0.32
 BRAKING = 10.0
-"""How fast it brakes, in metres a second squared: from its top speed it stands after a tenth of a second."""
+"""Deceleration in metres per second squared: from its top speed it stops within a tenth of a second."""
 _TURN_BRAKING = 25.0
 _TURN_FACTOR = 2.0
-"""Radians a second squared for each metre a second squared."""
+"""Radians per second squared for each metre per second squared."""
 
 
 class Velocity(NamedTuple):
-    """Metres a second ahead, and radians a second counterclockwise."""
+    """Metres per second ahead, and radians per second counterclockwise."""
 
     speed: float = 0.0
     turn_rate: float = 0.0
@@ -32,7 +32,7 @@ STANDSTILL = Velocity()
 
 
 class Limits(NamedTuple):
-    """The fastest that the drive may be, and how soon (metres a second squared)."""
+    """Maximum speeds of the drive, and its acceleration in metres per second squared."""
 
     speed: float
     turn_rate: float
@@ -58,7 +58,7 @@ def wheel_speeds(velocity: Velocity) -> tuple[float, float]:
 
 
 def drive(motion: Motion, command: Velocity, limits: Limits, world: World, seconds: float) -> Motion:
-    """Return the motion a short time later. An obstacle stops it; it can turn there, and drive away."""
+    """Return the motion after a short time. An obstacle stops the rover, which can then turn and drive away."""
     speed = _approach(
         motion.velocity.speed, _clamp(command.speed, limits.speed), limits.acceleration * seconds, BRAKING * seconds
     )
@@ -85,7 +85,7 @@ def drive(motion: Motion, command: Velocity, limits: Limits, world: World, secon
 
 
 def is_closer(world: World, motion: Motion, x: float, y: float) -> bool:
-    """Whether the rover would touch something at a point, and not less than where it is."""
+    """Whether the rover at a point would touch something, and come closer to it than it is now."""
     clearance = world.clearance(x, y)
     return clearance < RADIUS and clearance <= world.clearance(motion.x, motion.y)
 
@@ -106,7 +106,7 @@ def _clamp(value: float, limit: float) -> float:
 
 
 def _approach(current: float, wanted: float, gain: float, loss: float) -> float:
-    """Return a speed on its way to another: at most `gain` faster, or `loss` slower; through zero in two steps."""
+    """Return a speed on its way to another one: at most `gain` faster or `loss` slower, stopping at zero."""
     if current * wanted < 0:
         wanted = 0.0
     limit = gain if abs(wanted) > abs(current) else loss
@@ -114,10 +114,10 @@ def _approach(current: float, wanted: float, gain: float, loss: float) -> float:
 
 
 CAPACITY = 1.0
-"""Ampere hours."""
+"""Ampere-hours."""
 CELLS = 3
 _IDLE = 1 / (10 * 3600)
-"""The share of the capacity that a second takes in any case."""
+"""Share of the capacity that is always drained per second."""
 _LIGHTS = 1 / (5 * 3600)
 _METRE = 0.002
 _RADIAN = 0.0002
@@ -133,22 +133,22 @@ class Battery:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the rover cannot move any more."""
+        """Whether the rover can no longer move."""
         return self.level <= 0.0
 
     @property
     def cell_voltage(self) -> float:
-        """The voltage of one of its cells."""
+        """Voltage of one of its cells."""
         return 3.3 + 0.9 * self.level
 
     @property
     def current(self) -> float:
-        """The current in amperes, negative while discharging."""
+        """Current in amperes, negative while discharging."""
         return -self.drain * CAPACITY * 3600
 
 
 def drain(battery: Battery, velocity: Velocity, lights: bool, docked: bool, seconds: float) -> Battery:
-    """Return the battery a while later, during which the rover moved so."""
+    """Return the battery after some seconds of this motion."""
     share = _IDLE + _LIGHTS * lights + _METRE * abs(velocity.speed) + _RADIAN * abs(velocity.turn_rate)
     if docked:
         share = 0.0 if battery.level >= 1.0 else -_CHARGING

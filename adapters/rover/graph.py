@@ -1,4 +1,4 @@
-"""The computation graph of the rover: its topics with types and rates, services, actions and parameters."""
+"""Computation graph of the rover: its topics with types and rates, services, actions and parameters."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _HERTZ = 20.0
 
 
 class Periodic(NamedTuple):
-    """A topic that is published again and again: its type, what is said, and the messages a second."""
+    """A topic that is published periodically: its type, a function for its message, and the rate in hertz."""
 
     type: str
     say: Callable[[View], Fields]
@@ -61,7 +61,7 @@ class Periodic(NamedTuple):
 
 
 class Latched(NamedTuple):
-    """A topic whose last message is there for all who come: said once, and when it has changed."""
+    """A latched topic, which is published once and after each change."""
 
     type: str
     say: Callable[[View], Fields]
@@ -107,7 +107,7 @@ TOPICS: Mapping[str, str] = {
     **{name: topic.type for name, topic in PERIODIC.items()},
     **{name: topic.type for name, topic in LATCHED.items()},
 }
-"""The types of the rover's topics."""
+"""Types of the rover's topics."""
 SERVICES: Mapping[str, str] = {SET_LIGHTS: SET_LIGHTS_TYPE, DOCK: DOCK_TYPE}
 ACTIONS: Mapping[str, str] = {NAVIGATE_TO: NAVIGATE_TO_TYPE}
 _TYPES: Mapping[type, ParameterType] = {
@@ -140,7 +140,7 @@ _PREFIX = f"{NODE}/"
 
 
 def operations_on(name: str) -> frozenset[Operation]:
-    """Return the operations on a parameter: the node keeps its declared ones, and accepts no others."""
+    """Return the operations on a parameter: declared ones cannot be deleted, and others do not exist."""
     declared = PARAMETERS.get(name.removeprefix(_PREFIX)) if name.startswith(_PREFIX) else None
     if declared is None:
         return frozenset()
@@ -148,7 +148,7 @@ def operations_on(name: str) -> frozenset[Operation]:
 
 
 def read(values: Mapping[str, Value], name: str) -> ParameterValue | None:
-    """Return the value of a name, a dict where it is the node's or `/`; None where there is nothing."""
+    """Return the value of a name, a dict for the node's name or `/`, or None."""
     if name == "/":
         return {NODE.strip("/"): {**values}}
     if name == NODE:
@@ -157,7 +157,7 @@ def read(values: Mapping[str, Value], name: str) -> ParameterValue | None:
 
 
 def with_values(values: Mapping[str, Value], given: Mapping[str, ParameterValue]) -> Mapping[str, Value]:
-    """The values with these set. Raises NotFound, and Refused with the node's words for the first that it refuses."""
+    """Return the values with the given ones set. Raises NotFound, and Refused with the node's reason."""
     changed = dict(values)
     for name, value in given.items():
         if not name.startswith(_PREFIX):
@@ -173,7 +173,7 @@ def with_values(values: Mapping[str, Value], given: Mapping[str, ParameterValue]
 
 
 def refuse_deletion(names: Sequence[str]) -> None:
-    """Raise Refused for a parameter that is there, which its node keeps, and NotFound for any other."""
+    """Raise Refused for a declared parameter, which cannot be deleted, and NotFound for others."""
     for name in names:
         if name not in GRAPH_PARAMETERS:
             raise NotFound(f"there is no parameter {name}")
@@ -181,7 +181,7 @@ def refuse_deletion(names: Sequence[str]) -> None:
 
 
 def _fit(name: str, value: ParameterValue) -> ParameterValue:
-    """The value in the type that is declared, where it fits; the node judges all others."""
+    """Return the value converted to the declared type if possible; the node checks other values."""
     descriptor = GRAPH_PARAMETERS[name].descriptor
     fit = None if descriptor is None or descriptor.type is None else coerce(value, descriptor.type)
     return value if fit is None else fit

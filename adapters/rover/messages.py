@@ -1,7 +1,7 @@
-"""Messages of the rover, as the fields of ROS 2's standard messages (common_interfaces, tf2_msgs). Pure.
+"""Messages of the rover, as the fields of ROS 2's standard messages (common_interfaces, tf2_msgs). No I/O.
 
-A message is a dict of all its fields, nested ones too; a time is `{"sec": ..., "nanosec": ...}`, an array of numbers is
-numpy's. The nodes of `tests/rover` convert it to the messages of their ROS.
+A message is a dict of all its fields, including nested ones; a time is `{"sec": ..., "nanosec": ...}`, an array of
+numbers is a numpy array. The nodes of `tests/rover` convert them to the messages of their ROS version.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _OPTICAL = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
 _GRAVITY = 9.81
 _POSITION_VARIANCE, _HEADING_VARIANCE = 1e-4, 1e-4
 _UNKNOWN = 1e6
-"""The variance of what a robot on the floor does not measure."""
+"""Variance of values that a robot on the floor does not measure."""
 _ROOM_TEMPERATURE = 25.0
 _CHARGING, _DISCHARGING, _FULL = 1, 2, 4
 _HEALTH_GOOD, _HEALTH_DEAD = 1, 3
@@ -55,7 +55,7 @@ _LEVELS: Mapping[Severity, int] = {Severity.INFO: 20, Severity.WARN: 30, Severit
 
 
 class View(NamedTuple):
-    """All that a message is made of: the rover at a time, in nanoseconds of the wall's clock."""
+    """Inputs of a message: the rover at a time in nanoseconds (wall clock)."""
 
     state: State
     settings: Settings
@@ -64,18 +64,18 @@ class View(NamedTuple):
 
 
 def time_fields(time_ns: int) -> Fields:
-    """builtin_interfaces/Time."""
+    """Return a builtin_interfaces/Time."""
     sec, nanosec = divmod(time_ns, 1_000_000_000)
     return {"sec": sec, "nanosec": nanosec}
 
 
 def pose_stamped(pose: Pose, time_ns: int) -> Fields:
-    """geometry_msgs/PoseStamped on the map."""
+    """Return a geometry_msgs/PoseStamped on the map."""
     return {"header": _header(time_ns, MAP), "pose": _pose(pose.x, pose.y, pose.heading)}
 
 
 def odometry(view: View) -> Fields:
-    """nav_msgs/Odometry."""
+    """Return a nav_msgs/Odometry."""
     motion = view.state.motion
     return {
         "header": _header(view.time_ns, ODOM),
@@ -95,7 +95,7 @@ def odometry(view: View) -> Fields:
 
 
 def transforms(view: View) -> Fields:
-    """tf2_msgs/TFMessage of what moves. Its localisation is perfect: odometry is at home on the map."""
+    """Return a tf2_msgs/TFMessage of moving frames. Localisation is perfect: the map and odometry frames coincide."""
     motion = view.state.motion
     return {
         "transforms": [
@@ -106,7 +106,7 @@ def transforms(view: View) -> Fields:
 
 
 def fixed_transforms(view: View) -> Fields:
-    """tf2_msgs/TFMessage of what is mounted on the rover."""
+    """Return a tf2_msgs/TFMessage of the frames mounted on the rover."""
     return {
         "transforms": [
             _transform(view.time_ns, BASE, LASER, _LASER_AT, _rotation(0.0)),
@@ -116,7 +116,7 @@ def fixed_transforms(view: View) -> Fields:
 
 
 def laser_scan(view: View) -> Fields:
-    """sensor_msgs/LaserScan."""
+    """Return a sensor_msgs/LaserScan."""
     return {
         "header": _header(view.time_ns, LASER),
         "angle_min": FIRST,
@@ -132,7 +132,7 @@ def laser_scan(view: View) -> Fields:
 
 
 def raw_image(view: View) -> Fields:
-    """sensor_msgs/Image."""
+    """Return a sensor_msgs/Image."""
     return {
         "header": _header(view.time_ns, CAMERA),
         "height": HEIGHT,
@@ -145,13 +145,13 @@ def raw_image(view: View) -> Fields:
 
 
 def compressed_image(view: View) -> Fields:
-    """sensor_msgs/CompressedImage."""
+    """Return a sensor_msgs/CompressedImage."""
     file = png.encode(image(view.world, view.state.motion, view.state.has_lights))
     return {"header": _header(view.time_ns, CAMERA), "format": "png", "data": np.frombuffer(file, np.uint8)}
 
 
 def camera_info(view: View) -> Fields:
-    """sensor_msgs/CameraInfo of a camera without distortion."""
+    """Return a sensor_msgs/CameraInfo of a camera without distortion."""
     focal, (centre_x, centre_y) = FOCAL_LENGTH, CENTRE
     return {
         "header": _header(view.time_ns, CAMERA),
@@ -169,7 +169,7 @@ def camera_info(view: View) -> Fields:
 
 
 def occupancy_grid(view: View) -> Fields:
-    """nav_msgs/OccupancyGrid."""
+    """Return a nav_msgs/OccupancyGrid."""
     grid = grid_of(view.world.as_mapped())
     return {
         "header": _header(view.time_ns, MAP),
@@ -185,7 +185,7 @@ def occupancy_grid(view: View) -> Fields:
 
 
 def battery_state(view: View) -> Fields:
-    """sensor_msgs/BatteryState."""
+    """Return a sensor_msgs/BatteryState."""
     battery, is_docked = view.state.battery, view.state.is_docked
     status = _DISCHARGING if not is_docked else _FULL if battery.level >= 1.0 else _CHARGING
     return {
@@ -209,7 +209,7 @@ def battery_state(view: View) -> Fields:
 
 
 def imu(view: View) -> Fields:
-    """sensor_msgs/Imu."""
+    """Return a sensor_msgs/Imu."""
     motion = view.state.motion
     return {
         "header": _header(view.time_ns, BASE),
@@ -223,12 +223,12 @@ def imu(view: View) -> Fields:
 
 
 def lights(view: View) -> Fields:
-    """std_msgs/Bool: whether the lights are on."""
+    """Return a std_msgs/Bool: whether the lights are on."""
     return {"data": view.state.has_lights}
 
 
 def diagnostics(view: View) -> Fields:
-    """diagnostic_msgs/DiagnosticArray: battery, drive, laser and camera."""
+    """Return a diagnostic_msgs/DiagnosticArray of battery, drive, laser and camera."""
     status = [
         _battery_status(view),
         _drive_status(view),
@@ -239,7 +239,7 @@ def diagnostics(view: View) -> Fields:
 
 
 def log(line: LogLine, time_ns: int) -> Fields:
-    """rcl_interfaces/Log."""
+    """Return a rcl_interfaces/Log."""
     return {
         "stamp": time_fields(time_ns),
         "level": _LEVELS[line.severity],
@@ -252,7 +252,7 @@ def log(line: LogLine, time_ns: int) -> Fields:
 
 
 def navigation_feedback(journey: Journey, motion: Motion, time_ns: int) -> Fields:
-    """rosld_rover/NavigateTo's feedback."""
+    """Return the feedback of rosld_rover/NavigateTo."""
     return {
         "current_pose": pose_stamped(_pose_of(motion), time_ns),
         "distance_remaining": remaining_length(journey, motion),
@@ -260,7 +260,7 @@ def navigation_feedback(journey: Journey, motion: Motion, time_ns: int) -> Field
 
 
 def navigation_result(ended: JourneyEnd, motion: Motion, time_ns: int) -> Fields:
-    """rosld_rover/NavigateTo's result."""
+    """Return the result of rosld_rover/NavigateTo."""
     return {"message": ended.message, "pose": pose_stamped(_pose_of(motion), time_ns)}
 
 
@@ -324,7 +324,7 @@ def _transform(time_ns: int, parent: str, child: str, at: Sequence[float], rotat
 
 
 def _covariance(position: float, heading: float) -> object:
-    """Row by row, of x, y, z and the rotations about them."""
+    """Return the rows of the covariance matrix of x, y, z and the rotations about these axes."""
     return np.diag([position, position, _UNKNOWN, _UNKNOWN, _UNKNOWN, heading]).ravel()
 
 
@@ -337,12 +337,12 @@ _DTYPES: Mapping[str, str] = {"byte": "uint8", "char": "uint8", "bool": "bool"}
 
 
 def encode(schema: MessageSchema, fields: Fields) -> bytes:
-    """The bytes of a message whose fields are all given."""
+    """Return the bytes of a message with these fields, which must be complete."""
     return schema.codec.encode(message(schema, fields), ENCODING)
 
 
 def message(schema: MessageSchema, fields: Fields) -> Message:
-    """The message whose fields are all given."""
+    """Return the message with these fields, which must be complete."""
     return _build(schema, schema.ref.name, fields)
 
 

@@ -1,4 +1,4 @@
-"""Navigation to a goal: the planned path, the velocity that follows it, the outcome, and requests. Pure."""
+"""Navigation to a goal: the planned path, the velocity that follows it, the outcome, and requests. No I/O."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rosld.adapters.rover.planner import Point, grid_of, length, way
 from rosld.adapters.rover.world import World
 
 FRAMES = ("map", "odom", "")
-"""The frames in which a goal may be told: there is no drift between the first two, and no word means the map."""
+"""Frames of a goal: the first two coincide because there is no drift, and the empty frame means the map."""
 _THERE = 0.05
 _PASSED = 0.15
 _ALIGNED = 0.03
 _AHEAD = 0.3
-"""Radians beside the heading in which it drives on; it turns first where the way leads elsewhere."""
+"""Maximum radians between heading and path for driving; for larger angles the rover turns first."""
 _LOOK_AHEAD = 0.25
 _QUATERNION_TOLERANCE = 0.1
 
@@ -33,7 +33,7 @@ class Outcome(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A place and a heading on the map."""
+    """A position and a heading on the map."""
 
     x: float
     y: float
@@ -42,9 +42,9 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Journey:
-    """A goal that is pursued: the corners of the way that are still to pass.
+    """A goal that is being pursued: `corners` are the remaining corners of the path.
 
-    `problem` says why no way leads to the goal, None where one does.
+    `problem` is why no path leads to the goal, or None.
     """
 
     id: str
@@ -56,7 +56,7 @@ class Journey:
 
 @dataclass(frozen=True, slots=True)
 class JourneyEnd:
-    """A goal that has ended, how, and the words for it."""
+    """A goal that has ended, with its outcome and a message."""
 
     id: str
     outcome: Outcome
@@ -64,13 +64,13 @@ class JourneyEnd:
 
 
 class Declined(Exception):
-    """A goal that is not taken on; its text says why."""
+    """A goal that is rejected; the message is the reason."""
 
 
 def heading_of(x: float, y: float, z: float, w: float) -> float:
-    """Return the heading of an orientation. Declined for a quaternion that is no rotation."""
+    """Return the heading of an orientation. Raises Declined for a quaternion that is not a rotation."""
     norm = math.sqrt(x * x + y * y + z * z + w * w)
-    if not abs(norm - 1) <= _QUATERNION_TOLERANCE:  # NaN is close to nothing
+    if not abs(norm - 1) <= _QUATERNION_TOLERANCE:  # NaN fails this comparison
         raise Declined(
             f"the orientation ({x:g}, {y:g}, {z:g}, {w:g}) is no unit quaternion: (0, 0, 0, 1) is straight to the east"
         )
@@ -78,7 +78,7 @@ def heading_of(x: float, y: float, z: float, w: float) -> float:
 
 
 def check_goal(frame: str, x: float, y: float, heading: float) -> Pose:
-    """Return the goal of these numbers. Declined for another frame, and for what is no number."""
+    """Return the goal with these numbers. Raises Declined for an unknown frame, and for numbers that are not finite."""
     if frame not in FRAMES:
         raise Declined(f"the frame {frame!r} is not known: a goal is told in 'map'")
     if not (math.isfinite(x) and math.isfinite(y)):
@@ -87,7 +87,7 @@ def check_goal(frame: str, x: float, y: float, heading: float) -> Pose:
 
 
 def depart(id: str, goal: Pose, motion: Motion, world: World) -> Journey:
-    """A goal that is taken on, with the way to it on the map."""
+    """Return the journey to an accepted goal, with its path on the map."""
     known = world.as_mapped()
     place = f"({goal.x:g}, {goal.y:g})"
     if not known.contains(goal.x, goal.y):
@@ -101,12 +101,12 @@ def depart(id: str, goal: Pose, motion: Motion, world: World) -> Journey:
 
 
 def remaining_length(journey: Journey, motion: Motion) -> float:
-    """Metres of the way that are left."""
+    """Return the metres left on the path."""
     return length((motion.x, motion.y), journey.corners)
 
 
 def drop_passed_corners(journey: Journey, motion: Motion) -> Journey:
-    """The journey without the corners that have been reached."""
+    """Return the journey without the corners that have been reached."""
     corners = journey.corners
     while len(corners) > 1 and math.dist((motion.x, motion.y), corners[0]) < _PASSED:
         corners = corners[1:]

@@ -1,4 +1,4 @@
-"""The occupancy grid of a world, and paths in it that keep clear of everything. Pure."""
+"""Occupancy grid of a world, and paths in it with a margin to all obstacles. No I/O."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from rosld.adapters.rover.drive import RADIUS
 from rosld.adapters.rover.world import World
 
 RESOLUTION = 0.1
-"""Metres of a cell's side."""
+"""Side of a cell in metres."""
 
 Cell: TypeAlias = "tuple[int, int]"
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The clearance of the centre of each cell, by row (south to north) and column (west to east)."""
+    """Clearance of the centre of each cell, by row (south to north) and column (west to east)."""
 
     left: float
     bottom: float
@@ -32,25 +32,25 @@ class Grid:
 
     @property
     def rows(self) -> int:
-        """The number of rows."""
+        """Number of rows."""
         return int(self.clearances.shape[0])
 
     @property
     def columns(self) -> int:
-        """The number of columns."""
+        """Number of columns."""
         return int(self.clearances.shape[1])
 
     def cell(self, x: float, y: float) -> Cell:
-        """Return the row and the column of a point of the world, of which the grid holds the nearest."""
+        """Return the row and column of a point, or those of the nearest cell of the grid."""
         row, column = int((y - self.bottom) / RESOLUTION), int((x - self.left) / RESOLUTION)
         return min(max(row, 0), self.rows - 1), min(max(column, 0), self.columns - 1)
 
     def centre(self, cell: Cell) -> tuple[float, float]:
-        """Return the point in the middle of a cell."""
+        """Return the centre of a cell."""
         return self.left + (cell[1] + 0.5) * RESOLUTION, self.bottom + (cell[0] + 0.5) * RESOLUTION
 
     def occupancy(self) -> NDArray[np.int8]:
-        """nav_msgs/OccupancyGrid's data: 100 where a shape touches the cell, 0 where it is free."""
+        """Return the data of a nav_msgs/OccupancyGrid: 100 if a shape touches the cell, 0 if it is free."""
         occupied = self.clearances < RESOLUTION / 2
         return np.where(occupied, 100, 0).astype(np.int8).ravel()
 
@@ -65,16 +65,16 @@ def grid_of(world: World) -> Grid:
 
 
 MARGIN = 0.1
-"""Metres that a planned way keeps from obstacles beside the rover's rim."""
+"""Metres between obstacles and the rover's rim on a planned path."""
 _NEAR = 4
-"""Cells within which one is looked for that is free, where the rover stands or shall stand close to something."""
+"""Maximum distance in cells to a free cell, if the start or the goal is close to an obstacle."""
 
 Point: TypeAlias = "tuple[float, float]"
 _STEPS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
 
 
 def way(grid: Grid, start: Point, goal: Point) -> tuple[Point, ...]:
-    """Return the corners of a way from a point to another, the goal last; empty where no way leads there."""
+    """Return the corners of a path between two points, including the goal; empty if there is no path."""
     first, last = _nearest_free(grid, grid.cell(*start)), _nearest_free(grid, grid.cell(*goal))
     if first is None or last is None:
         return ()
@@ -83,7 +83,7 @@ def way(grid: Grid, start: Point, goal: Point) -> tuple[Point, ...]:
 
 
 def length(start: Point, corners: Sequence[Point]) -> float:
-    """Return the length of the way from a point over these."""
+    """Return the length of the path from a point along these corners."""
     return math.fsum(math.dist(one, other) for one, other in pairwise((start, *corners)))
 
 
@@ -106,7 +106,7 @@ def _neighbours(grid: Grid, cell: Cell) -> Iterator[tuple[Cell, float]]:
 
 
 def _cells(grid: Grid, first: Cell, last: Cell) -> Sequence[Cell]:
-    """Return the cells of the shortest way, both ends included; none where there is no way."""
+    """Return the cells of the shortest path, including both ends; empty if there is no path."""
     came: dict[Cell, Cell] = {}
     costs = {first: 0.0}
     waiting = [(math.dist(first, last), first)]
@@ -134,7 +134,7 @@ def _back(came: Mapping[Cell, Cell], last: Cell) -> Sequence[Cell]:
 
 
 def _straighten(grid: Grid, cells: Sequence[Cell]) -> Sequence[Cell]:
-    """Return the first and last of these cells, and those at which the way bends."""
+    """Return the first and last of these cells, and those where the path bends."""
     kept = [cells[0]]
     for previous, cell in pairwise(cells):
         if not _is_view_free(grid, kept[-1], cell):

@@ -1,4 +1,4 @@
-"""PNG (ISO/IEC 15948) of an image of 8 bits a colour. Pure."""
+"""PNG (ISO/IEC 15948) of an image with 8 bits per colour. No I/O."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _TRUECOLOUR = 2
 _QUICK = 1
-"""The level of compression: the images have large even areas, which any level makes small."""
+"""Compression level: the fastest is enough for large areas of one colour."""
 
 
 def encode(image: NDArray[np.uint8]) -> bytes:
-    """Return the file of an image of rows, columns and red, green and blue."""
+    """Return the PNG file of an image with the axes row, column, and colour (red, green, blue)."""
     rows, columns, _ = image.shape
-    lines = np.zeros((rows, 1 + 3 * columns), dtype=np.uint8)  # each begins with its filter: 0 is none
+    lines = np.zeros((rows, 1 + 3 * columns), dtype=np.uint8)  # each starts with its filter type: 0 is none
     lines[:, 1:] = image.reshape(rows, -1)
     header = struct.pack(">IIBBBBB", columns, rows, 8, _TRUECOLOUR, 0, 0, 0)
     data = zlib.compress(lines.tobytes(), _QUICK)

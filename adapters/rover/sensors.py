@@ -1,4 +1,4 @@
-"""The sensors: the camera image, one ray per column, and the laser scan. Pure."""
+"""Sensors: the camera image, with one ray per column, and the laser scan. No I/O."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from rosld.adapters.rover.world import WALL_HEIGHT, World
 WIDTH = 160
 HEIGHT = 120
 FOCAL_LENGTH = 140.0
-"""In pixels, of both axes: a view of 60 degrees."""
+"""Focal length of both axes in pixels: a horizontal view of 60 degrees."""
 CENTRE = (WIDTH / 2, HEIGHT / 2)
 MOUNTED_AT = 0.3
-"""Metres above the floor."""
+"""Height of the camera above the floor, in metres."""
 _NEAREST = 0.05
 _DARK, _LIT = 0.55, 1.0
 _FADING = 0.12
-"""How much darker it becomes with each metre."""
+"""Decrease of brightness per metre."""
 _CEILING = (214, 224, 232)
 _FLOOR = (116, 112, 106)
 _BESIDE = np.arctan2(CENTRE[0] - 0.5 - np.arange(WIDTH), FOCAL_LENGTH)
 _BELOW = np.arange(HEIGHT)[:, None] + 0.5 - CENTRE[1]
-"""How many pixels the middle of each row is below the horizon."""
+"""Distance in pixels of the centre of each row below the horizon."""
 
 
 def image(world: World, motion: Motion, lights: bool) -> NDArray[np.uint8]:
-    """Return an image of `HEIGHT` rows, `WIDTH` columns and red, green and blue."""
+    """Return an image of `HEIGHT` rows, `WIDTH` columns, and red, green and blue."""
     hits = world.cast(motion.x, motion.y, motion.heading + _BESIDE)
     depths = np.maximum(hits.distances * np.cos(_BESIDE), _NEAREST)
     top, bottom = FOCAL_LENGTH * (MOUNTED_AT - WALL_HEIGHT) / depths, FOCAL_LENGTH * MOUNTED_AT / depths
@@ -42,14 +42,14 @@ def image(world: World, motion: Motion, lights: bool) -> NDArray[np.uint8]:
 
 
 def _light(distances: NDArray[np.float64], lights: bool) -> NDArray[np.float64]:
-    """The share of its colour that is seen of something so far away."""
+    """Return the brightness at these distances, from 0 to 1."""
     found: NDArray[np.float64] = (_LIT if lights else _DARK) / (1 + _FADING * distances)
     return found
 
 
 BEAMS = 360
 FIRST = -math.pi
-"""The direction of the first beam: straight behind."""
+"""Direction of the first beam: straight back."""
 INCREMENT = math.tau / BEAMS
 NEAREST = 0.05
 FARTHEST = 8.0
@@ -57,6 +57,6 @@ _ANGLES: NDArray[np.float64] = FIRST + INCREMENT * np.arange(BEAMS, dtype=np.flo
 
 
 def scan(world: World, motion: Motion) -> NDArray[np.float32]:
-    """Return the distance that each beam measures; inf for what is too far (REP 117)."""
+    """Return the distance that each beam measures; inf if it is out of range (REP 117)."""
     distances = world.cast(motion.x, motion.y, motion.heading + _ANGLES).distances
     return np.where(distances <= FARTHEST, distances, np.inf).astype(np.float32)

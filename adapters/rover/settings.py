@@ -1,4 +1,4 @@
-"""The rover's parameters: what each is about and may be, and the settings that follow from their values. Pure."""
+"""Parameters of the rover: their declarations, and the settings that follow from their values. No I/O."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Value: TypeAlias = "bool | int | float | str"
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """A parameter: its first value, what it is about, and which values it takes."""
+    """Declaration of a parameter: its initial value, description, and allowed values."""
 
     default: Value
     description: str
@@ -26,7 +26,7 @@ class Declaration:
 
     @property
     def constraints(self) -> str:
-        """Constraints beyond a range, in words."""
+        """Text about constraints that are not a range."""
         return "" if self.choices is None else f"One of: {', '.join(self.choices)}."
 
 
@@ -65,7 +65,7 @@ class Settings:
 
 
 def settings_of(values: Mapping[str, Value]) -> Settings:
-    """Return the settings of these values, which are those of all parameters and have been checked."""
+    """Return the settings for the values of all parameters, which must be valid."""
     acceleration = _ACCELERATIONS[str(values["drive_mode"])]
     return Settings(
         Limits(float(values["max_speed"]), float(values["max_turn_rate"]), acceleration),
@@ -77,7 +77,7 @@ def settings_of(values: Mapping[str, Value]) -> Settings:
 
 
 def problem_of(name: str, value: object) -> str | None:
-    """Why a declared parameter cannot have a value, in the words of its node; None where it can."""
+    """Return why a declared parameter cannot have a value, in the node's words, or None."""
     declared = PARAMETERS[name]
     if declared.is_read_only:
         return f"the parameter {name} is read-only"

@@ -1,7 +1,7 @@
-"""The simulation: the state of the rover, which changes step by step and by commands.
+"""Simulation of the rover, whose state changes step by step and by commands.
 
-`State` and its changes are pure, so that tests need no clock; a `Simulation` is a state that a clock advances. Steps
-take 10 ms: the same commands at the same steps lead to the same state.
+`State` and its changes are pure, so that tests need no clock; a `Simulation` is a state advanced by a clock. A step is
+10 ms: the same commands at the same steps lead to the same state.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from rosld.adapters.rover.settings import DEFAULTS, Settings, Value, settings_of
 from rosld.adapters.rover.world import World, small_world
 
 STEP = 0.01
-"""Seconds of a step."""
+"""Duration of a step in seconds."""
 MAX_STEPS = 1000
-"""The most steps that are caught up with at once: a machine that was asleep is not to be busy with what it missed."""
+"""Maximum number of steps at once: after a suspension, the machine must not be busy with the missed ones."""
 DOCK = (-4.3, -3.3)
-"""Where the rover is charged."""
+"""Position where the rover is charged."""
 _DOCK_REACH = 0.6
 _STOP_DISTANCE = 0.2
 
 
 class Severity(Enum):
-    """Severity of a line of the log."""
+    """Severity of a log line."""
 
     INFO = "info"
     WARN = "warn"
@@ -46,7 +46,7 @@ class Severity(Enum):
 
 
 class LogLine(NamedTuple):
-    """Something that happened."""
+    """A log line: its severity and text."""
 
     severity: Severity
     text: str
@@ -61,7 +61,7 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Initial state of the rover: charge of its battery, pose, and speed of its time."""
+    """Initial state of the rover: charge of its battery, pose, and rate of its clock."""
 
     battery: float = 1.0
     pose: Pose = field(default_factory=lambda: Pose(0.0, 0.0, 0.0))
@@ -70,9 +70,9 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The rover: its motion, what it is commanded, its battery and lights, and the goal that it pursues.
+    """State of the rover: its motion, command, battery, lights, and the goal that it pursues.
 
-    `ended` are goals that have ended since they were last asked for.
+    `ended` are the goals that have ended since they were last taken.
     """
 
     motion: Motion = field(default_factory=Motion)
@@ -91,7 +91,7 @@ class State:
 
 
 def step(state: State, settings: Settings, world: World) -> State:
-    """Return the state a step later."""
+    """Return the state after a step."""
     motion, command, journey, ended = state.motion, state.command, state.journey, state.ended
     if journey is not None:
         journey = drop_passed_corners(journey, motion)
@@ -105,7 +105,7 @@ def step(state: State, settings: Settings, world: World) -> State:
 
 
 def _limit_command(state: State, command: Velocity, settings: Settings, world: World) -> Velocity:
-    """Return the part of a command that the base follows: none without power, and not ahead near an obstacle."""
+    """Return the velocity that the base follows: none without power, and not towards a near obstacle."""
     if state.battery.is_empty:
         return STANDSTILL
     if settings.stop_before_obstacles and command.speed:
@@ -116,13 +116,13 @@ def _limit_command(state: State, command: Velocity, settings: Settings, world: W
 
 
 def rest(state: State, seconds: float) -> State:
-    """The state after a while in which the rover was at rest."""
+    """Return the state after some seconds at rest."""
     battery = drain(state.battery, STANDSTILL, state.has_lights, state.is_docked, seconds)
     return replace(state, battery=battery)
 
 
 def changes(before: State, after: State, settings: Settings) -> tuple[LogLine, ...]:
-    """Return the lines of the log for the change from a state to a later one."""
+    """Return the log lines for the change between two states."""
     lines: list[LogLine] = []
     if after.motion.is_bumped and not before.motion.is_bumped:
         lines.append(LogLine(Severity.WARN, f"an obstacle stops the rover at {_place(after.motion)}"))
@@ -141,7 +141,7 @@ def changes(before: State, after: State, settings: Settings) -> tuple[LogLine, .
 class Simulation:
     """The rover in its world, advanced in time.
 
-    Times are seconds of any monotonic clock; a command takes effect at the time that is given with it.
+    Times are seconds of any monotonic clock; a command takes effect at its time.
     """
 
     def __init__(self, start: Start, now: float) -> None:
@@ -153,7 +153,7 @@ class Simulation:
         self._lines: list[LogLine] = []
 
     def advance(self, now: float) -> None:
-        """Bring the rover to a time; nothing happens for one that has been."""
+        """Advance the rover to a time; does nothing for a time in the past."""
         steps = int((now - self._now) * self._rate / STEP)
         if steps <= 0:
             return
@@ -167,7 +167,7 @@ class Simulation:
         self._become(state)
 
     def command(self, velocity: Velocity, now: float) -> None:
-        """Drive so from now on. While a goal is pursued, navigation commands the base anew in its next step."""
+        """Drive with a velocity from now on. While a goal is pursued, navigation replaces it in the next step."""
         self.advance(now)
         if not all(map(math.isfinite, velocity)):
             self._lines.append(LogLine(Severity.ERROR, f"a velocity of {tuple(velocity)} is no command"))
@@ -175,7 +175,6 @@ class Simulation:
         self.state = replace(self.state, command=velocity)
 
     def switch_lights(self, on: bool, now: float) -> Answer:
-        """Switch the lights."""
         self.advance(now)
         self.state = replace(self.state, has_lights=on)
         return Answer(True, f"the lights are {'on' if on else 'off'}")
@@ -193,7 +192,7 @@ class Simulation:
         return Answer(True, "charging")
 
     def navigate(self, id: str, goal: Pose, now: float) -> None:
-        """Pursue a goal; it takes the place of one that is pursued, which is aborted."""
+        """Pursue a goal; a previous goal is aborted."""
         self.advance(now)
         state = self.state
         if state.journey is not None:
@@ -203,7 +202,7 @@ class Simulation:
         self._lines.append(LogLine(Severity.INFO, f"navigating to ({goal.x:g}, {goal.y:g})"))
 
     def cancel(self, id: str, now: float) -> bool:
-        """Give a goal up, in the next step; False where it is not pursued."""
+        """Cancel a goal in the next step; return False if it is not being pursued."""
         self.advance(now)
         journey = self.state.journey
         if journey is None or journey.id != id:
@@ -212,7 +211,7 @@ class Simulation:
         return True
 
     def configure(self, values: Mapping[str, Value], now: float) -> None:
-        """Set all parameters, checked before."""
+        """Set all parameters, which must be valid."""
         self.advance(now)
         self.settings = settings_of(values)
 
@@ -224,7 +223,7 @@ class Simulation:
         return ended
 
     def take_log(self) -> tuple[LogLine, ...]:
-        """Return the lines of the log since the last call."""
+        """Return the log lines since the last call."""
         lines = tuple(self._lines)
         self._lines.clear()
         return lines
@@ -235,7 +234,7 @@ class Simulation:
 
 
 def initial_state(start: Start, world: World) -> State:
-    """Return the state at the beginning. Raises ValueError where something stands in the place of the rover."""
+    """Return the initial state. Raises ValueError if something is at the position of the rover."""
     x, y = start.pose.x, start.pose.y
     if not world.contains(x, y) or world.clearance(x, y) < RADIUS:
         raise ValueError(f"the rover cannot start at ({x:g}, {y:g}): something stands within {RADIUS:g} m")
@@ -252,7 +251,7 @@ _EXAMPLE = "rover:?battery=0.21&pose=1,0,1.57&rate=10"
 
 
 def read_source(text: str) -> Start:
-    """Return the start of a source's rover. Raises ValueError with a sentence for the user."""
+    """Return the initial state in a source. Raises ValueError with a sentence for the user."""
     rest = text.removeprefix("rover").removeprefix(":").removeprefix("//")
     if rest and not rest.startswith("?"):
         raise ValueError(f"{text!r} names no rover: write rover or {_EXAMPLE}")

@@ -1,6 +1,6 @@
-"""The world: walls and obstacles on a plane, in metres, and how far it is to them. Pure.
+"""World: walls and obstacles on a plane, in metres, and distances to them. No I/O.
 
-The origin is where the rover starts; x points east, y north. Every shape is as high as `WALL_HEIGHT`.
+The origin is the rover's initial position; x points east, y north. Every shape is `WALL_HEIGHT` high.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _CRATE: Colour = (205, 92, 40)
 
 
 class Box(NamedTuple):
-    """A rectangle whose sides are parallel to the axes; `is_mapped`: the rover's map has it."""
+    """A rectangle with sides parallel to the axes; `is_mapped`: it is on the rover's map."""
 
     left: float
     bottom: float
@@ -36,7 +36,7 @@ class Box(NamedTuple):
     is_mapped: bool = True
 
     def distance(self, x: float, y: float) -> float:
-        """How far a point is from it, 0 within."""
+        """Return the distance of a point from the box, 0 inside."""
         return math.hypot(max(self.left - x, 0.0, x - self.right), max(self.bottom - y, 0.0, y - self.top))
 
 
@@ -49,7 +49,7 @@ class Disc(NamedTuple):
     colour: Colour
 
     def distance(self, x: float, y: float) -> float:
-        """How far a point is from it, 0 within."""
+        """Return the distance of a point from the disc, 0 inside."""
         return max(math.hypot(x - self.x, y - self.y) - self.radius, 0.0)
 
 
@@ -72,7 +72,7 @@ class World:
     discs: tuple[Disc, ...]
 
     def as_mapped(self) -> World:
-        """The world as the rover's map has it."""
+        """Return the world on the rover's map."""
         boxes = tuple(box for box in self.boxes if box.is_mapped)
         return World(self.left, self.bottom, self.width, self.height, boxes, self.discs)
 
@@ -124,7 +124,7 @@ def _to_discs(
 
 @cache
 def small_world() -> World:
-    """Two rooms with a door between them, and a store room whose door is blocked by a crate that no map shows."""
+    """Return two rooms with a door between them, and a store room with its door blocked by a crate not on the map."""
     outer = (
         Box(-5.0, -4.0, 5.0, -3.9, _WALL),
         Box(-5.0, 3.9, 5.0, 4.0, _WALL),

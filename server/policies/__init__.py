@@ -1,1 +1,1 @@
-"""Documents of clients that this server acts on: limits, stored queries and mappings."""
+"""Documents of clients that affect this server: limits, stored queries and mappings."""

@@ -1,4 +1,4 @@
-"""The limits in force: those that a server begins with, and those that clients keep under `/shapes/`."""
+"""Active limits: those of the robot and the settings, and those that clients store under `/shapes/`."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from rosld.shapes.limits import Limits, read_limits
 
 ROUTE = "shapes/"
 MAX_TRIPLES = 5000
-"""Of a document that is kept: all of them are looked at again whenever one changes."""
+"""Maximum number of triples of a stored document: each change validates all documents again."""
 _log = logging.getLogger("rosld")
 
 
 class ActiveLimits:
-    """The limits of all documents together. Every change is whole or none."""
+    """The limits of all documents together. Every change is atomic."""
 
     def __init__(self, initial: Sequence[Sequence[Triple]], space: Space) -> None:
         self.current = Limits.from_graphs(initial, space)
-        """All of them; a change makes another object."""
+        """All limits; each change replaces this object."""
         self.lock = asyncio.Lock()
-        """Held while a write is validated and done."""
+        """Lock held while a write is validated and applied."""
         self._given = tuple(initial)
         self._kept: dict[str, tuple[Triple, ...]] = {}
         self._space = space
 
     def check(self, url: str, triples: bytes) -> tuple[Triple, ...]:
-        """The shapes graph of a document that may be kept at a URL, given as N-Triples.
+        """Return the shapes graph of a document for a URL, given as N-Triples.
 
-        Raises ValueError with a sentence where it cannot be used, alone or beside the others.
+        Raises ValueError with a sentence if it is invalid, alone or together with the others.
         """
         graph = tuple(quad.triple for quad in parse(triples, RdfFormat.N_TRIPLES))
         if len(graph) > MAX_TRIPLES:
@@ -50,17 +50,17 @@ class ActiveLimits:
         return graph
 
     def replace(self, url: str, graph: tuple[Triple, ...]) -> None:
-        """Put a document into force that was found good, in the place of the one of the same URL."""
+        """Activate a checked document, replacing that of the same URL."""
         self._kept[url] = graph
         self.current = Limits.from_graphs(self._with(), self._space)
 
     def remove(self, url: str) -> None:
-        """Take the document of this URL out of force; nothing happens where there is none."""
+        """Deactivate the document of this URL, if any."""
         if self._kept.pop(url, None) is not None:
             self.current = Limits.from_graphs(self._with(), self._space)
 
     def load_stored(self, records: Records) -> None:
-        """Put into force what was kept by an earlier run. What cannot be used (any more) is logged and left aside."""
+        """Activate the documents stored by an earlier run. Invalid ones are logged and skipped."""
         last = 0
         while found := records.members(ROUTE, after=last):
             last = found[-1].number
@@ -79,7 +79,7 @@ class ActiveLimits:
 
 
 def initial_limits(settings: Settings, adapter: Adapter, space: Space) -> Iterator[tuple[Triple, ...]]:
-    """The limits to begin with: the robot's own, and those of the settings. Raises ValueError with the file's name."""
+    """Yield the initial limits: the robot's own, and those of the settings. Raises ValueError with the file's name."""
     shipped = adapter.capabilities.limits
     for path in (*((shipped,) if shipped is not None else ()), *settings.shapes):
         try:

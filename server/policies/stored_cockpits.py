@@ -1,4 +1,4 @@
-"""Cockpits that clients keep: what may be stored as one, and which there are."""
+"""Cockpits that clients store: their validation and listing."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 ROUTE = "cockpit/"
 DEFAULT = "default"
-"""The name of the cockpit that is made from what the robot has."""
+"""Name of the cockpit generated for the robot."""
 _MAX_TRIPLES = 1500
 _MAX_VIOLATIONS = 20
 
 
 class InvalidCockpit(LoweringError):
-    """A document that is no cockpit."""
+    """The document is not a valid cockpit."""
 
 
 def cockpit_titles(records: Records, space: Space, limit: int) -> list[tuple[str, str]]:
-    """The URLs of the first cockpits that are kept, each with what it is called: its title, else its name."""
+    """Return the URLs of the first stored cockpits, each with its title, or else its name."""
     found = []
     for member in records.members(ROUTE, limit=limit):
         record, url = records.get(member.path), space.base + member.path
@@ -41,10 +41,10 @@ def cockpit_titles(records: Records, space: Space, limit: int) -> list[tuple[str
 
 
 def check_cockpit(data: bytes, url: str) -> None:
-    """Check the N-Triples of a document that is to be stored at a URL. Raises InvalidCockpit with what is wrong."""
-    from rosld.shapes.validation import validate  # pyshacl takes its time, and few servers keep a cockpit
+    """Validate the N-Triples of a cockpit to be stored at a URL. Raises InvalidCockpit with the errors."""
+    from rosld.shapes.validation import validate  # pyshacl loads slowly, and few servers store cockpits
 
-    # A document that is far too long is not read to its end: it would only be counted.
+    # A document that is far too long is not parsed completely just to count its triples.
     triples = [quad.triple for quad in islice(parse(data, RdfFormat.N_TRIPLES), _MAX_TRIPLES + 1)]
     if len(triples) > _MAX_TRIPLES:
         words = f"a cockpit has at most {MAX_PANELS} panels and {_MAX_TRIPLES} triples; make several of it"
@@ -56,7 +56,7 @@ def check_cockpit(data: bytes, url: str) -> None:
         words = f"the document describes no cockpit: say that <{url}> (<> in it) is a ros:Cockpit"
         found.insert(0, Violation("", words))
     if found:
-        once = {(each.path, each.message): each for each in found}  # one message tells of several constraints
+        once = {(each.path, each.message): each for each in found}  # one message covers several constraints
         raise InvalidCockpit(*(once[key] for key in sorted(once)[:_MAX_VIOLATIONS]))
 
 
@@ -77,10 +77,10 @@ def _violation(result: ValidationResult, url: str) -> Violation:
 
 
 def _short(iri: str) -> str:
-    """Return the name of a term as people write it."""
+    """Return the short form of a term for error messages."""
     return f"ros:{iri.removeprefix(ros.iri)}" if iri.startswith(ros.iri) else iri.rpartition("#")[2].rpartition("/")[2]
 
 
 def name_of(path: str) -> str:
-    """The name of the cockpit that has this path."""
+    """Return the name of the cockpit with this path."""
     return decode_segment(path.removeprefix(ROUTE))

@@ -1,4 +1,4 @@
-"""Mapping documents: those that a server begins with, and those that are kept."""
+"""Mapping documents: the initial ones, and those that clients store."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def stored_mapping(triples: bytes, url: str) -> MappingDocument:
 
 
 def initial_mappings(settings: Settings, adapter: Adapter, space: Space) -> Iterator[MappingDocument]:
-    """Yield the mapping documents to begin with: the robot's own, and those of the settings. Raises ValueError.
+    """Yield the initial mapping documents: the robot's own, and those of the settings. Raises ValueError.
 
-    What is shipped was validated when it was made.
+    Shipped mappings are trusted to be valid.
     """
     shipped = adapter.capabilities.mapping
     if shipped is not None:
@@ -43,9 +43,9 @@ def initial_mappings(settings: Settings, adapter: Adapter, space: Space) -> Iter
 
 
 async def load_stored_mappings(mappings: Mappings, records: Records, settings: Settings, space: Space) -> None:
-    """Keep the mappings to begin with, and put those into force that were kept by an earlier run.
+    """Store the initial mappings, and activate those stored by an earlier run.
 
-    What the robot comes with gives way to what clients made of it; what the settings name does not.
+    A client's changes override the mapping of the robot, but not those of the settings.
     """
     named = {space.url("mappings", (path.stem,)) for path in settings.mapping}
     begun = set()
@@ -67,12 +67,12 @@ async def load_stored_mappings(mappings: Mappings, records: Records, settings: S
 
 
 _DISCOVERY = 5.0
-"""Seconds that a robot is given to be discovered: in ROS 2 nodes are heard of one after the other."""
+"""Seconds to wait for the discovery of a robot: in ROS 2 nodes appear one after the other."""
 _AGAIN = 0.5
 
 
 async def log_mapping_warnings(affordances: AffordanceService[State], mappings: Mappings) -> None:
-    """Log what the mappings name that is not there, or cannot be offered, once the robot can have been discovered."""
+    """Log names in the mappings that are missing or unusable, once the robot should have been discovered."""
     until = loop_time() + _DISCOVERY
     while found := await _warnings(affordances, mappings):
         if loop_time() > until:
@@ -83,6 +83,6 @@ async def log_mapping_warnings(affordances: AffordanceService[State], mappings: 
 
 
 async def _warnings(affordances: AffordanceService[State], mappings: Mappings) -> list[tuple[str, str]]:
-    """Return the mapping documents' URLs, and what of each is not there now."""
+    """Return what is missing for each mapping, with the URL of its document."""
     urls = tuple(mappings.documents)
     return [(url, words) for url in urls for words in await affordances.mapping_warnings(url)]

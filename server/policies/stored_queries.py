@@ -1,4 +1,4 @@
-"""Stored queries: those that come with rosld, and those that clients keep under `/queries/`."""
+"""Stored queries: those shipped with rosld, and those that clients store under `/queries/`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from rosld.server.storage.sqlite import Records
 
 ROUTE = "queries/"
 _KEPT = 256
-"""Texts that are remembered."""
+"""Maximum number of cached texts."""
 _T = TypeVar("_T")
 
 
@@ -32,21 +32,21 @@ class StoredQueries:
     def __init__(self, records: Records, space: Space) -> None:
         self.shipped: Mapping[str, StoredQuery] = shipped_queries()
         self.version = records.version
-        """The number of the last change of records below `/queries/`: it rises, from one run to the next too."""
+        """Version of the last change of records below `/queries/`; it increases across runs too."""
         self.lock = asyncio.Lock()
-        """Held while a write is validated and done."""
+        """Lock held while a write is validated and applied."""
         self._records = records
         self._space = space
         self._outlines: _Remembered[StoredQuery] = _Remembered(_KEPT)
         self._checked: _Remembered[StoredQuery | str] = _Remembered(_KEPT)
 
     def on_record_change(self, change: RecordChange) -> None:
-        """A record has changed."""
+        """Update the version after a change of a record."""
         if change.path.startswith(ROUTE):
             self.version = max(self.version, change.version)
 
     def stored_records(self, *, limit: int | None = None) -> Iterator[Record]:
-        """Return the first `limit` documents below `/queries/`, in order of creation."""
+        """Yield the first `limit` documents below `/queries/`, in order of creation."""
         last = 0
         while limit is None or limit > 0:
             found = self._records.members(ROUTE, after=last, limit=1000 if limit is None else min(limit, 1000))
@@ -79,7 +79,7 @@ class StoredQueries:
         return query_triples(self._space.base + record.path, self.outline(record))
 
     async def executable(self, record: Record) -> StoredQuery:
-        """A kept query that can be run; a 409 Problem with the reason where it is none (any more)."""
+        """Return a stored query that can be run. Raises a 409 Problem with the reason if it is (no longer) valid."""
         assert record.blob is not None
         found = self._checked.known(record.blob)
         if found is None:
@@ -90,7 +90,7 @@ class StoredQueries:
         return found
 
     def check(self, path: str, blob: Blob) -> None:
-        """Raise ValueError where the bytes of a blob are no stored query, naming the line."""
+        """Raise ValueError, naming the line, if a blob is not a valid stored query."""
         name = name_of(path)
         read_stored_query(name, self._text(name, blob))
 
@@ -139,12 +139,12 @@ def query_triples(url: str, query: StoredQuery) -> list[Triple]:
 
 
 def name_of(path: str) -> str:
-    """The name of the query that has this path."""
+    """Return the name of the query with this path."""
     return decode_segment(path.removeprefix(ROUTE))
 
 
 class _Remembered(Generic[_T]):
-    """Cache of what was parsed from the last few blobs, which never change. Thread-safe."""
+    """Cache of the parsed contents of the last few blobs, which are immutable. Thread-safe."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit

@@ -1,1 +1,1 @@
-"""Receipts: each write that was requested, by whom, and its outcome."""
+"""Receipts: every requested write, with its agent and its outcome."""

@@ -1,7 +1,7 @@
 """The audit context of a request, from which its receipt is made.
 
-Whatever writes to the robot records that in `current_audit`, so that no resource can forget what it touches or what
-came of it. What a resource has to add, it adds to the context of its exchange.
+All code that writes to the robot records that in `current_audit`, so that resources cannot forget what they affect or
+the outcome. Resources may add more to the context of their exchange.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class Sender(NamedTuple):
 
 
 class AuditContext:
-    """What one request did so far; empty for a request that writes nothing.
+    """Record of a request's effects; empty for a request that writes nothing.
 
-    `started_ns` is when the request was taken up, `sent` the SHA-256 of a body that was read as it came, of `length`.
-    `leads_to_page`: its answer sends a browser to a page, which is to tell of the receipt.
+    `started_ns` is the start of processing, `sent` the SHA-256 of a streamed body of `length` bytes. `leads_to_page`:
+    the response redirects a browser to a page, which is to show the receipt.
     """
 
     __slots__ = (
@@ -63,7 +63,7 @@ class AuditContext:
         current_audit.set(self)
 
     def receipt_id(self) -> str:
-        """The id of the receipt that the request will leave."""
+        """Return the id of the receipt that the request will leave."""
         if self.receipt is None:
             self.receipt = new_identifier()
         return self.receipt
@@ -73,7 +73,7 @@ class AuditContext:
         self.is_write = False
 
     def add_step(self, does: str, *touches: str) -> None:
-        """Add a step of the write and the URLs of what it touches; one that is there already is not added again."""
+        """Add a step of the write and the URLs that it affects, unless it is present already."""
         dry_run = current_dry_run.get()
         if dry_run is not None:
             dry_run.add_step(does, touches)
@@ -93,12 +93,12 @@ class AuditContext:
         self.matched = matched + (self.matched or 0)
 
     def set_refusal(self, words: str, about: Sequence[str]) -> None:
-        """Say why it was not done, and the URLs of what that speaks of."""
+        """Record the reason of a refusal, and the URLs that it mentions."""
         self.refusal = words
         self._touch(about)
 
     def hash_chunk(self, chunk: bytes) -> None:
-        """A piece of a body that is not kept whole."""
+        """Add a part of a streamed body to its digest."""
         if self.sent is None:
             self.sent = hashlib.sha256()
         self.sent.update(chunk)
@@ -106,11 +106,11 @@ class AuditContext:
 
 
 current_audit: ContextVar[AuditContext | None] = ContextVar("under_way", default=None)
-"""The audit context of the write that this task is carrying out; None where it carries out none."""
+"""Audit context of the current task's write, or None."""
 
 
 def record_step(does: str, *touches: str) -> None:
-    """Record a step of the write that is under way, as `AuditContext.add_step` does."""
+    """Record a step of the current write, as `AuditContext.add_step` does."""
     context = current_audit.get()
     if context is not None:
         context.add_step(does, *touches)

@@ -1,6 +1,6 @@
 """Audit entries, and excerpts of bodies without secrets. Pure.
 
-A text that looks as if it held credentials is never stored: a false alarm costs an excerpt, a miss reveals a secret.
+A text that appears to contain credentials is never stored: a false alarm costs an excerpt, a miss reveals a secret.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from rosld.server.http.token_redaction import PREFIX, redact_tokens
 from rosld.server.runtime.dry_run import MAX_STEPS
 
 SCANNED = 2048
-"""Characters of a text that are looked through."""
+"""Maximum number of characters of a text that are scanned."""
 _WORDS = (
     *("passw", "passphr", "passcode", '"pass"', "pass=", "kennwort", "pwd", "secret", "token", "bearer", "credential"),
     *("authori", "authenti", "oauth", "cookie", "csrf", "sessionid", "session_id", "psk", "-----begin "),
 )
-"""What credentials are called, in small letters: in a name of a field, a path, a parameter of a URL."""
+"""Lower-case names of credentials, as in the name of a field, a path or a URL parameter."""
 _KEYS = re.compile(r"(?:api|access|private|secret|account|encryption|signing|shared|master|ssh|wifi|wpa)[-_ ]?key")
 _WELL_KNOWN = ("ghp_", "gho_", "ghs_", "github_pat_", "glpat-", "xox", "sk-", "sk_live_", "akia", "aiza")
-"""What the keys of well-known services begin with."""
+"""Prefixes of the keys of well-known services, in lower case."""
 _SHAPES: tuple[tuple[str, re.Pattern[str]], ...] = (
     ("key", _KEYS),
     ("basic ", re.compile(r"\bbasic {1,9}[a-z0-9+/=_-]{8}")),  # HTTP authentication
@@ -36,15 +36,15 @@ _SHAPES: tuple[tuple[str, re.Pattern[str]], ...] = (
     ("@", re.compile(r"://[^\s/@:]{0,100}:[^\s/@]{1,200}@")),  # a password in a URL
     *((each, re.compile(rf"\b{each}[\w-]{{10}}")) for each in _WELL_KNOWN),
 )
-"""What credentials look like, in small letters, each with what all of its kind have: that is looked for first."""
+"""Lower-case patterns of credentials, each with a text that all matches contain, which is searched first."""
 _BARE = re.compile(r"[\s\"']*(?=\S*[0-9])(?=\S*[A-Za-z])[A-Za-z0-9+/_.~=-]{24,1024}[\s\"']*")
-"""One word that nobody would say: letters and digits and nothing else."""
+"""A single word of letters and digits that is unlikely to be anything but a key."""
 _LONGEST_BARE = 1100
 _ESCAPED = re.compile(r"\\u([0-9a-fA-F]{4})")
 
 
 def holds_credentials(text: str) -> bool:
-    """Whether a text looks as if it held credentials, also percent-encoded or with the escapes of JSON and Turtle."""
+    """Whether a text appears to contain credentials, including percent-encoded ones and JSON or Turtle escapes."""
     begin = text[:SCANNED]
     if _looks_so(begin) or (len(begin) < _LONGEST_BARE and _BARE.fullmatch(begin) is not None):
         return True
@@ -64,15 +64,15 @@ def _looks_so(text: str) -> bool:
 
 
 _MAX_TEXT = 500
-"""Characters of a step, of the words of a refusal, of a media type."""
+"""Maximum number of characters of a step, of a refusal's reason, and of a media type."""
 _LONGEST_URL = 2000
 _WITHHELD = "(withheld)"
 _CUT_TOKEN = re.compile(rf"{PREFIX}[\w-]*\Z")
-"""What may be the beginning of a token at the end of what is looked through."""
+"""Possible beginning of a token at the end of the scanned text."""
 
 
 class AuditEntry(NamedTuple):
-    """A request and its answer. `body` is what is held of the body, all of it where `digest` (SHA-256) is None."""
+    """A request and its response. `body` is the stored part of the body, complete if `digest` (SHA-256) is None."""
 
     agent: Agent
     started_ns: int
@@ -98,7 +98,7 @@ def excerpt(body: bytes) -> tuple[bytes, bytes | None]:
 
 
 def receipt_of(entry: AuditEntry, number: int, id: str, excerpt_bytes: int) -> Receipt:
-    """The receipt, with nothing in it that looks like a secret: where one is, what it came to is withheld as well."""
+    """Return the receipt without possible secrets: with a secret in the request, the outcome is withheld too."""
     query = entry.query.decode("latin-1")
     hides_query = bool(query) and holds_credentials(query)
     text = _text(entry.body) if entry.body else None
@@ -128,10 +128,10 @@ def receipt_of(entry: AuditEntry, number: int, id: str, excerpt_bytes: int) -> R
 
 
 def touched_urls(url: str, touched: Sequence[str], made: str | None, status: int, length: int) -> Sequence[str] | None:
-    """The URLs of what a write was about: that it was sent to, those in its query, those of its steps, what it made.
+    """Return the URLs that a write concerned: its own, those in its query and its steps, and that of the new resource.
 
-    None where it may have been about more: an update, whose WHERE looks at everything; steps that are too many to be
-    all here; a query that is withheld; and a body that names other things and was refused before all were known.
+    Return None if there may be more: for an update, whose WHERE may read everything; for steps too many to list; for a
+    withheld query; and for a refused body that may name other things.
     """
     own, _, query = url.partition("?")
     if own.endswith("/sparql") or len(touched) >= MAX_STEPS or query == _WITHHELD.strip("()"):

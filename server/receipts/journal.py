@@ -1,7 +1,7 @@
-"""The journal: all receipts that are kept, within a number and an age, in memory and in a folder.
+"""The journal: all stored receipts, limited in number and age, in memory and in a folder.
 
-Noting a write costs its answer some microseconds. What is noted goes to the disk a moment later, together with what
-else came; an orderly end waits for it.
+Recording a write delays its response by some microseconds. Entries are written to disk a moment later, in batches; an
+orderly shutdown waits for that.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.tasks import Signal
 
 WRITE_SECONDS = 0.2
-"""How long what was noted waits for more before it is written to the disk: what a process that is killed may lose."""
+"""Seconds for which entries are gathered before they are written to disk: what a killed process may lose."""
 _RETRY_SECONDS = 5.0
 _LOOK_SECONDS = 60.0
-"""Between two looks at whether something has become too old."""
+"""Seconds between checks for expired entries."""
 _REFUSED_PART = 5
-"""One in so many of those kept may be of a write that was refused: no flood of these pushes out what was done."""
+"""Divisor of the limit for receipts of refused writes, so that a flood of these does not displace others."""
 
 
 class JournalEntry:
@@ -50,22 +50,22 @@ class JournalEntry:
 
     @property
     def touched(self) -> Sequence[str] | None:
-        """The URLs of what the write was about, as far as the request and the steps name it.
+        """URLs that the write concerned, as far as the request and the steps name them.
 
-        None where it may have been about more. The receipt is not made for it; any thread may ask.
+        None if there may be more. Does not create the receipt. Thread-safe.
         """
         known = self._receipt
         if known is not None:
             return touched_urls(known.url, known.touched, known.made, known.status, known.length)
         asked = self._asked
-        if asked is None:  # another thread has just made the receipt
+        if asked is None:  # another thread has just created the receipt
             return self.touched
         url = f"{asked.url}?{asked.query.decode('latin-1')}"
         return touched_urls(url, asked.touched, asked.created, asked.status, asked.length)
 
     @property
     def receipt(self) -> Receipt:
-        """The receipt, made when it is first read: most are never."""
+        """The receipt, created on first use: most are never read."""
         asked, receipt = self._asked, self._receipt
         if receipt is None:
             assert asked is not None
@@ -75,16 +75,16 @@ class JournalEntry:
 
 
 class NoSuchReceipt(LookupError):
-    """There is no receipt of this id, or no longer."""
+    """There is no receipt with this id, or it was removed."""
 
 
 class Journal:
-    """Belongs to one loop. `limit` receipts are kept for `age` seconds, in memory where there is no folder."""
+    """Journal of receipts, at most `limit` for `age` seconds; in memory without a folder. Belongs to one loop."""
 
     def __init__(self, folder: Path | None, *, limit: int, age: float, excerpt_bytes: int) -> None:
         self.changes = Signal()
         self.version = 1
-        """Rises with every receipt that comes or goes; the number of a receipt is the version it came with."""
+        """Number that increases with each added or removed receipt; a receipt's number is the version that added it."""
         self._limit = {False: limit, True: max(1, limit // _REFUSED_PART)}
         self._age_ns = int(age * 1e9)
         self._excerpt_bytes = excerpt_bytes
@@ -101,20 +101,20 @@ class Journal:
             for receipt in self._disk.load():
                 self._keep(JournalEntry(receipt.number, receipt.id, None, 0, receipt))
                 self.version = max(self.version, receipt.number)
-            if not self._disk.is_open:  # numbers that none of those on the disk has
+            if not self._disk.is_open:  # higher than all numbers on disk
                 self.version = time.time_ns() // 1000
 
     @property
     def failure(self) -> str | None:
-        """Why receipts are not on the disk for now, in a sentence for people; None where they are."""
+        """Sentence on why receipts are currently not written to disk, None if they are."""
         return None if self._disk is None else self._disk.problem
 
     def start(self) -> None:
-        """Begin to remove entries that have become too old."""
+        """Start to remove expired entries."""
         self._look_again()
 
     def add(self, asked: AuditEntry, id: str | None = None) -> str:
-        """Keep a write; the id of its receipt. It is written to the disk soon, and by `close` at the latest."""
+        """Add a write and return the id of its receipt. It is written to disk soon, by `close` at the latest."""
         self.version += 1
         entry = JournalEntry(self.version, id or new_identifier(), asked, self._excerpt_bytes, None)
         self._keep(entry)
@@ -135,12 +135,12 @@ class Journal:
         return len(self._entries)
 
     def newest_first(self) -> Iterator[JournalEntry]:
-        """Return all of them."""
+        """Yield all entries, newest first."""
         done, refused = (reversed(entries) for entries in self._in_order.values())
         return heapq.merge(done, refused, key=lambda entry: -entry.number)
 
     def after(self, number: int) -> Sequence[JournalEntry]:
-        """Return those that came after a number, the oldest first."""
+        """Return the entries added after a number, oldest first."""
         found: list[JournalEntry] = []
         for entry in self.newest_first():
             if entry.number <= number:
@@ -149,11 +149,11 @@ class Journal:
         return found[::-1]
 
     def on_dropped(self, told: Callable[[JournalEntry], None]) -> None:
-        """Call the listener with each entry that is forgotten from now on."""
+        """Call the listener with each entry that is removed from now on."""
         self._dropped = told
 
     async def close(self) -> None:
-        """Write what is not written yet. Idempotent."""
+        """Write the remaining entries. Idempotent."""
         for timer in (self._turn, self._look):
             if timer is not None:
                 timer.cancel()
@@ -166,7 +166,7 @@ class Journal:
             await self._write(disk)
         await disk.close()
 
-    # Keeping
+    # --- storage
 
     def _keep(self, entry: JournalEntry) -> None:
         kind = entry.is_refused
@@ -194,7 +194,7 @@ class Journal:
         if self.version != before:
             self.changes.emit()
 
-    # Writing to the disk
+    # --- writing to disk
 
     def _write_soon(self, seconds: float) -> None:
         if self._turn is None and self._writing is None:
@@ -218,7 +218,7 @@ class Journal:
             self._write_soon(pause)
 
     async def _write(self, disk: SqliteLog) -> None:
-        """Write what is not written. What fails is tried again with what comes next."""
+        """Write the new entries. Failures are retried with the next ones."""
         added, gone = self._unwritten, self._gone
         self._unwritten, self._gone = {}, []
         try:

@@ -1,4 +1,4 @@
-"""Receipts on disk: a database of their own beside the records, written in batches by one thread."""
+"""Receipts on disk: a separate database next to the records, written in batches by one thread."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ _log = logging.getLogger("rosld")
 DATABASE = "receipts.sqlite"
 _FORMAT = 1
 _APPLICATION = 0x726F7372
-"""What marks a SQLite file as receipts of ours ("rosr")."""
+"""Application ID of SQLite files with receipts ("rosr")."""
 _OPEN_SECONDS = 5.0
 
 
 class SqliteLog:
-    """The database in a folder, made where it is missing.
+    """The database in a folder, created if missing.
 
-    Raises ValueError for one that is not sound, or of something else; one that the disk fails to open for now is opened
-    when it is next written to, and `problem` says so.
+    Raises ValueError for a damaged or foreign database; one that cannot be opened now is opened with the next write,
+    and `problem` reports that.
     """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / DATABASE
         self.problem: str | None = None
-        """Why receipts are not on the disk for now, in a sentence."""
+        """Sentence on why receipts are currently not written to disk, or None."""
         folder.mkdir(parents=True, exist_ok=True)
         self._connection: sqlite3.Connection | None = None
         try:
             self._connection = self._open()
-        except sqlite3.OperationalError as error:  # a full disk, as a rule: no reason not to serve
+        except sqlite3.OperationalError as error:  # usually a full disk, which is no reason not to serve
             self.report_failure(error)
         except sqlite3.Error as error:
             words = f"{self._path} cannot be used as the database of receipts: {error}"
@@ -47,7 +47,7 @@ class SqliteLog:
 
     @property
     def is_open(self) -> bool:
-        """Whether what it holds can be read."""
+        """Whether the database can be read."""
         return self._connection is not None
 
     def report_failure(self, error: sqlite3.Error) -> None:
@@ -58,14 +58,14 @@ class SqliteLog:
         self.problem = problem
 
     def _open(self) -> sqlite3.Connection:
-        try:  # what people did is no one else's
+        try:  # readable by its owner only, as it shows the agents' actions
             os.close(os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
         except OSError as error:
             raise sqlite3.OperationalError(str(error)) from error
         try:
             return self._connect("NORMAL")
         except sqlite3.OperationalError:
-            return self._connect("EXCLUSIVE")  # its index needs no file then, for which a full disk has no place
+            return self._connect("EXCLUSIVE")  # its index then needs no file, which a full disk has no room for
 
     def _connect(self, locking: str) -> sqlite3.Connection:
         connection = sqlite3.connect(self._path, timeout=_OPEN_SECONDS, isolation_level=None, check_same_thread=False)
@@ -90,7 +90,7 @@ class SqliteLog:
         return connection
 
     def load(self) -> list[Receipt]:
-        """All receipts, the oldest first. What cannot be read any more is left out; all of it where it is not open."""
+        """Return all receipts, oldest first, without unreadable ones; empty if the database is not open."""
         if self._connection is None:
             return []
         rows = self._connection.execute("SELECT told FROM receipt ORDER BY number")
@@ -98,9 +98,9 @@ class SqliteLog:
         return [receipt for receipt in found if receipt is not None]
 
     async def write(self, added: Iterable[Receipt], dropped: Sequence[int]) -> None:
-        """Add some and drop others in one transaction, away from the loop. `added` is gone through there as well.
+        """Add and remove receipts in one transaction, in a thread that also iterates `added`.
 
-        They survive the end of the process then, however it ends. Raises sqlite3.Error.
+        Afterwards they survive any end of the process. Raises sqlite3.Error.
         """
         await asyncio.get_running_loop().run_in_executor(self._thread, self._write, added, dropped)
 
@@ -118,13 +118,13 @@ class SqliteLog:
             connection.executemany("DELETE FROM receipt WHERE number = ?", [(number,) for number in dropped])
             connection.execute("COMMIT")
         except BaseException:
-            if connection.in_transaction:  # a full disk has rolled back already
+            if connection.in_transaction:  # after a disk-full error it is rolled back already
                 connection.execute("ROLLBACK")
             raise
         self.problem = None
 
     async def close(self) -> None:
-        """Finish. Idempotent."""
+        """Close the database. Idempotent."""
         await asyncio.get_running_loop().run_in_executor(None, self._close)
 
     def _close(self) -> None:

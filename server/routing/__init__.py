@@ -1,1 +1,1 @@
-"""Routing of paths to resources, and of methods to their verbs."""
+"""Routing of paths to resources, and of requests to their methods."""

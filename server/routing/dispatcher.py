@@ -41,10 +41,9 @@ from rosld.server.runtime.tasks import KeyedLock
 
 
 class Dispatcher:
-    """Answers requests on resources.
+    """Dispatcher of requests to the methods of resources.
 
-    `instance_id` tells this run of the server from others in ETags, `near` finds the URLs near one at which there is
-    nothing.
+    `instance_id` identifies this run of the server in ETags; `near` returns the URLs similar to one without a resource.
     """
 
     def __init__(
@@ -68,7 +67,10 @@ class Dispatcher:
         self._near = near
 
     def answer(self, exchange: Exchange, resource: Resource) -> Awaitable[Response]:
-        """Return the response to a request on a resource; raises Problems. Either says what it is (LDP 4.2.1.4)."""
+        """Return the response to a request on a resource, with its type links (LDP 4.2.1.4). Raises Problems.
+
+        Problems have the links too.
+        """
         if exchange.request.scope["query_string"] and exchange.method in VERBS and exchange.query_flag(DRY_RUN.name):
             return answer_dry_run(exchange, resource, self._session, lambda: self._respond(exchange, resource))
         return self._respond(exchange, resource)
@@ -91,13 +93,13 @@ class Dispatcher:
         return response
 
     def _with_near(self, exchange: Exchange, resource: Resource, problem: Problem) -> Problem:
-        """A 404 with the URLs that are near; who may not read everything is not told what there is in its place."""
+        """Add the URLs similar to a missing one to a 404, if the agent may read everything."""
         if problem.status == 404 and exchange.permissions.may_read_all:
             problem.near = tuple(self._near(resource.url))
         return problem
 
     def _authorize(self, exchange: Exchange, resource: Resource) -> None:
-        """Raise a 401 or 403 Problem where who asks may not do this. Of a form, once it has said what it means."""
+        """Raise a 401 or 403 Problem if the agent lacks permission; forms are authorized once they are parsed."""
         if not is_form(exchange, resource):
             enforcement.authorize(
                 exchange.permissions,
@@ -118,11 +120,11 @@ class Dispatcher:
             raise resource.not_allowed(method)
         try:
             if b"format=" in exchange.request.scope["query_string"]:
-                negotiate(exchange)  # nothing is written whose answer cannot be given
+                negotiate(exchange)  # nothing is written if the response could not be given
             refuse_partial_put(exchange)
             check_media_type(exchange, resource)
             if method != "DELETE" and not resource.streams_body(exchange):
-                await exchange.raw_body()  # before the preconditions: nothing is to come between them and the write
+                await exchange.raw_body()  # read first: nothing may happen between the preconditions and the write
             answer = await self._write(exchange, resource)
         except (BodyError, LoweringError, Problem) as error:
             raise with_constraint_link(resource, error) from error
@@ -133,7 +135,7 @@ class Dispatcher:
         return await self._write_answers.as_preferred(exchange, resource, answer)
 
     async def _write(self, exchange: Exchange, resource: Resource) -> Answer:
-        """Carry out a write: one that is conditional, or depends on what is there, with no other on that URL."""
+        """Run a write; conditional or state-dependent ones hold the lock of the URL."""
         write = VERBS[exchange.method]
         exchange.audit.begin()
         if not exchange.is_conditional and exchange.method not in resource.in_turn:
@@ -144,9 +146,9 @@ class Dispatcher:
             return await write(resource, exchange)
 
     async def read(self, exchange: Exchange, resource: Resource) -> Response:
-        """Answer GET and HEAD (RFC 9110 9.3.1): with a representation, a stream, or once the state is another.
+        """Answer GET and HEAD (RFC 9110 9.3.1) with a representation or a stream, possibly after waiting for a change.
 
-        Raises Problems: those of the resource, 406, 401 where the rights changed during the wait; and RosError.
+        Raises the Problems of the resource, 406, and 401 if the rights changed during the wait; and RosError.
         """
         special = await resource.custom_get(exchange)
         if isinstance(special, Motion):
@@ -183,7 +185,7 @@ class Dispatcher:
         return RawResponse(200, rendering.body, headers)
 
     async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:
-        """Raise a 412 Problem where If-Match or If-None-Match of a write fail now (RFC 9110 13.1)."""
+        """Raise a 412 Problem if If-Match or If-None-Match of a write fail now (RFC 9110 13.1)."""
         if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
         try:
             state: State | None = await resource.state()
@@ -196,5 +198,5 @@ class Dispatcher:
 
 
 def options(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:
-    """Return the headers of an answer to OPTIONS; `methods` as in `resource_headers`."""
+    """Return the headers of a response to OPTIONS; `methods` as in `resource_headers`."""
     return {**resource_headers(resource, methods), "vary": "Accept"}

@@ -1,4 +1,4 @@
-"""The graphs of the dataset that have no live values: one a resource, each with a token that changes with it."""
+"""Graphs of the dataset without live values: one per resource, each with a token that changes with its content."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ from rosld.shapes.message import shape_document
 from rosld.shapes.parameter import declared_triples
 
 LISTED_ROUTES = ("nodes", "topics", "services", "actions")
-"""The routes of containers whose members are names of the computation graph."""
+"""Routes of containers whose members are names of the computation graph."""
 
 
 class GraphDescriptions:
-    """Describes the resources of one robot but for values of topics, parameters and resources."""
+    """Descriptions of one robot's resources, without values of topics, parameters and resources."""
 
     def __init__(self, factory: ResourceFactory) -> None:
         self._factory = factory
@@ -55,12 +55,12 @@ class GraphDescriptions:
         self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (None, {})
 
     def add(self, fixed: Mapping[str, Callable[[], Document]]) -> None:
-        """Add documents that never change, by URL."""
+        """Add constant documents, by URL."""
         self._fixed = fixed
 
     @property
     def revision(self) -> Hashable:
-        """Changes whenever a description may have changed."""
+        """Revision that changes whenever a description may have changed."""
         return self._revision(self._session.graph)
 
     def _revision(self, graph: Graph) -> Hashable:
@@ -192,7 +192,7 @@ class GraphDescriptions:
             yield _described(space.bag(one.name), progress, partial(describe_running, space, recordings, one))
 
     def _resources(self) -> Iterator[GraphEntry]:
-        """Yield the resources below `/resources/` without values, but for those that depend on conditions."""
+        """Yield the resources below `/resources/` without values, except conditional ones."""
         tree = self._services.affordances.last_tree
         if tree is None:
             return
@@ -205,7 +205,7 @@ class GraphDescriptions:
                 yield _described(resource.url, (state.view, simulated), state.describe)
 
     def _activities(self) -> Iterator[GraphEntry]:
-        """Calls, goals, holds and the stop, and the containers of the first three."""
+        """Yield calls, goals, holds and the stop, and the containers of the first three."""
         calls, goals, holds = self._session.calls.all(), self._session.goals.all(), self._services.holds.all()
         for listing in (self._factory.calls(), self._factory.goals(), self._factory.holds()):
             yield _described(listing.url, *listing.outline())
@@ -230,14 +230,14 @@ def parameter_description(parameter: Parameter, space: Space) -> Document:
 
 
 def _of_itself(tree: ParameterTree) -> Document:
-    """What a tree of parameters says of itself alone: the union has what it says of its members from their graphs."""
+    """Return the statements of a tree of parameters about itself: those about its members are in their own graphs."""
     document = tree.outline()
     itself = NamedNode(document.url)
     return Document(document.url, tuple(triple for triple in document.all_triples() if triple.subject == itself))
 
 
 def _container(url: str, members: tuple[str, ...], title: str) -> GraphEntry:
-    """The graph of a container that says no more than which members it has."""
+    """Return the graph of a container that only lists its members."""
     return _described(url, members, partial(container_document, url, members, title))
 
 

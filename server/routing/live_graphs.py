@@ -1,8 +1,8 @@
-"""The dataset that SPARQL sees: one named graph a resource, exactly what a GET of it says.
+"""The dataset of SPARQL: one named graph per resource, with exactly the triples of a GET of it.
 
-Descriptions (the computation graph, containers, types, shapes, resources without values, the vocabulary) take no
-reading of the robot and are always there. Values (latest messages, those of parameters and properties, and what
-conditions on these offer) are read when a query can match them.
+Descriptions (the computation graph, containers, types, shapes, resources without values, the vocabulary) require no
+reading of the robot and are always present. Values (latest messages, those of parameters and properties, and
+affordances that depend on them) are read when a query can match them.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ from rosld.server.sparql.needs import Constants, Needs, StatedTerms
 from rosld.shapes.value import MessageShape
 
 _KEPT = 256
-"""Needs whose documents are remembered."""
+"""Maximum number of needs whose documents are cached."""
 OTHER_ROUTES = frozenset({stored_queries.ROUTE, active_limits.ROUTE})
-"""The containers of what clients keep in which something else lies too: they are described here, whole."""
+"""Containers of stored documents that have other members too, and so are described here completely."""
 _AT_ONCE = 64
-"""Reads that are begun before the loop has its turn."""
+"""Number of reads started before the loop may run."""
 _TURNS = 4
-"""Times that topics are looked at to have their values all of one moment."""
+"""Maximum number of attempts to read the values of all topics at the same moment."""
 
 
 _MESSAGE = frozenset(
     term.value for term in (rdf.type, ros.received, ros.sequence, ros.sentBy, ros.dateTime, ros.elidedLength, ros.bytes)
 )
-"""Predicates of any message, beside its fields."""
+"""Predicates of any message, in addition to its fields."""
 _LISTS = frozenset({rdf.first.value, rdf.rest.value})
 _CLASSES = frozenset({ros.Message.value, ros.Elided.value})
 _TOPIC = frozenset(term.value for term in (ros.latest, ros.latestFrom, ros.unreadable, ros.words))
@@ -64,9 +64,9 @@ _ANYTHING = StatedTerms()
 
 
 class _Candidate(NamedTuple):
-    """A document with values: its URL, what they tell, and what makes its resource.
+    """A document with values: its URL, the terms of the values, and the factory of its resource.
 
-    One that reads pictures or clouds has values only `by_name`.
+    One that reads pictures or point clouds has values only `by_name`.
     """
 
     url: str
@@ -88,18 +88,18 @@ class RobotGraphs:
         self._changing: Sequence[Resource] = ()
 
     def add(self, fixed: Mapping[str, Callable[[], Document]], changing: Iterable[Resource]) -> None:
-        """Add documents that never change, by URL, and resources whose state is read for each query that may match."""
+        """Add constant documents, by URL, and resources whose state is read for each query that may match them."""
         self._descriptions.add(fixed)
         self._changing = tuple(changing)
 
     @property
     def revision(self) -> Hashable:
-        """Changes whenever a description may have changed."""
+        """Revision that changes whenever a description may have changed."""
         return self._descriptions.revision
 
     @property
     def writes(self) -> int:
-        """The number of writes to the robot that have ended."""
+        """Number of completed writes to the robot."""
         return self._session.interlock.writes
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
@@ -107,7 +107,7 @@ class RobotGraphs:
         return self._descriptions.entries()
 
     async def prepare(self, needs: Needs) -> None:
-        """Have the resources below `/resources/` and the types that a query names described."""
+        """Make the descriptions of the resources below `/resources/` and of the types in a query available."""
         await self._affordances.tree()
         for location in map(self._session.space.location, needs.documents):
             match location:
@@ -123,10 +123,10 @@ class RobotGraphs:
         except (Problem, RosError):  # the query finds nothing there, as a GET does
             pass
 
-    # What is needed
+    # --- needs
 
     def wanted(self, needs: Needs, permissions: Permissions) -> Sequence[LiveDocument]:
-        """Return the documents whose values a query can match, as far as they may be read."""
+        """Return the documents whose values a query can match and the permissions allow to read."""
         if not needs.patterns and not needs.asks_graphs:
             return ()
         tree = self._affordances.cached_tree() or self._affordances.last_tree
@@ -190,7 +190,7 @@ class RobotGraphs:
             yield _Candidate(url, _BRIEF, partial(self._factory.namespace, "topics", path))
 
     def _resources(self, tree: ResourceTree) -> Iterator[_Candidate]:
-        """Yield what lies below `/resources/`, but for actions that are always on offer."""
+        """Yield the resources below `/resources/`, except actions that are always offered."""
         space, factory = self._session.space, self._factory
         for path in tree.paths:
             plan = tree.complex(path)
@@ -209,7 +209,7 @@ class RobotGraphs:
             yield _Candidate(url_of(name, space), terms, partial(factory.member, name), bulky)
 
     def _terms_of_topic(self, topic: Topic) -> tuple[StatedTerms, bool]:
-        """Return what the values of a topic tell, and whether its messages are pictures, clouds or the like."""
+        """Return the terms of a topic's values, and whether its messages are pictures, point clouds or the like."""
         schemas, space = self._session.schemas, self._session.space
         found: list[StatedTerms] = [StatedTerms(_TOPIC | _MESSAGE, _CLASSES)]
         bulky = False
@@ -222,7 +222,7 @@ class RobotGraphs:
         return reduce(StatedTerms.__or__, found), bulky
 
     def _rated(self, needs: Needs) -> Iterator[LiveDocument]:
-        """Yield the topics subscribed to whose rates a query can match: a rate is no reason to subscribe."""
+        """Yield the subscribed topics whose rates a query can match: a rate is no reason to subscribe."""
         if not any(one.predicates is not None and ros.rate.value in one.predicates for one in needs.patterns):
             return
         for name in self._session.topics.subscribed():
@@ -230,7 +230,7 @@ class RobotGraphs:
                 yield LiveDocument(url, self._factory.topic(name), subscribes=False)
 
     def _recorded_messages(self, needs: Needs) -> Iterator[LiveDocument]:
-        """Yield the single messages of recordings that a query names: all others are asked for by `ros:past`."""
+        """Yield the recorded messages that a query names: all others are selected by `ros:past`."""
         for url in needs.documents:
             match self._session.space.location(url):
                 case Location("bags", (bag, "messages", index), False) if index.isdecimal():
@@ -238,12 +238,12 @@ class RobotGraphs:
                     if recording is not None and recording.first <= int(index) < recording.first + recording.count:
                         yield LiveDocument(url, self._factory.bag_message(recording, int(index)), is_named=True)
 
-    # Reading
+    # --- reading
 
     async def read(self, documents: Sequence[LiveDocument], *, deadline: float) -> LiveGraphs:
-        """Return documents with their values as of now, waiting for first ones until `deadline` (loop time) at most.
+        """Return documents with their current values, waiting until `deadline` (loop time) at most for first values.
 
-        A document that is not there now has no entry; what could not be read is told with the reason.
+        A document that does not exist now has no entry; unreadable ones are returned with the reason.
         """
         topics = [one for one in documents if isinstance(one.resource, TopicResource)]
         due = [one for one in documents if one.subscribes and not isinstance(one.resource, TopicResource)]
@@ -258,7 +258,7 @@ class RobotGraphs:
     async def _look(
         self, topics: Sequence[LiveDocument], others: Sequence[LiveDocument], deadline: float, found: LiveGraphs
     ) -> None:
-        """Read `others`, after the first values of topics, which they then find there."""
+        """Read `others` after waiting for the first values of topics, which they need."""
         live, budget = self._session.topics, self._session.settings.subscription_budget
         wanted = [one for one in topics if one.subscribes]
         new = [one for one in wanted if not live.is_settled(_name(one))]
@@ -302,7 +302,7 @@ class RobotGraphs:
         except Problem as problem:
             if problem.status >= 500:
                 found.unread[one.url] = problem.detail
-            else:  # it is not there now
+            else:  # it does not exist now
                 found.entries[one.url] = None
         except RosError as error:
             found.unread[one.url] = str(error)
@@ -310,7 +310,7 @@ class RobotGraphs:
             found.entries[one.url] = _entry_of(one.url, state)
 
     async def _read_parameters(self, documents: Sequence[LiveDocument], deadline: float, found: LiveGraphs) -> None:
-        """Read parameters and trees of them, asked for all together."""
+        """Read parameters and trees of parameters in one request."""
         if not documents:
             return
         session = self._session
@@ -325,9 +325,9 @@ class RobotGraphs:
                 found.entries[one.url] = entry
 
     async def _read_topics(self, documents: Sequence[LiveDocument], found: LiveGraphs) -> None:
-        """Read topics, all in one turn of the loop, in which no message comes.
+        """Read topics in one iteration of the loop, in which no message arrives.
 
-        Where something must be fetched first (the type of a message), they are all read again.
+        If something must be fetched first (the type of a message), all of them are read again.
         """
         known = self._session.topics.current_view
         for _ in range(_TURNS):
@@ -337,7 +337,7 @@ class RobotGraphs:
                 assert isinstance(one.resource, TopicResource)
                 try:
                     found.entries[one.url] = _entry_of(one.url, await one.resource.state_of(known(one.resource.name)))
-                except (Problem, RosError):  # it is not there any more
+                except (Problem, RosError):  # it no longer exists
                     found.entries.pop(one.url, None)
             if turns:
                 continue
@@ -356,7 +356,7 @@ def _names_type(pattern: Constants, types: str) -> bool:
 
 
 def _named_topics(space: Space, graph: Graph, needs: Needs) -> Iterable[Topic]:
-    """Return the topics that the patterns name; all where one names none."""
+    """Return the topics that the patterns name, or all if a pattern names none."""
     named = needs.dataset or {pattern.graph or pattern.document for pattern in needs.patterns}
     if None in named:
         return graph.topics.values()
@@ -367,7 +367,7 @@ def _named_topics(space: Space, graph: Graph, needs: Needs) -> Iterable[Topic]:
 
 @lru_cache(maxsize=4096)
 def _terms_of_messages(schema: MessageSchema, space: Space) -> StatedTerms:
-    """Return the fields and classes of a message and of all within it."""
+    """Return the fields and classes of a message and of all nested ones."""
     kinds = schema.types.values()
     fields = {space.property_of(kind.name, field.name) for kind in kinds for field in kind.fields}
     has_lists = any(
@@ -400,7 +400,7 @@ def _terms_of_member(member: MemberPlan, space: Space) -> StatedTerms:
 
 
 def _of_parameter(resource: Resource, value: ParameterValue | None) -> GraphEntry | None:
-    """Return the graph of a parameter or a tree, None where it has no value that can be shown."""
+    """Return the graph of a parameter or a tree, None without a value that can be represented."""
     assert isinstance(resource, ParameterResource | ParameterTree)
     if value is None or isinstance(value, dict) == isinstance(resource, ParameterResource):
         return None

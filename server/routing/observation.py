@@ -33,29 +33,29 @@ MEDIA_TYPE = f"multipart/x-mixed-replace; boundary={_BOUNDARY}"
 
 @dataclass(slots=True)
 class Pace:
-    """At most one picture in each interval of 1/`rate` seconds; the intervals of all readers begin at the same times.
+    """Limit of one picture per interval of 1/`rate` seconds; the intervals of all readers are aligned.
 
-    So readers who want fewer pictures than there are want the same ones, and these are drawn once.
+    So readers with low rates get the same pictures, which are drawn only once.
     """
 
     rate: float
     _last: int = -1
 
     def wait(self, now: float) -> float:
-        """Return the seconds until the next picture may be sent, 0.0 where one may be sent now."""
+        """Return the seconds until the next picture may be sent, 0.0 if one may be sent now."""
         interval = math.floor(now * self.rate)
         return 0.0 if interval > self._last else max(0.001, (self._last + 1) / self.rate - now)
 
     def take(self, now: float) -> None:
-        """Note that a picture is sent in this interval."""
+        """Record that a picture is sent in this interval."""
         self._last = math.floor(now * self.rate)
 
 
 class MotionStream(EndlessResponse):
-    """The pictures of one motion, until the reader leaves, loses its rights, or the server ends.
+    """Pictures of one motion, until the reader disconnects, loses its rights, or the server ends.
 
-    A reader gets the newest picture after it has taken the one before; a slow reader skips pictures. Equal pictures are
-    drawn once for all readers, and only if a reader takes them.
+    A reader gets the newest picture after it has received the previous one; a slow reader skips pictures. Equal
+    pictures are drawn once for all readers, and only if a reader receives them.
     """
 
     last_chunk = f"\r\n--{_BOUNDARY}--\r\n".encode("ascii")
@@ -104,14 +104,14 @@ class MotionStream(EndlessResponse):
                 if picture is None or not self._is_valid():
                     continue
                 self._pace.take(time.monotonic())
-                # The head of the next part goes with this one: browsers show a picture when they have read that.
+                # The head of the next part is sent along: browsers show a picture when they have read that.
                 await tell(b"".join((picture, b"\r\n", part)))
         finally:
             watch.close()
 
 
 class Observation:
-    """Answers requests that stay open until a resource changes, or for as long as somebody looks."""
+    """Responses that stay open until a resource changes, or as long as it is read."""
 
     def __init__(self, representations: Representations, broadcasters: Broadcasters, pages: PageRenderer) -> None:
         self._representations = representations
@@ -119,9 +119,9 @@ class Observation:
         self._pages = pages
 
     async def wait_until(self, exchange: Exchange, resource: Resource, state: State) -> tuple[State, bool]:
-        """The state of which `?until=` holds, once there is one, else the one after `?timeout=`; and whether it holds.
+        """Wait for the condition of `?until=`; return the final state and whether it is true (False after `?timeout=`).
 
-        Raises a 401 Problem where the rights of who asks have ended meanwhile.
+        Raises a 401 Problem if the agent's rights have ended meanwhile.
         """
         until, seconds = self._until(exchange, resource), query_params.parse_timeout(exchange.query)
         after = exchange.query.get("after")
@@ -139,7 +139,7 @@ class Observation:
         return (found, True) if found is not None else (await resource.state(), False)
 
     async def wait_for_another(self, exchange: Exchange, resource: Resource, state: State) -> None:
-        """Wait until the state is another than that of `?after=`, at most for `?timeout=`. Raises Problems."""
+        """Wait until the state differs from that of `?after=`, at most for `?timeout=`. Raises Problems."""
         after, seconds = exchange.query["after"], query_params.parse_timeout(exchange.query)
         if query_params.is_state(after, self._representations.name(state)):
 
@@ -149,7 +149,7 @@ class Observation:
             await wait_for_state(self._broadcasters, resource, is_another, exchange.request, seconds)
 
     async def stream(self, exchange: Exchange, resource: Resource) -> Response:
-        """The changes of a resource as an event stream (WHATWG HTML 9.2). Raises Problems, all before it begins."""
+        """Return the changes of a resource as an event stream (WHATWG HTML 9.2). Raises Problems before it begins."""
         media_type = event_media_type(exchange)
         rate = query_params.parse_rate(exchange.query)
 
@@ -164,7 +164,7 @@ class Observation:
         await render(first)
         if "until" in exchange.query:
             until = self._until(exchange, resource)
-            until.holds(first)  # for what it refuses
+            until.holds(first)  # raises its Problems
             seconds = query_params.parse_timeout(exchange.query) if "timeout" in exchange.query else None
         self._broadcasters.require_capacity(exchange.request.client)
         headers = encode_headers(resource_headers(resource))
@@ -186,7 +186,7 @@ class Observation:
         return EventStream(self._broadcasters, resource, stream_format, rate, known, headers, lease, end)
 
     def motion(self, exchange: Exchange, resource: Resource, motion: Motion) -> Response:
-        """The pictures of a motion, each replacing the one before, as fast as the client reads. Raises Problems."""
+        """Return the pictures of a motion, each replacing the previous one, at the client's speed. Raises Problems."""
         rate = query_params.parse_rate(exchange.query, query_params.MOTION_RATE)
         self._broadcasters.require_capacity(exchange.request.client)
         stream = MotionStream(

@@ -1,4 +1,4 @@
-"""Representations of resources: a state in the media type and for the rights of a request (RFC 9110 3.2)."""
+"""Representations of resources: a state in the media type, and within the permissions, of a request (RFC 9110 3.2)."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from rosld.server.rest.state import Rendering, State
 
 _JSON_IS_JSONLD = {JSON: Syntax.JSON_LD.media_type}
 _MAX_RENDERINGS = 64
-"""Representations, and what they are made from, that are kept with a state."""
+"""Maximum number of cached representations and redactions of a state."""
 CONTENT_FIELDS = (b"content-type", b"content-length")
-"""The fields that an answer without content leaves out."""
+"""Fields that responses without content omit."""
 
 
 class Representations:
-    """Maker of the representations of states. `instance_id` identifies this run of the server in ETags."""
+    """Renderer of the representations of states. `instance_id` identifies this run of the server in ETags."""
 
     def __init__(self, instance_id: str, pages: PageRenderer, large: LargeDocuments) -> None:
         self._instance_id = instance_id
@@ -50,10 +50,10 @@ class Representations:
         permissions: Permissions = ALLOW_ALL,
         notices: Sequence[Notice] = (),
     ) -> Rendering:
-        """Return the representation in a media type, kept with the state or made now. Raises a 406 Problem.
+        """Return the representation in a media type, cached with the state or rendered now. Raises a 406 Problem.
 
-        Bytes are shared by agents of the same rights; a page, which has forms, is one agent's, and with `notices` it is
-        made for one reader.
+        Agents with the same rights share bytes; a page, which has forms, belongs to one agent, and one with `notices`
+        to a single request.
         """
         variant = _variant(media_type, permissions)
         if not permissions.is_unrestricted:
@@ -68,7 +68,7 @@ class Representations:
         return found
 
     async def preferred(self, exchange: Exchange, resource: Resource, state: State) -> Rendering:
-        """Return the representation that the request prefers, kept with the state or made now. Raises a 406 Problem."""
+        """Return the representation that the request prefers, cached or rendered now. Raises a 406 Problem."""
         return await self.represent(resource, state, negotiate(exchange), exchange.permissions)
 
     async def _render(
@@ -100,10 +100,10 @@ class Representations:
     async def read_large(
         self, exchange: Exchange, resource: Resource, state: State, media_type: str, *, unchanged: bool
     ) -> Response:
-        """Return the answer to GET and HEAD of a large state: from a file that a worker process makes; HEAD makes none.
+        """Return the response to GET or HEAD of a large state from a file created by a worker process (not for HEAD).
 
-        Without a representation nothing tells its length, and HEAD may leave that out (RFC 9110 9.3.2). `unchanged`:
-        the client has it already, and gets 304. Raises a 406 Problem where the media type cannot carry the state.
+        Without a representation its length is unknown, and HEAD may omit it (RFC 9110 9.3.2). `unchanged`: the client
+        has it already, and gets a 304. Raises a 406 Problem if the media type cannot represent the state.
         """
         permissions = exchange.permissions
         variant = _variant(media_type, permissions)
@@ -125,7 +125,7 @@ class Representations:
         return file_stream(encode_headers({**headers, "content-length": str(size)}), file, size)
 
     def unmet(self, exchange: Exchange, resource: Resource, state: State) -> Response:
-        """204 after `?timeout=`: by its ETag, which state the resource is in instead."""
+        """Return a 204 after `?timeout=`, with the ETag of the actual state."""
         media_type = negotiate(exchange)
         etag = str(ETag(self.name(state), _variant(media_type, exchange.permissions) + state.part))
         headers = _headers(resource, state, media_type, etag)
@@ -140,7 +140,7 @@ class Representations:
 
 
 def redacted_state(resource: Resource, state: State, permissions: Permissions) -> State:
-    """The state without what an agent of these rights may not read; the same object for the same rights."""
+    """Return the state without what the agent may not read; the same object for the same rights."""
     if permissions.is_unrestricted:
         return state
     found = state.redactions.get(permissions.rights_key)
@@ -152,7 +152,7 @@ def redacted_state(resource: Resource, state: State, permissions: Permissions) -
 
 
 def negotiate(exchange: Exchange) -> str:
-    """Return the media type to answer with: `?format=` before Accept. Raises a 406 Problem naming what there is."""
+    """Return the media type of the response: `?format=` takes precedence over Accept. Raises a 406 Problem."""
     if b"format=" in exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
         if wanted not in FORMATS:
             raise Problem(406, f"?format={wanted} is unknown; there are {', '.join(FORMATS)}.")
@@ -164,7 +164,7 @@ def negotiate(exchange: Exchange) -> str:
 
 
 def event_media_type(exchange: Exchange) -> str:
-    """Return the media type of an event's data: plain JSON, or what `?format=` says. Raises a 406 Problem."""
+    """Return the media type of an event's data: plain JSON, or that of `?format=`. Raises a 406 Problem."""
     wanted = exchange.query.get("format", "json")
     if wanted not in FORMATS:
         raise Problem(406, f"?format={wanted} cannot be streamed; there are {', '.join(FORMATS)}.")
@@ -172,7 +172,7 @@ def event_media_type(exchange: Exchange) -> str:
 
 
 def is_not_modified(exchange: Exchange, rendering: Rendering) -> bool:
-    """Whether GET or HEAD is answered with 304; raises a 412 Problem where If-Match fails (RFC 9110 13.2.2)."""
+    """Whether GET or HEAD is answered with 304. Raises a 412 Problem if If-Match fails (RFC 9110 13.2.2)."""
     if_none_match = exchange.header("if-none-match")
     if_match = exchange.header("if-match")
     if if_none_match is None and if_match is None:
@@ -182,7 +182,7 @@ def is_not_modified(exchange: Exchange, rendering: Rendering) -> bool:
 
 
 def encode_headers(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
-    """Header fields as ASGI wants them, in Latin-1."""
+    """Encode header fields for ASGI, in Latin-1."""
     return [(name.encode("latin-1"), value.encode("latin-1")) for name, value in headers.items()]
 
 
@@ -195,7 +195,7 @@ def _variant(media_type: str, permissions: Permissions) -> str:
 
 
 def _headers(resource: Resource, state: State, media_type: str, etag: str) -> dict[str, str]:
-    """Return the headers of a representation, but for its length."""
+    """Return the headers of a representation without its length."""
     return {
         "content-type": f"{media_type}; charset=utf-8" if media_type.startswith("text/") else media_type,
         "etag": etag,

@@ -1,4 +1,4 @@
-"""The resources of one robot, each made from what it needs of the services."""
+"""Factory of the resources of one robot, each created with the services that it needs."""
 
 from __future__ import annotations
 
@@ -53,15 +53,15 @@ from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.update.base import UpdateRunner
 
 Find = Callable[[str], Resource]
-"""The resource at a path below the base."""
+"""Function that returns the resource at a path below the base."""
 _EXAMPLES = 100
-"""Kept queries that the page of the endpoint lists."""
+"""Number of stored queries that the page of the endpoint lists."""
 
 
 class ResourceFactory:
-    """Makes the resources of one robot, from a name or, where that takes more, from a location.
+    """Factory of the resources of one robot, from a name or a location.
 
-    The methods that take a location raise Problems: 404, or 308 where only the slash at the end is another.
+    The methods that take a location raise Problems: 404, or 308 if only the final slash differs.
     """
 
     def __init__(self, services: Services) -> None:
@@ -87,7 +87,7 @@ class ResourceFactory:
         self._level_times = LevelTimes()
         self._query_tables = QueryTables()
 
-    # The graph
+    # --- computation graph
 
     def entry(self) -> EntryResource:
         services = self.services
@@ -97,7 +97,7 @@ class ResourceFactory:
         return NodeResource(self.session, self.limit_checks, self.states, name)
 
     def topic(self, name: str, find: Find | None = None) -> TopicResource:
-        """`find` gives the resource that a request to the topic names."""
+        """Return a topic; `find` returns the resource that a request to the topic names."""
         services = self.services
         return TopicResource(
             self.session,
@@ -123,7 +123,7 @@ class ResourceFactory:
         return ParameterTree(self.session, self.limit_checks, self.states, path)
 
     def parameter_at(self, location: Location) -> Resource:
-        """Return a parameter, or a tree of them where the location ends in a slash."""
+        """Return a parameter, or a tree of parameters if the location ends in a slash."""
         name = location.name
         if "" in location.segments:
             raise Problem(404, f"No parameter is called {name}: none has a part that is empty.")
@@ -154,7 +154,7 @@ class ResourceFactory:
     def shape_at(self, location: Location) -> Resource:
         return shape_route(self.session, self.affordances, self.limit_checks, self.services.documents, location)
 
-    # What comes and goes as the robot is used
+    # --- resources created by use
 
     def call(self, id: str) -> CallResource:
         return CallResource(self.session, self.states, id)
@@ -184,7 +184,7 @@ class ResourceFactory:
     def activities(self) -> ActivityContainer:
         return ActivityContainer(self.session.space, self.states, self.services.receipts)
 
-    # Resources of levels two and three
+    # --- resources of levels two and three
 
     def complex(self, path: str) -> ComplexResource:
         return ComplexResource(
@@ -207,16 +207,16 @@ class ResourceFactory:
         return self.member(location.name)
 
     def robot_thing(self, location: Location) -> RobotThing:
-        """The Thing Description of the robot at `/.well-known/wot`; 404 at other locations below `/.well-known/`."""
+        """Return the Thing Description of the robot at `/.well-known/wot`. Raises a 404 Problem for other locations."""
         space = self.session.space
         if location.segments != ("wot",) or location.is_container:
             raise Problem(404, f"It is not among what is well known here: {space.base}.well-known/ lists that.")
         return RobotThing(space, self.affordances, self._things)
 
-    # Recordings, and what clients keep
+    # --- recordings and stored documents
 
     def bag_at(self, location: Location, triggers: RecordingTriggers | None = None) -> Resource:
-        """A recording, a part of one, or their container; `triggers` follows the conditions of armed recordings."""
+        """Return a recording, a part of one, or their container; `triggers` follows conditions of armed recordings."""
         return bag_route(self._bags, location, triggers)
 
     def bag_message(self, recording: Recording, index: int) -> BagMessage:
@@ -243,7 +243,7 @@ class ResourceFactory:
         )
         return cockpit_route(sources, location)
 
-    # What there is one of
+    # --- singletons
 
     def ontology_module(self, name: str) -> OntologyResource:
         return OntologyResource(self.session.space, self.states, name)
@@ -287,6 +287,6 @@ class ResourceFactory:
 
 
 def _examples(services: Services) -> list[StoredQueryLink]:
-    """Return example queries: all that come with rosld, and some of the stored ones."""
+    """Return example queries: all shipped ones, and some of the stored ones."""
     found = services.queries.all(limit=_EXAMPLES)
     return [StoredQueryLink(url, query.name, query.purpose, query.text) for url, query in found]

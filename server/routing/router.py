@@ -1,4 +1,4 @@
-"""Router: from a path to its resource, one line for each URL template."""
+"""Router from paths to resources, with one line for each URL template."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from rosld.server.sparql.update.base import UpdateRunner
 Route: TypeAlias = Callable[[Location], Resource]
 _MAX_CACHED = 8192
 _SHORT = 256
-"""Characters of a path up to which it is remembered where it leads."""
+"""Maximum number of characters of a path whose location is cached."""
 _located = lru_cache(_MAX_CACHED)(locate)
 
 
 def _named_route(factory: ResourceFactory, kind: str, leaf: Callable[[str], Resource]) -> Route:
-    """Return a route of things with ROS names: leaves, and the containers of their namespaces."""
+    """Return a route of resources with ROS names: leaves, and the containers of their namespaces."""
 
     def route(location: Location) -> Resource:
         if location.is_container:
@@ -39,7 +39,7 @@ def _named_route(factory: ResourceFactory, kind: str, leaf: Callable[[str], Reso
 
 
 def _flat(space: Space, what: str, container: Callable[[], Resource], leaf: Callable[[str], Resource]) -> Route:
-    """A route of things without namespaces, all directly in it; `what` one of them is called, with its article."""
+    """Return a route of resources without namespaces; `what` is their singular with its article."""
 
     def route(location: Location) -> Resource:
         if location.is_container and not location.segments:
@@ -54,7 +54,7 @@ def _flat(space: Space, what: str, container: Callable[[], Resource], leaf: Call
 
 
 def single_route(make: Callable[[], Resource]) -> Route:
-    """Return a route to one resource; a 404 Problem for everything below it."""
+    """Return a route to one resource, which raises a 404 Problem for every path below it."""
 
     def route(location: Location) -> Resource:
         if location.segments or (location.is_container and location.kind):
@@ -94,7 +94,7 @@ def robot_routes(factory: ResourceFactory) -> Mapping[str, Route]:
 
 
 def _finding(factory: ResourceFactory, at: Callable[[str], Resource]) -> Mapping[str, Route]:
-    """The routes where a request may name the URL of a message, with what finds that."""
+    """Return the routes whose requests may contain the URL of a message, with the function that finds it."""
     return {
         "topics": _named_route(factory, "topics", partial(factory.topic, find=at)),
         "holds": _flat(factory.session.space, "A hold", factory.holds, partial(factory.hold, find=at)),
@@ -102,7 +102,7 @@ def _finding(factory: ResourceFactory, at: Callable[[str], Resource]) -> Mapping
 
 
 class Router:
-    """Resolves paths; the resources of the last few thousand are kept, as they hold no state of their own."""
+    """Resolver of paths; the last few thousand resources are cached, because they have no state of their own."""
 
     def __init__(
         self,
@@ -112,7 +112,7 @@ class Router:
         pages: PageRenderer,
         updates: Callable[[Callable[[str], Resource]], UpdateRunner] | None = None,
     ) -> None:
-        """`updates` makes what carries updates out, given what finds resources by their paths (`at`)."""
+        """Initialize; `updates` returns the update runner, given a function that finds resources by path (`at`)."""
         self._space = factory.session.space
         described = factory.openapi(self.at)
         self.search = factory.search()
@@ -134,19 +134,19 @@ class Router:
         self._kept: dict[bytes, Resource] = {}
 
     def add(self, routes: Mapping[str, Route]) -> None:
-        """Add routes, in place of those of the same names."""
+        """Add routes, replacing those of the same names."""
         self._routes.update(routes)
 
     @property
     def route_names(self) -> frozenset[str]:
-        """The first segments of all paths that lead anywhere; the entry's is empty."""
+        """First segments of all valid paths; that of the entry point is empty."""
         return frozenset(self._routes)
 
     def resolve(self, scope: Scope) -> Resource:
-        """Return the resource at the path of a request; raises Problems: 400 malformed, 404 no such route, 308 moved.
+        """Return the resource at the path of a request. Raises Problem 400 for malformed paths, 404, and 308.
 
-        A resource is read at its own URL, so that it has one: who spells that in another way (`a:b` for `a%3Ab`) is
-        told (308). What is written that way arrives all the same.
+        A read with another spelling of the resource's URL (`a:b` for `a%3Ab`) is redirected (308), so that each
+        resource has one URL. Writes are accepted with any spelling.
         """
         raw: bytes = scope["raw_path"]
         resource = self._kept.get(raw)
@@ -164,7 +164,7 @@ class Router:
         return resource
 
     def _is_spelt(self, resource: Resource, raw: bytes) -> bool:
-        """Whether a path is as the URL of the resource has it."""
+        """Whether a path is spelled as in the URL of the resource."""
         own = resource.url.partition("?")[0]
         return own[len(self._space.base) - 1 :] == raw.decode("ascii").removeprefix(self._base)
 
@@ -177,7 +177,7 @@ class Router:
             raise Problem(400, f"{error}.") from error
 
     def at(self, path: str) -> Resource:
-        """The resource at a path below the base; raises Problems (404, 308), ValueError where it is malformed."""
+        """Return the resource at a path below the base. Raises Problems (404, 308), ValueError if it is malformed."""
         location = _located(path) if len(path) <= _SHORT else locate(path)
         route = self._routes.get(location.kind)
         if route is None:

@@ -1,4 +1,4 @@
-"""The services of one run of the server: composed once, from the adapter and the settings."""
+"""The services of one run of the server, composed once from the adapter and the settings."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ from rosld.server.storage.record import RecordChange
 from rosld.server.storage.sqlite import Records, open_records
 
 _ROUTES = (ROUTE, stored_queries.ROUTE, active_limits.ROUTE, stored_cockpits.ROUTE)
-"""The containers of what clients keep that has an effect here."""
+"""Containers of stored documents that affect the server."""
 
 
 class Services:
-    """Everything that serves one robot. Resources are given those that they need, each by its name."""
+    """All services of one robot. Each resource receives only those that it needs."""
 
     def __init__(self, adapter: Adapter, settings: Settings) -> None:
         self.session = Session(adapter, settings)
         self.instance_id = secrets.token_hex(4)
-        """Another one for each run of the server."""
+        """Identifier of this run of the server."""
         session, space = self.session, self.session.space
         self.states: VersionCache[State] = VersionCache()
         self.active_limits = ActiveLimits(tuple(initial_limits(settings, adapter, space)), space)
@@ -89,7 +89,7 @@ class Services:
         self.pictures = PictureCache(self.instance_id)
 
     def _validators(self, records: Records) -> Mapping[str, Validator]:
-        """Return the validators of documents by route, which also put documents into force."""
+        """Return the validators of documents by route, which also activate documents."""
         space, announce = self.session.space, self.session.changes.emit
         validators: Sequence[Validator] = (
             MappingValidator(self.mappings, space, announce),
@@ -100,7 +100,7 @@ class Services:
         return {each.route: each for each in validators}
 
     async def _is_at_rest(self, command: StopCommand) -> bool:
-        """Whether what a mapping's stop is about says, read now, that it is at rest."""
+        """Whether the target of a mapping's stop command currently reports that it is at rest."""
         conditions = self.mappings.mapping_set.at_rest_when(command)
         if not conditions:
             return False
@@ -118,7 +118,7 @@ class Services:
         return ServerProblems(storage, tuple(map(self.session.space.hold, self.holds.interrupted)))
 
     async def start(self) -> None:
-        """Open the session, and put stored documents into force. Raises exceptions of `Adapter.open`."""
+        """Open the session, and activate stored documents. Raises exceptions of `Adapter.open`."""
         await self.session.open()
         self.documents.records.watch(self._on_record_changes)
         self.receipts.start()
@@ -131,7 +131,7 @@ class Services:
         self.software_stop.start()
 
     async def stop(self) -> None:
-        """Give everything back to the robot; idempotent."""
+        """Release everything on the robot. Idempotent."""
         self.holds.close("rosld ended")
         self.pictures.close()
         await self.documents.workers.close()

@@ -26,14 +26,14 @@ from rosld.server.sparql.update.executor import UpdateEvaluator
 
 
 class SparqlServices:
-    """Queries and updates over everything that the robot's resources say, in a process of their own."""
+    """Queries and updates over the states of the robot's resources, in a separate process."""
 
     def __init__(self, services: Services, factory: ResourceFactory) -> None:
         session, space, settings = services.session, services.session.space, services.session.settings
         self._services = services
         self.process = QueryProcess(settings.query_concurrency, settings.query_queue)
         self.graphs = RobotGraphs(factory)
-        """What the dataset is filled from."""
+        """Source of the dataset."""
         kept = RecordGraphs(services.documents.records, space.base, services.queries.description, OTHER_ROUTES)
         self.materializer = Materializer(
             self.process,

@@ -1,4 +1,4 @@
-"""Verbs: the methods of a resource, the query parameters it knows, and the refusal of others."""
+"""Methods of resources, the query parameters they accept, and the refusal of others."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ VERBS: Mapping[str, Callable[[Resource, Exchange], Awaitable[Answer]]] = {
     "PATCH": lambda resource, exchange: resource.patch(exchange),
     "DELETE": lambda resource, exchange: resource.delete(exchange),
 }
-"""What carries out each method."""
+"""Function of each method."""
 
 
 def refuse_partial_put(exchange: Exchange) -> None:
@@ -34,7 +34,7 @@ def refuse_partial_put(exchange: Exchange) -> None:
 
 
 def check_media_type(exchange: Exchange, resource: Resource) -> None:
-    """Raise a 415 Problem, with what is accepted (RFC 9110 12.5.1), for a body that the resource does not take."""
+    """Raise a 415 Problem with the accepted media types (RFC 9110 12.5.1) for the body of a request."""
     accepted = resource.accepts.get(exchange.method)
     if accepted is None:
         return
@@ -60,7 +60,7 @@ def problem_of_error(error: BodyError | LoweringError | RosError | Problem) -> P
 
 
 def with_constraint_link(resource: Resource, error: BodyError | LoweringError | Problem) -> Problem:
-    """Return the refusal of a body, with a link to what constrains it (LDP 4.2.1.6)."""
+    """Return the refusal of a body with a link to its constraints (LDP 4.2.1.6)."""
     problem = error if isinstance(error, Problem) else problem_of_body(error)
     if problem.status in _REFUSED_BODIES and resource.constrained_by is not None:
         problem.headers["Link"] = render_links([Link(resource.constrained_by, f"{LDP}constrainedBy")])
@@ -68,7 +68,7 @@ def with_constraint_link(resource: Resource, error: BodyError | LoweringError | 
 
 
 def with_type_links(resource: Resource, problem: Problem) -> Problem:
-    """Return a refusal, with links to the types of the resource that refuses; what is not there has none."""
+    """Return a refusal with links to the types of the resource; a missing resource has none."""
     if problem.status not in (404, 410) and resource.links:
         there = problem.headers.get("Link")
         problem.headers["Link"] = ", ".join([render_links(resource.links), *([there] if there else ())])
@@ -76,17 +76,17 @@ def with_type_links(resource: Resource, problem: Problem) -> Problem:
 
 
 _LONGEST = 100
-"""Characters of a parameter that are repeated to who sent it."""
+"""Maximum number of characters of a parameter that are repeated in the refusal."""
 _RECEIPT = "receipt"
-"""The parameter of the page that a form leads to."""
+"""Parameter of the page after a form."""
 _UNTIL = "until"
-"""Where there is no value that a condition could be about, it is refused in other words."""
+"""Accepted here even without a value that a condition could concern: it is refused elsewhere, with a better message."""
 _MAX_REMEMBERED = 4096
-"""Requests that are remembered: what a path item takes costs 50 to 100 us to find, a third of a read."""
+"""Maximum number of cached requests: finding the parameters of a path item takes 50 to 100 us, a third of a read."""
 
 
 class KnownParameters:
-    """Refuses parameters that no path item declares, and those that are given twice where one counts."""
+    """Check that refuses undeclared query parameters, and repeated ones that are not lists."""
 
     def __init__(self, lifting: LiftSettings) -> None:
         self._schemas = MessageSchemas(lambda ref: None, lifting)
@@ -95,10 +95,10 @@ class KnownParameters:
     def require(
         self, method: str, query_string: bytes, asked: Resource, resource: Resource, *, is_form: bool = False
     ) -> None:
-        """Raise a 400 Problem where a request has a parameter that neither resource declares for its method.
+        """Raise a 400 Problem for a parameter that neither resource declares for the method of a request.
 
-        `asked` is the resource at the path, `resource` the variant of it that answers: a method that it does not answer
-        is 404 or 405 whatever the parameters are. A form is sent to the URL of its page, and may have the parameters of
+        `asked` is the resource at the path, `resource` its variant that answers: a method that it does not have is a
+        404 or 405 regardless of the parameters. A form is sent to the URL of its page, and may have the parameters of
         that.
         """
         if method in resource.passes_unknown_parameters or method in asked.passes_unknown_parameters:
@@ -131,7 +131,7 @@ def _of_page(item: PathItem) -> dict[str, bool]:
 
 
 def _require(method: str, names: Sequence[str], known: Mapping[str, bool]) -> None:
-    """Raise a 400 Problem for a parameter that is not known, or is there twice and no list."""
+    """Raise a 400 Problem for a parameter that is unknown, or repeated without being a list."""
     for place, name in enumerate(names):
         shown = name[:_LONGEST]
         if name not in known:

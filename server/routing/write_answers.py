@@ -31,15 +31,15 @@ from rosld.server.storage.record import StorageError
 
 
 class WriteAnswers:
-    """Makes the answers to writes that were done."""
+    """Responses to completed writes."""
 
     def __init__(self, representations: Representations) -> None:
         self._representations = representations
 
     async def created(self, exchange: Exchange, resource: Resource, created: CreatedAnswer) -> Response:
-        """201 with the new resource as body (RFC 9110 15.3.2), or without where less is preferred.
+        """Return a 201 with the new resource as body (RFC 9110 15.3.2), or without if preferred.
 
-        It says also what that is which the request was sent to (LDP 5.2.1.4).
+        It also has the type links of the resource to which the request was sent (LDP 5.2.1.4).
         """
         headers = [(b"location", to_uri(created.location).encode("ascii"))]
         is_member = created.location != resource.url
@@ -62,7 +62,7 @@ class WriteAnswers:
         return RawResponse(201, rendering.body, [*rendering.headers, *headers, (b"content-location", headers[0][1])])
 
     async def shown(self, exchange: Exchange, shown: ShownAnswer) -> Response:
-        """200 with the representation of the resource that shows it (RFC 9110 8.7), or 204 where less is preferred."""
+        """Return a 200 with the representation of the outcome (RFC 9110 8.7), or a 204 if preferred."""
         location = (b"content-location", to_uri(shown.resource.url).encode("ascii"))
         added = [(b"link", render_links(shown.links).encode("latin-1"))] if shown.links else []
         if exchange.prefer.minimal:
@@ -71,7 +71,7 @@ class WriteAnswers:
         if rendering is None:
             return RawResponse(204, b"", [location, *added])
         headers = rendering.headers
-        if exchange.method == "PUT":  # what was sent is not what was saved (RFC 9110 9.3.4)
+        if exchange.method == "PUT":  # the body sent is not the stored one (RFC 9110 9.3.4)
             headers = [each for each in headers if each[0] != b"etag"]
         return RawResponse(200, rendering.body, [*headers, location, *added])
 
@@ -93,7 +93,7 @@ class WriteAnswers:
     ) -> Rendering | None:
         """Return the representation after a write; None if it is unavailable, not preferred, or not readable.
 
-        What who asks may not read is not shown, unless it is the `answer` to what was asked, such as a call.
+        A resource that the agent may not read is only shown if it is the `answer` to the request, such as a call.
         """
         if not answer and not exchange.permissions.may_read(resource.url):
             return None
@@ -106,18 +106,18 @@ class WriteAnswers:
 
 
 _SHOWN_ON_THE_PAGE = frozenset({409, 422, 423, 429, 502, 503, 504})
-"""What may become of a form that was in order: the reader stays on its page."""
+"""Statuses of valid forms that are answered on the same page."""
 
 
 class FormAnswers:
-    """Carries out forms of pages."""
+    """Handler of forms on pages."""
 
     def __init__(self, pages: PageRenderer, known_parameters: KnownParameters) -> None:
         self._pages = pages
         self._known_parameters = known_parameters
 
     async def answer(self, exchange: Exchange, resource: Resource) -> Response:
-        """Return a form of one of our pages: the write it means, then the way back to a page (303)."""
+        """Handle a form of one of our pages: the write that it stands for, then a redirect to a page (303)."""
         place = enforcement.location_of(exchange.request.scope, self._pages.space)
         try:
             form = await self._pages.read_form(exchange, resource)
@@ -151,7 +151,7 @@ class FormAnswers:
 
 
 def is_form(exchange: Exchange, resource: Resource) -> bool:
-    """Whether it is a form of one of our pages."""
+    """Whether a request is a form of one of our pages."""
     return (
         exchange.method == "POST" and resource.takes_forms and (exchange.header("content-type") or "").startswith(FORM)
     )
@@ -174,7 +174,7 @@ def _back(resource: Resource, answer: Answer, came_from: str | None, space: Spac
 async def answer_dry_run(
     exchange: Exchange, resource: Resource, session: Session, answer: Callable[[], Awaitable[Response]]
 ) -> Response:
-    """Answer a write of a resource by `answer` in a dry run: 200 with the plan as JSON, or the refusal of the write.
+    """Answer a write by `answer` in a dry run: 200 with the plan as JSON, or the refusal of the write.
 
     Raises what `answer` raises.
     """
@@ -182,7 +182,7 @@ async def answer_dry_run(
     token = current_dry_run.set(dry_run)
     try:
         answered = await answer()
-        if answered.status_code >= 400:  # a form, on its page again
+        if answered.status_code >= 400:  # a form, shown again on its page
             return answered
         dry_run.status = answered.status_code
     except DryRunEnded:
@@ -203,7 +203,7 @@ async def answer_dry_run(
 
 
 def _only_status(resource: Resource, method: str, session: Session) -> int | None:
-    """Return the status of success of a method, None where it has several."""
+    """Return the status of success of a method, None if it has several."""
     item = resource.path_item(MessageSchemas(lambda ref: None, session.lifting))
     statuses = item.write(method).statuses(method)
     return statuses[0] if len(statuses) == 1 else None

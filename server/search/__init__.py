@@ -1,1 +1,1 @@
-"""Search: what a robot has by words, ranked; and the names that are near one that is not there."""
+"""Search: ranked full-text search of a robot's resources, and names similar to a missing one."""

@@ -1,4 +1,4 @@
-"""The catalog of a robot: what is in its computation graph and its resources, as entries. Pure."""
+"""The catalog of a robot: its computation graph and its resources as search entries. Pure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rosld.server.hypermedia.resource_tree import ResourceTree
 from rosld.server.search.index import Catalog, Entry, EntryKind
 
 _MAX_FIELDS = 400
-"""Fields of one type that are looked through."""
+"""Maximum number of indexed fields of a type."""
 _MAX_DEPTH = 8
 STOP_TEXT = "Stop the whole robot: emergency stop, halt"
 
@@ -31,7 +31,7 @@ STOP_TEXT = "Stop the whole robot: emergency stop, halt"
 def catalog_of(
     graph: Graph, find_schema: Callable[[TypeRef], Schema | None], tree: ResourceTree, space: Space
 ) -> Catalog:
-    """Return the catalog of a graph and its resources; fields are those of the types that are at hand."""
+    """Return the catalog of a graph and its resources, with the fields of cached types."""
     found = [*_graph_entries(graph, tree, space), *_resource_entries(graph, tree, space)]
     refs = {ref for topic in graph.topics.values() for ref in topic.types}
     refs |= {service.type for service in graph.services.values() if service.type is not None}
@@ -41,7 +41,7 @@ def catalog_of(
 
 
 def field_paths(schema: Schema) -> tuple[str, ...]:
-    """The paths of the fields of a type: `pose.position.x`, `status[].level`; of a service those of both messages."""
+    """Return the field paths of a type (`pose.position.x`, `status[].level`); of a service those of both messages."""
     found: list[str] = []
     for half in halves_of(schema):
         for path in _paths(half, Nested(half.ref.name), "", 0):
@@ -90,7 +90,7 @@ def _graph_entries(graph: Graph, tree: ResourceTree, space: Space) -> Iterator[E
 
 
 def _resource_entries(graph: Graph, tree: ResourceTree, space: Space) -> Iterator[Entry]:
-    """The resources that have no name of the graph: what getters and setters come to, what mappings arrange, paths."""
+    """Yield the resources without a name in the graph: properties of getters and setters, mapped ones, and paths."""
     yield Entry(EntryKind.RESOURCE, "/stop", space.stop, (), (STOP_TEXT,))
     for name in tree.properties:
         if name not in graph.topics and name not in graph.parameters:

@@ -1,4 +1,4 @@
-"""The search index: words, entries, and the ranking of those that match a query."""
+"""The search index: words, entries, and the ranking of matches."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class EntryKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Something with a URL.
+    """A search entry for a resource with a URL.
 
-    `name` is a ROS name, or the path of what clients keep. `types` are the names of its ROS types, as a rule one.
-    `texts` are titles, descriptions and units. `resource` is the URL below `/resources/` that stands for the same.
+    `name` is a ROS name, or the path of a stored document. `types` are the names of its ROS types, usually one. `texts`
+    are titles, descriptions and units. `resource` is the URL of the equivalent resource below `/resources/`.
     """
 
     kind: EntryKind
@@ -44,7 +44,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Catalog:
-    """All entries, and the fields of their types by the names of these (`pose.position.x`)."""
+    """All entries, and the field paths of their types (`pose.position.x`) by type name."""
 
     entries: Sequence[Entry]
     fields: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -57,13 +57,13 @@ _RUN = re.compile(r"[^\W\d_]+|\d+")
 def words_of(text: str) -> tuple[str, ...]:
     """Return the words of a name or a sentence, in lower case, each once.
 
-    `image_raw`, `BatteryState`, `IMUData` and `scan2` have two each.
+    `image_raw`, `BatteryState`, `IMUData` and `scan2` have two words each.
     """
     return tuple(dict.fromkeys(word.casefold() for run in _RUN.findall(text) for word in _humps(run)))
 
 
 def _humps(run: str) -> Iterator[str]:
-    """Yield the words of a run of letters: one begins with a capital after a small letter, or before one."""
+    """Yield the words of a run of letters: one begins with a capital after a lower-case letter, or before one."""
     start = 0
     for index in range(1, len(run)):
         is_last_capital = run[index - 1].isupper() and run[index : index + 2].istitle() and len(run) > index + 1
@@ -75,9 +75,9 @@ def _humps(run: str) -> Iterator[str]:
 
 MAX_WORDS = 8
 MAX_CHARACTERS = 200
-"""What a query may have of each; `terms_of` refuses more."""
+"""Maximum numbers of words and characters of a query; `terms_of` rejects more."""
 _MIN_PART = 3
-"""Characters from which a term is looked for within words."""
+"""Minimum number of characters of a term that is searched within words."""
 _KIND_ORDER = {kind: order for order, kind in enumerate(EntryKind)}
 
 
@@ -99,7 +99,7 @@ class Match(IntEnum):
 
     @property
     def label(self) -> str:
-        """`name`, `prefix`, `word`, `text`, `part`, `field` or `type`."""
+        """Label for clients: `name`, `prefix`, `word`, `text`, `part`, `field` or `type`."""
         return _LABELS[self]
 
 
@@ -129,11 +129,11 @@ _PREFIX = {
 
 
 Rank: TypeAlias = tuple[int, int, int, int, str]
-"""What hits are ordered by: how well the words fit, the kind, how deep and how long the name is, the name."""
+"""Sort key of hits: quality of the match, kind, depth and length of the name, and the name."""
 
 
 class Hit(NamedTuple):
-    """An entry that fits: how the word that fits it worst does, and the field that one was found in, if it was."""
+    """A matching entry: the match of its worst term, and the field that matched that term, if any."""
 
     rank: Rank
     entry: Entry
@@ -142,18 +142,18 @@ class Hit(NamedTuple):
 
 
 class SearchResults(NamedTuple):
-    """The best entries that fit, and how many do."""
+    """The best matching entries, and the number of all."""
 
     hits: list[Hit]
     total: int
 
 
 _Fits: TypeAlias = dict[int, Match]
-"""How a term fits entries, by their numbers."""
+"""Matches of a term, by the numbers of entries."""
 
 
 def terms_of(query: str) -> tuple[str, ...]:
-    """Return the words that a query asks for. Raises ValueError where they are too many."""
+    """Return the terms of a query. Raises ValueError if there are too many."""
     if len(query) > MAX_CHARACTERS:
         raise ValueError(f"it has {len(query)} characters, and {MAX_CHARACTERS} are searched for at the most")
     terms = tuple(dict.fromkeys(query.casefold().split()))
@@ -163,9 +163,9 @@ def terms_of(query: str) -> tuple[str, ...]:
 
 
 class SearchIndex:
-    """The entries of one catalog by their words; made once, searched often.
+    """Index of the entries of one catalog by their words; built once, searched often.
 
-    Entries have numbers in the order of what breaks ties, so that thousands that fit are ordered by two integers.
+    Entries are numbered in tie-breaking order, so that thousands of matches are sorted by two integers.
     """
 
     def __init__(self, catalog: Catalog) -> None:
@@ -184,7 +184,7 @@ class SearchIndex:
                 self._by_type.setdefault(name, []).append(number)
 
     def find(self, terms: Sequence[str], limit: int, may_read: Callable[[str], bool] | None = None) -> SearchResults:
-        """The entries that fit all terms and whose URLs may be read, the best first, at most `limit` of them."""
+        """Return the entries that match all terms and may be read, best first, at most `limit` of them."""
         fits = [self._fits(term) for term in terms]
         shared = set(fits[0]).intersection(*fits[1:]) if fits else set[int]()
         if may_read is not None:
@@ -214,7 +214,7 @@ class SearchIndex:
         return {number: max(fits[number] for fits in each) for number in set(each[0]).intersection(*each[1:])}
 
     def _word_fits(self, term: str) -> _Fits:
-        """The best is looked at last, in the place of what was found before."""
+        """Return the matches of a single word; better ones are found later and replace the earlier ones."""
         found: _Fits = {}
         for name, numbers in self._by_type.items():
             match, _ = self._type_fit(name, term)
@@ -231,14 +231,14 @@ class SearchIndex:
         return found
 
     def _beginning(self, term: str) -> Iterator[str]:
-        """Yield the words that begin with a term, itself included."""
+        """Yield the indexed words that start with a term, including the term itself."""
         for index in range(bisect_left(self._ordered, term), len(self._ordered)):
             if not self._ordered[index].startswith(term):
                 return
             yield self._ordered[index]
 
     def _path_fits(self, term: str) -> _Fits:
-        """A term with a slash is a part of a whole name, or of a type's."""
+        """Return the matches of a term with a slash, which is a part of a full name or of a type."""
         found: _Fits = {}
         for name, numbers in self._by_type.items():
             if name.casefold().startswith(term):
@@ -250,7 +250,7 @@ class SearchIndex:
         return found
 
     def _type_fit(self, name: str, term: str) -> tuple[Match | None, str | None]:
-        """Return the match of a term in a type: a field's name (with its path), else a word of its own name."""
+        """Return the match of a term in a type: a field's name (with its path), else a word of the type's name."""
         prefix: str | None = None
         for path in self._fields.get(name, ()):
             own = path.rpartition(".")[2].removesuffix("[]").casefold()
@@ -273,7 +273,7 @@ def _tie(entry: Entry) -> tuple[int, int, int, str]:
 
 
 def _places(entry: Entry) -> Iterator[tuple[str, _Place]]:
-    """Yield the words of an entry, each with where it is."""
+    """Yield the words of an entry, each with its place."""
     segments = [segment for segment in entry.name.split("/") if segment]
     for segment in segments:
         yield segment.casefold(), _Place.LAST_SEGMENT if segment is segments[-1] else _Place.SEGMENT

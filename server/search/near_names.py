@@ -1,4 +1,4 @@
-"""Names near one that is not there: with the same last segment or with its words, and few typing errors in these."""
+"""Names similar to a missing one: with the same last segment or its words, allowing a few typing errors."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from itertools import islice
 from rosld.server.search.index import words_of
 
 MAX_NEAR = 5
-"""Names that are told of at the most."""
+"""Maximum number of suggested names."""
 _MAX_EDITS = 2
 _MIN_PART = 3
-"""Characters from which a segment counts as a part of another."""
+"""Minimum number of characters of a segment that counts as a part of another."""
 _MAX_COMPARED = 1000
-"""Last segments that are compared letter by letter: a robot may have thousands that differ in a number alone."""
+"""Maximum number of edit distances computed: a robot may have thousands of segments that differ in a number."""
 _BEYOND = _MAX_EDITS + 1
 """Distance of two segments if one begins with the other; names that only share words are further away."""
 _MAX_WORDS = 8
-"""Words of a last segment that are looked for."""
+"""Maximum number of words of a last segment that are searched."""
 
 
 class NearNames:
-    """Finds the names near another one; names of containers end in a slash, as they do in URLs.
+    """Index of names for suggestions; names of containers end in a slash, as in URLs.
 
-    The last segments are compared, whatever the case of their letters: a wrong namespace is as frequent as a typing
-    error. Then come names that have all words of the last segment, one of them at least in their own. Each segment and
-    each word has a mask of the characters in it, so that of thousands few are compared.
+    Last segments are compared case-insensitively: a wrong namespace is as frequent as a typing error. Then follow names
+    that have all words of the last segment, at least one of them in their own last segment. Each segment and word has a
+    mask of its characters, so that few of thousands are compared.
     """
 
     def __init__(self, names: Iterable[str]) -> None:
@@ -39,7 +39,7 @@ class NearNames:
         self._word_masks = [(word, _mask(word)) for word in self._by_word]
 
     def of(self, name: str, limit: int = MAX_NEAR) -> list[str]:
-        """Return the names nearest to `name`, the nearest first; `name` itself is none of them."""
+        """Return the names nearest to `name`, nearest first, without `name` itself."""
         wanted, home = _last(name), _home(name)
         mask, edits = _mask(wanted), max_edits(wanted)
         distances = self._with_words(words_of(_last_segment(name)))
@@ -56,7 +56,7 @@ class NearNames:
         return [each for *_, each in sorted(found) if each.rstrip("/") != name.rstrip("/")][:limit]
 
     def _with_words(self, wanted: Sequence[str]) -> dict[str, int]:
-        """Return how far the names are that have all these words, with few typing errors, one in the last segment."""
+        """Return the distances of names with all these words, allowing typing errors, one in the last segment."""
         found: dict[str, int] = {}
         known: set[str] = set()
         for index, word in enumerate(wanted[:_MAX_WORDS]):
@@ -76,7 +76,7 @@ class NearNames:
 
 
 def max_edits(word: str) -> int:
-    """The typing errors that a word may have to be taken for another: of one in three characters, at most two."""
+    """Return the maximum number of typing errors in a word: one per three characters, at most two."""
     return min(_MAX_EDITS, len(word) // 3)
 
 
@@ -90,7 +90,7 @@ def _distance(one: str, other: str, edits: int) -> int | None:
 
 
 def edit_distance(one: str, other: str, limit: int) -> int:
-    """How many characters must be put in, left out, replaced or swapped with their neighbours; beyond `limit` any more.
+    """Return the number of insertions, deletions, replacements and swaps of neighbours, or any number above `limit`.
 
     This is the optimal string alignment distance; only the cells within `limit` of the diagonal are computed.
     """

@@ -1,1 +1,1 @@
-"""Diagrams of the computation graph: content, layout, SVG and DOT. Pure: no HTTP, no robot."""
+"""Diagrams of the computation graph: content, layout, SVG and DOT. Independent of HTTP and of robots. No I/O."""

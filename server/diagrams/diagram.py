@@ -1,4 +1,4 @@
-"""The computation graph as a diagram (nodes, topics, services, actions, problems), and its folding. Pure."""
+"""The computation graph as a diagram of nodes, topics, services, actions and problems, and its folding. No I/O."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rosld.ontology.urls import Space
 
 _MAX_MISMATCHES = 50
 _OF_ROS = frozenset({"/rosout", "/rosout_agg", "/parameter_events", "/clock"})
-"""Topics that every node has to do with: they hide what the robot is about."""
+"""Topics that every node uses, which would obscure the diagram."""
 _OF_NODES = frozenset(
     {
         "describe_parameters", "get_parameter_types", "get_parameters", "list_parameters", "set_parameters",
@@ -23,11 +23,11 @@ _OF_NODES = frozenset(
         "get_transition_graph",
     }
 )  # fmt: skip
-"""Services that every node provides, by the last part of their names."""
+"""Services that every node provides, by the last segments of their names."""
 
 
 class VertexKind(Enum):
-    """Kind of a vertex; the value is the word for one, with an s for several."""
+    """Kind of a vertex; the value is its singular noun, whose plural ends in s."""
 
     NODE = "node"
     TOPIC = "topic"
@@ -37,10 +37,10 @@ class VertexKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Vertex:
-    """A thing of the graph, or `count` of them folded into one.
+    """A thing in the graph, or `count` things folded into one vertex.
 
-    `rate` is in messages a second, 0.0 where it is not known; `problem` says in words what is wrong with it. Nobody
-    subscribes to a topic that `is_unheard`, which is not wrong.
+    `rate` is in messages per second, or 0.0 if unknown; `problem` is a text or empty. A topic that `is_unheard` has no
+    subscribers, which is not a problem.
     """
 
     key: str
@@ -55,10 +55,10 @@ class Vertex:
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """Observations of a topic that the computation graph does not have.
+    """Observations of a topic that are not in the computation graph.
 
-    `rate` is in messages a second, 0.0 until it is measured; `silence` says in words since when nothing comes of what
-    came steadily; the server itself publishes or subscribes to it or not.
+    `rate` is in messages per second, or 0.0 before it is measured; `silence` is a text about a topic whose messages
+    have stopped; the others are whether the server itself publishes or subscribes to the topic.
     """
 
     rate: float = 0.0
@@ -69,7 +69,7 @@ class Traffic:
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """A way that messages, calls or goals go, from one vertex to another, by their keys."""
+    """The path of messages, calls or goals from one vertex to another, by their keys."""
 
     source: str
     target: str
@@ -87,7 +87,7 @@ class Diagram:
 
     @property
     def problems(self) -> Sequence[tuple[Vertex, str]]:
-        """Return the problems with their vertices; that of an edge is its receiving vertex."""
+        """Return the problems with their vertices; the problem of an edge has the edge's target."""
         by_key = {each.key: each for each in self.vertices}
         found = [(each, each.problem) for each in self.vertices if each.problem]
         ends = ((by_key[each.target], by_key[each.source].name, each.problem) for each in self.edges)
@@ -96,9 +96,9 @@ class Diagram:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The part of a graph to draw: the things `below` a name and those connected to them, or all.
+    """Part of a graph to draw: the things `below` a name and those connected to them, or all.
 
-    What every node has is left out unless it is asked for (`everything`).
+    Things that all nodes share are omitted, except with `everything`.
     """
 
     below: str = ""
@@ -107,7 +107,7 @@ class Selection:
 
 @dataclass(slots=True)
 class _Draft:
-    """A diagram being made: vertices by key, edges by the keys of both ends."""
+    """A diagram under construction: vertices by key, edges by the keys of both ends."""
 
     vertices: dict[str, Vertex] = field(default_factory=dict)
     edges: dict[tuple[str, str], Edge] = field(default_factory=dict)
@@ -125,7 +125,7 @@ def draw_graph(
     traffic: Callable[[Topic], Traffic],
     may_read: Callable[[str], bool],
 ) -> Diagram:
-    """The diagram of a graph, without what the reader may not know of. `traffic` is asked once about each topic."""
+    """Return the diagram of a graph, without things that may not be read. `traffic` is called once per topic."""
     draft = _Draft()
     for vertex in _vertices(graph, space, selection, traffic):
         if may_read(vertex.url):
@@ -168,7 +168,7 @@ def _vertices(
 
 
 def _topic_vertex(topic: Topic, own_node: str, url: str, traffic: Traffic) -> Vertex:
-    """Return a topic. A subscriber without a publisher is wrong, a publisher without a subscriber is not."""
+    """Return the vertex of a topic. A topic without publishers is a problem, one without subscribers is not."""
     is_awaited = any(each.node != own_node for each in topic.subscribers)
     problem = ""
     if len(topic.types) > 1:
@@ -217,7 +217,7 @@ def _select(whole: Diagram, below: str) -> Diagram:
 
 
 def namespaces_of(diagram: Diagram) -> tuple[str, ...]:
-    """The first segments of the names in a diagram that several have, to choose from."""
+    """Return the first segments that several names in a diagram share, for selection."""
     counts: dict[str, int] = {}
     for each in diagram.vertices:
         first = _prefix(each.name, 1)
@@ -226,12 +226,12 @@ def namespaces_of(diagram: Diagram) -> tuple[str, ...]:
 
 
 def _prefix(name: str, depth: int) -> str:
-    """Return the first segments of a name: `/a/b` of `/a/b/c`."""
+    """Return the first segments of a name: `/a/b` for `/a/b/c`."""
     return "/" + "/".join(name.strip("/").split("/")[:depth])
 
 
 def common_prefix(found: Iterable[str]) -> str:
-    """Return the longest namespace that all these names lie in, `/` where they share none."""
+    """Return the longest namespace common to all names, or `/`."""
     parts = [name.strip("/").split("/")[:-1] for name in found]
     shared: list[str] = []
     for segments in zip(*parts, strict=False):
@@ -242,15 +242,15 @@ def common_prefix(found: Iterable[str]) -> str:
 
 
 MAX_VERTICES = 70
-"""What a person can look through."""
+"""Maximum number of vertices that a person can survey."""
 EDGES_PER_VERTEX = 2
 _DEEPEST = 4
 
 
 def fold(diagram: Diagram, graph_url: str, limit: int = MAX_VERTICES) -> Diagram:
-    """The diagram with at most `limit` vertices, and `EDGES_PER_VERTEX` times as many edges, where folding gets there.
+    """Return the diagram folded to at most `limit` vertices and `EDGES_PER_VERTEX` times as many edges, if possible.
 
-    First what has the same neighbours is folded, then what lies in one namespace, the deepest first, and nodes last.
+    Things with the same neighbours are folded first, then things in one namespace, the deepest first, and nodes last.
     """
     found = diagram
     for grouping in _STAGES:
@@ -261,11 +261,11 @@ def fold(diagram: Diagram, graph_url: str, limit: int = MAX_VERTICES) -> Diagram
 
 
 Grouping = Callable[[Diagram], Callable[[Vertex], Hashable]]
-"""Of a diagram, what tells the group of a vertex; None: it stays by itself."""
+"""A function of a diagram that returns a function from a vertex to its group (None: it is not folded)."""
 
 
 def _by_neighbours(depth: int) -> Grouping:
-    """Group things with the same neighbours and the same health, within namespaces of this depth."""
+    """Group things with the same neighbours and the same state, within namespaces of this depth."""
 
     def of_diagram(diagram: Diagram) -> Callable[[Vertex], Hashable]:
         before, after = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
@@ -292,7 +292,7 @@ def _by_namespace(depth: int, *, nodes: bool) -> Grouping:
 
 
 def _namespace(vertex: Vertex) -> tuple[str, ...]:
-    """Return the segments before the last of a name; all of what is folded already, whose name ends in a slash."""
+    """Return the segments of a name except the last; all segments of a folded vertex, whose name ends in a slash."""
     return tuple(filter(None, vertex.name.rpartition("/")[0].split("/")))
 
 

@@ -1,4 +1,4 @@
-"""A diagram in the DOT language of Graphviz. Pure."""
+"""A diagram in the DOT language of Graphviz. No I/O."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _BAD, _UNHEARD = 'color="#93231c", fontcolor="#93231c"', 'color="#cfd3d3", fontc
 
 
 def write_dot(diagram: Diagram) -> str:
-    """Return the digraph: each vertex by its kind and name, with its URL; each edge with what is wrong as its label."""
+    """Return the digraph: vertices with kind, name and URL; edges with their problems as labels."""
     lines = ["digraph robot {", "  rankdir=LR;", *map(_vertex, diagram.vertices), *map(_edge, diagram.edges), "}"]
     return "\n".join(lines) + "\n"
 
@@ -36,6 +36,6 @@ def _edge(edge: Edge) -> str:
 
 
 def _quote(text: str) -> str:
-    """Return a quoted string: what it holds is text, never an escape of DOT's own."""
+    """Return a quoted string, in which nothing is an escape sequence of DOT."""
     safe = text.encode("utf-8", "replace").decode().replace("\0", "�")
     return '"' + safe.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'

@@ -1,4 +1,4 @@
-"""A layered layout from left to right (Sugiyama, Tagawa and Toda 1981): ranks, order within them, places. Pure."""
+"""Layered layout from left to right (Sugiyama, Tagawa and Toda 1981): ranks, order, coordinates. No I/O."""
 
 from __future__ import annotations
 
@@ -12,21 +12,19 @@ _GAP_X, _GAP_Y = 56.0, 12.0
 _MARGIN = 12.0
 _SWEEPS = 8
 _BEND = 6.0
-"""The height that an edge takes where it passes a rank, its gap included."""
+"""Height of an edge that passes a rank, including the gap."""
 _PAGE = (1300.0, 900.0)
-"""Pixels of width and height: what is higher is set in several columns, as far as the page is filled better then."""
+"""Width and height of a page in pixels: higher ranks are split into columns if that fills the page better."""
 _MAX_COLUMNS = 6
 
 
 class Size(NamedTuple):
-    """The size of a box."""
-
     width: float
     height: float
 
 
 class Point(NamedTuple):
-    """A place; x grows to the right, y downwards."""
+    """A point; x increases to the right, y downwards."""
 
     x: float
     y: float
@@ -34,7 +32,7 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The upper left corner of each box, and the points that each edge passes, from its source to its target."""
+    """Upper left corner of each box, and the points of each edge from its source to its target."""
 
     corners: Mapping[str, Point]
     routes: Mapping[tuple[str, str], Sequence[Point]]
@@ -43,7 +41,7 @@ class Layout:
 
 @dataclass(slots=True)
 class _Layers:
-    """Boxes and bends of edges (a tuple of the edge and a rank) by rank, in order."""
+    """Boxes and bends of edges (an edge and a rank) by rank, in order."""
 
     ranks: list[list[Hashable]]
     before: dict[Hashable, list[Hashable]] = field(default_factory=lambda: defaultdict(list))
@@ -51,9 +49,9 @@ class _Layers:
 
 
 def lay_out(sizes: Mapping[str, Size], edges: Iterable[tuple[str, str]]) -> Layout:
-    """Places for boxes of these sizes and edges between them; boxes without edges stand below all others.
+    """Return the layout of boxes of these sizes with edges; boxes without edges are placed below all others.
 
-    Ranks are split into several columns where the drawing is higher than a page.
+    Ranks are split into several columns if the drawing is higher than a page.
     """
     pairs = list(dict.fromkeys(pair for pair in edges if pair[0] != pair[1]))
     ends = {key for pair in pairs for key in pair}
@@ -62,7 +60,7 @@ def lay_out(sizes: Mapping[str, Size], edges: Iterable[tuple[str, str]]) -> Layo
 
 
 def _layouts(sizes: Mapping[str, Size], pairs: Sequence[tuple[str, str]], connected: Sequence[str]) -> Iterator[Layout]:
-    """Yield layouts, up to the first that fits on a page."""
+    """Yield layouts until one fits on a page."""
     forward = _acyclic(connected, pairs)
     choices = [(forward, _rank(connected, forward))]
     if (three := _three_ranks(connected, pairs)) is not None:
@@ -81,7 +79,7 @@ def _layouts(sizes: Mapping[str, Size], pairs: Sequence[tuple[str, str]], connec
 
 
 def _pages(layout: Layout) -> float:
-    """By how much a drawing is larger than a page."""
+    """Return the ratio of the drawing's size to the page's."""
     return max(layout.size.width / _PAGE[0], layout.size.height / _PAGE[1])
 
 
@@ -125,7 +123,7 @@ def _lay_out_ranks(
 
 
 def _acyclic(keys: Sequence[str], pairs: Sequence[tuple[str, str]]) -> set[tuple[str, str]]:
-    """Return the edges, those turned round that would close a cycle; each pair once."""
+    """Return the edges without cycles, by reversing some; each pair once."""
     after = defaultdict[str, list[str]](list)
     targets = {target for _, target in pairs}
     for source, target in pairs:
@@ -152,7 +150,7 @@ def _acyclic(keys: Sequence[str], pairs: Sequence[tuple[str, str]]) -> set[tuple
 
 
 def _rank(keys: Sequence[str], forward: set[tuple[str, str]]) -> dict[str, int]:
-    """Return the longest way to each; what nothing leads to stands just before what it leads to."""
+    """Return the longest path to each box; boxes without predecessors are placed just before their successors."""
     before, after = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
     for source, target in forward:
         before[target].add(source)
@@ -173,9 +171,10 @@ def _rank(keys: Sequence[str], forward: set[tuple[str, str]]) -> dict[str, int]:
 
 
 def _three_ranks(keys: Sequence[str], pairs: Iterable[tuple[str, str]]) -> dict[str, int] | None:
-    """Nodes on both sides of all else, by which way most of their edges go; None where edges join two of a kind.
+    """Return ranks with all nodes on either side of all else; None if an edge joins two of a kind.
 
-    A node both publishes and subscribes, so that a robot is full of cycles, and the longest way through it too long.
+    The side of a node depends on the direction of most of its edges. Because nodes both publish and subscribe, a robot
+    has many cycles, and the longest path through it would be too long.
     """
     near, flow = defaultdict[str, list[str]](list), Counter[str]()
     for source, target in pairs:
@@ -202,7 +201,7 @@ def _three_ranks(keys: Sequence[str], pairs: Iterable[tuple[str, str]]) -> dict[
 def _layers(
     keys: Sequence[str], forward: set[tuple[str, str]], ranks: Mapping[str, int]
 ) -> tuple[_Layers, dict[tuple[str, str], list[tuple[tuple[str, str], int]]]]:
-    """Return the ranks with bends where an edge passes one, and the bends of each edge."""
+    """Return the ranks with bends of passing edges, and the bends of each edge."""
     layers = _Layers([[] for _ in range(1 + max(ranks.values(), default=-1))])
     for key in keys:
         layers.ranks[ranks[key]].append(key)
@@ -220,7 +219,7 @@ def _layers(
 
 
 def _order(layers: _Layers) -> None:
-    """Sort each rank by the mean place of its neighbours, to and fro: few edges cross then."""
+    """Sort each rank by the mean position of its neighbours, in both directions, to reduce crossings."""
     for sweep in range(_SWEEPS):
         to_right = sweep % 2 == 0
         numbers = range(1, len(layers.ranks)) if to_right else range(len(layers.ranks) - 2, -1, -1)
@@ -243,7 +242,7 @@ def _order(layers: _Layers) -> None:
 
 
 def _places(layers: _Layers, sizes: Mapping[str, Size]) -> tuple[dict[Hashable, float], list[float], list[float]]:
-    """Return the y of each centre, the x at which each rank begins, and how wide it is."""
+    """Return the y of each centre, the x of each rank, and the width of each rank."""
     heights = {
         key: sizes[key].height + _GAP_Y if isinstance(key, str) else _BEND for rank in layers.ranks for key in rank
     }
@@ -269,7 +268,7 @@ def _places(layers: _Layers, sizes: Mapping[str, Size]) -> tuple[dict[Hashable, 
 def _spread(
     rank: Sequence[Hashable], wanted: Sequence[float], heights: Mapping[Hashable, float]
 ) -> dict[Hashable, float]:
-    """Return centres as near to the wanted ones as order and heights permit (pool adjacent violators)."""
+    """Return centres as close to the wanted ones as order and heights permit (pool adjacent violators)."""
     offsets, offset = [], 0.0
     for index, key in enumerate(rank):
         if index:
@@ -288,7 +287,7 @@ def _spread(
 def _place_apart(
     sizes: Mapping[str, Size], keys: Sequence[str], corners: dict[str, Point], right: float, bottom: float
 ) -> tuple[float, float]:
-    """Put boxes without edges in rows below all others; the size of all."""
+    """Place boxes without edges in rows below all others; return the size of the drawing."""
     limit = max(right, _PAGE[0])
     x, y, row = _MARGIN, bottom + _GAP_Y, 0.0
     for key in keys:

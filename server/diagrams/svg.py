@@ -30,11 +30,14 @@ svg { font: 13px ui-sans-serif, system-ui, "Segoe UI", Roboto, "Liberation Sans"
 .arrow { fill: var(--edge); } .edge.bad .arrow { fill: var(--bad); } a { text-decoration: none; }
 a:hover rect { stroke: var(--accent); stroke-width: 2; }
 """
-"""Of a drawing by itself; on a page the style sheet of pages says the same."""
+"""Style of a separate document; on a page the page's style sheet has the same rules."""
 
 
 def write_svg(diagram: Diagram, href: Callable[[str], str | None], title: str, *, alone: bool) -> str:
-    """Return the drawing; `href` gives the reference of a URL. `alone`: it is a document of its own, with its style."""
+    """Return the drawing; `href` returns the reference of a URL.
+
+    `alone`: it is a separate document with its own style.
+    """
     words = {each.key: _words(each) for each in diagram.vertices}
     sizes = {each.key: _size(each, words[each.key]) for each in diagram.vertices}
     layout = lay_out(sizes, ((each.source, each.target) for each in diagram.edges))
@@ -58,7 +61,7 @@ def label(vertex: Vertex) -> str:
 
 
 def _words(vertex: Vertex) -> str:
-    """Return the second line: what is wrong, in a word or two, and the rate."""
+    """Return the second line: a short form of the problem, and the rate."""
     rate = f"{vertex.rate:.3g} Hz" if vertex.rate else ""
     return ", ".join(filter(None, (vertex.problem.partition(":")[0][:_LONGEST], rate)))
 
@@ -86,7 +89,7 @@ def _vertex(vertex: Vertex, words: str, size: Size, layout: Layout, href: Callab
 
 
 def _edge(edge: Edge, route: Sequence[Point]) -> str:
-    """Return a curve through the points, thicker the more goes along it, and an arrow at its end."""
+    """Return a curve through the points, thicker for higher rates, with an arrow at its end."""
     bad = " bad" if edge.problem else ""
     start, *rest = route
     path = [f"M{start.x:.1f} {start.y:.1f}"]
@@ -110,5 +113,5 @@ def thickness(rate: float) -> float:
 
 
 def _text(text: str) -> str:
-    """Return text that is valid in a document."""
+    """Return text without characters that are invalid in XML."""
     return escape(_UNPRINTABLE.sub("�", text))

@@ -1,6 +1,6 @@
-"""Notation3 as patches are written in: statements and formulae."""
+"""Statements and formulae of Notation3, in which patches are written."""
 
-# The parser's names.
+# The names are those of rdflib's parser.
 # ruff: noqa: N802
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 
 
 class RefusedSyntax(Exception):
-    """Something that N3 has and patches do not."""
+    """Syntax of N3 that patches do not support."""
 
 
 class Variable(NamedTuple):
@@ -24,14 +24,14 @@ class Variable(NamedTuple):
 
 
 class Formula:
-    """Content of braces, or of the whole document: its statements in order. Equal only to itself."""
+    """Contents of braces, or of the document: statements in order. Equal only to itself."""
 
     def __init__(self) -> None:
         self.statements: list[Statement] = []
         self.existentials: dict[str, Node] = {}
 
     def close(self) -> Formula:
-        """The term that it is."""
+        """Return the formula itself, as a term."""
         return self
 
     def newUniversal(self, name: str, why: object = None) -> NoReturn:
@@ -47,7 +47,7 @@ Node: TypeAlias = "NamedNode | BlankNode | Literal | Variable | Formula"
 
 
 class Statement(NamedTuple):
-    """One statement. In N3, any term can have any position."""
+    """A statement. In N3, any term can have any position."""
 
     subject: Node
     predicate: Node

@@ -1,11 +1,10 @@
-"""The parser of Notation3: that of rdflib, with every literal spelt as it was.
+"""Parser of Notation3: rdflib's parser, with the original spelling of literals.
 
-rdflib's parser reads the syntax. What it would make of terms is made here instead: its literals are interpreted as they
-are made (XML among them), numbers lose their spelling, `<?a>` is resolved wrongly, and `?a` becomes one with `<#a>`.
-Nothing is fetched.
+rdflib's parser reads the syntax, but terms are created here: rdflib interprets literals (including XML), changes the
+spelling of numbers, resolves `<?a>` incorrectly, and merges `?a` with `<#a>`. Nothing is downloaded.
 """
 
-# The parser's names.
+# The names are those of rdflib's parser.
 # ruff: noqa: N802
 
 from __future__ import annotations
@@ -23,9 +22,9 @@ from rosld.server.patches.n3 import Formula, Node, RefusedSyntax, Statement, Var
 
 
 def read_n3(data: bytes, base: str) -> Formula:
-    """Return the document, its relative IRIs resolved against `base`.
+    """Return the document with its IRIs resolved against `base`.
 
-    Raises BodyError for what is not UTF-8, nested too deep or no N3. The caller checks the size.
+    Raises BodyError if it is not UTF-8, nested too deeply, or invalid N3. The caller must limit the size.
     """
     check_turtle_depth(data)
     text = data.removeprefix(b"\xef\xbb\xbf").decode()
@@ -40,7 +39,7 @@ def read_n3(data: bytes, base: str) -> Formula:
         raise
     except RecursionError as error:
         raise BodyError("nested deeper than can be read here") from error
-    except Exception as error:  # a parser that meets what it does not expect fails in many ways
+    except Exception as error:  # the parser raises various exceptions for unexpected input
         raise BodyError(f"this is no N3 that can be read: {_words(error)}") from error
 
 
@@ -56,10 +55,10 @@ _VARIABLE = re.compile(r"\?([^\W\d][\w\-]*)")
 
 
 class _Parser(SinkParser):
-    """rdflib's parser, with numbers and variables as they are written, and what else Turtle has."""
+    """rdflib's parser, with the original spelling of numbers and variables, and the rest of Turtle's syntax."""
 
     def __init__(self, store: RDFSink, base: str, size: int) -> None:
-        """`size` is that of the document in bytes, which limits its IRIs when written out."""
+        """Create a parser. `size` is the size of the document in bytes, which limits its expanded IRIs."""
         super().__init__(store, baseURI=base)
         self.string_delimiters = ('"', "'")
         self._size = size
@@ -111,7 +110,7 @@ class _Parser(SinkParser):
 
 
 def _resolve(reference: str, base: str) -> str:
-    """The IRI that `<reference>` is: as in Turtle, by the same parser, escapes and all (RFC 3986 5.2)."""
+    """Return the IRI of `<reference>`, resolved with escapes by the Turtle parser (RFC 3986 5.2)."""
     if _PLAIN.fullmatch(reference):
         return reference[1:-1]
     triple = next(parse(f"{reference} <a:b> <a:b> .", RdfFormat.TURTLE, base_iri=base))
@@ -120,19 +119,19 @@ def _resolve(reference: str, base: str) -> str:
 
 
 class _Sink:
-    """Factory of terms and statements for the parser, which determines the names."""
+    """Factory of terms and statements for the parser, which determines the method names."""
 
     def startDoc(self, formula: Formula) -> None:
-        """Nothing to do."""
+        pass
 
     def endDoc(self, formula: Formula) -> None:
-        """Nothing to do."""
+        pass
 
     def bind(self, prefix: str, uri: bytes) -> None:
-        """Nothing to do."""
+        pass
 
     def setDefaultNamespace(self, uri: bytes) -> None:
-        """Nothing to do."""
+        pass
 
     def newFormula(self) -> Formula:
         return Formula()
@@ -172,7 +171,7 @@ class _Sink:
 
 
 def _node(term: object) -> Node:
-    """Return the node that the parser means: IRIs are plain text to it, and keywords pairs."""
+    """Return the node of a term in the parser's form: IRIs are plain text, and keywords are pairs."""
     match term:
         case NamedNode() | BlankNode() | Literal() | Variable() | Formula():
             return term
@@ -191,5 +190,5 @@ def _error(text: str, position: int, words: str) -> BodyError:
 
 
 def _words(error: Exception) -> str:
-    """Return the message of an error if it helps the author of the text."""
+    """Return an error's message if it helps the author of the text."""
     return str(error)[:200] if isinstance(error, ValueError) else "it ends too early or holds what is not expected"

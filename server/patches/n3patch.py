@@ -1,4 +1,4 @@
-"""N3 patches (Solid Protocol 5.3.1): what to find, what to delete, what to insert. Pure."""
+"""N3 patches (Solid Protocol 5.3.1): conditions, deletions, insertions. No I/O."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from rosld.server.rest.ros_problems import problem_of_body
 
 MEDIA_TYPE = "text/n3"
 MAX_BYTES = 256 * 1024
-"""Bytes of a patch; what changes more is put whole."""
+"""Maximum bytes of a patch; for larger changes, the whole resource is put."""
 MAX_PATTERNS = 64
-"""Patterns with variables in one solid:where."""
+"""Maximum number of patterns with variables in one solid:where."""
 MAX_STEPS = 100_000
-"""Steps of looking for what solid:where describes: a hostile one could go on for ever."""
+"""Maximum number of steps in matching solid:where, which a hostile patch could make endless."""
 _SOLID = "http://www.w3.org/ns/solid/terms#"
 _PATCH = NamedNode(f"{_SOLID}InsertDeletePatch")
 _WHERE, _DELETES, _INSERTS = (NamedNode(_SOLID + name) for name in ("where", "deletes", "inserts"))
@@ -30,7 +30,7 @@ Bindings: TypeAlias = Mapping[Variable, Term]
 
 
 class Pattern(NamedTuple):
-    """A triple, or with variables a pattern of triples."""
+    """A triple, or a pattern of triples with variables."""
 
     subject: Term | Variable
     predicate: Term | Variable
@@ -38,11 +38,11 @@ class Pattern(NamedTuple):
 
     @property
     def variables(self) -> frozenset[Variable]:
-        """The variables in it, which a solution binds."""
+        """Variables of the pattern, which a solution binds."""
         return frozenset(each for each in self if isinstance(each, Variable))
 
     def substitute(self, bindings: Bindings) -> Pattern:
-        """With variables replaced by what they are bound to."""
+        """Return the pattern with bound variables replaced."""
         return Pattern(*(bindings.get(each, each) if isinstance(each, Variable) else each for each in self))
 
     def __str__(self) -> str:
@@ -51,7 +51,7 @@ class Pattern(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class N3Patch:
-    """A patch. `where` may hold variables of its own for what it calls by no name (blank nodes)."""
+    """A patch. Blank nodes in `where` are additional variables, listed in `unnamed`."""
 
     where: tuple[Pattern, ...] = ()
     deletes: tuple[Pattern, ...] = ()
@@ -63,14 +63,14 @@ class N3Patch:
 
 
 def read_patch(data: bytes, base: str) -> N3Patch:
-    """Return the patch in a text/n3 body, its relative IRIs resolved against `base`, literals spelt as they are there.
+    """Return the patch in a text/n3 body, with IRIs resolved against `base` and the original spelling of literals.
 
-    Raises Problems: 413 for more than `MAX_BYTES`, 400 for what is no N3, 422 for N3 that is no patch as Solid
-    Protocol 5.3.1 has it.
+    Raises Problems: 413 for more than `MAX_BYTES`, 400 for invalid N3, 422 for N3 that is not a patch by Solid Protocol
+    5.3.1.
     """
     if len(data) > MAX_BYTES:
         raise Problem(413, f"A patch has at most {MAX_BYTES} bytes here: put the whole resource instead.")
-    from rosld.server.patches.n3_parser import read_n3  # rdflib, which many servers never need
+    from rosld.server.patches.n3_parser import read_n3  # imports rdflib, which many servers never need
 
     try:
         document = read_n3(data, base)
@@ -109,7 +109,7 @@ def _subject(document: Formula) -> Node:
 
 
 def _formula(document: Formula, patch: Node, predicate: NamedNode) -> Sequence[Statement]:
-    """The statements of the formula that the patch has by a predicate; none where it has none."""
+    """Return the statements of the formula that is the patch's value of a predicate, or none."""
     objects = [one.object for one in document.statements if one.subject == patch and one.predicate == predicate]
     if len(objects) > 1:
         raise _malformed(f"A patch has {_name(predicate)} at most once, not {len(objects)} times")
@@ -121,7 +121,7 @@ def _formula(document: Formula, patch: Node, predicate: NamedNode) -> Sequence[S
 
 
 def _pattern(one: Statement, place: NamedNode, unnamed: dict[BlankNode, Variable] | None) -> Pattern:
-    """Return a statement as a pattern; blank nodes become variables kept in `unnamed`, or are refused without it."""
+    """Return a statement as a pattern. Blank nodes become variables in `unnamed`; if that is None, raise a Problem."""
     found: list[Term | Variable] = []
     for node in one:
         if isinstance(node, Formula):
@@ -167,10 +167,10 @@ def _node_text(node: Node | Term) -> str:
 
 
 def apply_patch(patch: N3Patch, before: Iterable[Triple]) -> list[Triple]:
-    """Return the triples after a patch: what it deletes is gone, what it inserts comes last, all else is untouched.
+    """Return the triples after a patch: without deleted ones, with inserted ones last, otherwise unchanged.
 
-    Terms match as they are spelt. Raises 409 Problems where solid:where does not match in exactly one way, where what
-    is to be deleted is not there, and where what is to be inserted would be no triple; then nothing is changed.
+    Terms match by spelling. Raises 409 Problems, with nothing changed, if solid:where does not match in exactly one
+    way, if a deleted triple does not exist, or if an inserted one is not a valid triple.
     """
     there = dict.fromkeys(before)
     deletes, inserts = find_changes(patch, list(there))
@@ -182,9 +182,9 @@ def apply_patch(patch: N3Patch, before: Iterable[Triple]) -> list[Triple]:
 
 
 def find_changes(patch: N3Patch, before: Sequence[Triple]) -> tuple[list[Triple], list[Triple]]:
-    """The triples that a patch deletes and inserts, whether or not they are there. Only solid:where looks at `before`.
+    """Return the triples that a patch deletes and inserts, whether or not they exist. Only solid:where reads `before`.
 
-    Raises 409 Problems as `apply_patch`.
+    Raises 409 Problems like `apply_patch`.
     """
     bindings = _match(patch, before)
     deletes = [_triple(pattern.substitute(bindings)) for pattern in patch.deletes]
@@ -192,7 +192,7 @@ def find_changes(patch: N3Patch, before: Sequence[Triple]) -> tuple[list[Triple]
 
 
 def missing_deletion(triple: Triple) -> Problem:
-    """The Problem of a triple that is to be deleted and is not there."""
+    """Return the Problem for a deleted triple that does not exist."""
     return Problem(409, f"What is to be deleted is not there: {triple} . Read the resource again.")
 
 
@@ -205,7 +205,7 @@ def _triple(pattern: Pattern) -> Triple:
 
 
 def _match(patch: N3Patch, triples: Sequence[Triple]) -> Bindings:
-    """Return the one way in which solid:where matches; its unnamed variables may match in many."""
+    """Return the only match of solid:where; unnamed variables may match in several ways."""
     if not patch.where:
         return {}
     found: Bindings | None = None
@@ -220,7 +220,7 @@ def _match(patch: N3Patch, triples: Sequence[Triple]) -> Bindings:
 
 
 class _Search:
-    """Looks for patterns in triples, by indexes made when they are first needed, within `MAX_STEPS`."""
+    """Matches patterns with triples by indexes, created on first use, within `MAX_STEPS`."""
 
     def __init__(self, triples: Sequence[Triple]) -> None:
         self._triples = triples
@@ -228,7 +228,7 @@ class _Search:
         self._steps = 0
 
     def solutions(self, patterns: Sequence[Pattern], bindings: Bindings) -> Iterator[Bindings]:
-        """The ways to bind the variables so that all patterns are there; one may come more than once."""
+        """Yield the bindings of variables for which all patterns exist; one may be repeated."""
         rest = [pattern.substitute(bindings) for pattern in patterns]
         fewest: Sequence[Triple] = ()
         chosen: Pattern | None = None
@@ -253,7 +253,7 @@ class _Search:
                 yield from self.solutions(open_, {**bindings, **more})
 
     def _candidates(self, pattern: Pattern) -> Sequence[Triple]:
-        """The triples that have the terms of a pattern in their places."""
+        """Return the triples that have the terms of a pattern."""
         self._step()
         places = tuple(place for place, each in enumerate(pattern) if not isinstance(each, Variable))
         index = self._indexes.get(places)

@@ -1,4 +1,4 @@
-"""PATCH: JSON merge patch (RFC 7396) and SPARQL Update on one resource. Pure."""
+"""PATCH of one resource: JSON merge patch (RFC 7396) and SPARQL Update. No I/O."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rosld.server.sparql.update.parser import read_checked, rewrite_update
 
 
 def merge_patch(target: object, patch: object) -> object:
-    """`target` changed as `patch` says (RFC 7396 2): null removes, objects merge, all else replaces."""
+    """Return `target` changed by `patch` (RFC 7396 2): null removes, objects are merged, all else replaces."""
     if not isinstance(patch, dict):
         return patch
     merged = dict(target) if isinstance(target, dict) else {}
@@ -30,7 +30,7 @@ def merge_patch(target: object, patch: object) -> object:
 
 
 class TooManyTriples(Exception):
-    """More triples came of a patch than there may be."""
+    """A patch whose result has too many triples."""
 
 
 def apply_update(
@@ -38,12 +38,12 @@ def apply_update(
 ) -> RdfBody:
     """Return the triples of one resource after a SPARQL Update, whose default graph is that resource's own.
 
-    `by_value`: literals of one value are one term, as in what a robot says: a message has values and no spelling, and
-    some clients write what they read otherwise (rdflib.js `false` as "0"). The literals come out in the spelling of the
-    store. Else a literal is only itself.
+    `by_value`: literals of equal value are equal, for a robot's data, which has values but no spelling, and which some
+    clients write in another form (rdflib.js writes `false` as "0"). The result then has the store's spelling. Otherwise
+    literals must be identical.
 
-    Raises Problems: 400 for what cannot be parsed, 422 for what reaches beyond the one graph (GRAPH, WITH, USING, LOAD,
-    SERVICE, whole-graph operations). Raises TooManyTriples where more than `limit` come of it.
+    Raises Problems: 400 for invalid syntax, 422 for an update that uses more than the one graph (GRAPH, WITH, USING,
+    LOAD, SERVICE, whole-graph operations). Raises TooManyTriples if the result exceeds `limit`.
     """
     checked = check_update_of_one_graph(_text(data))
     rewritten = rewrite_update(checked, base)
@@ -56,9 +56,9 @@ def apply_update(
 
 
 def ground_changes(data: bytes, base: str) -> TripleChanges | None:
-    """The net change of an update of one graph that consists of INSERT DATA and DELETE DATA alone; None for others.
+    """Return the net change of an update of one graph with only INSERT DATA and DELETE DATA; None for other updates.
 
-    Raises Problems as `apply_update`.
+    Raises Problems like `apply_update`.
     """
     checked = check_update_of_one_graph(_text(data))
     removed: dict[Triple, None] = {}
@@ -76,9 +76,9 @@ def ground_changes(data: bytes, base: str) -> TripleChanges | None:
 
 
 def updated_lines(data: bytes, before: bytes, base: str) -> tuple[bytes, bytes]:
-    """Return the lines of N-Triples that an update of one graph removes from those before, and adds to them.
+    """Return the lines of N-Triples that an update of one graph removes and adds.
 
-    Raises Problems as `apply_update`.
+    Raises Problems like `apply_update`.
     """
     text = rewrite_update(check_update_of_one_graph(_text(data)), base)
     store = Store()
@@ -120,7 +120,7 @@ _FUNCTIONS: dict[NamedNode, Function] = {NamedNode(name): function for name, fun
 
 
 def has_deletes(update: bytes) -> bool:
-    """Whether a SPARQL Update has an operation that deletes. Raises a 400 Problem for what is no UTF-8."""
+    """Whether a SPARQL Update has an operation that deletes. Raises a 400 Problem if it is not UTF-8."""
     return any(token.is_word("DELETE") for token in tokens(_text(update)))
 
 

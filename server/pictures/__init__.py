@@ -1,1 +1,1 @@
-"""Pictures: messages of images drawn as JPEG and PNG, off the event loop and once for all readers. No HTTP."""
+"""Images in messages as JPEG and PNG, drawn in a thread and once for all readers. Independent of HTTP."""

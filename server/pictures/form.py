@@ -1,4 +1,4 @@
-"""Forms of pictures, messages that are pictures, and refusals. Imports nothing that draws."""
+"""Forms of pictures, types of messages with pictures, and errors. Imports no drawing library."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ JPEG, PNG = "image/jpeg", "image/png"
 RAW_IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
 DRAWN_TYPES = (RAW_IMAGE, COMPRESSED_IMAGE, OCCUPANCY_GRID)
-"""The types of messages that are pictures."""
+"""Message types that can be drawn as pictures."""
 
 
 class DepthRange(NamedTuple):
-    """The distances, in metres, of the nearest and the farthest colour."""
+    """Distances in metres of the nearest and the farthest colour."""
 
     nearest: float = 0.0
     farthest: float = 10.0
@@ -39,15 +39,15 @@ def can_draw(type_name: str) -> bool:
 
 
 MAX_PIXELS = 36_000_000
-"""Pixels of a picture that is drawn at all: 8K video has 33 million."""
+"""Maximum number of pixels of a picture: 8K video has 33 million."""
 _PER_PIXEL = 24
-"""Bytes that a pixel takes while it is drawn: of 64 bits with four channels, and as floats."""
+"""Maximum bytes per pixel while drawing: 64 bits in four channels, and the same as floats."""
 
 
 class CannotDraw(ValueError):
-    """A message that is no picture, or none that is drawn here; its text is a sentence without its full stop.
+    """A message that cannot be drawn as a picture. The message is a sentence without its full stop.
 
-    `words` are what the message says of itself, such as its encoding: they are not in the sentence.
+    `words` are quoted from the message, such as its encoding, and are not part of the sentence.
     """
 
     def __init__(self, sentence: str, words: str | None = None) -> None:
@@ -60,9 +60,9 @@ class UnknownPicture(CannotDraw):
 
 
 def require_size(width: int, height: int) -> None:
-    """Raise CannotDraw for a picture without pixels, and for one with too many.
+    """Raise CannotDraw if a picture has no pixels, or too many.
 
-    Raises NotEnoughMemory where there is none to draw it.
+    Raises NotEnoughMemory if there is not enough memory to draw it.
     """
     if width <= 0 or height <= 0:
         raise CannotDraw(f"The image is {width} by {height} pixels, so there is nothing to be seen")

@@ -1,4 +1,4 @@
-"""Pictures of messages (images, compressed images, grids): drawn, resized, encoded. Pure, for a thread."""
+"""Pictures of messages (images, compressed images, grids): drawn, resized, encoded. No I/O; runs in a thread."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ from rosld.server.pictures.raw_image import (
 )
 
 _UNKNOWN = 0
-"""The place of what is unknown in the palette: 1 to 101 are the occupancies from 0 to 100."""
+"""Palette index of unknown cells; 1 to 101 are the occupancies from 0 to 100."""
 _FREE, _OCCUPIED = 246, 24
-"""The greys of what is certain."""
+"""Grey levels of free and occupied cells."""
 
 
 def draw_grid(message: Message, width: int | None = None) -> Image.Image:
-    """Return the picture of a grid with its first row below (REP 103), in mode P. Raises CannotDraw.
+    """Return the picture of a grid with its first row at the bottom (REP 103), in mode P. Raises CannotDraw.
 
-    At most `width` columns: of the cells that one pixel stands for, the one that is occupied most is drawn.
+    At most `width` columns: a pixel for several cells shows the most occupied one.
     """
     info = read_field(message, "info")
     columns, rows = int(read_field(info, "width")), int(read_field(info, "height"))
@@ -61,12 +61,12 @@ def draw_grid(message: Message, width: int | None = None) -> Image.Image:
 
 
 def shrink_factor(columns: int, width: int | None) -> int:
-    """Return the side of the square of cells that become one pixel."""
+    """Return the side of the square of cells that is drawn as one pixel."""
     return 1 if width is None or columns <= width else -(-columns // width)
 
 
 def _shrink_grid(values: npt.NDArray[np.int8], factor: int) -> npt.NDArray[np.int8]:
-    """Each square of cells as its maximum, so that walls stay; what juts out above and on the right is unknown."""
+    """Return the maximum of each square of cells, so that walls are preserved; cells beyond the edges are unknown."""
     if factor == 1:
         return values
     rows, columns = values.shape
@@ -84,22 +84,22 @@ def _palette() -> bytes:
 
 _MAGIC = ((b"\xff\xd8\xff", JPEG), (b"\x89PNG\r\n\x1a\n", PNG))
 _DEPTH_HEADER = struct.Struct("<iff")
-"""Of compressed_depth_image_transport: the algorithm, and the two numbers of its quantization."""
+"""Header of compressed_depth_image_transport: the algorithm, and the two parameters of its quantization."""
 _FORMATS = ("JPEG", "PNG")
 
 
 def file_type(data: bytes) -> str | None:
-    """The media type of a file that browsers show as it is, by its first bytes."""
+    """Return the media type of a file that browsers can show, by its first bytes, or None."""
     return next((media_type for magic, media_type in _MAGIC if data.startswith(magic)), None)
 
 
 def is_depth(format: str) -> bool:
-    """Whether the format of a CompressedImage is that of distances, as `16UC1; compressedDepth png`."""
+    """Whether the format of a CompressedImage is a depth image, such as `16UC1; compressedDepth png`."""
     return "compressedDepth" in format or depth_scale(_encoding(format)) is not None
 
 
 def draw_compressed(format: str, data: bytes, shown: DepthRange, width: int | None = None) -> Image.Image:
-    """Return the picture of a CompressedImage; of a large JPEG that is to be at most `width` wide a part of the pixels.
+    """Return the picture of a CompressedImage. A large JPEG is decoded at a lower resolution of at least `width`.
 
     Raises CannotDraw.
     """
@@ -120,7 +120,7 @@ def draw_compressed(format: str, data: bytes, shown: DepthRange, width: int | No
 
 
 def _encoding(format: str) -> str:
-    """The encoding of what was compressed: `16UC1` of `16UC1; png compressed`."""
+    """Return the encoding of the original image: `16UC1` for `16UC1; png compressed`."""
     return format.partition(";")[0].strip()
 
 
@@ -138,7 +138,7 @@ def _draw_depth_file(format: str, data: bytes, shown: DepthRange) -> Image.Image
 
 
 def _dequantize(values: npt.NDArray[np.generic], scale: float, offset: float) -> npt.NDArray[np.generic]:
-    """Metres of inverse distances; 0 is none."""
+    """Return metres for quantized inverse distances; 0 is unknown."""
     numbers = values.astype(np.float32)
     with np.errstate(all="ignore"):
         found: npt.NDArray[np.generic] = np.where(numbers == 0, np.float32("nan"), scale / (numbers - offset))
@@ -146,7 +146,7 @@ def _dequantize(values: npt.NDArray[np.generic], scale: float, offset: float) ->
 
 
 def _open(data: bytes) -> Image.Image:
-    """Open a picture in a file, reading only its head; one that would be too large is refused."""
+    """Open a picture file, reading only its header. Raises CannotDraw if it is too large."""
     try:
         found = Image.open(io.BytesIO(data), formats=_FORMATS)
     except (OSError, ValueError, SyntaxError, struct.error, Image.DecompressionBombError) as error:
@@ -156,7 +156,7 @@ def _open(data: bytes) -> Image.Image:
 
 
 def _load_pixels(picture: Image.Image) -> Image.Image:
-    """Return the pixels in mode L, RGB, RGBA or one of those of 16 bits."""
+    """Return the picture in mode L, RGB, RGBA or one with 16 bits."""
     try:
         picture.load()
     except (OSError, ValueError, SyntaxError, struct.error) as error:
@@ -168,13 +168,13 @@ def _load_pixels(picture: Image.Image) -> Image.Image:
 
 _QUALITY = 80
 _JPEG_SIDE = 65_500
-"""Pixels of a side of a JPEG, as libjpeg writes it; the format has room for 65,535."""
+"""Maximum side of a JPEG in pixels for libjpeg; the format allows 65,535."""
 _PNG_EFFORT = 1
-"""Of zlib: 6 takes six times as long, and the file is 15 % smaller."""
+"""Compression level of zlib: 6 takes six times as long for a file that is 15 % smaller."""
 
 
 def draw_sample(schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
-    """Return the file of a sample's picture. Raises CannotDraw, and ValueError for bytes that are no such message."""
+    """Return the file of a sample's picture. Raises CannotDraw, and ValueError for undecodable bytes."""
     message = schema.codec.decode(sample.data, sample.encoding)
     if schema.ref.name == COMPRESSED_IMAGE:
         return _compressed(message, form)
@@ -186,7 +186,7 @@ def draw_sample(schema: MessageSchema, sample: Sample, form: PictureForm) -> byt
 
 
 def is_drawable(schema: MessageSchema, message: Message) -> bool:
-    """Whether a message says of itself that it can be drawn, by its encoding or first bytes; no pixel is looked at."""
+    """Whether a message can be drawn, judging by its encoding or first bytes, without decoding pixels."""
     try:
         if schema.ref.name == COMPRESSED_IMAGE:
             format = str(read_field(message, "format"))
@@ -204,7 +204,7 @@ def is_drawable(schema: MessageSchema, message: Message) -> bool:
 
 
 def write_picture(picture: Image.Image, form: PictureForm) -> bytes:
-    """Return the file of a picture. Raises UnknownPicture where it has more pixels a side than a JPEG may have."""
+    """Return the file of a picture. Raises UnknownPicture if it is too large for a JPEG."""
     small = _shrink(picture, form.width)
     target = io.BytesIO()
     if form.media_type == PNG:
@@ -218,7 +218,7 @@ def write_picture(picture: Image.Image, form: PictureForm) -> bytes:
 
 
 def _without_transparency(picture: Image.Image) -> Image.Image:
-    """The picture as JPEG can hold it: what is transparent in a palette is grey."""
+    """Return the picture without transparency, for JPEG: transparent palette colours become grey."""
     if picture.mode == "P":
         opaque = Image.new("RGB", picture.size, (128, 128, 128))
         coloured = picture.convert("RGBA")
@@ -235,7 +235,7 @@ def _shrink(picture: Image.Image, width: int | None) -> Image.Image:
 
 
 def _compressed(message: Message, form: PictureForm) -> bytes:
-    """The file as it came where that is what is wanted, else one drawn anew."""
+    """Return the original file if it has the requested form, else a new one."""
     format, data = str(read_field(message, "format")), read_bytes(message).tobytes()
     if form.width is None and file_type(data) == form.media_type and not is_depth(format):
         return data

@@ -1,4 +1,4 @@
-"""Cache of pictures and point clouds: each is made once for all its readers, on one thread."""
+"""Cache of pictures and point clouds: each is drawn once for all its readers, in one thread."""
 
 from __future__ import annotations
 
@@ -18,20 +18,23 @@ _MAX_BYTES = 32 * 1024 * 1024
 
 
 class PictureCache:
-    """Pictures by their samples and forms: one being drawn is waited for, one that was is handed out.
+    """Pictures by sample and form; requests for a picture being drawn wait for it.
 
-    One thread draws: pictures never take more than one core, whoever asks for them, and the event loop none.
+    A single thread draws, so that pictures use at most one core, and never the event loop.
     """
 
     def __init__(self, instance_id: str) -> None:
-        """`instance_id` is part of the entity tags of pictures: another one for each run of the server."""
+        """Create an empty cache.
+
+        `instance_id` is part of the pictures' entity tags, and differs for each run of the server.
+        """
         self.instance_id = instance_id
         self._thread = ThreadPoolExecutor(1, "rosld-pictures")
         self._drawing: dict[Hashable, asyncio.Task[bytes]] = {}
         self._kept: OrderedDict[Hashable, bytes] = OrderedDict()
         self._bytes = 0
         self.drawn = 0
-        """How many were drawn since the start."""
+        """Number of pictures drawn since the start."""
 
     async def picture(self, topic: str, schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
         """Return the file of a sample's picture. Raises CannotDraw, ValueError and MemoryError."""
@@ -53,7 +56,7 @@ class PictureCache:
     def _drew(self, key: Hashable, task: asyncio.Task[bytes]) -> None:
         self._drawing.pop(key, None)
         if not task.cancelled():
-            task.exception()  # whoever waited for it may have left
+            task.exception()  # retrieved, because the waiting requests may have been cancelled
 
     async def _draw(self, key: Hashable, schema: MessageSchema, sample: Sample, draw: DrawSample) -> bytes:
         self.drawn += 1
@@ -69,11 +72,11 @@ class PictureCache:
             self._bytes -= len(oldest)
 
     def close(self) -> None:
-        """Draw nothing more; what is being drawn is ended."""
+        """Cancel pending pictures. The one being drawn is finished."""
         self._thread.shutdown(wait=False, cancel_futures=True)
 
 
 def _draw_picture(schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
-    from rosld.server.pictures.picture import draw_sample  # Pillow: a tenth of the time that a server takes to start
+    from rosld.server.pictures.picture import draw_sample  # imported late: Pillow is a tenth of the server's start time
 
     return draw_sample(schema, sample, form)

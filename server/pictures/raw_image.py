@@ -1,4 +1,4 @@
-"""Pictures of sensor_msgs/Image in all image encodings of `sensor_msgs/image_encodings.h`, depths in colour. Pure."""
+"""Pictures of sensor_msgs/Image in all encodings of `sensor_msgs/image_encodings.h`; depth images in colour. No I/O."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rosld.adapters.model import Message
 from rosld.server.pictures.form import DEFAULT_RANGE, CannotDraw, DepthRange, UnknownPicture, require_size
 
 _ANCHORS = ((255, 238, 150), (252, 170, 60), (222, 80, 60), (150, 40, 120), (70, 45, 160), (25, 45, 95))
-"""Colours from the nearest to the farthest, at equal distances from each other: brightness falls all the way."""
+"""Colours from the nearest to the farthest at equal intervals, with decreasing brightness."""
 _COLOURS = 255
 
 
 def _palette() -> bytes:
-    """768 bytes: black for what is unknown, then the colours from the nearest to the farthest."""
+    """Return a palette of 768 bytes: black for unknown distances, then the colours from the nearest to the farthest."""
     places = np.linspace(0, len(_ANCHORS) - 1, _COLOURS)
     anchors = np.array(_ANCHORS, dtype=np.float64)
     channels = [np.interp(places, np.arange(len(_ANCHORS)), anchors[:, channel]) for channel in range(3)]
@@ -33,9 +33,9 @@ _PALETTE = _palette()
 
 
 def draw_depth(depth: npt.NDArray[np.generic], scale: float, shown: DepthRange) -> Image.Image:
-    """Return the colours of an array of distances, `scale` metres each; 0, NaN and infinities are unknown.
+    """Return the coloured picture of distances in units of `scale` metres; 0, NaN and infinities are unknown.
 
-    Raises CannotDraw where `shown` is no range.
+    Raises CannotDraw if `shown` is empty.
     """
     if not shown.nearest < shown.farthest:
         raise CannotDraw(f"The range {shown.nearest:g} to {shown.farthest:g} has no distances in it")
@@ -57,7 +57,7 @@ PATTERNS = tuple(_RED)
 
 
 def demosaic(mosaic: npt.NDArray[np.uint8], pattern: str) -> npt.NDArray[np.uint8]:
-    """Red, green and blue of each pixel. The margin is that of the picture mirrored at its outermost pixels."""
+    """Return red, green and blue of each pixel. The image is mirrored at its edges."""
     height, width = mosaic.shape
     if height < 2 or width < 2:
         return np.repeat(mosaic[:, :, None], 3, axis=2)
@@ -88,7 +88,7 @@ Plane = npt.NDArray[np.uint8]
 
 _VALUES = np.arange(256, dtype=np.float64)
 _SHIFT = 5
-"""Bits after the point: sums of three terms stay within 16 bits."""
+"""Fraction bits: sums of three terms fit in 16 bits."""
 
 
 def _table(values: npt.NDArray[np.float64]) -> npt.NDArray[np.int16]:
@@ -103,7 +103,7 @@ _BLUE_U = _table((_VALUES - 128) * 2.018)
 
 
 def convert_yuv(luma: Plane, u: Plane, v: Plane) -> Plane:
-    """Red, green and blue of each pixel; all planes have one value a pixel."""
+    """Return red, green and blue of each pixel; all planes have one value per pixel."""
     brightness = _LUMA[luma]
     channels = (brightness + _RED_V[v], brightness + _GREEN_V[v] + _GREEN_U[u], brightness + _BLUE_U[u])
     found = np.empty((*luma.shape, 3), dtype=np.uint8)
@@ -127,7 +127,7 @@ _KINDS = {"U": "u", "S": "i", "F": "f"}
 
 @dataclass(frozen=True, slots=True)
 class RawImage:
-    """The fields of a sensor_msgs/Image."""
+    """Fields of a sensor_msgs/Image."""
 
     encoding: str
     width: int
@@ -138,7 +138,7 @@ class RawImage:
 
 
 def read_raw_image(message: Message) -> RawImage:
-    """Return the fields of a message. Raises CannotDraw where it has others: types of one name may differ."""
+    """Return the fields of a message. Raises CannotDraw if they differ, as types of one name may differ."""
     try:
         width, height, step = (int(read_field(message, name)) for name in ("width", "height", "step"))
     except (TypeError, ValueError) as error:
@@ -148,7 +148,7 @@ def read_raw_image(message: Message) -> RawImage:
 
 
 def read_field(message: Message, name: str) -> Any:
-    """Return the value of a field. Raises CannotDraw where there is none."""
+    """Return the value of a field. Raises CannotDraw if it does not exist."""
     found = getattr(message, name, None)
     if found is None:
         raise CannotDraw(f"The message has no field {name}, as images have")
@@ -156,7 +156,7 @@ def read_field(message: Message, name: str) -> Any:
 
 
 def read_bytes(message: Message) -> npt.NDArray[np.uint8]:
-    """Return the field `data`. Raises CannotDraw where it is no array of bytes."""
+    """Return the field `data`. Raises CannotDraw if it is not an array of bytes."""
     found = np.asarray(read_field(message, "data"))
     if found.dtype != np.uint8 or found.ndim != 1:
         raise CannotDraw("The field data of the message is no array of bytes")
@@ -176,12 +176,12 @@ def draw_raw(image: RawImage, shown: DepthRange = DEFAULT_RANGE) -> Image.Image:
 
 
 def depth_scale(encoding: str) -> float | None:
-    """Metres of a unit of an image of distances; None of other encodings."""
+    """Return the unit of a depth image's encoding in metres, or None for other encodings."""
     return _DEPTHS.get(encoding)
 
 
 def to_bytes(values: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
-    """Values of the whole range of their unsigned type, floats from 0 to 1, as bytes; what is no number is 0."""
+    """Return values scaled to bytes: full range of unsigned integers, or floats from 0 to 1; NaN becomes 0."""
     if values.dtype.kind == "f":
         with np.errstate(all="ignore"):
             found: npt.NDArray[np.uint8] = np.round(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255).astype(np.uint8)
@@ -192,7 +192,10 @@ def to_bytes(values: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
 
 
 def _pixels(image: RawImage, kind: str, channels: int) -> npt.NDArray[np.generic]:
-    """The values as an array of rows, columns and channels, without a copy. Raises CannotDraw where data are short."""
+    """Return the values as an array of rows, columns and channels, without a copy.
+
+    Raises CannotDraw for truncated data.
+    """
     item = np.dtype(kind).newbyteorder(">" if image.is_bigendian else "<")
     pixel = item.itemsize * channels
     _require_rows(image, image.width * pixel, image.height)
@@ -211,12 +214,12 @@ def _require_rows(image: RawImage, row: int, rows: int) -> None:
 
 
 def _plain(mode: str, order: str, channels: int) -> Draw:
-    """8 bits a channel: Pillow reads these as they are."""
+    """Return a drawing function for 8 bits per channel, which Pillow can read directly."""
 
     def draw(image: RawImage, _: DepthRange) -> Image.Image:
         _require_rows(image, image.width * channels, image.height)
         data, step = image.data, image.step
-        if data.size < step * image.height:  # the padding of the last row may be left out
+        if data.size < step * image.height:  # the padding of the last row may be missing
             rows: npt.NDArray[np.uint8] = np.ndarray(
                 (image.height, image.width * channels), np.uint8, data, strides=(step, 1)
             )
@@ -227,7 +230,7 @@ def _plain(mode: str, order: str, channels: int) -> Draw:
 
 
 def _channels(kind: str, order: str) -> Draw:
-    """More than 8 bits a channel, which a picture has not; `order` is RGB, BGR, RGBA or BGRA."""
+    """Return a drawing function for more than 8 bits per channel; `order` is RGB, BGR, RGBA or BGRA."""
     mode = "RGBA" if len(order) == 4 else "RGB"
     places = [order.index(channel) for channel in mode]
 
@@ -292,7 +295,7 @@ def _nv21(image: RawImage, _: DepthRange) -> Image.Image:
 
 
 def _nv24(image: RawImage, _: DepthRange) -> Image.Image:
-    """A row of luma is followed, after all such rows, by rows of two values a pixel, which take two rows' bytes."""
+    """Draw rows of luma, followed by rows with two chroma values per pixel, of twice the size."""
     planes = _planes(image, image.height * 3)
     colours = planes[image.height :].reshape(image.height, image.width, 2)
     return _picture(convert_yuv(planes[: image.height], colours[:, :, 0], colours[:, :, 1]), "RGB")
@@ -343,4 +346,4 @@ def _drawings() -> Mapping[str, Draw]:
 
 _DRAWINGS = _drawings()
 ENCODINGS = tuple(_DRAWINGS)
-"""The encodings that are drawn."""
+"""Supported encodings."""

@@ -1,1 +1,1 @@
-"""Frames of a robot, and drawings of messages in them. Pure."""
+"""Frames of a robot, and drawings of messages in them. No I/O."""

@@ -1,4 +1,4 @@
-"""Drawings of messages: points, a line, arrows, a grid, each in its frame. Pure, for a thread."""
+"""Drawings of messages: points, a line, arrows, or a grid, each in its frame. No I/O; runs in a thread."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from rosld.server.space.transform import (
 Points: TypeAlias = "npt.NDArray[np.float64]"
 """Rows of x, y and z in metres."""
 MAX_POINTS = 4000
-"""Points of a scan or a line, and arrows, that are drawn: of more every second, third and so on, and the last."""
+"""Maximum number of drawn points or arrows; of more, every n-th is drawn, including the last."""
 _ONE_SIGMA = 1.0
 _DIGITS = 3
-"""Of coordinates as they are told: millimetres."""
+"""Number of decimals of coordinates in metres: millimetres."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ellipse:
-    """Uncertainty of a position: half the axes, one standard deviation each, and the direction of the first."""
+    """Uncertainty of a position: the semi-axes, one standard deviation each, and the direction of the first."""
 
     major: float
     minor: float
@@ -44,7 +44,7 @@ class Ellipse:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """The floor that a picture is of: where its lower left corner is, and its sides in metres and in cells."""
+    """Ground area of a grid's picture: its lower left corner, and its sides in metres and in cells."""
 
     origin: Transform
     resolution: float
@@ -54,7 +54,7 @@ class Grid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawing:
-    """Drawing of a message, in `frame` at `stamp_ns`. `has_trace`: former positions of its arrow are drawn, too."""
+    """Drawing of a message, in `frame` at `stamp_ns`. `has_trace`: its arrow leaves a trace of former positions."""
 
     frame: str
     stamp_ns: int
@@ -76,7 +76,7 @@ class _Kind:
 
 
 def can_place(type_name: str) -> bool:
-    """Whether messages of a type are drawn in space."""
+    """Whether messages of a type can be drawn in space."""
     return type_name in _KINDS
 
 
@@ -102,7 +102,7 @@ def place_sample(schema: MessageSchema, sample: Sample) -> Drawing:
 
 
 def drawing_json(drawing: Drawing) -> dict[str, object]:
-    """A drawing as JSON: coordinates by columns, poses as `pose_json` has them; what is not there is left out."""
+    """Return a drawing as JSON: coordinates as columns, poses as from `pose_json`; missing parts are omitted."""
     found: dict[str, object] = {}
     if drawing.points is not None:
         found["points"] = _columns(drawing.points)
@@ -130,14 +130,14 @@ def pose_json(pose: Transform) -> list[float]:
 
 
 def thin(places: npt.NDArray[np.intp], most: int = MAX_POINTS) -> npt.NDArray[np.intp]:
-    """Return a limited number of items, evenly spaced, including the last."""
+    """Return at most `most` items, evenly spaced, including the last."""
     if len(places) <= most:
         return places
     return places[::-1][:: -(-len(places) // most)][::-1]
 
 
 def _columns(points: Points) -> dict[str, object]:
-    """z is left out where all of it is the floor of the frame."""
+    """Return coordinates as columns, without z if all points are on the frame's ground."""
     rounded = np.round(points, _DIGITS)
     x, y, z = (np.ascontiguousarray(rounded[:, column]) for column in range(3))
     return {"x": x, "y": y, "z": z} if z.any() else {"x": x, "y": y}
@@ -148,7 +148,7 @@ def _header(message: Fields) -> tuple[str, int]:
 
 
 def _scan(message: Fields) -> Drawing:
-    """sensor_msgs/LaserScan. Ranges beyond what the scanner measures, infinite ones and NaN are no points (REP 117)."""
+    """Draw a sensor_msgs/LaserScan. Ranges beyond the limits, infinite ones and NaN are not points (REP 117)."""
     ranges = np.asarray(message.ranges, np.float64)
     first, step = float(message.angle_min), float(message.angle_increment)
     nearest, farthest = float(message.range_min), float(message.range_max)
@@ -161,13 +161,13 @@ def _scan(message: Fields) -> Drawing:
 
 
 def _cloud(message: Fields) -> Drawing:
-    """sensor_msgs/PointCloud2, its colours left out."""
+    """Draw a sensor_msgs/PointCloud2, without colours."""
     cloud = read_cloud(message, MAX_POINTS)
     return Drawing(cloud.frame, cloud.stamp_ns, points=cloud.points.astype(np.float64))
 
 
 def _grid(message: Fields) -> Drawing:
-    """nav_msgs/OccupancyGrid, whose cells are a picture by itself."""
+    """Draw a nav_msgs/OccupancyGrid, whose cells are a separate picture."""
     info = message.info
     columns, rows, resolution = int(info.width), int(info.height), float(info.resolution)
     if not (math.isfinite(resolution) and resolution > 0):
@@ -177,41 +177,41 @@ def _grid(message: Fields) -> Drawing:
 
 
 def _path(message: Fields) -> Drawing:
-    """nav_msgs/Path. Its poses are in the frame of the path: that of each is mostly left empty."""
+    """Draw a nav_msgs/Path. Poses are in the frame of the path, because their own frames are often empty."""
     poses = message.poses
     kept = [poses[place].pose.position for place in _places(len(poses))]
     return Drawing(*_header(message), line=_points(kept))
 
 
 def _polygon(message: Fields) -> Drawing:
-    """geometry_msgs/PolygonStamped."""
+    """Draw a geometry_msgs/PolygonStamped."""
     corners = message.polygon.points
     return Drawing(*_header(message), line=_points([corners[place] for place in _places(len(corners))]), is_closed=True)
 
 
 def _point(message: Fields) -> Drawing:
-    """geometry_msgs/PointStamped."""
+    """Draw a geometry_msgs/PointStamped."""
     return Drawing(*_header(message), points=_points([message.point]))
 
 
 def _pose(message: Fields) -> Drawing:
-    """geometry_msgs/PoseStamped."""
+    """Draw a geometry_msgs/PoseStamped."""
     return Drawing(*_header(message), arrows=(read_pose(message.pose),))
 
 
 def _poses(message: Fields) -> Drawing:
-    """geometry_msgs/PoseArray."""
+    """Draw a geometry_msgs/PoseArray."""
     poses = message.poses
     return Drawing(*_header(message), arrows=tuple(read_pose(poses[place]) for place in _places(len(poses))))
 
 
 def _likely_pose(message: Fields) -> Drawing:
-    """geometry_msgs/PoseWithCovarianceStamped."""
+    """Draw a geometry_msgs/PoseWithCovarianceStamped."""
     return Drawing(*_header(message), arrows=(read_pose(message.pose.pose),), ellipse=_ellipse(message.pose.covariance))
 
 
 def _odometry(message: Fields) -> Drawing:
-    """nav_msgs/Odometry."""
+    """Draw a nav_msgs/Odometry."""
     return Drawing(
         *_header(message),
         arrows=(read_pose(message.pose.pose),),
@@ -230,7 +230,7 @@ def _points(found: list[Fields]) -> Points:
 
 
 def _ellipse(covariance: Fields) -> Ellipse | None:
-    """Return the ellipse of x and y of a covariance of six by six; None where it says nothing, or nothing possible."""
+    """Return the ellipse of x and y of a covariance matrix (six by six), or None if it is unset or invalid."""
     values = np.asarray(covariance, np.float64)
     if values.size != 36:
         return None
@@ -258,5 +258,5 @@ _KINDS: Mapping[str, _Kind] = MappingProxyType(
         "nav_msgs/msg/Odometry": _Kind("Odometry", _odometry),
     }
 )
-"""By message type, the lowest first: what comes later is drawn above."""
+"""Drawing functions by message type, from the lowest layer to the highest."""
 PLACED_TYPES = tuple(_KINDS)

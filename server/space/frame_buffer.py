@@ -1,4 +1,4 @@
-"""The frames of a robot: the transforms of `/tf` and `/tf_static` of the last seconds, their tree, and look-ups."""
+"""Frames of a robot: the recent transforms of `/tf` and `/tf_static`, their tree, and look-ups."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ STATIC_TOPIC = "/tf_static"
 TOPICS = ("/tf", STATIC_TOPIC)
 TYPES = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 KEPT_NS = 10_000_000_000
-"""Transforms are kept for as long as tf2 keeps them by default."""
+"""Age of the oldest stored transforms, which is tf2's default."""
 MAX_FRAMES = 2000
 _MAX_KEPT = 2000
-"""Transforms of one frame: 10 s at 200 Hz."""
+"""Maximum number of transforms per frame: 10 s at 200 Hz."""
 _FIRST_CHOICES = ("map", "odom", "world", "earth")
-"""The frames that a view is fixed to by itself (REP 105), the best first."""
+"""Preferred fixed frames of a view (REP 105), the best first."""
 
 
 _ALL_ZERO = "Its quaternion is all zero: it is drawn without a rotation here, and tf2 ignores the transform"
 
 
 class NoTransform(LookupError):
-    """Why there is no transform between two frames; the text is a sentence without its full stop."""
+    """Reason why there is no transform between two frames: a sentence without its full stop."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameTransform:
-    """A transform as it was received: where a frame is in its parent at a time.
+    """A received transform: the pose of a frame in its parent at a time.
 
-    `source` is the message that it came in, without its data.
+    `source` is the message that contained it, without its data.
     """
 
     parent: str
@@ -57,7 +57,7 @@ class FrameTransform:
 
 @dataclass(slots=True)
 class _History:
-    """The transforms of one frame by their stamps, in ascending order."""
+    """Transforms of one frame by their stamps, in ascending order."""
 
     stamps: list[int] = field(default_factory=list)
     transforms: list[FrameTransform] = field(default_factory=list)
@@ -67,7 +67,10 @@ class _History:
         return self.transforms[-1]
 
     def add(self, each: FrameTransform) -> None:
-        """Add one; what is much older than the newest means that time began anew: a loop of a recording."""
+        """Add a transform.
+
+        One much older than the newest means that time was reset (a loop of a recording): drop the others.
+        """
         if each.is_static or (self.stamps and each.stamp_ns < self.stamps[-1] - KEPT_NS):
             self.stamps, self.transforms = [], []
         place = bisect_right(self.stamps, each.stamp_ns)
@@ -82,7 +85,7 @@ class _History:
             del self.stamps[:old], self.transforms[:old]
 
     def at(self, stamp_ns: int | None) -> tuple[str, Transform]:
-        """Return the parent and the transform at a time: between the two nearest, or the nearest beyond both ends."""
+        """Return parent and transform at a time: interpolated, or the nearest one outside of the stored time."""
         place = len(self.stamps) if stamp_ns is None else bisect_right(self.stamps, stamp_ns)
         if place == len(self.stamps) or place == 0 or stamp_ns is None:
             found = self.transforms[max(place - 1, 0)]
@@ -95,9 +98,9 @@ class _History:
 
 
 class FrameBuffer:
-    """All frames. `problems` says what is wrong with the newest transform of a frame: mostly why it is not taken.
+    """All frames. `problems` are the problems of frames' latest transforms, mostly why they were rejected.
 
-    `version` rises whenever a transform is added.
+    `version` increases whenever a transform is added.
     """
 
     def __init__(self) -> None:
@@ -106,7 +109,7 @@ class FrameBuffer:
         self.version = 0
 
     def add(self, message: Message, sample: Sample, *, is_static: bool) -> None:
-        """Take the transforms of a tf2_msgs/TFMessage. Never raises for what they hold."""
+        """Add the transforms of a tf2_msgs/TFMessage. Never raises because of its contents."""
         source = sample._replace(data=b"")
         transforms: Iterable[Fields] = getattr(message, "transforms", ())
         for each in transforms:
@@ -135,28 +138,28 @@ class FrameBuffer:
 
     @property
     def newest(self) -> Mapping[str, FrameTransform]:
-        """The newest transform of each frame that has a parent."""
+        """Newest transform of each frame with a parent."""
         return {child: history.newest for child, history in self._histories.items()}
 
     def newest_of(self, name: str) -> FrameTransform | None:
-        """Return the newest transform of a frame; None where it has no parent."""
+        """Return the newest transform of a frame, or None if it has no parent."""
         history = self._histories.get(name)
         return None if history is None else history.newest
 
     def sources_of(self, name: str) -> Collection[tuple[str, str]]:
-        """Return the publishers of each parent of a frame, within the buffered time."""
+        """Return the publishers and parents of a frame's stored transforms."""
         history = self._histories.get(name)
         return {(each.source.publisher, each.parent) for each in history.transforms} if history else set()
 
     @property
     def names(self) -> Collection[str]:
-        """All frames, those that are only parents included; the names ascend."""
+        """All frames, including those that are only parents, in ascending order of names."""
         parents = {history.newest.parent for history in self._histories.values()}
         return sorted(parents | self._histories.keys())
 
     @property
     def roots(self) -> Sequence[str]:
-        """The frames without a parent, that with the most frames below it first."""
+        """Frames without a parent, those with the most frames below them first."""
         sizes: dict[str, int] = {}
         for name in self.names:
             *_, (root, _) = self._upwards(name, None)
@@ -192,7 +195,7 @@ class FrameBuffer:
         raise NoTransform(f"There is no frame called {_said(name)}{why}")
 
     def _upwards(self, name: str, stamp_ns: int | None) -> Iterator[tuple[str, Transform]]:
-        """Yield the frame itself and each above it, with the transform from the frame to that one; a loop ends it."""
+        """Yield a frame and its ancestors, each with the transform from the frame to it; stop at a cycle."""
         transform, passed = IDENTITY, {name}
         yield name, transform
         while (history := self._histories.get(name)) is not None:
@@ -220,12 +223,12 @@ def _said(name: str) -> str:
 
 
 OLD_NS = 10_000_000_000
-"""Frames that move are old when nothing was said of them for so long: then tf2 has forgotten them."""
+"""Age of the last transform above which moving frames are marked as old: tf2 has dropped them."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameNode:
-    """A frame in its tree: how many are above it, its newest transform (None: a root), who says it, what is odd."""
+    """A frame in its tree: its depth, newest transform (None for a root), publishers, and problem."""
 
     name: str
     depth: int
@@ -235,7 +238,7 @@ class FrameNode:
 
 
 def frame_tree(buffer: FrameBuffer, age_ns: Callable[[Sample], int]) -> list[FrameNode]:
-    """Return all frames, each before those below it, the largest tree first; last what was said and is no transform."""
+    """Return all frames, parents before children, the largest tree first; last those with only rejected transforms."""
     children: dict[str, list[str]] = {}
     for child, each in buffer.newest.items():
         children.setdefault(each.parent, []).append(child)

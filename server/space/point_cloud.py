@@ -1,4 +1,4 @@
-"""Point clouds (sensor_msgs/PointCloud2): positions and colours of their points, thinned, or as PLY. Pure."""
+"""Point clouds (sensor_msgs/PointCloud2): positions and colours of selected points, also as PLY. No I/O."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 DEFAULT_POINTS = 20_000
 MAX_POINTS = 200_000
 _FORMATS = MappingProxyType({1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"})
-"""numpy's codes of the datatypes of sensor_msgs/PointField."""
+"""numpy's type codes for the datatypes of sensor_msgs/PointField."""
 _INTENSITIES = ("intensity", "intensities", "reflectivity")
-"""Fields that say how much came back from a point, the best known first."""
+"""Names of fields with the intensity of a point, the most common first."""
 _MAX_FIELDS = 1000
 _PER_POINT = 64
-"""Bytes that a point takes while it is read: three coordinates as float64, masks, places."""
+"""Bytes per point while reading: three coordinates as float64, masks, indexes."""
 
 _Column: TypeAlias = "npt.NDArray[np.generic]"
 
@@ -33,8 +33,8 @@ _Column: TypeAlias = "npt.NDArray[np.generic]"
 class Cloud:
     """Points of a message, in `frame` at `stamp_ns`.
 
-    `points` are rows of x, y and z in metres; `colours` rows of red, green and blue, `intensity` one number each, None
-    where there are none. `total` is how many points the message has that are places.
+    `points` are rows of x, y and z in metres; `colours` rows of red, green and blue, and `intensity` one number per
+    point, or None. `total` is the number of valid points in the message.
     """
 
     frame: str
@@ -66,7 +66,7 @@ class _Layout:
     fields: Mapping[str, _Field]
 
     def column(self, name: str, format: str = "") -> _Column:
-        """Return the numbers of a field, of all points in their order; `format` reads its bytes as something else."""
+        """Return the numbers of a field for all points in order; `format` replaces its type."""
         field = self.fields[name]
         kind = np.dtype(self.order + (format or field.format))
         if field.offset + kind.itemsize > self.point_step:
@@ -78,12 +78,12 @@ class _Layout:
 
 
 def read_cloud(message: Fields, most: int = DEFAULT_POINTS) -> Cloud:
-    """At most so many points of a sensor_msgs/PointCloud2. Raises CannotDraw, and ValueError.
+    """Return at most `most` points of a sensor_msgs/PointCloud2. Raises CannotDraw, and ValueError.
 
-    Points that are NaN, infinite or beyond all places are left out. Evenly spaced ones of the others, in the order of
-    the message, remain, which costs the same for each point: a voxel grid spreads them more evenly in space, but
-    sorts all points of each message, several times until they are few enough. The spacing is no whole number, so that
-    no ring of a scanner and no column of a camera is left out as a whole.
+    Points that are NaN, infinite or too far away are omitted. Of the others, evenly spaced ones in the order of the
+    message are selected, at the same cost for each point: a voxel grid would spread them more evenly in space, but
+    sorts all points of each message, several times until they are few enough. The spacing is not an integer, so that no
+    whole ring of a scanner or column of a camera is omitted.
     """
     frame, stamp = frame_name(message.header.frame_id), read_stamp(message.header)
     layout = _layout(message)
@@ -94,16 +94,16 @@ def read_cloud(message: Fields, most: int = DEFAULT_POINTS) -> Cloud:
             raise CannotDraw(f"The points have no field {axis!r}", ", ".join(layout.fields))
     count = layout.height * layout.width
     PROCESS_MEMORY.require(count * _PER_POINT, f"a cloud of {count:,} points")
-    with np.errstate(all="ignore"):  # signalling NaN, and float64 beyond float32
+    with np.errstate(all="ignore"):  # for signalling NaN, and float64 beyond float32
         coordinates = np.stack([layout.column(axis).astype(np.float64) for axis in "xyz"], axis=1)
-        valid = np.flatnonzero((np.abs(coordinates) <= MAX_COORDINATE).all(axis=1))  # false of NaN
+        valid = np.flatnonzero((np.abs(coordinates) <= MAX_COORDINATE).all(axis=1))  # false for NaN
         picks = valid[_spread(len(valid), most)]
         points = coordinates[picks].astype(np.float32)
         return Cloud(frame, stamp, points, len(valid), _colours(layout, picks), _intensity(layout, picks))
 
 
 def _spread(count: int, most: int) -> npt.NDArray[np.intp]:
-    """At most `most` of `count` places, evenly, with the first and the last."""
+    """Return at most `most` of `count` indexes, evenly spaced, including the first and the last."""
     if count <= most:
         return np.arange(count)
     return np.linspace(0, count - 1, most).astype(np.intp)
@@ -119,7 +119,7 @@ def _layout(message: Fields) -> _Layout | None:
     if point_step <= 0:
         raise CannotDraw(f"The points are {point_step} bytes long, so there is nothing to be seen")
     if height == 1:
-        row_step = width * point_step  # the only row ends where its points end, whatever is said of it
+        row_step = width * point_step  # the only row ends with its points, whatever row_step is
     if row_step < width * point_step:
         raise CannotDraw(f"Rows of {row_step:,} bytes cannot hold {width:,} points of {point_step:,} bytes")
     size = (height - 1) * row_step + width * point_step
@@ -134,7 +134,7 @@ def _layout(message: Fields) -> _Layout | None:
 
 
 def _colours(layout: _Layout, picks: npt.NDArray[np.intp]) -> npt.NDArray[np.uint8] | None:
-    """Red, green and blue: packed into one field of four bytes, as PCL has it, or a field of a byte each."""
+    """Return red, green and blue, from one packed field of four bytes as in PCL, or from three fields of a byte."""
     for name in ("rgb", "rgba"):
         if name in layout.fields and layout.fields[name].format in ("f4", "u4", "i4"):
             packed = layout.column(name, "u4")[picks].astype(np.uint32)
@@ -153,7 +153,10 @@ _NAMES = {"<f4": "float", "|u1": "uchar"}
 
 
 def draw_cloud(schema: MessageSchema, sample: Sample, most: int) -> bytes:
-    """The PLY file of at most so many points of a sample. Raises CannotDraw, and ValueError for what is no message."""
+    """Return the PLY file of at most `most` points of a sample.
+
+    Raises CannotDraw, and ValueError for undecodable bytes.
+    """
     if schema.ref.name != POINT_CLOUD:
         raise CannotDraw(f"A {schema.ref.name} is no point cloud")
     message = schema.codec.decode(sample.data, sample.encoding)
@@ -166,7 +169,7 @@ def draw_cloud(schema: MessageSchema, sample: Sample, most: int) -> bytes:
 
 
 def cloud_ply(cloud: Cloud) -> bytes:
-    """A cloud as binary PLY, little endian: x, y, z; red, green, blue as uchar; intensity. Of these what there is."""
+    """Return a cloud as binary PLY, little endian: x, y, z; red, green, blue (uchar) and intensity if available."""
     columns: dict[str, npt.NDArray[np.generic]] = {name: cloud.points[:, place] for place, name in enumerate("xyz")}
     if cloud.colours is not None:
         columns |= {name: cloud.colours[:, place] for place, name in enumerate(("red", "green", "blue"))}
@@ -190,5 +193,5 @@ def cloud_ply(cloud: Cloud) -> bytes:
 
 
 def _one_line(text: str) -> str:
-    """Return a name as the header, which is ASCII by lines, can hold it."""
+    """Return a name in a form that is safe in a line of the ASCII header."""
     return ascii(text)[1:-1]

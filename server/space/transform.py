@@ -1,4 +1,4 @@
-"""Rigid transforms, and fields of messages that hold them. Pure."""
+"""Rigid transforms, and fields of messages that contain them. No I/O."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 """x, y, z, w."""
 _SHORTEST = 1e-6
-"""Lengths of a quaternion below which it is no rotation, unless it is all zero."""
+"""Length of a quaternion below which it is invalid, unless it is all zero."""
 _ALMOST_EQUAL = 0.9995
-"""Cosines of half the angle above which slerp divides by almost nothing."""
+"""Cosine of half the angle above which slerp divides by almost zero."""
 
 
 class NoRotation(ValueError):
-    """Numbers that are no rotation; the text is a sentence without its full stop."""
+    """Numbers that are not a rotation; the message is a sentence without its full stop."""
 
 
 class Transform(NamedTuple):
@@ -29,9 +29,9 @@ IDENTITY = Transform((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 def unit_quaternion(x: float, y: float, z: float, w: float) -> Quaternion:
-    """Return the rotation that four numbers stand for. Raises NoRotation.
+    """Return the normalized quaternion. Raises NoRotation.
 
-    All zero, as in a message that nobody filled in, is the identity: RViz draws it so.
+    All zero, as in an uninitialized message, is the identity, as in RViz.
     """
     if not (x or y or z or w):
         return IDENTITY.rotation
@@ -67,14 +67,14 @@ def rotate(rotation: Quaternion, point: Vector) -> Vector:
 
 
 def apply(transform: Transform, point: Vector) -> Vector:
-    """Return the coordinates of a point of the child in the parent."""
+    """Return the parent coordinates of a point in child coordinates."""
     x, y, z = rotate(transform.rotation, point)
     dx, dy, dz = transform.translation
     return x + dx, y + dy, z + dz
 
 
 def compose(outer: Transform, inner: Transform) -> Transform:
-    """The transform that does `inner` and then `outer`."""
+    """Return the transform that applies `inner`, then `outer`."""
     return Transform(apply(outer, inner.translation), multiply(outer.rotation, inner.rotation))
 
 
@@ -87,14 +87,14 @@ def invert(transform: Transform) -> Transform:
 
 
 def interpolate(first: Transform, second: Transform, share: float) -> Transform:
-    """Return the transform between two, at a share of the way from 0 to 1: straight, and the short way round."""
+    """Return the transform at a share (0 to 1) of the way between two: linear translation, shortest rotation."""
     (ax, ay, az), (bx, by, bz) = first.translation, second.translation
     moved = (ax + (bx - ax) * share, ay + (by - ay) * share, az + (bz - az) * share)
     return Transform(moved, _slerp(first.rotation, second.rotation, share))
 
 
 def heading(transform: Transform) -> float:
-    """Return the angle about z, in radians: where the x axis points, seen from above."""
+    """Return the angle about z in radians: the direction of the x axis, seen from above."""
     x, y, z, w = transform.rotation
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
@@ -111,13 +111,13 @@ def _slerp(first: Quaternion, second: Quaternion, share: float) -> Quaternion:
 
 
 Fields: TypeAlias = Any
-"""A message, or a part of one: which fields it has is known once it is read. A missing one is an AttributeError."""
+"""A message or a part of one, with unknown fields. Reading a missing one raises AttributeError."""
 MAX_COORDINATE = 1e9
-"""Metres: what is farther is no place."""
+"""Maximum coordinate in metres; greater ones are invalid."""
 
 
 def frame_name(text: object) -> str:
-    """Return a frame without the slash that it begins with in the first tf. Raises ValueError for what is no name."""
+    """Return a frame without its leading slash, which the first tf used. Raises ValueError for an invalid name."""
     name = str(text).removeprefix("/")
     if len(name) > 300:
         raise ValueError(f"A name of {len(name):,} characters is none of a frame")
@@ -125,27 +125,27 @@ def frame_name(text: object) -> str:
 
 
 def read_stamp(header: Fields) -> int:
-    """Return the stamp of a std_msgs/Header in nanoseconds, 0 where there is none."""
+    """Return the stamp of a std_msgs/Header in nanoseconds, or 0."""
     stamp = getattr(header, "stamp", None)
     return int(getattr(stamp, "sec", 0)) * 1_000_000_000 + int(getattr(stamp, "nanosec", 0))
 
 
 def read_vector(message: Fields) -> Vector:
-    """x, y and z of a geometry_msgs/Vector3 or Point. Raises ValueError where they are no place."""
+    """Return x, y and z of a geometry_msgs/Vector3 or Point. Raises ValueError if they are invalid."""
     found = float(message.x), float(message.y), float(message.z)
     require_place(*found)
     return found
 
 
 def require_place(*numbers: float) -> None:
-    """Raise ValueError where a number is none, or too large to be a place."""
+    """Raise ValueError if a number is not finite, or too large for a coordinate."""
     for each in numbers:
         if not math.isfinite(each) or abs(each) > MAX_COORDINATE:
             raise ValueError(f"{each:g} is no coordinate")
 
 
 def read_pose(pose: Fields) -> Transform:
-    """Return a geometry_msgs/Pose. Raises ValueError: NoRotation for a quaternion that is none."""
+    """Return a geometry_msgs/Pose. Raises ValueError, which is NoRotation for an invalid quaternion."""
     return Transform(read_vector(pose.position), read_rotation(pose.orientation))
 
 
@@ -155,5 +155,5 @@ def read_rotation(quaternion: Fields) -> Quaternion:
 
 
 def is_rotation_set(quaternion: Fields) -> bool:
-    """Whether a geometry_msgs/Quaternion is other than all zero, as messages of ROS 1 begin."""
+    """Whether a geometry_msgs/Quaternion is not all zero, the initial value in ROS 1."""
     return any(getattr(quaternion, axis) for axis in "xyzw")

@@ -34,6 +34,8 @@ from rosld.server.middleware.limits import Admission, RateLimits, Scheduling
 from rosld.server.policies.stored_mappings import log_mapping_warnings
 from rosld.server.receipts.journal import Journal
 from rosld.server.resources.acl import AboutResources, AclResource, types_at
+from rosld.server.resources.actions import ActionResource
+from rosld.server.resources.bag_routes import bag_route
 from rosld.server.resources.channels import Notifications, fixed_resources
 from rosld.server.resources.channels import routes as notification_routes
 from rosld.server.resources.finder import near_urls
@@ -53,7 +55,7 @@ from rosld.server.robot.scene import Scene
 from rosld.server.robot.session import Session
 from rosld.server.routing.dispatcher import Dispatcher
 from rosld.server.routing.resource_factory import ResourceFactory
-from rosld.server.routing.router import Router, robot_routes, single_route
+from rosld.server.routing.router import Router, single_route
 from rosld.server.routing.services import Services
 from rosld.server.routing.sparql_services import SparqlServices
 from rosld.server.runtime.tasks import KeyedLock
@@ -67,23 +69,20 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     services = Services(adapter, settings)
     session, space = services.session, services.session.space
     factory = ResourceFactory(services)
-    routes = robot_routes(factory)
     sparql = SparqlServices(services, factory)
-    mirror = create_mirror(
-        session, services.instance_id, sparql.process, sparql.materializer, {*routes, "queries", "sparql"}
-    )
     scene, watchdog = Scene(session), Watchdog()
     large = LargeDocuments(services.documents.workers)
     pages = PageRenderer(session, services.software_stop, large, services.receipts)
     names = origin_policy(settings.base_url, settings.host, settings.port, settings.cors_origins)
     broadcasters = Broadcasters(session.changes, settings.client_streams)
     keyed_lock = KeyedLock(settings.call_deadline)
-    router = Router(factory, routes, sparql.queries, pages, partial(sparql.updates, keyed_lock=keyed_lock))
+    router = Router(factory, sparql.queries, pages, partial(sparql.updates, keyed_lock=keyed_lock))
+    mirror = create_mirror(session, services.instance_id, sparql.process, sparql.materializer, router.route_names)
     notifications = Notifications(
         space, services.instance_id, Channels(services.instance_id), broadcasters, names, router.resolve
     )
-    router.add(notification_routes(notifications, routes[".well-known"]))
-    goals = GoalTargets(session, factory.topic, factory.action)
+    router.add(notification_routes(notifications, router.routes[".well-known"]))
+    goals = GoalTargets(session, factory.topic, partial(factory.named, ActionResource))
     views: dict[str, Callable[[], PlotResource | SpaceResource]] = {
         "plot": partial(PlotResource, session, services.affordances, factory.history, broadcasters),
         "space": partial(SpaceResource, session, scene, factory.history, broadcasters, goals),
@@ -103,7 +102,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         authenticator.changed.watch(broadcasters.wake_all)
         router.add({"acl": single_route(partial(AclResource, space, authenticator))})
     triggers = RecordingTriggers(session, services.affordances, services.mappings, router.at, authenticator)
-    router.add({"bags": partial(factory.bag_at, triggers=triggers)})
+    router.add({"bags": partial(bag_route, factory.bags, triggers=triggers)})
     near = partial(near_urls, space, session.adapter, services.affordances)
     dispatcher = Dispatcher(services.instance_id, session, pages, broadcasters, keyed_lock, large, near)
     clients = client_limiter(settings)

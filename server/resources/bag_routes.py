@@ -125,7 +125,7 @@ class BagContainer(BagBase):
         return ArmedBag(self.bags, armed)
 
 
-def bag_route(bags: Bags, location: Location, triggers: RecordingTriggers | None = None) -> Resource:
+def bag_route(bags: Bags, location: Location, *, triggers: RecordingTriggers | None = None) -> Resource:
     """Return the resource at `/bags/` or below. Raises a 404 Problem, or 308 if only the slash differs."""
     space, recordings = bags.session.space, bags.recordings
     match location.segments, location.is_container:

@@ -73,7 +73,7 @@ async def create_hold(
     states: VersionCache[State],
     holds: Holds,
     name: str,
-    find: Find | None,
+    find: Find,
 ) -> Answer:
     """Carry out a POST to a topic: hold it. Raises all refusals."""
     rate, (lease, is_timed) = _rate(exchange, session.limiter), _lease(exchange, session) or (LEASE, False)
@@ -150,7 +150,7 @@ class HoldResource(KeptResource[Hold]):
         states: VersionCache[State],
         holds: Holds,
         id: str,
-        find: Find | None = None,
+        find: Find,
     ) -> None:
         super().__init__(session, states, session.space.hold(id), id)
         self.limit_checks = limit_checks
@@ -365,9 +365,9 @@ def _number(exchange: Exchange, name: str, limit: float, words: str) -> float | 
     return value
 
 
-def _readable(space: Space, find: Find | None, exchange: Exchange) -> Find | None:
+def _readable(space: Space, find: Find, exchange: Exchange) -> Find:
     """Return a finder of resources that hides those that the agent may not read."""
-    if find is None or exchange.permissions.is_unrestricted:
+    if exchange.permissions.is_unrestricted:
         return find
 
     def found(path: str) -> Resource:
@@ -379,7 +379,7 @@ def _readable(space: Space, find: Find | None, exchange: Exchange) -> Find | Non
 
 
 async def _then(
-    asked: str | None, session: Session, publishing: Publisher, held: HeldMessage, find: Find | None
+    asked: str | None, session: Session, publishing: Publisher, held: HeldMessage, find: Find
 ) -> tuple[HeldMessage | None, str]:
     """Return the message at the end of a hold, and how it was requested; checked against limits and encoded."""
     schema = held.schema
@@ -402,14 +402,12 @@ async def _then(
     return _command(session, publishing.name, schema, message, restamp=True), words
 
 
-async def _message_at(
-    url: str, space: Space, lifting: LiftSettings, schema: MessageSchema, find: Find | None
-) -> Message:
+async def _message_at(url: str, space: Space, lifting: LiftSettings, schema: MessageSchema, find: Find) -> Message:
     """Return the current message at a URL of this server. Raises Problems (422), and LoweringError."""
     base = space.base
     whole = urljoin(base, url)
     document, _, fragment = whole.partition("#")
-    if find is None or not document.startswith(base) or urlsplit(document).query:
+    if not document.startswith(base) or urlsplit(document).query:
         raise Problem(422, f"It is zero, none, or the URL of a message below {base}")
     try:
         resource = find("/" + document[len(base) :])

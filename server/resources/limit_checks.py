@@ -13,8 +13,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.adapters.model import Descriptor, Kind, Message, MessageSchema, ParameterValue
 from rosld.ontology.body import RdfBody, Term
 from rosld.ontology.lexical import BINARIES
-from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.urls import Space
+from rosld.ontology.lift import lifter
 from rosld.ontology.violations import LoweringError, Path, Violation, brief_value
 from rosld.ontology.vocab import rdf, ros, sh
 from rosld.server.http.problem import Problem
@@ -26,7 +25,7 @@ from rosld.server.policies.active_limits import ActiveLimits
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import QueryParameter
 from rosld.server.rest.state import State
-from rosld.server.robot.audited_adapter import AuditedAdapter
+from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import any_number_hint, takes_finite_numbers
 from rosld.server.runtime.dry_run import note_limits
 from rosld.shapes.command_numbers import (
@@ -68,22 +67,11 @@ _LINKS = {"#message": ros.latest, "#request": ros.request, "#goal": ros.goalMess
 class LimitChecks:
     """Checks what is written against the limits in force, by the resources and the types that they are about."""
 
-    def __init__(
-        self,
-        space: Space,
-        lifting: LiftSettings,
-        adapter: AuditedAdapter,
-        affordances: AffordanceService[State],
-        active: ActiveLimits,
-        allow_non_finite: tuple[str, ...] = (),
-    ) -> None:
-        """`allow_non_finite` are the globs of the names that are sent any number."""
-        self._space = space
-        self._lifting = lifting
-        self._adapter = adapter
+    def __init__(self, session: Session, affordances: AffordanceService[State], active: ActiveLimits) -> None:
+        self._session = session
+        self._space = session.space
         self._affordances = affordances
         self._active = active
-        self._allow_non_finite = allow_non_finite
 
     @property
     def limits(self) -> Limits:
@@ -111,7 +99,7 @@ class LimitChecks:
             note_limits(url)
             said = Triple(NamedNode(url), _LINKS[node], NamedNode(url + node))
             broken += shape.violations(
-                NamedNode(url), [said, *lifter(schema, self._lifting).triples(message, url, node)]
+                NamedNode(url), [said, *lifter(schema, self._session.lifting).triples(message, url, node)]
             )
         own = MessageValue(schema, message, schema.type.fields, url)
         broken += await self._of_property(kind, name, own)
@@ -184,7 +172,7 @@ class LimitChecks:
             raise LoweringError(*broken)
 
     def _takes_finite(self, kind: Kind, name: str, type: str = "") -> bool:
-        return takes_finite_numbers(self._adapter.graph, self._allow_non_finite, kind, name, type)
+        return takes_finite_numbers(self._session.graph, self._session.settings.allow_non_finite, kind, name, type)
 
     def _require_finite_parameter(self, name: str, value: ParameterValue, path: Path = None) -> None:
         """Raise LoweringError where a float of a parameter, or of one in a tree, is not finite or too large."""
@@ -196,7 +184,7 @@ class LimitChecks:
 
     def _declaration_violations(self, name: str, value: ParameterValue) -> list[Violation]:
         """Return the violations by a value, or one in a tree, of declarations of nodes."""
-        parameter = self._adapter.graph.parameters.get(name)
+        parameter = self._session.graph.parameters.get(name)
         if parameter is not None:
             return list(violations(parameter.descriptor or Descriptor(), name, self._space.parameter(name), value))
         if not isinstance(value, dict):
@@ -244,7 +232,7 @@ class LimitChecks:
         return [(url_of(shown, self._space), field) for shown, field in tree.names_of(found)]
 
     def _triples(self, url: str, predicate: NamedNode, value: Value, field: str | None = None) -> list[Triple]:
-        return value_triples(NamedNode(url), predicate, Reading("value", value), field, self._lifting)
+        return value_triples(NamedNode(url), predicate, Reading("value", value), field, self._session.lifting)
 
 
 def require_no_octets(body: RdfBody, texts: Set[NamedNode]) -> None:

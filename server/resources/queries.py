@@ -452,7 +452,7 @@ async def _require_size(exchange: Exchange) -> None:
             pass
 
 
-def query_route(documents: Documents, queries: StoredQueries, location: Location, *, runner: QueryRunner) -> Resource:
+def query_route(documents: Documents, queries: StoredQueries, runner: QueryRunner, location: Location) -> Resource:
     """`/queries/` and below."""
     found = stored_route(documents, location)
     match found:

@@ -103,9 +103,9 @@ class TopicResource(NamedResource[Topic]):
         holds: Holds,
         pictures: PictureCache,
         name: str,
-        find: Callable[[str], Resource] | None = None,
+        find: Callable[[str], Resource],
     ) -> None:
-        """`find` gives the resource at a path below the base, where a request may name one."""
+        """`find` gives the resource at a path below the base."""
         super().__init__(session, limit_checks, states, name)
         self._find = find
         self.history = history

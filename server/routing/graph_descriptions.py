@@ -27,9 +27,12 @@ from rosld.ontology.triples import RDF_SOURCE, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.resources import types
+from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.bags import bag_urls, describe_armed, describe_bag, describe_running
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.namespaces import listed_graph, namespaces
+from rosld.server.resources.nodes import NodeResource
+from rosld.server.resources.ontology import OntologyResource
 from rosld.server.resources.parameters import ParameterTree
 from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.queries import queries_document, shipped_document
@@ -97,7 +100,7 @@ class GraphDescriptions:
         yield _described(space.base, (graph.revision, problems, session.name), entry)
         simulated = graph.simulated_time
         for name, known in node_views(graph).items():
-            view = self._factory.node(name).with_offers(known)
+            view = self._factory.named(NodeResource, name).with_offers(known)
             describe = partial(node_document, view, space, simulated_time=simulated)
             yield _described(space.node(name), (view, simulated), describe)
         for topic in graph.topics.values():
@@ -111,7 +114,7 @@ class GraphDescriptions:
         for service in graph.services.values():
             yield _described(space.service(service.name), service, partial(service_document, service, space, graph))
         for name, action in graph.actions.items():
-            one = self._factory.action(name)
+            one = self._factory.named(ActionResource, name)
             goals = tuple(goal.id for goal in session.goals.of_action(name))
             yield _described(one.url, (action, goals, one.takes_goals), one.document)
         for parameter in graph.parameters.values():
@@ -126,7 +129,7 @@ class GraphDescriptions:
         yield from self._activities()
         for iri, fixed in self._fixed.items():
             yield _described(iri, 0, fixed)
-        for module in (self._factory.ontology_module(name) for name in MODULES):
+        for module in (OntologyResource(space, self._factory.states, name) for name in MODULES):
             yield _described(module.url, 0, module.document)
 
     def _containers(self, graph: Graph) -> Iterator[GraphEntry]:

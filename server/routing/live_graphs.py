@@ -25,10 +25,12 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.resource_tree import ComplexPlan, MemberPlan, ResourceTree
 from rosld.server.hypermedia.type_inference import is_bulky
 from rosld.server.policies import active_limits, stored_queries
+from rosld.server.resources.bag_messages import BagMessage
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.namespaces import namespaces
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.topics import TopicResource
+from rosld.server.resources.types import TypeResource
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.routing.graph_descriptions import GraphDescriptions, document_ntriples
@@ -119,7 +121,7 @@ class RobotGraphs:
 
     async def _read_type(self, name: str) -> None:
         try:
-            await self._factory.type(name).state()
+            await TypeResource(self._session, self._factory.states, name).state()
         except (Problem, RosError):  # the query finds nothing there, as a GET does
             pass
 
@@ -180,7 +182,7 @@ class RobotGraphs:
     def _parameters(self, graph: Graph) -> Iterator[_Candidate]:
         space, factory = self._session.space, self._factory
         for name in graph.parameters:
-            yield _Candidate(space.parameter(name), _PARAMETER, partial(factory.parameter, name))
+            yield _Candidate(space.parameter(name), _PARAMETER, partial(factory.named, ParameterResource, name))
         for path in namespaces(graph, "parameters"):
             yield _Candidate(space.container("parameters", path), _PARAMETER, partial(factory.parameter_tree, path))
 
@@ -236,7 +238,7 @@ class RobotGraphs:
                 case Location("bags", (bag, "messages", index), False) if index.isdecimal():
                     recording = self._recordings.readable.get(bag)
                     if recording is not None and recording.first <= int(index) < recording.first + recording.count:
-                        yield LiveDocument(url, self._factory.bag_message(recording, int(index)), is_named=True)
+                        yield LiveDocument(url, BagMessage(self._factory.bags, recording, int(index)), is_named=True)
 
     # --- reading
 

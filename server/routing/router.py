@@ -9,11 +9,34 @@ from typing import TypeAlias
 from starlette.types import Scope
 
 from rosld.ontology.urls import Location, Space, locate
+from rosld.server.html.page import StoredQueryLink
 from rosld.server.http.problem import Problem
-from rosld.server.resources.queries import QueryRunner
+from rosld.server.hypermedia.resource_tree import path_of
+from rosld.server.openapi.openapi_resource import OpenApiResource
+from rosld.server.policies.stored_queries import StoredQueries
+from rosld.server.resources.actions import ActionResource
+from rosld.server.resources.activities import ActivityContainer, ActivityResource
+from rosld.server.resources.bag_routes import bag_route
+from rosld.server.resources.cockpit_panels import CockpitSources, QueryTables
+from rosld.server.resources.cockpits import cockpit_route
+from rosld.server.resources.diagnostics import DiagnosticsResource
+from rosld.server.resources.entry_point import EntryResource, GuideResource
+from rosld.server.resources.find import FindResource
+from rosld.server.resources.finder import Finder
+from rosld.server.resources.graph_store import GraphStore
+from rosld.server.resources.ldp.routes import stored_route
+from rosld.server.resources.nodes import NodeResource
+from rosld.server.resources.ontology import ontology_route
+from rosld.server.resources.parameters import ParameterResource
+from rosld.server.resources.queries import QueryRunner, query_route
+from rosld.server.resources.services import ServiceResource
+from rosld.server.resources.sparql_endpoint import SparqlResource
 from rosld.server.resources.static_assets import FILES
+from rosld.server.resources.things import RobotThing
+from rosld.server.resources.types import shape_route, type_route
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.resource import Resource, permanent_redirect
+from rosld.server.robot.diagnostic_states import LevelTimes
 from rosld.server.routing.resource_factory import ResourceFactory
 from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.update.base import UpdateRunner
@@ -22,6 +45,8 @@ Route: TypeAlias = Callable[[Location], Resource]
 _MAX_CACHED = 8192
 _SHORT = 256
 """Maximum number of characters of a path whose location is cached."""
+_EXAMPLES = 100
+"""Stored queries that the page of the endpoint lists."""
 _located = lru_cache(_MAX_CACHED)(locate)
 
 
@@ -64,41 +89,41 @@ def single_route(make: Callable[[], Resource]) -> Route:
     return route
 
 
-def robot_routes(factory: ResourceFactory) -> Mapping[str, Route]:
-    """Return the routes of the robot and related resources by the first segments of their paths."""
+def _parameter_route(factory: ResourceFactory, location: Location) -> Resource:
+    """Return a parameter, or a tree of them where the location ends in a slash."""
+    name = location.name
+    if "" in location.segments:
+        raise Problem(404, f"No parameter is called {name}: none has a part that is empty.")
+    if location.is_container:
+        return factory.parameter_tree(location.segments)
+    if not location.segments:
+        raise permanent_redirect(factory.session.space.container("parameters"))
+    return factory.named(ParameterResource, name)
+
+
+def _resource_route(factory: ResourceFactory, location: Location) -> Resource:
+    """Return a resource below `/resources/`."""
+    if location.is_container:
+        return factory.complex(path_of(location.segments))
+    if not location.segments:
+        raise permanent_redirect(factory.session.space.container("resources"))
+    if not location.segments[-1]:
+        raise Problem(404, f"No resource is called {location.name}: its own name would be empty.")
+    return factory.member(location.name)
+
+
+def _thing_route(factory: ResourceFactory, location: Location) -> RobotThing:
+    """The Thing Description of the robot at `/.well-known/wot`; 404 at other locations below `/.well-known/`."""
     space = factory.session.space
-    return {
-        "": single_route(factory.entry),
-        "nodes": _named_route(factory, "nodes", factory.node),
-        "topics": _named_route(factory, "topics", factory.topic),
-        "services": _named_route(factory, "services", factory.service),
-        "calls": _flat(space, "A call", factory.calls, factory.call),
-        "actions": _named_route(factory, "actions", factory.action),
-        "goals": _flat(space, "A goal", factory.goals, factory.goal),
-        "activity": _flat(space, "A receipt", factory.activities, factory.activity),
-        "holds": _flat(space, "A hold", factory.holds, factory.hold),
-        "parameters": factory.parameter_at,
-        "types": factory.type_at,
-        "shapes": factory.shape_at,
-        "bags": factory.bag_at,
-        "resources": factory.resource_at,
-        "data": factory.document_at,
-        "mappings": factory.document_at,
-        ".well-known": factory.robot_thing,
-        "stop": single_route(factory.stop),
-        "graph": single_route(factory.graph),
-        "diagnostics": single_route(factory.diagnostics),
-        "llms.txt": single_route(factory.guide),
-        "ontology": factory.ontology_at,
-    } | {name: single_route(partial(make, space)) for name, make in FILES.items()}
+    if location.segments != ("wot",) or location.is_container:
+        raise Problem(404, f"It is not among what is well known here: {space.base}.well-known/ lists that.")
+    return RobotThing(space, factory.affordances, factory.things)
 
 
-def _finding(factory: ResourceFactory, at: Callable[[str], Resource]) -> Mapping[str, Route]:
-    """Return the routes whose requests may contain the URL of a message, with the function that finds it."""
-    return {
-        "topics": _named_route(factory, "topics", partial(factory.topic, find=at)),
-        "holds": _flat(factory.session.space, "A hold", factory.holds, partial(factory.hold, find=at)),
-    }
+def _examples(queries: StoredQueries) -> list[StoredQueryLink]:
+    """Return example queries: all that come with rosld, and some of the stored ones."""
+    found = queries.all(limit=_EXAMPLES)
+    return [StoredQueryLink(url, query.name, query.purpose, query.text) for url, query in found]
 
 
 class Router:
@@ -107,40 +132,92 @@ class Router:
     def __init__(
         self,
         factory: ResourceFactory,
-        routes: Mapping[str, Route],
         service: QueryService,
         pages: PageRenderer,
-        updates: Callable[[Callable[[str], Resource]], UpdateRunner] | None = None,
+        updates: Callable[[Callable[[str], Resource]], UpdateRunner],
     ) -> None:
         """Initialize; `updates` returns the update runner, given a function that finds resources by path (`at`)."""
-        self._space = factory.session.space
-        described = factory.openapi(self.at)
-        self.search = factory.search()
-        changes = None if updates is None or factory.session.settings.read_only else updates(self.at)
-        self.graphs = factory.graph_store(service, self.resolve, changes)
-        self.endpoint = factory.sparql_endpoint(service, pages, changes)
-        runner = QueryRunner(service, pages, self._space.base)
-        self._routes: dict[str, Route] = {
-            **routes,
-            **_finding(factory, self.at),
+        factory.find = self.at
+        services, session, states = factory.services, factory.session, factory.states
+        affordances, settings, history = factory.affordances, session.settings, factory.history
+        documents, queries, recordings = services.documents, services.queries, services.recordings
+        space = self._space = session.space
+        changes = None if settings.read_only else updates(self.at)
+        finder = Finder(session, affordances, documents, queries)
+        self.search = FindResource(session, affordances, factory.latest_values, services.property_reader, finder)
+        self.graphs = GraphStore(space, settings, states, service, self.resolve, changes)
+        examples = partial(_examples, queries)
+        self.endpoint = SparqlResource(space, settings, states, service, pages, examples, changes)
+        described = OpenApiResource(
+            session,
+            affordances,
+            documents.workers,
+            queries,
+            services.mappings,
+            recordings,
+            services.instance_id,
+            self.at,
+        )
+        cockpits = CockpitSources(
+            session,
+            affordances,
+            documents,
+            queries,
+            history,
+            services.software_stop,
+            service,
+            self.at,
+            QueryTables(),
+        )
+        runner, level_times, receipts = QueryRunner(service, pages, space.base), LevelTimes(), services.receipts
+        stored = partial(stored_route, documents)
+        self.routes: dict[str, Route] = {
+            "": single_route(lambda: EntryResource(session, states, recordings, services.problems)),
+            "nodes": _named_route(factory, "nodes", partial(factory.named, NodeResource)),
+            "topics": _named_route(factory, "topics", factory.topic),
+            "services": _named_route(factory, "services", partial(factory.named, ServiceResource)),
+            "calls": _flat(space, "A call", factory.calls, factory.call),
+            "actions": _named_route(factory, "actions", partial(factory.named, ActionResource)),
+            "goals": _flat(space, "A goal", factory.goals, factory.goal),
+            "activity": _flat(
+                space,
+                "A receipt",
+                lambda: ActivityContainer(space, states, receipts),
+                lambda id: ActivityResource(space, settings, states, receipts, id),
+            ),
+            "holds": _flat(space, "A hold", factory.holds, factory.hold),
+            "parameters": partial(_parameter_route, factory),
+            "types": partial(type_route, session, states),
+            "shapes": partial(shape_route, session, affordances, factory.limit_checks, documents),
+            "bags": partial(bag_route, factory.bags),
+            "resources": partial(_resource_route, factory),
+            "data": stored,
+            "mappings": stored,
+            ".well-known": partial(_thing_route, factory),
+            "stop": single_route(factory.stop),
+            "graph": single_route(factory.graph),
+            "diagnostics": single_route(lambda: DiagnosticsResource(session, history, level_times)),
+            "llms.txt": single_route(lambda: GuideResource(space, session.name, read_only=settings.read_only)),
+            "ontology": partial(ontology_route, space, states),
             "sparql": single_route(lambda: self.endpoint),
-            "queries": partial(factory.query_at, runner=runner),
-            "cockpit": partial(factory.cockpit_at, service=service, find=self.at),
+            "queries": partial(query_route, documents, queries, runner),
+            "cockpit": partial(cockpit_route, cockpits),
             "openapi.json": single_route(lambda: described),
             "find": single_route(lambda: self.search),
             "graphs": single_route(lambda: self.graphs),
+            **{name: single_route(partial(make, space)) for name, make in FILES.items()},
         }
-        self._base = self._space.path.rstrip("/")
+        self._base = space.path.rstrip("/")
         self._kept: dict[bytes, Resource] = {}
 
     def add(self, routes: Mapping[str, Route]) -> None:
         """Add routes, replacing those of the same names."""
-        self._routes.update(routes)
+        self.routes |= routes
 
     @property
     def route_names(self) -> frozenset[str]:
         """First segments of all valid paths; that of the entry point is empty."""
-        return frozenset(self._routes)
+        return frozenset(self.routes)
 
     def resolve(self, scope: Scope) -> Resource:
         """Return the resource at the path of a request. Raises Problem 400 for malformed paths, 404, and 308.
@@ -179,7 +256,7 @@ class Router:
     def at(self, path: str) -> Resource:
         """Return the resource at a path below the base. Raises Problems (404, 308), ValueError if it is malformed."""
         location = _located(path) if len(path) <= _SHORT else locate(path)
-        route = self._routes.get(location.kind)
+        route = self.routes.get(location.kind)
         if route is None:
             raise Problem(404, f"There is nothing at {path}; begin at {self._space.base}")
         return route(location)

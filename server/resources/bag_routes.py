@@ -1,23 +1,33 @@
-"""The container of recordings, which starts those that are posted to it, and the routes below it."""
+"""Container of recordings, their files and uploads, and the routes below `/bags/`."""
 
 from __future__ import annotations
 
+import asyncio
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from io import FileIO
+from pathlib import Path
+
+from starlette.responses import Response
 
 from rosld.adapters.base import Recording
+from rosld.adapters.model import Encoding, RosError
 from rosld.ontology.describe_graph import container_document
 from rosld.ontology.urls import Location
+from rosld.server.history.bag_export import EXPORT_FORMATS, CannotExport, ExportFormat, require_encoding
 from rosld.server.history.recording_orders import RecordingOrder, RecordingRefused
 from rosld.server.history.recordings import Recordings
 from rosld.server.html.forms import Form
+from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import MessageSchemas
-from rosld.server.resources.bag_files import BagFile, BagUpload, UnreadableBag
 from rosld.server.resources.bag_messages import BagMessage, BagMessages, bag_moment
 from rosld.server.resources.bags import ArmedBag, BagBase, BagResource, Bags, RunningBag, bag_urls
 from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
+from rosld.server.resources.ldp.bodies import single_chunk
 from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, read_order, recording_form
 from rosld.server.resources.recording_trigger import (
     NOTHING_IS_RECORDED,
@@ -28,8 +38,9 @@ from rosld.server.resources.recording_trigger import (
     urls_of,
 )
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.path_item import PathItem, WriteMethod
+from rosld.server.rest.path_item import ANY_TYPE, BYTES, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import (
+    ABSENT,
     BASIC_CONTAINER,
     RDF_SOURCE,
     READ,
@@ -39,7 +50,192 @@ from rosld.server.rest.resource import (
     Resource,
     permanent_redirect,
 )
+from rosld.server.rest.responses import UNKNOWN, file_response, file_stream, resource_headers, unless_gone
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
+
+_EXPORTED = tuple(each.media_type for each in EXPORT_FORMATS.values())
+_FORMAT = QueryParameter(
+    "format",
+    "Converted, before Accept: " + "; ".join(f"`{one.name}` is {one.about}" for one in EXPORT_FORMATS.values()) + ".",
+    {"type": "string", "enum": [*EXPORT_FORMATS]},
+)
+
+
+class BagFile(BagBase):
+    """The bytes of a recording, whole or in ranges; or converted into a bag of ROS 1 or ROS 2."""
+
+    kind = "File of a recording"
+    links = (RESOURCE,)
+
+    def __init__(self, bags: Bags, recording: Recording) -> None:
+        super().__init__(bags, f"{bags.session.space.bag(recording.name)}file")
+        self.recording = recording
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        reads, about = (BYTES, *_EXPORTED), f"The file of {self.recording.name}"
+        return PathItem(about, reads=reads, query=(_FORMAT,), streams=False)
+
+    async def state(self) -> State:
+        raise Problem(406, "The file of a recording has no other representation than its bytes.")
+
+    async def custom_get(self, exchange: Exchange) -> Response | None:
+        path, found = self.recording.path, await asyncio.to_thread(_file_status, self.recording.path)
+        if found is None:
+            raise Problem(404, f"{self.recording.name} is not one file: POST to /bags/ makes one of what it holds.")
+        wanted = self._wanted(exchange)
+        etag = ETag(digest(f"{found.st_size} {found.st_mtime_ns}".encode()), "bin" if wanted is None else wanted.name)
+        headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
+        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
+        if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+            return Response(status_code=304, headers={**headers, "etag": str(etag)})
+        if wanted is not None:
+            return await self._export(exchange, wanted, {**headers, "etag": str(etag)})
+        try:
+            return await file_response(
+                path,
+                found.st_size,
+                UNKNOWN,
+                str(etag),
+                headers=headers,
+                name=path.name,
+                range_=exchange.header("range"),
+                if_range=exchange.header("if-range"),
+                head=exchange.method == "HEAD",
+            )
+        except FileNotFoundError as error:
+            raise Problem(410, f"{self.recording.name} has just been deleted.") from error
+
+    @property
+    def _encoding(self) -> Encoding:
+        return self.recordings.encoding(self.recording)
+
+    def _wanted(self, exchange: Exchange) -> ExportFormat | None:
+        """The format that the recording is to be converted into; None: its file as it is. Raises a 406 Problem."""
+        name = exchange.query.get("format")
+        if name is None:
+            own = [each.media_type for each in EXPORT_FORMATS.values() if each.encoding is self._encoding]
+            media_type = choose_offer(exchange.accept, (UNKNOWN, *own))
+            media_type = media_type or choose_offer(exchange.accept, _EXPORTED)  # whose refusal says why
+            return next((one for one in EXPORT_FORMATS.values() if one.media_type == media_type), None)
+        if name not in EXPORT_FORMATS:
+            others = " and ".join(f"?format={each}" for each in EXPORT_FORMATS)
+            raise Problem(406, f"?format={name[:40]} is unknown: there are {others}, and without it the file as it is.")
+        return EXPORT_FORMATS[name]
+
+    async def _export(self, exchange: Exchange, wanted: ExportFormat, headers: Mapping[str, str]) -> Response:
+        """Return the recording in another format, once it is converted. Raises Problems: 406, 410, 503, 507."""
+        recording = self.recording
+        shown = {
+            **headers,
+            "content-type": wanted.media_type,
+            "content-disposition": f'attachment; filename="{recording.name}{wanted.suffix}"',
+            "x-content-type-options": "nosniff",
+        }
+        try:
+            encoding = self._encoding
+            if encoding is wanted.encoding and recording.path.suffix == wanted.suffix:
+                file = await asyncio.to_thread(FileIO, recording.path)  # it is one already
+            else:
+                require_encoding(recording.name, encoding, wanted)
+                if exchange.method == "HEAD":
+                    return Response(headers=shown)
+                file = await unless_gone(exchange.receive, self.recordings.export(recording, wanted))
+        except CannotExport as error:
+            raise Problem(406, f"{str(error)[:1].upper()}{str(error)[1:]}.") from error
+        except FileNotFoundError as error:
+            raise Problem(410, f"{recording.name} has just been deleted.") from error
+        except OSError as error:
+            raise Problem(507, f"The recording cannot be converted: {error.strerror or error}.") from error
+        except RosError as error:
+            raise problem_of(error) from error
+        size = os.fstat(file.fileno()).st_size
+        raw = [(name.encode(), value.encode()) for name, value in {**shown, "content-length": str(size)}.items()]
+        return file_stream(raw, file, size)
+
+
+class BagUpload(BagBase):
+    """`/bags/NAME` without a slash at its end: where a recording is sent to; what there is of it has the slash."""
+
+    kind = "Recording to be sent"
+    takes_forms = False
+
+    def __init__(self, bags: Bags, name: str) -> None:
+        super().__init__(bags, bags.session.space.url("bags", (name,)))
+        self.name = name
+
+    def methods(self) -> frozenset[str]:
+        is_there = self._is_there
+        sent = frozenset[str]() if self.session.settings.read_only else frozenset({"PUT"})
+        return (READ if is_there else ABSENT) | sent
+
+    @property
+    def _is_there(self) -> bool:
+        bags = self.recordings
+        return self.name in self.recordings.readable or self.name in bags.running or self.name in bags.armed
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        put = WriteMethod(
+            "Sends a recording: a ROS 1 bag, an MCAP file or a ROS 2 database, or one compressed by zstd.",
+            done=(201,),
+            accepts=(ANY_TYPE,),
+        )
+        return PathItem("Where a recording is sent to", writes={"PUT": put})
+
+    def streams_body(self, exchange: Exchange) -> bool:
+        return exchange.method == "PUT"
+
+    async def state(self) -> State:
+        if self._is_there:
+            raise permanent_redirect(self.space.bag(self.name))
+        raise Problem(404, f"There is no recording {self.name}.")
+
+    async def put(self, exchange: Exchange) -> Answer:
+        """Receive a recording as the body, chunk by chunk: 201 once it can be read.
+
+        Raises a 409 Problem where the name is taken, 422 where it is no recording, 507 where it cannot be stored.
+        """
+        limit, whole = self.session.settings.upload_limit, exchange.consumed_body
+        chunks = exchange.chunks(limit=limit) if whole is None else single_chunk(whole)
+        try:
+            await self.recordings.receive(self.name, chunks)
+        except RecordingRefused as error:
+            status = 409 if error.taken else 413 if error.is_too_large else 422
+            raise Problem(status, f"{error}.") from error
+        except OSError as error:
+            raise Problem(507, f"The recording cannot be stored: {error.strerror or error}.") from error
+        resource = BagResource(self.bags, self.recordings.readable[self.name])
+        return CreatedAnswer(resource.url, resource, await resource.state())
+
+
+class UnreadableBag(BagBase):
+    """`/bags/NAME/` of a file that cannot be opened: it has taken the name, until DELETE removes it."""
+
+    kind = "File that cannot be opened"
+
+    def __init__(self, bags: Bags, name: str) -> None:
+        super().__init__(bags, bags.session.space.bag(name))
+        self.name = name
+        self.item = PathItem(f"The file {self.name}, which cannot be opened")
+
+    def methods(self) -> frozenset[str]:
+        return ABSENT if self.session.settings.read_only else ABSENT | {"DELETE"}
+
+    async def state(self) -> State:
+        raise Problem(404, f"{self.recordings.unreadable[self.name].problem}. DELETE removes its file.")
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """Delete the file."""
+        await self.recordings.delete(self.name)
+        return Response(status_code=204)
+
+
+def _file_status(path: Path) -> os.stat_result | None:
+    """Return the status of a file, or None if there is none at the path."""
+    try:
+        return path.stat() if path.is_file() else None
+    except OSError:
+        return None
 
 
 class BagContainer(BagBase):

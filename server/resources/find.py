@@ -35,7 +35,7 @@ from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.type_inference import is_light
 from rosld.server.hypermedia.value import Reading
 from rosld.server.resources.finder import Finder
-from rosld.server.resources.member_outlines import thumbnail
+from rosld.server.resources.namespaces import thumbnail
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource

@@ -1,22 +1,44 @@
-"""The containers of what comes and goes as the robot is used: calls, goals, holds."""
+"""Containers of calls, goals, holds and receipts, and each receipt."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
+import orjson
 from pyoxigraph import Triple
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import GoalStatus
+from rosld.ontology.describe_activities import Receipt, activity_document
 from rosld.ontology.describe_graph import container_document
 from rosld.ontology.describe_holds import hold_outline
 from rosld.ontology.describe_services import call_outline, goal_outline
 from rosld.ontology.document import Document
+from rosld.ontology.literals import date_time
 from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space
-from rosld.server.html.page import Cell, MemberColumns
+from rosld.server.auth.permissions import Permissions
+from rosld.server.events import query_params
+from rosld.server.html.page import Cell, MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
+from rosld.server.http.fields import render_links
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import ANYTHING
+from rosld.server.receipts.journal import Journal, JournalEntry, NoSuchReceipt
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import OFFERS
+from rosld.server.rest.paging import (
+    LdpPage,
+    PagePosition,
+    last_page_size,
+    last_position,
+    page_of,
+    page_query,
+    parse_position,
+    require_page,
+)
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
@@ -26,6 +48,8 @@ from rosld.server.robot.goals import Goals
 from rosld.server.robot.hold_store import Hold, Holds, InterruptedHold
 from rosld.server.runtime.tasks import Signal
 from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.settings import Settings
+from rosld.server.sparql.receipt_graphs import TITLE
 
 _OUTCOMES = {CallState.UNKNOWN: "outcome unknown", CallState.NOT_SENT: "not sent"}
 """Words for states of calls whose terms are no words."""
@@ -177,3 +201,173 @@ def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> Li
 def time_cell(nanoseconds: int | None) -> Cell:
     """Return a time in a table, nothing where there is none."""
     return date_time_literal(nanoseconds) or ""
+
+
+_NEWEST = 10**15
+"""The keys of pages rise: that of a receipt is this minus its number, so that the newest is on the first page."""
+
+
+class ActivityResource(Resource):
+    """The receipt of one write. It never changes."""
+
+    kind = "Activity"
+    shape = "Write"
+    item = PathItem("The receipt of a write", plain=ANYTHING)
+
+    def __init__(
+        self, space: Space, settings: Settings, states: VersionCache[State], receipts: Journal, id: str
+    ) -> None:
+        super().__init__(space, space.activity(id))
+        self.title = id
+        self.settings = settings
+        self.states = states
+        self.receipts = receipts
+        self.id = id
+
+    async def current_methods(self) -> frozenset[str]:
+        return await self.methods_if_there()
+
+    async def state(self) -> State:
+        try:
+            entry = self.receipts.find(self.id)
+        except NoSuchReceipt as error:
+            kept = self.settings.receipts_kept
+            sentence = f"There is no receipt {self.id}: it never was, or it is older than the {kept} that are kept."
+            raise Problem(404, sentence) from error
+        return self.states.get_or_make(self.url, entry.number, lambda: _receipt_state(self.space, entry))
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.receipts.changes.watch(wake)
+
+
+class ActivityContainer(Resource):
+    """`/activity/`: the receipts that are kept, in pages where there are many."""
+
+    kind = "Activity"
+    shape = "Container"
+    title = TITLE
+    item = PathItem("The receipts of writes, the newest first", plain=ANYTHING, is_paged=True)
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    _place: PagePosition | None = None
+
+    def __init__(self, space: Space, states: VersionCache[State], receipts: Journal) -> None:
+        super().__init__(space, space.container("activity"))
+        self.states = states
+        self.receipts = receipts
+
+    @property
+    def variant_key(self) -> PagePosition | None:
+        return self._place
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """Return the page that `?page=` asks for, the first of many pages (303); as a stream, the newest receipt."""
+        if exchange.method not in ("GET", "HEAD"):
+            return self
+        if query_params.stream_is_preferred(exchange.accept, OFFERS):
+            return NewestReceipt(self.space, self.receipts, exchange.permissions)
+        token = exchange.query.get("page")
+        if token is not None:
+            return self.variant(_place=parse_position(token))
+        require_page(exchange, self.url, len(self.receipts))
+        return self
+
+    async def state(self) -> State:
+        version = self.receipts.version
+        if self._place is None:
+            entries = list(self.receipts.newest_first())
+            return self.states.get_or_make(self.url, version, lambda: State(lambda: self._document(entries)))
+        page, told = self._page(self._place)
+
+        def make() -> State:
+            headers = {"link": render_links([*self.links, *page.links()]), "vary": "Accept, Prefer"}
+            part = f"p{digest(page.token.encode())}"
+            return State(lambda: page.add_to(self._document(told)), part=part, headers=headers)
+
+        return self.states.get_or_make(page.url, version, make)
+
+    def _document(self, entries: list[JournalEntry]) -> Document:
+        return container_document(self.url, (self.space.activity(entry.id) for entry in entries), TITLE)
+
+    def _page(self, place: PagePosition) -> tuple[LdpPage, list[JournalEntry]]:
+        """Return a page, and its receipts."""
+        entries = list(self.receipts.newest_first())
+        keys = [_NEWEST - entry.number for entry in entries]
+        after = place.after if isinstance(place.after, int) else 0
+        start = next((at for at, key in enumerate(keys) if key > after), len(keys))
+        limit = place.limit
+        last = last_position(limit, len(keys), keys[: -last_page_size(len(keys), limit) - 2 : -1])
+        before = keys[max(0, start - limit - 1) : start][::-1]
+        page = page_of(self.url, place, keys[start : start + limit + 1], before, last)
+        return page, entries[start : start + limit]
+
+    @property
+    def query(self) -> str:
+        return "" if self._place is None else page_query(self._place.token)
+
+    def navigation_links(self) -> tuple[SequenceLink, ...]:
+        return () if self._place is None else self._page(self._place)[0].neighbours()
+
+    def listing(self) -> MemberColumns:
+        """Return the columns: action, time, agent and outcome."""
+        space = self.space
+        receipts = self.receipts
+        entries = islice(receipts.newest_first(), 1000) if self._place is None else self._page(self._place)[1]
+        told = {space.activity(entry.id): entry.receipt for entry in entries}
+        return MemberColumns(
+            ("when", "who", "answer", "words"),
+            {url: _cells(receipt) for url, receipt in told.items()},
+            len(receipts),
+            {url: f"{receipt.method} {receipt.url.removeprefix(space.base[:-1])}" for url, receipt in told.items()},
+            frozenset(url for url, receipt in told.items() if receipt.status >= 400),
+        )
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.receipts.changes.watch(wake)
+
+
+class NewestReceipt(Resource):
+    """`/activity/` as a stream: each write when it comes, as far as an agent may read its receipt.
+
+    Those that come faster than is read are left out.
+    """
+
+    kind = "Activity"
+    shape = "Write"
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    def __init__(self, space: Space, receipts: Journal, permissions: Permissions) -> None:
+        super().__init__(space, space.container("activity"))
+        self.receipts = receipts
+        self._permissions = permissions
+
+    async def state(self) -> State:
+        entries, may_read = self.receipts.newest_first(), self._permissions.may_read
+        entry = next((each for each in entries if may_read(self.space.activity(each.id))), None)
+        if entry is None:
+            return State(lambda: container_document(self.url, (), TITLE), lambda: b"null", "nothing")
+        return _receipt_state(self.space, entry)
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.receipts.changes.watch(wake)
+
+
+def _receipt_state(space: Space, entry: JournalEntry) -> State:
+    receipt = entry.receipt
+    return State(lambda: activity_document(receipt, space), lambda: _json(receipt), receipt.id)
+
+
+def _json(receipt: Receipt) -> bytes:
+    """Return a receipt as plain JSON, without what it does not have."""
+    told = receipt._asdict()
+    times = {"started": date_time(0, receipt.started_ns), "ended": date_time(0, receipt.ended_ns)}
+    kept = {
+        name: value
+        for name, value in told.items()
+        if name not in ("number", "started_ns", "ended_ns") and value not in (None, (), "", False)
+    }
+    return orjson.dumps({**kept, **times, "seconds": receipt.seconds})
+
+
+def _cells(receipt: Receipt) -> tuple[Cell, ...]:
+    return (time_cell(receipt.ended_ns), receipt.agent, str(receipt.status), receipt.words or "")

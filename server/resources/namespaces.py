@@ -1,4 +1,4 @@
-"""Containers of nodes, topics, services and actions: the namespaces of their names (LDP 5)."""
+"""Containers of nodes, topics, services and actions: the namespaces of their names, with brief members (LDP 5)."""
 
 from __future__ import annotations
 
@@ -6,19 +6,23 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+from pyoxigraph import NamedNode
+
 from rosld.adapters.base import Capabilities
-from rosld.adapters.model import Graph, Parameter, freeze, names
+from rosld.adapters.model import Action, Graph, Node, Parameter, Service, Topic, freeze, names
 from rosld.ontology.describe_graph import namespace_document
 from rosld.ontology.describe_search import MemberOutline, member_triples
 from rosld.ontology.document import Document
 from rosld.ontology.names import IdentityCache, Members, members_of
 from rosld.ontology.urls import Space, decode_segment, encode_segment
-from rosld.server.html.page import MemberColumns, SequenceLink
+from rosld.ontology.vocab import ros
+from rosld.server.html.page import Cell, MemberColumns, SequenceLink, Thumbnail
+from rosld.server.html.values import brief_text
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.brief_value import LatestValue, LatestValues
-from rosld.server.resources.member_outlines import action_cells, member_outlines, service_cells, topic_cells
+from rosld.server.pictures.form import OCCUPANCY_GRID
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import (
     LdpPage,
@@ -33,6 +37,77 @@ from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Re
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.runtime.version_cache import VersionCache
+
+_THUMBNAIL_WIDTH = 192
+"""Pixels: it is drawn half as wide, for screens that have two of them where others have one."""
+
+
+def member_outlines(
+    space: Space,
+    latest_of: Callable[[str], LatestValue | None],
+    things: Mapping[str, object],
+    route: str,
+    namespace: tuple[str, ...],
+    members: Members,
+) -> tuple[MemberOutline, ...]:
+    """Return in brief these members of a namespace, which are among `things`: names, types, latest values of topics."""
+    leaves = ((*namespace, leaf) for leaf in members.leaves)
+    below = ((*namespace, inner) for inner in members.namespaces)
+    return (
+        *(_outline(latest_of, things, names.join(path), space.url(route, path)) for path in leaves),
+        *(MemberOutline(space.container(route, path), None, names.join(path)) for path in below),
+    )
+
+
+def _outline(
+    latest_of: Callable[[str], LatestValue | None], things: Mapping[str, object], name: str, url: str
+) -> MemberOutline:
+    match things.get(name):
+        case Topic() as thing:
+            latest = latest_of(name)
+            rate, value = (None, None) if latest is None else (latest.rate, latest.json)
+            return MemberOutline(url, ros.Topic, name, tuple(thing.types), rate, value)
+        case Service() as thing:
+            return MemberOutline(url, ros.Service, name, () if thing.type is None else (thing.type.name,))
+        case Action() as thing:
+            return MemberOutline(url, ros.Action, name, () if thing.type is None else (thing.type.name,))
+        case Node():
+            return MemberOutline(url, ros.Node, name)
+    return MemberOutline(url, None, name)
+
+
+def topic_cells(topic: Topic, latest: LatestValue | None, space: Space) -> tuple[Cell, ...]:
+    """Return the cells of a topic: its type, its latest value and rate as far as they are at hand, its endpoints."""
+    kind = NamedNode(space.class_of(topic.type.name)) if topic.type else ", ".join(ref.name for ref in topic.types)
+    value = "" if latest is None or latest.json is None else brief_text(latest.json)
+    picture = None if latest is None else thumbnail(latest, space.topic(topic.name))
+    rate = "" if latest is None or latest.rate is None else f"{latest.rate:.3g} Hz"
+    return (kind, picture or value, rate, str(len(topic.publishers)), str(len(topic.subscribers)))
+
+
+def thumbnail(latest: LatestValue, url: str) -> Thumbnail | None:
+    """Return the small picture of the topic at a URL; None where its latest value is no picture that is drawn.
+
+    Its address is another one with each message, so that a page that is kept up to date fetches it again then only.
+    """
+    if latest.picture is None:
+        return None
+    format = "png" if latest.picture.type_name == OCCUPANCY_GRID else "jpeg"  # of maps much is transparent
+    query = f"format={format}&width={_THUMBNAIL_WIDTH}&v={latest.picture.sequence}"
+    return Thumbnail(url, query, "" if latest.json is None else brief_text(latest.json))
+
+
+def service_cells(service: Service, space: Space) -> tuple[Cell, ...]:
+    """Return the cells of a service: its type and who provides it."""
+    kind = NamedNode(space.class_of(service.type.name)) if service.type else ""
+    return (kind, NamedNode(space.node(service.providers[0])) if service.providers else "")
+
+
+def action_cells(action: Action, space: Space) -> tuple[Cell, ...]:
+    """Return the cells of an action: its type and who serves it."""
+    kind = NamedNode(space.class_of(action.type.name)) if action.type else ""
+    return (kind, NamedNode(space.node(action.servers[0])) if action.servers else "")
+
 
 Namespaces = Mapping[tuple[str, ...], Members]
 

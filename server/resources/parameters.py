@@ -29,12 +29,12 @@ from rosld.server.resources.accepted_shape import has_parameter_shape, parameter
 from rosld.server.resources.namespaces import LISTING_PARAMETERS, count_members
 from rosld.server.resources.parameter_base import (
     ParameterBase,
+    ParameterContainer,
     changed_values,
     descriptor_of,
     leaf_values,
     require_not_fixed,
 )
-from rosld.server.resources.parameter_container import ParameterContainer
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.paging import parse_named_position, require_page

@@ -15,7 +15,6 @@ from rosld.server.hypermedia.resource_tree import path_of
 from rosld.server.openapi.openapi_resource import OpenApiResource
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.actions import ActionResource
-from rosld.server.resources.activities import ActivityContainer, ActivityResource
 from rosld.server.resources.bag_routes import bag_route
 from rosld.server.resources.cockpit_panels import CockpitSources, QueryTables
 from rosld.server.resources.cockpits import cockpit_route
@@ -25,6 +24,7 @@ from rosld.server.resources.find import FindResource
 from rosld.server.resources.finder import Finder
 from rosld.server.resources.graph_store import GraphStore
 from rosld.server.resources.ldp.routes import stored_route
+from rosld.server.resources.listings import ActivityContainer, ActivityResource
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.ontology import ontology_route
 from rosld.server.resources.parameters import ParameterResource

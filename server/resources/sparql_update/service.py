@@ -13,6 +13,7 @@ from starlette.responses import Response
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
 from rosld.ontology.violations import LoweringError
+from rosld.server.auth.errors import forbidden
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset.base import TripleChanges
 from rosld.server.http.problem import Problem
@@ -21,7 +22,6 @@ from rosld.server.receipts.audit_context import record_step
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.ldp.base import Documents, StoredResource, conflict_problem, write_together
 from rosld.server.resources.property_action import MemberResource
-from rosld.server.resources.sparql_update.loading import load_documents
 from rosld.server.resources.sparql_update.report import (
     Outcome,
     RefusedGraphs,
@@ -31,13 +31,7 @@ from rosld.server.resources.sparql_update.report import (
     reason,
     report_response,
 )
-from rosld.server.resources.sparql_update.resource_graphs import read_graphs
-from rosld.server.resources.sparql_update.update_rights import (
-    require_change,
-    require_rights,
-    without_silent_failures,
-    without_silent_on,
-)
+from rosld.server.resources.sparql_update.sources import load_documents, read_graphs
 from rosld.server.rest.resource import READ, Plan, Resource, RobotWrite, StorageWrite
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
@@ -51,6 +45,60 @@ from rosld.server.sparql.update.executor import Delta, UpdateEvaluator
 from rosld.server.sparql.update.operations import GraphGroup, GraphVerb, ManageGraph, Operation
 from rosld.server.sparql.update.parser import read_update
 from rosld.server.storage.record import Conflict, ConflictCause, Model, Write
+
+
+def require_rights(operations: Sequence[Operation], permissions: Permissions) -> None:
+    """Refuse what may not be, before anything is looked at: it tells nothing but what was asked. Raises 401, 403.
+
+    A WHERE sees the whole dataset, so it is for those who may read it.
+    """
+    if permissions.is_unrestricted:
+        return
+    sources = [each.source for each in operations if isinstance(each, ManageGraph) and isinstance(each.source, str)]
+    for graph in sorted(named_graphs(operations)):
+        if graph in sources and not permissions.may_read(graph):
+            raise forbidden(permissions.agent, f"read <{graph[:200]}>")
+        if not (permissions.may("PUT", graph) or graph in sources):
+            raise forbidden(permissions.agent, f"change <{graph[:200]}>")
+    if permissions.may_read_all:
+        return
+    if has_where(operations):
+        raise forbidden(
+            permissions.agent,
+            "send an update with a WHERE, which is for those who may read everything: name the triples",
+        )
+
+
+def require_change(permissions: Permissions, graph: str, resource: Resource) -> None:
+    """Refuse to change a graph, with all that this changes. Raises 401, 403."""
+    place = permissions.locate(graph)
+    if permissions.is_unrestricted or place is None:
+        return
+    may = permissions.may("PUT", graph) and all(permissions.may("PUT", url) for url in resource.also_changes)
+    if not may or (resource.changes_subtree and not permissions.may_subtree("PUT", place)):
+        raise forbidden(permissions.agent, f"change <{graph[:200]}>")
+
+
+def without_silent_failures(
+    operations: Sequence[Operation], require: Callable[[Operation], None]
+) -> Sequence[Operation]:
+    """Return the operations without those with SILENT that are refused; raise the Problem of any other."""
+    found = []
+    for operation in operations:
+        try:
+            require(operation)
+        except Problem:
+            if not operation.silent:
+                raise
+        else:
+            found.append(operation)
+    return found
+
+
+def without_silent_on(operations: Sequence[Operation], graphs: Set[str]) -> Sequence[Operation]:
+    """Return the operations without those with SILENT that name one of these graphs, which are refused."""
+    return [each for each in operations if not (each.silent and graphs & named_graphs([each]))]
+
 
 ATTEMPTS = 4
 """Times that an update is evaluated where what it is evaluated over changes before it is carried out."""

@@ -14,14 +14,10 @@ Answer: TypeAlias = "tuple[Flight, Values]"
 
 
 class _Text(Protocol):
-    """A message with a string."""
-
     data: str
 
 
 class _Number(Protocol):
-    """A message with a number."""
-
     data: float
 
 

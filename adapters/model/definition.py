@@ -1,8 +1,7 @@
 """Definitions: texts of messages, services and actions, split, named and hashed like genmsg does.
 
 They are received from recordings and other nodes, so they have limits: in a definition of 2 kB, each type can nest the
-next one twice, which gives more fields than fit in memory, and a message of 4 bytes can hold 4e9 elements of a type
-without fields.
+next one twice, with more fields than fit in memory; a message of 4 bytes can have 4e9 elements without fields.
 """
 
 from __future__ import annotations
@@ -207,10 +206,7 @@ def md5_text(name: str, text: str, md5_of: Callable[[str], str]) -> str:
 
 
 def md5(name: str, texts: Mapping[str, str]) -> str:
-    """Return the hexadecimal MD5 of a message type, like genmsg.
-
-    `texts` must be closed; KeyError names a missing type.
-    """
+    """Return the hexadecimal MD5 of a message type, like genmsg. Raises KeyError naming a type missing in `texts`."""
     return _Hashing(texts).md5(name)
 
 

@@ -67,8 +67,7 @@ class IndividualTypeMessage(Protocol):
 def definition_of(name: str, described: Iterable[IndividualTypeMessage]) -> str:
     """Return the definition of a message, service or action, with the messages that it nests appended.
 
-    `described` are the type and all that it refers to. Raises ValueError naming a type that is missing or cannot be
-    written in .msg.
+    `described` are the type and all that it refers to. Raises ValueError naming a type that is missing or impossible.
     """
     fields = {each.type_name: each.fields for each in described}
     parts = [f"{name}{end}" for end in _PARTS[written_form(name)]]

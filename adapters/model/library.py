@@ -202,10 +202,7 @@ class TypeLibrary:
         return self._files
 
     def _closure(self, name: str, texts: Mapping[str, str]) -> dict[str, str]:
-        """Return the texts of `name` and of all types that it nests.
-
-        Raises ValueError naming a type that is not found.
-        """
+        """Return the texts of `name` and of all types nested in it. Raises ValueError naming a missing type."""
         closed: dict[str, str] = {}
         wanted = [name]
         while wanted:

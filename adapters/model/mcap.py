@@ -1,7 +1,4 @@
-"""Fields of MCAP records (https://mcap.dev/spec): little endian, with lengths before strings, bytes and maps.
-
-No I/O.
-"""
+"""Fields of MCAP records (https://mcap.dev/spec): little endian; lengths before strings, bytes, maps. No I/O."""
 
 from __future__ import annotations
 

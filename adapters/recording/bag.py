@@ -195,10 +195,7 @@ class Bag:
         self.silent = tuple(each for each in storage.silent if each not in self.topics)
 
     def message(self, index: int) -> RecordedMessage:
-        """Return message `index` in recorded order.
-
-        Raises NotFound outside 0 to count-1, Unreachable if it is damaged.
-        """
+        """Return message `index` in recorded order. Raises NotFound if it is out of range, Unreachable if damaged."""
         if not 0 <= index < self.count:
             last = f"its messages are 0 to {self.count - 1}" if self.count else "it holds none"
             raise NotFound(f"the recording {self.name} has no message {index}: {last}")

@@ -222,20 +222,14 @@ class OpenBudget:
         self._allowed += size * _WORK_PER_BYTE
 
     def work(self, units: int = _RECORD_WORK) -> None:
-        """Account for work, by default that of a record.
-
-        Raises OpeningRefused if it exceeds the limit or was cancelled.
-        """
+        """Account for work, by default that of a record. Raises OpeningRefused above the limit, or if cancelled."""
         self.check()
         self.worked += units
         if self.worked > self._allowed:
             raise OpeningRefused("reading it takes more work than a file of its size justifies")
 
     def learn(self, types: int, characters: int) -> None:
-        """Account for the definitions of types.
-
-        Raises OpeningRefused if there are too many or reading was cancelled.
-        """
+        """Account for the definitions of types. Raises OpeningRefused if there are too many, or if cancelled."""
         try:
             self.work(types * _TYPE_WORK + characters * _TEXT_WORK)
         except OpeningRefused as error:

@@ -216,7 +216,7 @@ class Actions:
             asyncio.get_running_loop().call_later(seconds, publication.send, cancel_message(""), False)
 
     async def _cancellation(self, action: str, until: float) -> Publication:
-        """Return the publication that cancels goals of an action, with its server connected. Raises Unreachable."""
+        """Return the publication of an action's cancellations, with its server connected. Raises Unreachable."""
         publication = await self._publications.advertise(f"{action}/cancel", _CANCEL, until)
         if not await publication.connected_to(self._servers(action), until):
             raise Unreachable(f"no goal was canceled: no server of {action} listens")
@@ -392,7 +392,6 @@ class Actions:
         self._sink.goal_changed(GoalId(action, id), replace(event, own=known.is_own))
 
     def _flush(self, action: str, id: str, known: _Known) -> None:
-        """Report pending events."""
         held, known.held = known.held, []
         for event in held:
             self._tell(action, id, known, event)

@@ -212,8 +212,7 @@ class Ros1Adapter(ThreadAdapter[Client]):
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """Set parameters; all are checked before the first is sent. Raises Refused naming the parameter.
 
-        Parameters declared by dynamic_reconfigure are set by their nodes, so that they take effect; all others at the
-        master.
+        Parameters of dynamic_reconfigure are set by their nodes, so that they take effect; all others at the master.
         """
         thread, client = self._running()
         await thread.run(client.set_parameters(values, thread_time(deadline)))

@@ -25,10 +25,7 @@ class Address(NamedTuple):
 
 
 def host_and_port(uri: str, *schemes: str) -> tuple[str, int]:
-    """Return host and port of a node's URI (`http://host:port/`, `rosrpc://host:port`).
-
-    Raises Unreachable naming it.
-    """
+    """Return host and port of a URI (`http://host:port/`, `rosrpc://host:port`). Raises Unreachable naming it."""
     try:
         parts = urlsplit(uri)
         host, port = parts.hostname, parts.port

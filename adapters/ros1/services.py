@@ -36,10 +36,7 @@ class Services:
         self._probes: set[asyncio.Task[None]] = set()
 
     def follow(self, services: Iterable[tuple[str, tuple[str, ...]]]) -> None:
-        """Request the types of services that are new, have moved, or could not be reached.
-
-        Given are names and providers.
-        """
+        """Request the types of services (with providers) that are new, have moved, or could not be reached."""
         now = asyncio.get_running_loop().time()
         listed = dict(services)
         self._asked = {name: asked for name, asked in self._asked.items() if name in listed}

@@ -111,7 +111,6 @@ def _parser(target: xmlrpc.client.Unmarshaller) -> expat.XMLParserType:
 
 
 def _value(found: object) -> ParameterValue:
-    """Return the unmarshalled value after checking its types."""
     if isinstance(found, (bool, int, float, str, bytes, datetime)):
         return found
     if isinstance(found, (list, tuple)):
@@ -194,10 +193,7 @@ class XmlRpcClient:
 
 
 async def read_head(reader: asyncio.StreamReader) -> tuple[str, dict[str, str]]:
-    """Return the first line and the header fields (names in lower case) of an HTTP message.
-
-    Raises Malformed, EOFError.
-    """
+    """Return first line and header fields (in lower case) of an HTTP message. Raises Malformed, EOFError."""
     try:
         head = await reader.readuntil(b"\r\n\r\n")
     except asyncio.LimitOverrunError as error:

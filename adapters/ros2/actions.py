@@ -148,7 +148,6 @@ class Actions:
             raise Refused(f"the goals of {action} are not canceled: {words}", sent=Sent.YES)
 
     async def _ask_to_cancel(self, action: str, id: bytes, until: float) -> Any:
-        """Return the response of an action server to a cancel request."""
         info = make_message("action_msgs/msg/GoalInfo", {"goal_id": _uuid(id)})
         request = make_message(_CANCEL, {"goal_info": info}, "Request")
         return await self._calls.call(f"{action}/_action/cancel_goal", _CANCEL, request, until)

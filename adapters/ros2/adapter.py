@@ -170,10 +170,7 @@ class Ros2Adapter(ThreadAdapter[System]):
         return Published(publication.matched)
 
     async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
-        """Create a writer that suits the topic's readers, and wait for one.
-
-        Raises Refused, Unreachable, UnknownType.
-        """
+        """Create a writer that suits the readers, and wait for one. Raises Refused, Unreachable, UnknownType."""
         _, system = self._running()
         publication = system.publications.by_topic.get(topic)
         latch = publication is not None and publication.latched

@@ -44,10 +44,7 @@ class Calls:
         self._lines: dict[tuple[str, str], _Line] = {}
 
     async def call(self, service: str, type: str, request: object, until: float) -> object:
-        """Return the response.
-
-        Raises TimedOut, Unreachable, UnknownType; `until` is a time of the thread's event loop.
-        """
+        """Return the response; `until` is a time of the thread's loop. Raises TimedOut, Unreachable, UnknownType."""
         if until <= self._loop.time():
             raise TimedOut(f"the time was up before {service} was called")
         line = self._line(service, type)

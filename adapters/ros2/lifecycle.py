@@ -163,10 +163,7 @@ class Lifecycles:
             pass  # the thread's event loop has ended
 
     def _take(self, node: str, one: _Managed) -> None:
-        """Process transition events.
-
-        A transition in progress is shown at once, as the node may not respond meanwhile.
-        """
+        """Process events. A transition is shown at once, because the node may not respond during it."""
         if _take_events(one):
             if one.is_underway:
                 self._list_anew()
@@ -203,7 +200,7 @@ class Lifecycles:
         self._list_anew()
 
     def _silent(self, one: _Managed, error: Exception) -> None:
-        """Record that a node does not respond. During a transition, its state is not replaced."""
+        """Record that a node does not respond, unless it is in transition."""
         if not one.is_underway:
             why = error.sentence if isinstance(error, RosError) else error
             words = f"it does not tell the state of its lifecycle: {why}"

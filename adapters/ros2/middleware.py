@@ -1,6 +1,6 @@
 """Participant in a ROS 2 system: subscriptions, publishers, clients, and the middleware's view of the system.
 
-Besides `message_classes` and `qos_profiles`, only this module uses rclpy, which is imported on first use.
+Besides `message_classes` and `profiles`, only this module uses rclpy, which is imported on first use.
 
 Contexts are our own, not rclpy's global one, so that no signal handlers are changed. Topics are read as bytes from the
 middleware's own history; there is no executor. All used parts of rclpy exist in Humble and later releases.

@@ -49,8 +49,7 @@ _MAX_PARAMETERS = 20_000
 class _Owner:
     """A node with parameters: their names and declarations, and the time of its next query.
 
-    `new` are names whose declarations have not been requested yet; `describes` is whether the node returns
-    declarations.
+    `new` are names with declarations yet to be requested; `describes` is whether the node returns declarations.
     """
 
     names: frozenset[str] = frozenset()

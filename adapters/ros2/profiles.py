@@ -34,8 +34,7 @@ def reading_profile(publishers: Sequence[Endpoint], depth: int, override: Qos = 
 def publishing_profile(subscribers: Sequence[Endpoint], *, latch: bool, override: Qos = Qos()) -> Qos:  # noqa: B008
     """Return a profile that all subscribers accept; with `latch`, later subscribers receive the last message.
 
-    DDS 1.4, 2.2.3: the offered quality must be at least the requested one, so the profile is reliable, and has the
-    strictest requested values.
+    DDS 1.4, 2.2.3: the offer must be at least what is requested, so it is reliable, with the strictest values.
     """
     known = [each.qos for each in subscribers if each.qos is not None]
     keeps = latch or any(qos.durability == "transient_local" for qos in known)

@@ -194,10 +194,7 @@ class MemoryStore:
         return [quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES)]
 
     def _quads(self, graph: str) -> Iterator[Quad]:
-        """Return the quads of a graph.
-
-        Walks past removed ones: for a graph replaced often its lines are read faster.
-        """
+        """Return the quads of a graph. Slow for a graph that is replaced often: its `_lines` are read faster."""
         return self._store.quads_for_pattern(None, None, None, NamedNode(graph))
 
     def query(
@@ -272,7 +269,6 @@ class MemoryStore:
         return _Step(graph, False, removed, lambda: added, len(gone), len(come))
 
     def _edit(self, edit: Edit) -> _Step:
-        """Return the step of an edit. Raises ValueError."""
         graph = NamedNode(edit.graph)
         removed = [*self._read(graph, edit.removed)]
         added = self._reader(graph, edit.added)
@@ -288,7 +284,6 @@ class MemoryStore:
         return lambda: _parse(graph, data)
 
     def _read(self, graph: NamedNode, text: str) -> Iterator[Quad]:
-        """Yield the triples of N-Triples for a graph. Raises ValueError."""
         return _parse(graph, self._encode(graph, text)) if text else iter(())
 
     def _encode(self, graph: NamedNode, text: str) -> bytes:
@@ -317,7 +312,6 @@ class MemoryStore:
         self._wear.note(graph.value, step.lost, step.gained)
 
     def _add(self, graph: NamedNode, triples: Iterable[Quad]) -> None:
-        """Add triples to a graph and to the default graph."""
         added: list[Quad] = []
         new: list[Quad] = []
         shared: set[Quad] = set()
@@ -427,10 +421,7 @@ def _parse(graph: NamedNode, data: bytes) -> Iterator[Quad]:
 
 
 def _lines(text: str) -> frozenset[str]:
-    """Return the lines without their ends.
-
-    Only a line feed ends one (RDF 1.1 N-Triples, 2), unlike `str.splitlines`.
-    """
+    """Return the lines. Only a line feed ends one (RDF 1.1 N-Triples, 2), unlike for `str.splitlines`."""
     return frozenset(text.split("\n")) - {""}
 
 

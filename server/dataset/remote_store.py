@@ -161,10 +161,7 @@ class RemoteStore:
 
 
 def _update_text(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[str]:
-    """Yield a DROP and an INSERT DATA per graph: parsed faster than one INSERT DATA for all.
-
-    ValueError for a bad IRI.
-    """
+    """Yield a DROP and an INSERT DATA per graph: parsed faster than one INSERT DATA. Raises ValueError."""
     for name, ntriples in graphs.items():
         iri = str(NamedNode(name))
         yield f"DROP SILENT GRAPH {iri};"

@@ -207,9 +207,9 @@ class Mirror:
                 await asyncio.sleep(max(0.0, begun + self._interval - time.monotonic()))
 
     async def close(self) -> None:
-        """Remove the graphs that are valid only while this server runs; after `run` was cancelled.
+        """Remove the graphs that are valid only while this server runs.
 
-        Takes a few seconds.
+        Call after `run` was cancelled; takes seconds.
         """
         self._ending = True
         if self._round is not None and not self._round.done():
@@ -250,10 +250,7 @@ class Mirror:
     # --- in the thread of a round
 
     def _tell_round(self) -> bool:
-        """Send the first pending changes, at least the heartbeat; return whether more are pending.
-
-        Raises StoreError.
-        """
+        """Send the first pending changes and the heartbeat; return whether more are pending. Raises StoreError."""
         if self._pending.overflowed:
             self._whole = False
             _log.warning("more changes wait for %s than are kept apart: all is told anew", self._target.url)
@@ -307,7 +304,6 @@ class Mirror:
         return runs == [Literal(self._run_name)] and len(moments) == 1 and moments[0] in self._moments
 
     def _write_heartbeat(self, state: NamedNode, batch: Sequence[_Part] = ()) -> None:
-        """Send these graphs, and the whole heartbeat."""
         heartbeat = NamedNode(self._ownership.heartbeat_graph)
         said = ((rdf.type, ros.Mirror), (ros.revision, Literal(self._run_name)), (ros.state, state))
         moment = self._moment()
@@ -358,10 +354,7 @@ class Mirror:
             yield from (_Part(graph, None, (Edit(graph, added=other),)) for other in others)
 
     def _push(self, batch: Sequence[_Part], left: int) -> int:
-        """Send a batch, split at refusals to skip refused graphs; return how many refusals are left.
-
-        Raises StoreError.
-        """
+        """Send a batch, split to skip refused graphs; return how many refusals are left. Raises StoreError."""
         if self._ending:
             raise StoreError("This server ends.")
         batch = [part for part in batch if not part.edits or part.graph not in self._refused]
@@ -391,7 +384,6 @@ class Mirror:
         self._tell((_Part(graph, None, ()),))
 
     def _tell(self, batch: Sequence[_Part]) -> None:
-        """Send one request with these parts and the heartbeat."""
         if len(self._moments) > _MOMENTS:
             self._whole = False  # too many outcomes are unknown
         moment = self._moment()

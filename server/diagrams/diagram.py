@@ -152,7 +152,6 @@ def _key(kind: VertexKind, name: str) -> str:
 def _vertices(
     graph: Graph, space: Space, selection: Selection, traffic: Callable[[Topic], Traffic]
 ) -> Iterator[Vertex]:
-    """Yield all vertices, in the order of their kinds and names."""
     for name, node in sorted(graph.nodes.items()):
         problem = f"does not answer: {node.unreachable}" if node.unreachable else ""
         yield Vertex(_key(VertexKind.NODE, name), VertexKind.NODE, name, space.node(name), problem=problem)

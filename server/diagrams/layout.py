@@ -173,8 +173,8 @@ def _rank(keys: Sequence[str], forward: set[tuple[str, str]]) -> dict[str, int]:
 def _three_ranks(keys: Sequence[str], pairs: Iterable[tuple[str, str]]) -> dict[str, int] | None:
     """Return ranks with all nodes on either side of all else; None if an edge joins two of a kind.
 
-    The side of a node depends on the direction of most of its edges. Because nodes both publish and subscribe, a robot
-    has many cycles, and the longest path through it would be too long.
+    Most edges of a node decide its side. Nodes both publish and subscribe, so a robot has many cycles, and the longest
+    path would be too long.
     """
     near, flow = defaultdict[str, list[str]](list), Counter[str]()
     for source, target in pairs:

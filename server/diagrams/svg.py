@@ -1,4 +1,4 @@
-"""Diagrams as SVG with links. All text of the robot is escaped. Pure."""
+"""Diagrams as SVG with links. All text of the robot is escaped. No I/O."""
 
 from __future__ import annotations
 
@@ -34,10 +34,7 @@ a:hover rect { stroke: var(--accent); stroke-width: 2; }
 
 
 def write_svg(diagram: Diagram, href: Callable[[str], str | None], title: str, *, alone: bool) -> str:
-    """Return the drawing; `href` returns the reference of a URL.
-
-    `alone`: it is a separate document with its own style.
-    """
+    """Return the drawing; `href` returns the reference of a URL. `alone`: as a document with its own style."""
     words = {each.key: _words(each) for each in diagram.vertices}
     sizes = {each.key: _size(each, words[each.key]) for each in diagram.vertices}
     layout = lay_out(sizes, ((each.source, each.target) for each in diagram.edges))
@@ -113,5 +110,5 @@ def thickness(rate: float) -> float:
 
 
 def _text(text: str) -> str:
-    """Return text without characters that are invalid in XML."""
+    """Return escaped text, without characters that are invalid in XML."""
     return escape(_UNPRINTABLE.sub("�", text))

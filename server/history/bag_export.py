@@ -234,7 +234,7 @@ def _hash(recording: Recording, topic: str, ref: TypeRef) -> str:
 
 
 def _forget_places(writer: rosbag1.Writer) -> None:
-    """Replace the index entries of written messages, 120 bytes each: the writer needs only their number."""
+    """Replace the index entries of written messages, 120 bytes each: the writer needs only their count."""
     for chunk in reversed(writer.chunks[:-1]):
         if not chunk.connections or next(iter(chunk.connections.values()))[0] == _FORGOTTEN:
             return

@@ -59,10 +59,7 @@ def schema_record(number: int, type: TypeRef, encoding: Encoding, definition: st
 
 
 def read_channel(fields: Fields, types: Mapping[int, str]) -> tuple[int, Channel]:
-    """Return a channel and its number from its record; `types` maps schema numbers to names.
-
-    Raises ValueError, KeyError.
-    """
+    """Return a channel and its number; `types` maps schema numbers to names. Raises ValueError, KeyError."""
     number, schema = fields.uint(2), fields.uint(2)
     topic, encoding, said = fields.text(), Encoding(fields.text()), fields.texts()
     is_latched = said.get("latching") == "1" or "transient_local" in said.get("offered_qos_profiles", "")

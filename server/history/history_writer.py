@@ -296,7 +296,6 @@ class HistoryWriter:
         self.counts[chunk.topic] -= chunk.count
 
     def _definition(self, ref: TypeRef) -> str:
-        """Return the text of a type, and store it in the index."""
         text = self._definition_of(ref)
         if text:
             self.segments.index.define([(ref, text)])

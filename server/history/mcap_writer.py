@@ -22,7 +22,7 @@ from rosld.server.history.segment_file import ChunkMessage, SegmentFile
 MAX_MESSAGES = 500
 MAX_BYTES = 4 * 1024 * 1024
 MAX_SECONDS = 1.0
-"""Maximum age of a chunk: with the delays of a busy machine, less than two seconds are lost."""
+"""Maximum age of a chunk in seconds: with the delays of a busy machine, less than two seconds are lost."""
 
 
 class TopicChunk:

@@ -96,7 +96,7 @@ def clip_ranges(ranges: Sequence[PastRange], bound: int, *, is_newest: bool) -> 
 def _spans(recording: Recording, wanted: PastRange, most: int, *, is_newest: bool) -> Iterator[tuple[int, int, int]]:
     """Yield start, end and number of messages of time ranges; altogether more than `most` messages, or all."""
     if isinstance(recording, HistoryRecording):
-        yield from recording.spans_at_end(*wanted, most + 1, is_newest=is_newest)  # each has a message
+        yield from recording.spans_at_end(*wanted, most + 1, is_newest=is_newest)  # each span has at least one message
         return
     count = recording.topics[wanted.topic].count
     start, end = recording.start_ns, recording.end_ns

@@ -371,10 +371,7 @@ class Recordings:
         self._changes += 1
 
     async def _check(self, name: str, path: Path) -> None:
-        """Check in another process that a file can be opened.
-
-        Raises RecordingRefused, and what `WorkerPool.run` raises.
-        """
+        """Check in another process that a file can be opened. Raises RecordingRefused, and as `WorkerPool.run`."""
         work = partial(check_recording, path, self._settings.upload_index_limit)
         try:
             await self._checkers.run(work, check_seconds(path))

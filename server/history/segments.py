@@ -85,10 +85,7 @@ class Segments:
         return sum(file.size for file in list(self._files.values()))
 
     def open(self) -> int:
-        """Open the stored segments, complete unfinished ones, and return the number of the next message.
-
-        Raises OSError.
-        """
+        """Open the segments, complete unfinished ones, return the number of the next message. Raises OSError."""
         if self.folder is None:
             self._index = ChunkIndex(None)
             return 0
@@ -109,10 +106,7 @@ class Segments:
         return self._rows[-1].next if self._rows else 0
 
     def begin(self, first: int) -> tuple[int, SegmentFile]:
-        """Begin a segment whose first message has this number; return its id and file.
-
-        Raises OSError, sqlite3.Error.
-        """
+        """Begin a segment with this first number; return its id and file. Raises OSError, sqlite3.Error."""
         name = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{first:012d}{_SUFFIX}"
         if self.folder is None:
             file: SegmentFile = MemoryFile()
@@ -172,7 +166,7 @@ class Segments:
         return None if row is None else next(self.messages_of(row, number), None)
 
     def messages_of(self, row: ChunkRow, number: int | None = None) -> Iterator[tuple[Channel, Sample]]:
-        """Yield the messages of a chunk, or the one with a number.
+        """Yield a chunk's messages, or the one with a number.
 
         Raises OSError, ValueError; KeyError if it was removed.
         """
@@ -184,10 +178,7 @@ class Segments:
                 yield channel, sample_of(channel, each, row.first + ((each.sequence - row.first) & 0xFFFFFFFF))
 
     def opening(self, segment: int) -> Iterator[tuple[Channel, Sample]]:
-        """Yield the opening messages of a segment, with their times of receipt.
-
-        Raises OSError, ValueError, KeyError.
-        """
+        """Yield the opening messages of a segment with their times. Raises OSError, ValueError, KeyError."""
         yield from opening_messages(self._files[segment])
 
     def close(self) -> None:

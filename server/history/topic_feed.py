@@ -60,7 +60,7 @@ class TopicFeed:
         return new
 
     def wanted_depth(self, new: Sequence[Sample], max_bytes: int) -> int:
-        """Return the depth that the queue needs: four times the messages per poll, within `max_bytes`.
+        """Return the depth that the queue needs for the messages of four polls, within `max_bytes`.
 
         The depth decreases only after `_CALM` polls that needed much less, so that a burst does not use memory forever.
         """
@@ -205,7 +205,6 @@ class LiveFeed:
         return changes
 
     def _hold(self, arrival: Arrival) -> None:
-        """Queue a message until its type is known."""
         type = arrival.sample.schema
         held = self._held.get(type)
         if held is None:

@@ -39,10 +39,9 @@ class UploadRefused(Exception):
 
 
 async def receive_file(folder: Path, name: str, chunks: AsyncIterator[bytes], limit: int) -> tuple[Path, str]:
-    """Write the chunks to a hidden file; return its path and the suffix for its format.
+    """Write the chunks to a hidden file, decompressing zstd; return its path and the suffix for its format.
 
-    Files compressed with zstd are decompressed, up to `limit` bytes. Raises UploadRefused, OSError, and what `chunks`
-    raises.
+    Raises UploadRefused above `limit` bytes, OSError, and what `chunks` raises.
     """
     draft = folder / f".{name}{DRAFT}"
     try:

@@ -24,10 +24,7 @@ class PictureCache:
     """
 
     def __init__(self, instance_id: str) -> None:
-        """Create an empty cache.
-
-        `instance_id` is part of the pictures' entity tags, and differs for each run of the server.
-        """
+        """Create a cache. `instance_id` is part of the entity tags, and differs for each run of the server."""
         self.instance_id = instance_id
         self._thread = ThreadPoolExecutor(1, "rosld-pictures")
         self._drawing: dict[Hashable, asyncio.Task[bytes]] = {}

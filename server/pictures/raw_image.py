@@ -192,10 +192,7 @@ def to_bytes(values: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
 
 
 def _pixels(image: RawImage, kind: str, channels: int) -> npt.NDArray[np.generic]:
-    """Return the values as an array of rows, columns and channels, without a copy.
-
-    Raises CannotDraw for truncated data.
-    """
+    """Return a view of the values as rows, columns and channels. Raises CannotDraw for truncated data."""
     item = np.dtype(kind).newbyteorder(">" if image.is_bigendian else "<")
     pixel = item.itemsize * channels
     _require_rows(image, image.width * pixel, image.height)

@@ -69,8 +69,6 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """Label and drawing function of a message type."""
-
     label: str
     draw: Callable[[Fields], Drawing]
 
@@ -221,7 +219,6 @@ def _odometry(message: Fields) -> Drawing:
 
 
 def _places(count: int) -> list[int]:
-    """Return the indices of drawn items."""
     return [int(each) for each in thin(np.arange(count))]
 
 

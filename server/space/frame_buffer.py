@@ -67,10 +67,7 @@ class _History:
         return self.transforms[-1]
 
     def add(self, each: FrameTransform) -> None:
-        """Add a transform.
-
-        One much older than the newest means that time was reset (a loop of a recording): drop the others.
-        """
+        """Add a transform. A much older stamp means that time was reset (a recording's loop): drop the others."""
         if each.is_static or (self.stamps and each.stamp_ns < self.stamps[-1] - KEPT_NS):
             self.stamps, self.transforms = [], []
         place = bisect_right(self.stamps, each.stamp_ns)

@@ -47,16 +47,12 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True)
 class _Field:
-    """Offset and type of a number in a point."""
-
     offset: int
     format: str
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Layout of points in the data of a message."""
-
     data: npt.NDArray[np.uint8]
     height: int
     width: int
@@ -153,10 +149,7 @@ _NAMES = {"<f4": "float", "|u1": "uchar"}
 
 
 def draw_cloud(schema: MessageSchema, sample: Sample, most: int) -> bytes:
-    """Return the PLY file of at most `most` points of a sample.
-
-    Raises CannotDraw, and ValueError for undecodable bytes.
-    """
+    """Return the PLY file of at most `most` points of a sample. Raises CannotDraw, ValueError."""
     if schema.ref.name != POINT_CLOUD:
         raise CannotDraw(f"A {schema.ref.name} is no point cloud")
     message = schema.codec.decode(sample.data, sample.encoding)

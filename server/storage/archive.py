@@ -254,7 +254,7 @@ def _entry_json(entry: NumberedRecord) -> dict[str, object]:
 
 
 def _entry(line: bytes) -> NumberedRecord:
-    """Return the entry on a line. Raises ValueError, KeyError or TypeError for anything else."""
+    """Return the entry on a line. Raises ValueError, KeyError or TypeError for other contents."""
     told = json.loads(line)
     number, created, modified = told["number"], told["created"], told["modified"]
     if not all(type(value) is int and 0 < value < _MAX_NUMBER for value in (number, created, modified)):

@@ -264,7 +264,7 @@ class RecordTable:
         return freed
 
     def _apply(self, write: Write, applied: Effects, now: int) -> None:
-        """Apply a write; if it raises Conflict, nothing has changed."""
+        """Apply a write, completely or (if it raises Conflict) not at all."""
         if isinstance(write, Put):
             self._put(write, applied, now)
         else:
@@ -424,10 +424,7 @@ def _expect(write: Write, present: CurrentRow) -> None:
 
 
 def _take(put: Put, present: str | None, applied: Effects) -> None:
-    """Assign the blob of a write to its record, and free the previous one.
-
-    Raises Conflict for another record's blob.
-    """
+    """Assign the blob of a write, and free the previous one. Raises Conflict for another record's blob."""
     id = None if put.blob is None else put.blob.id
     if id == present:
         return

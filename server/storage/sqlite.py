@@ -137,10 +137,7 @@ class Records:
 
     @property
     def version(self) -> int:
-        """Version of the last change.
-
-        Increases with each change; by more than one if a container's list changes, too.
-        """
+        """Version of the last change; a change that also changes a container's list increases it twice."""
         return self._version
 
     @property
@@ -259,10 +256,7 @@ class Records:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
 
     async def _transact(self, batches: Sequence[WriteBatch]) -> Sequence[Effects | Conflict]:
-        """Apply batches in one durable transaction; return their outcomes.
-
-        Raises StorageError if none of them is applied.
-        """
+        """Apply batches in one durable transaction; return the outcomes. Raises StorageError if none is applied."""
         try:
             foreign, outcomes = await self._run(lambda: self._writer.commit(batches))
         except BaseException:
@@ -304,7 +298,6 @@ class Records:
                     cache.put(with_list(container, listed))
 
     def _note(self, writes: Sequence[Write], applied: Effects) -> None:
-        """Record the differences of the writes."""
         for write in writes:
             record = applied.records.get(write.path)
             if isinstance(write, Put) and record is not None:
@@ -313,8 +306,7 @@ class Records:
     async def receive(self, chunks: AsyncIterator[bytes], media_type: str, *, limit: int) -> Blob:
         """Store bytes as they are received, until a write refers to them. Raises ValueError beyond `limit` bytes.
 
-        Blobs that no write refers to within ten minutes are discarded; a refused write's blob can be used in another
-        write.
+        Blobs without a write are discarded after ten minutes; the blob of a refused write can be used in another one.
         """
         if self._closed:
             raise StorageError("The records are closed.")

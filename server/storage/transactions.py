@@ -131,10 +131,7 @@ class GroupCommit:
         return batches
 
     async def _outcomes(self, batches: Sequence[WriteBatch]) -> Sequence[Effects | Exception]:
-        """Return the outcomes.
-
-        If a shared transaction fails, retry each batch alone: one may be too large for the disk.
-        """
+        """Return the outcomes. After a failure, try each batch alone: one may be too large for the disk."""
         try:
             return await self._transact(batches)
         except Exception as error:

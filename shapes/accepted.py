@@ -23,9 +23,9 @@ from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
 from rosld.shapes.accepted_values import PARAMETERS, AcceptedValues, OpenParameter
 from rosld.shapes.limit_parts import NO_DEMAND, Demand, Place, is_limited_text, limited_texts, write_limit
 from rosld.shapes.limits import Limits
-from rosld.shapes.message import write_message_shapes
+from rosld.shapes.message import MessageShapes
 from rosld.shapes.shapes_graph import Node, ShapesGraph
-from rosld.shapes.writer import ShapesWriter, within
+from rosld.shapes.writer import ShapesWriter, list_of, within
 
 _DATE_TIME = (
     r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]{1,9}0{0,21})?(Z|[+-][0-9]{2}:[0-9]{2})\s*$"
@@ -43,8 +43,8 @@ def accepted_message_document(
     """
     writer, class_ = ShapesWriter(url), NamedNode(space.class_of(schema.ref.name))
     _describe(writer, space, title, demand)
-    fields = AcceptedFields(writer, schema, space, AcceptedValues(writer, demand.largest), is_target=True)
-    write_message_shapes(writer, schema, space, fields)
+    shapes = AcceptedShapes(writer, schema, space, AcceptedValues(writer, demand.largest), is_target=True)
+    shapes.write()
     if schema.type.fields:
         present = writer.blank(
             (sh.path, writer.blank((sh.inversePath, rdf.type))),
@@ -52,7 +52,7 @@ def accepted_message_document(
             (sh.message, text(f"A node of the type <{class_.value}> is missing.")),
         )
         writer.add(writer.node("body"), (rdf.type, sh.NodeShape), (sh.targetNode, class_), (sh.property, present))
-    fields.write_demand(demand)
+    shapes.write_demand(demand)
     return Document(url, tuple(writer.triples))
 
 
@@ -78,11 +78,11 @@ def accepted_value_document(
     _describe(writer, space, title, Demand(is_all=all(demand.is_all for _, demand in kinds)))
     for kind, demand in kinds:
         if isinstance(kind, MessageSchema):
-            fields = AcceptedFields(writer, kind, space, values, is_target=False)
-            write_message_shapes(writer, kind, space, fields)
-            fields.write_demand(demand)
+            shapes = AcceptedShapes(writer, kind, space, values, is_target=False)
+            shapes.write()
+            shapes.write_demand(demand)
             is_one = writer.blank((sh.path, rdf.type), (sh.hasValue, NamedNode(space.class_of(kind.ref.name))))
-            alternatives.append(writer.blank((sh.node, fields.node(kind.ref.name)), (sh.property, is_one)))
+            alternatives.append(writer.blank((sh.node, shapes.node(kind.ref.name)), (sh.property, is_one)))
             continue
         alternatives.append(_scalar(writer, values, kind, demand.at("")))
     value = writer.node("value")
@@ -131,8 +131,8 @@ def _describe(writer: ShapesWriter, space: Space, title: str, demand: Demand) ->
     )
 
 
-class AcceptedFields:
-    """The values of fields as they may be written.
+class AcceptedShapes(MessageShapes):
+    """Writer of the shapes of messages as they may be written.
 
     Nodes of messages within a message need not say their types. They are targets by the property that leads to them,
     so that none holds another: validators bound how deep shapes may nest. `is_target`: so is every node of the type.
@@ -141,29 +141,25 @@ class AcceptedFields:
     def __init__(
         self, writer: ShapesWriter, schema: MessageSchema, space: Space, values: AcceptedValues, *, is_target: bool
     ) -> None:
-        self._writer = writer
-        self._schema = schema
-        self._space = space
+        super().__init__(writer, schema, space)
         self._values = values
         self._is_target = is_target
 
     def node(self, name: str) -> NamedNode:
         return self._writer.node(name)
 
-    def is_required(self, kind: MessageType) -> bool:
-        return kind.name != TIME
+    def least(self, kind: MessageType) -> int | None:
+        return None if kind.name == TIME else 1
 
-    def primitive(self, kind: Primitive) -> Sequence[Statement]:
+    def value(self, kind: FieldType) -> Sequence[Statement]:
+        match kind:
+            case Nested():
+                return [(sh.nodeKind, sh.BlankNodeOrIRI)]
+            case Array(Nested(name)):
+                return [(sh.node, list_of(self._writer, [(sh.node, self.node(name))], kind))]
+            case Array():
+                return [(sh.node, self._values.array(kind))]
         return [(sh.node, self._values.scalar(kind))]
-
-    def nested(self, name: str) -> Sequence[Statement]:
-        return [(sh.nodeKind, sh.BlankNodeOrIRI)]
-
-    def array(self, kind: Array, element: Primitive) -> Sequence[Statement]:
-        return [(sh.node, self._values.array(kind, element))]
-
-    def messages(self, kind: Array, name: str) -> Sequence[Statement]:
-        return self._values.list([(sh.node, self.node(name))], kind)
 
     def message(self, kind: MessageType) -> Sequence[Statement]:
         writer, class_ = self._writer, NamedNode(self._space.class_of(kind.name))

@@ -8,8 +8,8 @@ these shapes say.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple, cast
 
 from pyoxigraph import Literal, NamedNode
 
@@ -18,7 +18,7 @@ from rosld.ontology.coercion import RANGES, SPECIALS
 from rosld.ontology.lexical import NUMBERS
 from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
 from rosld.ontology.triples import Statement, Value, double, integer, text
-from rosld.ontology.vocab import rdf, rdfs, sh, xsd
+from rosld.ontology.vocab import rdf, sh, xsd
 from rosld.shapes.command_numbers import LARGEST_NUMBER
 from rosld.shapes.lexical_patterns import (
     WHOLE_DECIMAL,
@@ -30,7 +30,7 @@ from rosld.shapes.lexical_patterns import (
 )
 from rosld.shapes.terms import number
 from rosld.shapes.value import Bounds
-from rosld.shapes.writer import LIST, ShapesWriter, list_of, write_list_shape
+from rosld.shapes.writer import ShapesWriter, list_of
 
 PARAMETERS: Mapping[ParameterType, Primitive] = {
     ParameterType.BOOLEAN: Primitive("bool"),
@@ -39,12 +39,7 @@ PARAMETERS: Mapping[ParameterType, Primitive] = {
     ParameterType.STRING: Primitive("string"),
 }
 """The scalars that nodes declare of parameters."""
-PARAMETER_ARRAYS: Mapping[ParameterType, Primitive] = {
-    ParameterType.BOOLEAN_ARRAY: Primitive("bool"),
-    ParameterType.INTEGER_ARRAY: Primitive("int64"),
-    ParameterType.DOUBLE_ARRAY: Primitive("float64"),
-    ParameterType.STRING_ARRAY: Primitive("string"),
-}
+PARAMETER_ARRAYS = {ParameterType(f"{type.value} array"): element for type, element in PARAMETERS.items()}
 """The elements of the arrays that they declare; that of octets is told as octets."""
 
 
@@ -84,49 +79,42 @@ class AcceptedValues:
     def __init__(self, writer: ShapesWriter, largest: float | None = None) -> None:
         self._writer = writer
         self._largest = largest
-        self._written: set[str] = set()
 
     def scalar(self, kind: Primitive) -> NamedNode:
         """Return the shape of a scalar."""
         bound = "" if kind.bound is None else f"-{kind.bound}"
-        return self._node_shape(f"{kind.name}{bound}", lambda: self._scalar(kind))
+        return self._writer.shared(f"{kind.name}{bound}", lambda: self._scalar(kind))
 
-    def array(self, kind: Array, element: Primitive) -> NamedNode:
+    def array(self, kind: Array) -> NamedNode:
         """Return the shape of an array of primitives: one literal, or a list of literals."""
+        element = cast(Primitive, kind.element)
         parts = [element.name, "array"]
         parts += [] if element.bound is None else [f"of-{element.bound}"]
         parts += [] if kind.length is None else [f"{kind.length}"]
         parts += [] if kind.bound is None else [f"at-most-{kind.bound}"]
-        return self._node_shape("-".join(parts), lambda: self._array(kind, element))
+        return self._writer.shared("-".join(parts), lambda: self._array(kind, element))
 
     def parameter(self, type: ParameterType) -> NamedNode:
         """The shape of a scalar that is a parameter's: its text is no octets."""
         if type is ParameterType.STRING:
-            return self._node_shape("text", lambda: [(sh.datatype, xsd.string)])
+            return self._writer.shared("text", lambda: [(sh.datatype, xsd.string)])
         return self.scalar(PARAMETERS[type])
 
     def parameter_array(self, type: ParameterType) -> NamedNode:
         """The shape of an array that is a parameter's: one literal."""
         if type is ParameterType.BYTE_ARRAY:
             octets = [(sh.datatype, xsd.base64Binary), (sh.pattern, text(base64_pattern()))]
-            return self._node_shape("octets", lambda: octets)
+            return self._writer.shared("octets", lambda: octets)
         element = PARAMETER_ARRAYS[type]
         array = [
             (sh.datatype, rdf.JSON),
             (sh.pattern, text(parameter_array_pattern(element, is_finite=self._largest is not None))),
         ]
-        return self._node_shape(f"{element.name}-array", lambda: array)
+        return self._writer.shared(f"{element.name}-array", lambda: array)
 
     def open_parameter(self, kind: OpenParameter) -> NamedNode:
         """Return the shape of an undeclared parameter's value, by datatype."""
-        return self._node_shape("parameter", lambda: [self._open(kind)])
-
-    def list(self, elements: Sequence[Statement], kind: Array) -> Sequence[Statement]:
-        """Return the shape of a list whose elements fulfil `elements`."""
-        if LIST not in self._written:
-            self._written.add(LIST)
-            write_list_shape(self._writer)
-        return [(sh.node, list_of(self._writer, elements, kind))]
+        return self._writer.shared("parameter", lambda: [self._open(kind)])
 
     def bounds(
         self, kind: Primitive, bounds: Bounds, datatype: NamedNode | None = None
@@ -136,23 +124,15 @@ class AcceptedValues:
         `datatype` is what it is told with where that is not the field's. A number is compared by its value, whatever
         its datatype. Of text the characters are looked at.
         """
-        ranges = {
-            sh.minInclusive: bounds.minimum,
-            sh.maxInclusive: bounds.maximum,
-            sh.minExclusive: bounds.exclusive_minimum,
-            sh.maxExclusive: bounds.exclusive_maximum,
-        }
-        within = [(parameter, value) for parameter, value in ranges.items() if value is not None]
-        if within:
+        if bounds.range:
             # NaN is within no range; not every validator has it so.
             is_float = kind.name not in RANGES
-            yield [*within, *([(sh.not_, self._not_a_number())] if is_float else [])]
+            yield [*bounds.range_statements, *([(sh.not_, self._not_a_number())] if is_float else [])]
         if bounds.choices:
             yield [self._choices(datatype or NamedNode(xsd.iri + DATATYPES[kind.name]), bounds.choices)]
-        lengths = [(sh.minLength, integer(bounds.min_length)), (sh.maxLength, integer(bounds.max_length))]
-        if bounds.pattern is not None or bounds.min_length is not None or bounds.max_length is not None:
+        if any(value is not None for _, value in bounds.text_statements):
             is_text = [(sh.datatype, xsd.string)] if kind.name in STRINGS else []
-            yield [*is_text, (sh.pattern, text(bounds.pattern)), *lengths]
+            yield [*is_text, *bounds.text_statements]
 
     def _choices(self, own: NamedNode, choices: Sequence[Literal]) -> Statement:
         """One of these: numbers that have the datatype `own`, by their values; all else as it is."""
@@ -172,14 +152,7 @@ class AcceptedValues:
 
     def _not_a_number(self) -> NamedNode:
         values = [Literal("NaN", datatype=datatype) for datatype in _FLOATS]
-        return self._node_shape("not-a-number", lambda: [(sh.in_, self._writer.list_of(values))])
-
-    def _node_shape(self, name: str, write: Callable[[], Sequence[Statement]]) -> NamedNode:
-        node = self._writer.node(name)
-        if name not in self._written:
-            self._written.add(name)
-            self._writer.add(node, (rdf.type, sh.NodeShape), (rdfs.label, text(name)), *write())
-        return node
+        return self._writer.shared("not-a-number", lambda: [(sh.in_, self._writer.list_of(values))])
 
     def _either(self, *alternatives: Sequence[Statement]) -> Statement:
         return self._writer.either([self._writer.blank(*statements) for statements in alternatives])
@@ -255,7 +228,7 @@ class AcceptedValues:
                 writer.blank((sh.datatype, datatype), (sh.pattern, text(pattern(kind.length, kind.bound))))
                 for datatype, pattern in octets.items()
             ]
-        elements = writer.blank(*self.list([(sh.node, self.scalar(element))], kind))
+        elements = list_of(writer, [(sh.node, self.scalar(element))], kind)
         return [writer.either([*literals, elements])]
 
 

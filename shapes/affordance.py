@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
-from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.model import Array, MessageSchema, Nested, Primitive
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.literals import DATATYPES
-from rosld.ontology.triples import Statement, Value, integer, statements, text, triples_about
+from rosld.ontology.triples import Value, integer, statements
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import qudt, rdf, ros, sh, xsd
 from rosld.shapes.value import UNBOUNDED, Bounds, MessageShape, OpenShape, ScalarShape, ValueShape, narrow
-from rosld.shapes.writer import within
+from rosld.shapes.writer import ShapesWriter, within
 
 
 def value_shape_triples(shape: ValueShape, node: NamedNode, path: NamedNode, space: Space) -> list[Triple]:
@@ -21,115 +21,69 @@ def value_shape_triples(shape: ValueShape, node: NamedNode, path: NamedNode, spa
 
     Nodes within it are fragments beside `node` (`#shape.value`); a message's own shape is referred to by its URL.
     """
-    value = within(node, "value")
-    triples = triples_about(node, (rdf.type, sh.NodeShape), (sh.property, value))
-    triples += triples_about(
-        value, (rdf.type, sh.PropertyShape), (sh.path, path), (sh.minCount, integer(1)), (sh.maxCount, integer(1))
-    )
+    writer, value = ShapesWriter(node.value), within(node, "value")
+    one = ((sh.minCount, integer(1)), (sh.maxCount, integer(1)))
+    writer.add(node, (rdf.type, sh.NodeShape), (sh.property, value))
+    writer.add(value, (rdf.type, sh.PropertyShape), (sh.path, path), *one)
     if isinstance(shape, MessageShape):
-        return triples + _message(shape, value, space)
-    return triples + _scalar(value, shape)
+        _write_message(writer, value, shape, space)
+    else:
+        _write_scalar(writer, value, shape)
+    return writer.triples
 
 
-def _scalar(node: NamedNode, shape: ScalarShape | OpenShape) -> list[Triple]:
-    """Return the constraints on a literal: the datatype of its primitive, its range and bounds."""
-    kind, bounds, measure = shape.kind, shape.bounds, shape.measure
-    datatype = None
+def _write_scalar(writer: ShapesWriter, node: NamedNode, shape: ScalarShape | OpenShape) -> None:
+    """Write the constraints on a literal: the datatype of its primitive, its range and bounds."""
+    kind, bounds, datatype = shape.kind, shape.bounds, None
     if kind is not None:
         least, greatest = RANGES.get(kind.name, (None, None))
         bounds = narrow(bounds, Bounds(integer(least), integer(greatest), max_length=kind.bound))
         is_integer = shape.is_parameter and least is not None  # all integers of parameters are xsd:integer
         datatype = xsd.integer if is_integer else NamedNode(xsd.iri + DATATYPES[kind.name])
-    triples = triples_about(
+    writer.add(
         node,
         (sh.datatype, datatype),
-        (sh.minInclusive, bounds.minimum),
-        (sh.maxInclusive, bounds.maximum),
-        (sh.minExclusive, bounds.exclusive_minimum),
-        (sh.maxExclusive, bounds.exclusive_maximum),
-        (sh.pattern, text(bounds.pattern)),
-        (sh.minLength, integer(bounds.min_length)),
-        (sh.maxLength, integer(bounds.max_length)),
+        *bounds.range_statements,
+        *bounds.text_statements,
         (ros.step, bounds.step),
-        (qudt.hasUnit, measure.unit),
-        (qudt.hasQuantityKind, measure.quantity_kind),
+        (qudt.hasUnit, shape.measure.unit),
+        (qudt.hasQuantityKind, shape.measure.quantity_kind),
+        (sh.in_, writer.list_of(bounds.choices) if bounds.choices else None),
     )
-    if bounds.choices:
-        head, cells = _list_triples(within(node, "in"), bounds.choices)
-        triples += [*triples_about(node, (sh.in_, head)), *cells]
-    return triples
 
 
-def _message(shape: MessageShape, node: NamedNode, space: Space) -> list[Triple]:
-    """What a message must be: all that its type's shape says or, of a part of its fields, what that says of each."""
+def _write_message(writer: ShapesWriter, node: NamedNode, shape: MessageShape, space: Space) -> None:
+    """Write all that its type's shape says or, of a part of its fields, what that says of each."""
     kind = shape.schema.type
-    type_shape = space.shape(kind.name)
+    type_shape = NamedNode(space.shape(kind.name))
     if shape.fields == kind.fields:
-        said: list[Statement] = [(sh.class_, NamedNode(space.class_of(kind.name))), (sh.node, NamedNode(type_shape))]
+        writer.add(node, (sh.class_, NamedNode(space.class_of(kind.name))), (sh.node, type_shape))
     else:
-        parts = [within(NamedNode(type_shape), field.name) for field in shape.fields]
-        said = [(sh.nodeKind, sh.BlankNodeOrIRI), *statements(sh.property, parts)]
-    return triples_about(node, *said) + _bounds_triples(node, kind.name, shape.schema, _tree(shape.bounds), space)
+        parts = [within(type_shape, field.name) for field in shape.fields]
+        writer.add(node, (sh.nodeKind, sh.BlankNodeOrIRI), *statements(sh.property, parts))
+    _write_bounds(writer, node, shape.schema, kind.name, shape.bounds, space)
 
 
-class _Bounded(dict[str, "_Bounded"]):
-    """Fields by name, each with the bounds of its own value."""
-
-    bounds: Bounds = UNBOUNDED
-
-
-def _tree(bounds: Mapping[str, Bounds]) -> _Bounded:
-    root = _Bounded()
-    for path, demanded in bounds.items():
-        place = root
-        for step in path.split("."):
-            place = place.setdefault(step, _Bounded())
-        place.bounds = demanded
-    return root
-
-
-def _bounds_triples(node: NamedNode, kind: str, schema: MessageSchema, tree: _Bounded, space: Space) -> list[Triple]:
-    """Property shapes within `node` that lead to the bounds; those of an array of messages hold for each element."""
-    triples: list[Triple] = []
+def _write_bounds(
+    writer: ShapesWriter, node: NamedNode, schema: MessageSchema, kind: str, bounds: Mapping[str, Bounds], space: Space
+) -> None:
+    """Write property shapes within `node` that lead to the bounds; those of an array of messages hold for each."""
     for field in schema.types[kind].fields:
-        if field.name not in tree:
+        start = f"{field.name}."
+        below = {path.removeprefix(start): each for path, each in bounds.items() if path.startswith(start)}
+        if field.name not in bounds and not below:
             continue
-        inner, property = within(node, field.name), NamedNode(space.property_of(kind, field.name))
-        triples += triples_about(node, (sh.property, inner)) + triples_about(inner, (rdf.type, sh.PropertyShape))
-        element = field.type
+        inner, element = within(node, field.name), field.type
+        path: Value = NamedNode(space.property_of(kind, field.name))
         if isinstance(element, Array) and isinstance(element.element, Nested):
-            element = element.element
             # A path is a blank node: an IRI would be a predicate (SHACL 2.3.1).
-            rest = BlankNode(_label(inner) + "-rest")
-            head, cells = _list_triples(within(inner, "path"), (property, rest, rdf.first))
-            triples += [
-                *triples_about(inner, (sh.path, head)),
-                *triples_about(rest, (sh.zeroOrMorePath, rdf.rest)),
-                *cells,
-            ]
-        else:
-            triples += triples_about(inner, (sh.path, property))
+            path = writer.list_of([path, writer.blank((sh.zeroOrMorePath, rdf.rest)), rdf.first])
+            element = element.element
+        writer.add(node, (sh.property, inner))
+        writer.add(inner, (rdf.type, sh.PropertyShape), (sh.path, path))
+        own = bounds.get(field.name, UNBOUNDED)
         if isinstance(element, Nested):
-            triples += _bounds_triples(inner, element.name, schema, tree[field.name], space)
+            _write_bounds(writer, inner, schema, element.name, below, space)
         else:
-            bounds = tree[field.name].bounds
-            triples += _scalar(
-                inner, ScalarShape(element, bounds) if isinstance(element, Primitive) else OpenShape(bounds)
-            )
-    return triples
-
-
-def _list_triples(name: NamedNode, elements: Iterable[NamedNode | BlankNode | Literal]) -> tuple[Value, list[Triple]]:
-    """Return an rdf:List, whose cells are blank: its head and its triples."""
-    cells: list[Triple] = []
-    rest: Value = rdf.nil
-    for number, element in reversed(list(enumerate(elements))):
-        cell = BlankNode(f"{_label(name)}-{number}")
-        cells += triples_about(cell, (rdf.first, element), (rdf.rest, rest))
-        rest = cell
-    return rest, cells
-
-
-def _label(name: NamedNode) -> str:
-    """Return a label for blank nodes that belong to a node: no other node's, within one document or many."""
-    return "".join(letter if letter.isascii() and letter.isalnum() else f"-{ord(letter):x}-" for letter in name.value)
+            scalar = ScalarShape(element, own) if isinstance(element, Primitive) else OpenShape(own)
+            _write_scalar(writer, inner, scalar)

@@ -12,6 +12,8 @@ from typing import ClassVar, TypeAlias, TypeVar
 from pyoxigraph import Literal, NamedNode
 
 from rosld.adapters.model import Field, MessageSchema, Primitive
+from rosld.ontology.triples import Statement, integer, text
+from rosld.ontology.vocab import sh
 from rosld.shapes.terms import number
 
 
@@ -41,6 +43,25 @@ class Bounds:
     def range(self) -> Bounds:
         """The range alone."""
         return Bounds(self.minimum, self.maximum, self.exclusive_minimum, self.exclusive_maximum)
+
+    @property
+    def range_statements(self) -> list[Statement]:
+        """The range in SHACL."""
+        return [
+            (sh.minInclusive, self.minimum),
+            (sh.maxInclusive, self.maximum),
+            (sh.minExclusive, self.exclusive_minimum),
+            (sh.maxExclusive, self.exclusive_maximum),
+        ]
+
+    @property
+    def text_statements(self) -> list[Statement]:
+        """The pattern and the lengths in SHACL."""
+        return [
+            (sh.pattern, text(self.pattern)),
+            (sh.minLength, integer(self.min_length)),
+            (sh.maxLength, integer(self.max_length)),
+        ]
 
 
 UNBOUNDED = Bounds()

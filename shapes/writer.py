@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from hashlib import blake2b
 from itertools import count
 
 from pyoxigraph import BlankNode, NamedNode, Triple
 
 from rosld.adapters.model import Array
-from rosld.ontology.triples import Statement, Value, integer, triples_about
-from rosld.ontology.vocab import rdf, sh
+from rosld.ontology.triples import Statement, Value, integer, text, triples_about
+from rosld.ontology.vocab import rdf, rdfs, sh
 
 
 class ShapesWriter:
@@ -22,8 +22,8 @@ class ShapesWriter:
     def __init__(self, url: str) -> None:
         self.url = url
         self.triples: list[Triple] = []
-        label = blake2b(url.encode(), digest_size=10).hexdigest()
-        self._blanks = (BlankNode(f"s{label}-{number}") for number in count())
+        self._shared: set[str] = set()
+        self._blanks = _blank_nodes(url)
 
     def add(self, node: NamedNode | BlankNode, *statements: Statement) -> None:
         """Say something about a node; a statement whose value is None is none."""
@@ -32,6 +32,14 @@ class ShapesWriter:
     def node(self, name: str = "") -> NamedNode:
         """Return the node of a fragment (of permitted characters), or the document itself."""
         return NamedNode(f"{self.url}#{name}" if name else self.url)
+
+    def shared(self, name: str, write: Callable[[], Iterable[Statement]], label: str | None = None) -> NamedNode:
+        """Return a node shape of the document, which is written when it is first asked for."""
+        node = self.node(name)
+        if name not in self._shared:
+            self._shared.add(name)
+            self.add(node, (rdf.type, sh.NodeShape), (rdfs.label, text(label or name)), *write())
+        return node
 
     def blank(self, *statements: Statement) -> BlankNode:
         """Return a blank node about which this is said."""
@@ -51,23 +59,24 @@ class ShapesWriter:
         return sh.or_, self.list_of(shapes)
 
 
+def _blank_nodes(url: str) -> Iterator[BlankNode]:
+    label = blake2b(url.encode(), digest_size=10).hexdigest()
+    yield from (BlankNode(f"s{label}-{number}") for number in count())
+
+
 def within(node: NamedNode, name: str) -> NamedNode:
     """Return a fragment named after `node`: `#twist` leads to `#twist.linear`, the document to `#linear`."""
     return NamedNode(f"{node.value}{'.' if '#' in node.value else '#'}{name}")
 
 
-LIST = "list"
-"""The name of the node shape of all lists, whatever they hold."""
-
-
-def write_list_shape(writer: ShapesWriter) -> None:
-    """Write the shape `#list` of a well-formed list: each cell has one rdf:first and one rdf:rest, and it ends."""
-    cells, one = writer.blank(), [(sh.minCount, integer(1)), (sh.maxCount, integer(1))]
+def _list_shape(writer: ShapesWriter) -> Iterator[Statement]:
+    """Yield the statements of a well-formed list: each cell has one rdf:first and one rdf:rest, and it ends."""
+    one = [(sh.minCount, integer(1)), (sh.maxCount, integer(1))]
     firsts, rests = (writer.blank((sh.path, path), *one) for path in (rdf.first, rdf.rest))
     end = writer.blank((sh.in_, writer.list_of([rdf.nil])))
-    cell = writer.blank((sh.property, firsts), (sh.property, rests))
-    writer.add(writer.node(LIST), (rdf.type, sh.NodeShape), (sh.nodeKind, sh.BlankNodeOrIRI), (sh.property, cells))
-    writer.add(cells, (sh.path, _rests(writer)), (sh.hasValue, rdf.nil), writer.either([end, cell]))
+    either = writer.either([end, writer.blank((sh.property, firsts), (sh.property, rests))])
+    yield sh.nodeKind, sh.BlankNodeOrIRI
+    yield sh.property, writer.blank((sh.path, _rests(writer)), (sh.hasValue, rdf.nil), either)
 
 
 def list_of(writer: ShapesWriter, elements: Sequence[Statement], kind: Array) -> BlankNode:
@@ -76,9 +85,8 @@ def list_of(writer: ShapesWriter, elements: Sequence[Statement], kind: Array) ->
     Equal literals are one value node (SHACL 2.3.1), so the cells are counted, including rdf:nil, not the elements.
     """
     path = writer.list_of([_rests(writer), rdf.first])
-    shape = writer.blank(
-        (sh.node, writer.node(LIST)), (sh.property, writer.blank((sh.path, path), *elements))
-    )  # fmt: skip
+    shared = writer.shared("list", lambda: _list_shape(writer))
+    shape = writer.blank((sh.node, shared), (sh.property, writer.blank((sh.path, path), *elements)))
     if kind.most is not None:
         least = None if kind.length is None else integer(kind.length + 1)
         counted = writer.blank((sh.path, _rests(writer)), (sh.minCount, least), (sh.maxCount, integer(kind.most + 1)))

@@ -31,7 +31,7 @@ _Stamp: TypeAlias = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class AuthContext:
-    """The permissions of a request's agent, whether they still hold (a stream outlasts them), and anonymous ones."""
+    """The permissions of a request's agent, whether they still hold (a stream outlasts them), and the public ones."""
 
     permissions: Permissions
     is_valid: Callable[[], bool]

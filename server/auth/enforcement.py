@@ -63,7 +63,7 @@ def require_path(permissions: Permissions, method: str, place: Location | None) 
 
 
 def authorize(permissions: Permissions, method: str, place: Location | None, resource: Protected) -> None:
-    """Refuse a request of an existing resource that the agent may not make. Raises 401, 403, 404.
+    """Refuse a request on an existing resource if it is not permitted. Raises 401, 403, 404.
 
     Methods that the resource does not allow (405) are not judged here.
     """

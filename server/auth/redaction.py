@@ -65,7 +65,6 @@ class _Redaction:
         self._names = frozenset(self._hidden_names())
 
     def triples(self) -> list[Triple]:
-        """Return the triples that the agent may read."""
         before = self._document.triples
         parts = self._hidden_parts()
         orders = self._orders_of_hidden()

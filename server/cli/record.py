@@ -96,7 +96,6 @@ class _Recording(NullSink):
         self._loop: asyncio.AbstractEventLoop | None = None
 
     async def run(self, duration: float | None) -> RecordingWriter:
-        """Record, and close everything."""
         loop = self._loop = asyncio.get_running_loop()
         ended = asyncio.Event()
         for number in end_signals():

@@ -165,7 +165,6 @@ _NOWHERE = _Nowhere()
 
 
 def _at(path: tuple[Step, ...], value: Value) -> Value | _Nowhere:
-    """Return the value of a field."""
     try:
         return _require(path, value)
     except ConditionError:
@@ -199,7 +198,6 @@ def _parts(value: Value) -> str:
 
 
 def _names(value: Value) -> list[str]:
-    """Return the names of the parts of a value."""
     if isinstance(value, dict):
         names = sorted(value)
     else:
@@ -217,7 +215,7 @@ def _is_number(value: object) -> bool:
 
 
 def _as_number(value: Value) -> Value:
-    """Return the number in a string where plain JSON spells numbers so; else the value itself."""
+    """Return the number in a string that represents one in plain JSON, else the value itself."""
     if not isinstance(value, str) or len(value) > _MAX_DIGITS or not _NUMBER.fullmatch(value):
         return value
     return int(value) if value.removeprefix("-").isdigit() else float(value)
@@ -227,7 +225,6 @@ _MAX_DIGITS = 30
 
 
 def _kind(value: object) -> str:
-    """Return the kind of a value in words."""
     match value:
         case None:
             return "null"
@@ -249,7 +246,6 @@ def _in_order(comparator: str, left: str, right: str) -> bool:
 
 
 def _brief(value: Literal) -> str:
-    """Return a value in an error."""
     return repr(value[:40]) if isinstance(value, str) else str(value).lower()
 
 
@@ -291,7 +287,6 @@ class _Parser:
     read: int = field(default=0)
 
     def condition(self, depth: int) -> Condition:
-        """Parse one condition."""
         if depth > MAX_DEPTH:
             raise ConditionError(f"it is nested deeper than {MAX_DEPTH}")
         parts = [self._conjunction(depth)]

@@ -281,7 +281,6 @@ class EventStream(EndlessResponse):
             return True
 
     async def _is_over(self, writer: EventWriter, state: State | Problem) -> bool:
-        """Whether this state ends the stream."""
         if self._end is None or not isinstance(state, State):
             return False
         try:

@@ -151,7 +151,6 @@ class _Remembered(Generic[_T]):
         self._found: OrderedDict[str, _T] = OrderedDict()
 
     def known(self, blob: Blob) -> _T | None:
-        """Return the cached outline."""
         return self._found.get(blob.id)
 
     def get(self, blob: Blob, make: Callable[[], _T]) -> _T:

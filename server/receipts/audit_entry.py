@@ -154,7 +154,6 @@ def _text(body: bytes) -> str | None:
 
 
 def _begin(text: str, limit: int) -> str:
-    """Return the first bytes of a text."""
     cut = text.encode()[:limit].decode("utf-8", "ignore")
     return cut if len(cut) == len(text) else f"{cut}..."
 

@@ -161,7 +161,7 @@ def file_stream(headers: list[tuple[bytes, bytes]], file: FileIO, size: int) -> 
 
 
 async def unless_gone(receive: Receive, work: Coroutine[object, object, _T]) -> _T:
-    """Return the result of work, which is cancelled with a (never read) Problem if the client disconnects."""
+    """Return the result of work, or cancel it and raise a Problem (which nobody reads) if the client disconnects."""
     working, listening = asyncio.ensure_future(work), asyncio.ensure_future(_gone(receive))
     try:
         await asyncio.wait({working, listening}, return_when=asyncio.FIRST_COMPLETED)
@@ -186,7 +186,6 @@ class _FileStream(Response):
         self._sent = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the response."""
         working = asyncio.ensure_future(self._send(send))
         listening = asyncio.ensure_future(_gone(receive))
         try:

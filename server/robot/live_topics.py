@@ -47,7 +47,8 @@ class LiveSettings:
 class _Look:
     """A subscription and its latest view.
 
-    `awaited` are the publishers that were awaited in vain; `insisted`: a message was awaited even without publishers.
+    `awaited` are the publishers that sent nothing while awaited; `insisted`: a message was awaited even without
+    publishers.
     """
 
     subscription: Subscription
@@ -228,7 +229,6 @@ class LiveTopics:
                 await self._schemas.get(ref)
 
     async def _wait(self, look: _Look, seconds: float) -> None:
-        """Wait up to `seconds` until a sample arrives."""
         arrived = asyncio.Event()
         watch = look.subscription.watch(arrived.set)
         try:
@@ -307,7 +307,6 @@ class LiveTopics:
                     self._refresh(look)
 
     async def _follow_recorded(self) -> None:
-        """Subscribe to recorded topics."""
         recorded = self.recorded()
         for topic in recorded:
             if topic in self._adapter.graph.topics and (look := self._looks.get(topic)) is None:

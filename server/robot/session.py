@@ -203,7 +203,6 @@ class Session:
         self._follower.call_soon(lambda: self.parameter_changes.emit(name))
 
     def _action_schema(self, name: str) -> ActionSchema | None:
-        """Return the cached schema of an action in the graph."""
         action = self.graph.actions.get(name)
         if action is None or action.type is None:
             return None
@@ -266,7 +265,6 @@ class GraphFollower:
                 await self._session.schemas.get(ref)
 
     async def _learn_name(self, graph: Graph) -> None:
-        """Read the robot's name, unless it is known."""
         if self.robot_name is None and naming_parameters(graph):
             self.robot_name = await read_robot_name(self._session.adapter, graph, deadline=loop_time() + OPEN_SECONDS)
             if self.robot_name is not None:

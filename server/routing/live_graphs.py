@@ -289,7 +289,6 @@ class RobotGraphs:
                     found.unread[one.url] = "the time of the query was over"
 
     async def _first(self, one: LiveDocument, found: LiveGraphs) -> None:
-        """Wait for the first value of a topic."""
         try:
             await self._session.topics.read(_name(one))
         except (Problem, RosError) as error:

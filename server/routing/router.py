@@ -220,10 +220,10 @@ class Router:
         return frozenset(self.routes)
 
     def resolve(self, scope: Scope) -> Resource:
-        """Return the resource at the path of a request. Raises Problem 400 for malformed paths, 404, and 308.
+        """Return the resource at the path of a request.
 
-        A read with another spelling of the resource's URL (`a:b` for `a%3Ab`) is redirected (308), so that each
-        resource has one URL. Writes are accepted with any spelling.
+        Raises Problem 400 for malformed paths, 404 for unknown ones, and 308 for a read with another spelling of the
+        resource's URL (`a:b` for `a%3Ab`), so that each resource has one URL. Writes are accepted with any spelling.
         """
         raw: bytes = scope["raw_path"]
         resource = self._kept.get(raw)

@@ -124,7 +124,7 @@ def cgroup_available_bytes(groups: str, mounted: Path) -> Iterator[int]:
     group = mounted / path
     for folder in (group, *group.parents):
         with contextlib.suppress(OSError, ValueError):
-            limit = int((folder / "memory.max").read_text())  # `max` is no limit
+            limit = int((folder / "memory.max").read_text())  # `max`: no limit
             used = int((folder / "memory.current").read_text())
             files = _INACTIVE_FILE.search((folder / "memory.stat").read_bytes())
             yield limit - used + (int(files[1]) if files else 0)

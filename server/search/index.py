@@ -268,12 +268,10 @@ class SearchIndex:
 
 
 def _tie(entry: Entry) -> tuple[int, int, int, str]:
-    """Return the sort key of equal matches."""
     return _KIND_ORDER[entry.kind], entry.name.count("/"), len(entry.name), entry.name
 
 
 def _places(entry: Entry) -> Iterator[tuple[str, _Place]]:
-    """Yield the words of an entry, each with its place."""
     segments = [segment for segment in entry.name.split("/") if segment]
     for segment in segments:
         yield segment.casefold(), _Place.LAST_SEGMENT if segment is segments[-1] else _Place.SEGMENT

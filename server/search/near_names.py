@@ -56,7 +56,7 @@ class NearNames:
         return [each for *_, each in sorted(found) if each.rstrip("/") != name.rstrip("/")][:limit]
 
     def _with_words(self, wanted: Sequence[str]) -> dict[str, int]:
-        """Return the distances of names with all these words, allowing typing errors, one in the last segment."""
+        """Return the distances of names that have all these words, with typing errors, and one in the last segment."""
         found: dict[str, int] = {}
         known: set[str] = set()
         for index, word in enumerate(wanted[:_MAX_WORDS]):
@@ -125,7 +125,7 @@ def _home(name: str) -> str:
 
 
 def _mask(word: str) -> int:
-    """Return a bit for each character of a word: one edit changes two bits at the most."""
+    """Return a bit for each character of a word: one edit changes at most two bits."""
     found = 0
     for char in word:
         found |= 1 << (ord(char) & 63)

@@ -21,7 +21,7 @@ _FRAMING_RATIO = 16
 A byte in a chunk of its own needs five.
 """
 LINGER_SECONDS = 2.0
-"""Seconds that a client may go on sending after the response: closing at once would reset the connection unread."""
+"""Seconds that a client may still send after the response: closing at once would reset it before it is read."""
 
 
 def _nothing() -> None:

@@ -123,7 +123,6 @@ class _Context:
     covered: frozenset[str] = frozenset()
 
     def restrict(self, variables: frozenset[str]) -> _Context:
-        """Return the context of these variables alone."""
         topics = {name: each for name, each in self.topics.items() if name in variables}
         return _Context(self.known.restrict(variables), topics, self.covered & variables)
 
@@ -331,7 +330,6 @@ def past_query(query: Query, terms: MessageTerms) -> PastQuery | None:
 
 
 def _groups_of_default_graph(group: Group) -> Iterator[Group]:
-    """Return the groups whose patterns are matched in the default graph."""
     return (each for each in groups_within(group) if each.graph is None)
 
 

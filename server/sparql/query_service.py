@@ -152,9 +152,7 @@ class QueryService:
                 raise Problem(400, f"A WHERE cannot be answered: {error}.") from error
 
     def check(self, text: str) -> Analysis:
-        """Return the analysis of a query without running it; syntax is left to the store's parser. Raises Problem
-        400.
-        """
+        """Return the analysis of a query that is not run, leaving syntax to the store's parser. Raises Problem 400."""
         return self._analyser.analyse(text)
 
     def prepare(self, text: str, default_graphs: tuple[str, ...] = (), named_graphs: tuple[str, ...] = ()) -> QueryWork:

@@ -110,7 +110,6 @@ class _Restricted:
 
 
 def _redact_graph(graph: str, text: str, permissions: Permissions) -> str:
-    """Return the N-Triples of a graph without what may not be read."""
     triples = tuple(quad.triple for quad in parse(text.encode(), RdfFormat.N_TRIPLES))
     left = redact_document(Document(graph, triples), permissions).triples
     if len(left) == len(triples):

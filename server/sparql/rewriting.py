@@ -110,7 +110,6 @@ class _Rewriter:
             self._replace(constant.start, constant.end, str(stored))
 
     def place(self, place: EvaluatedExpression) -> None:
-        """Rewrite an expression according to its purpose."""
         if place.purpose is ExpressionPurpose.ORDER:
             self._order(place)
         else:
@@ -234,7 +233,6 @@ def _passes(operand: Operand) -> bool:
 
 
 def _uses(parts: Sequence[Part], use: _Use) -> Iterator[tuple[Operand, _Use]]:
-    """Yield the operands of an expression with their uses."""
     if len(parts) == 1:
         [operand] = parts
         assert not isinstance(operand, str)

@@ -79,17 +79,17 @@ def length(array: Term) -> Term:
 
 
 def minimum(array: Term) -> Term:
-    """`ros:min(?array)`: the least number, NaN left out (NaN where there is nothing else)."""
+    """`ros:min(?array)`: the least number, ignoring NaN (NaN if there is no other)."""
     return _number(min(_numbers(array), default=math.nan))
 
 
 def maximum(array: Term) -> Term:
-    """`ros:max(?array)`: the greatest number, NaN left out (NaN where there is nothing else)."""
+    """`ros:max(?array)`: the greatest number, ignoring NaN (NaN if there is no other)."""
     return _number(max(_numbers(array), default=math.nan))
 
 
 def mean(array: Term) -> Term:
-    """`ros:mean(?array)`: the mean as xsd:double, NaN left out (NaN where there is nothing else)."""
+    """`ros:mean(?array)`: the mean as xsd:double, ignoring NaN (NaN if there is no number)."""
     numbers = _numbers(array)
     try:
         return Literal(math.fsum(numbers) / len(numbers) if numbers else math.nan)

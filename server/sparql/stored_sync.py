@@ -318,7 +318,6 @@ class StoredSync:
         return True
 
     def _start(self, wanted: Sequence[int]) -> _Transfer:
-        """Start to send the wanted versions."""
         due = self._due(wanted)
         transfer = self._transfer = _Transfer(sum(wanted[place] - self._state.versions[place] for place in due))
         task = asyncio.ensure_future(self._send(due, transfer))

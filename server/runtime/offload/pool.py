@@ -35,7 +35,7 @@ MAX_QUEUED = 32
 """Maximum number of waiting pieces of work."""
 _BUFFER = 1024 * 1024
 _AT_ONCE_SECONDS = 0.5
-"""Minimum lifetime in seconds of a worker whose end is attributed to its work."""
+"""Seconds from the start of work within which the end of a used worker is not attributed to the work."""
 _START = "import sys; sys.path[:] = sys.argv[1:-1]; from rosld.server.runtime.offload.worker import main; main()"
 """The program of a worker; it finds modules where the server does."""
 

@@ -32,7 +32,7 @@ class Span(Protocol):
 
 
 class Cursor:
-    """Reader of tokens, one by one. `token` is the next one, `key` its mark or capitalized keyword ("" for others).
+    """Reader of tokens. `token` is the next one, `key` its mark or its keyword in capitals ("" for others).
 
     Its methods raise a Problem 400 for unexpected tokens: one sentence with the token, its position and what was
     expected.

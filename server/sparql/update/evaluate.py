@@ -176,7 +176,6 @@ class StagingDataset:
 
 
 def _encode_object(quad: Quad) -> Quad:
-    """Return the quad with its object as a dataset stores it."""
     if not isinstance(quad.object, Literal):
         return quad
     return Quad(quad.subject, quad.predicate, encode_literal(quad.object), quad.graph_name)

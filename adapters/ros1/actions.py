@@ -202,14 +202,14 @@ class Actions:
         return GoalId(action, id)
 
     async def cancel(self, goal: GoalId, until: float) -> None:
-        """Cancel a goal, repeatedly if it is ignored. Raises NotFound, Unreachable."""
+        """Request the cancellation of a goal, repeatedly if it is ignored. Raises NotFound, Unreachable."""
         self._require(goal.action)
         if not goal.id:  # actionlib cancels all goals for an empty id
             raise NotFound(f"{goal.action} has no goal without an id")
         self._ask_to_cancel(goal, await self._cancellation(goal.action, until), _ASKED)
 
     async def cancel_all(self, action: str, until: float) -> None:
-        """Cancel all goals of an action, with an empty id. Raises NotFound, Unreachable."""
+        """Request the cancellation of all goals of an action, with an empty id. Raises NotFound, Unreachable."""
         self._require(action)
         publication = await self._cancellation(action, until)
         for seconds in (0.0, _ASKED_AGAIN):  # repeated once, as for one goal; more would cancel later goals
@@ -268,7 +268,7 @@ class Actions:
         if not await publication.connected_to(self._servers(action), until):
             raise Unreachable(f"no goal was sent: the server of {action} did not connect in time")
         now = asyncio.get_running_loop().time
-        while not followed.is_ready and now() < until:  # noqa: ASYNC110 - connections tell nobody of themselves
+        while not followed.is_ready and now() < until:  # noqa: ASYNC110 - connections have no events
             await asyncio.sleep(0.02)
         if not followed.is_ready:
             raise Unreachable(f"no goal was sent: the server of {action} cannot be read from")

@@ -185,12 +185,12 @@ class Ros1Adapter(ThreadAdapter[Client]):
         return await thread.run(client.actions.send(action, type, goal, thread_time(deadline)))
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """Cancel a goal. Raises NotFound, Unreachable."""
+        """Request the cancellation of a goal. Raises NotFound, Unreachable."""
         thread, client = self._running()
         await thread.run(client.actions.cancel(goal, thread_time(deadline)))
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
-        """Cancel all goals of an action. Raises NotFound, Unreachable."""
+        """Request the cancellation of all goals of an action. Raises NotFound, Unreachable."""
         thread, client = self._running()
         await thread.run(client.actions.cancel_all(action, thread_time(deadline)))
 

@@ -121,7 +121,7 @@ class Actions:
         return GoalId(action.name, id.hex())
 
     async def cancel(self, goal: GoalId, until: float) -> None:
-        """Cancel a goal. Raises Refused, NotFound, TimedOut, Unreachable."""
+        """Request the cancellation of a goal. Raises Refused, NotFound, TimedOut, Unreachable."""
         try:
             id = bytes.fromhex(goal.id)
         except ValueError:
@@ -138,7 +138,7 @@ class Actions:
             raise Refused(f"the goal {goal.id} of {goal.action} is not canceled: {words}", sent=Sent.YES)
 
     async def cancel_all(self, action: str, until: float) -> None:
-        """Cancel all goals of an action, with a zero id and no time (CancelGoal.srv).
+        """Request the cancellation of all goals of an action, with a zero id and no time (CancelGoal.srv).
 
         Raises Refused, TimedOut, Unreachable.
         """

@@ -196,12 +196,12 @@ class Ros2Adapter(ThreadAdapter[System]):
         return await thread.run(system.send_goal(action, type, goal, thread_time(deadline)))
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """Cancel a goal. Raises Refused, TimedOut, Unreachable, NotFound."""
+        """Request the cancellation of a goal. Raises Refused, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
         await thread.run(system.cancel_goal(goal, thread_time(deadline)))
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
-        """Cancel all goals of an action. Raises Refused, TimedOut, Unreachable, NotFound."""
+        """Request the cancellation of all goals of an action. Raises Refused, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
         await thread.run(system.cancel_goals(action, thread_time(deadline)))
 

@@ -57,7 +57,7 @@ class Publication:
     async def wait_matched(self, wanted: int, until: float, patience: float) -> None:
         """Wait for one subscriber until a time, then at most `patience` seconds for `wanted` subscribers."""
         loop = asyncio.get_running_loop()
-        while self.matched == 0 and loop.time() < until:  # noqa: ASYNC110 - the middleware tells of no match
+        while self.matched == 0 and loop.time() < until:  # noqa: ASYNC110 - no event reports a match
             await asyncio.sleep(_PAUSE)
         enough = min(until, loop.time() + patience)
         while self.matched < wanted and loop.time() < enough:  # noqa: ASYNC110

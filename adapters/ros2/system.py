@@ -143,12 +143,12 @@ class System:
         return await self.actions.send(action, goal, until)
 
     async def cancel_goal(self, goal: GoalId, until: float) -> None:
-        """Cancel a goal. Raises Refused, TimedOut, Unreachable, NotFound."""
+        """Request the cancellation of a goal. Raises Refused, TimedOut, Unreachable, NotFound."""
         self._action(goal.action)
         await self.actions.cancel(goal, until)
 
     async def cancel_goals(self, name: str, until: float) -> None:
-        """Cancel all goals of an action. Raises Refused, TimedOut, Unreachable, NotFound."""
+        """Request the cancellation of all goals of an action. Raises Refused, TimedOut, Unreachable, NotFound."""
         self._action(name)
         await self.actions.cancel_all(name, until)
 

@@ -105,7 +105,7 @@ def _edge(edge: Edge, route: Sequence[Point]) -> str:
 
 
 def thickness(rate: float) -> float:
-    """Return the width of an edge: 1 if its rate is unknown, 5 from 1000 messages a second on."""
+    """Return the width of an edge: 1 if its rate is unknown, 5 from 1000 messages per second on."""
     return 1.0 if rate <= 0 else min(5.0, 1.5 + 3.5 * math.log10(1.0 + rate) / 3.0)
 
 

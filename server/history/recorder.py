@@ -138,7 +138,7 @@ class Recorder:
 class LatchedMessages:
     """The latest latched message of each publisher of each topic. Changed by one thread, read by any.
 
-    Of transforms, the latest few messages are stored, because later ones only add frames.
+    Of transforms, the latest few messages are stored, because later ones add frames to earlier ones.
     """
 
     def __init__(self) -> None:

@@ -115,7 +115,7 @@ class ArchiveReader:
         """Raise ValueError if the file is not an archive of this format."""
         with _sound():
             self._file = gzip.GzipFile(fileobj=file, mode="rb")
-            self._tar = tarfile.open(  # noqa: SIM115 - it is read as long as this lives
+            self._tar = tarfile.open(  # noqa: SIM115 - open as long as the reader exists
                 fileobj=cast("IO[bytes]", self._file), mode="r|"
             )
             about = json.loads(self._member(_ABOUT).read(_SMALL))

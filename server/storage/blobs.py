@@ -72,7 +72,7 @@ class Blobs:
             if self._durable:
                 await _finish(settle)
             else:
-                os.rename(part, path)  # noqa: PTH104 - as quick as the thread would be to begin
+                os.rename(part, path)  # noqa: PTH104 - as fast as starting the thread
 
     def add(self, file: IO[bytes], size: int) -> str:
         """Copy a file of known size; return the id of the copy, whose name is durable after `sync`.

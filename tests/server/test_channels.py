@@ -210,7 +210,7 @@ def test_turtle_is_taken_answered_and_sent_where_it_is_accepted(aircraft: Any) -
     assert channel["accept"] == "text/turtle"
     with connect(channel["receiveFrom"]) as ws:
         turn(aircraft)
-        assert "https://www.w3.org/ns/activitystreams#object" in str(ws.recv(10))
+        assert "as:object" in str(ws.recv(10))
     streamed = subscribed(aircraft, NIGHT, STREAMING, accept="text/turtle")
     head = aircraft.http.head(streamed["receiveFrom"])
     assert head.headers["content-type"] == "text/turtle; charset=utf-8"

@@ -105,7 +105,7 @@ class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
 
     async def accepted(self, url: str) -> Document | None:
         schema = self.part(await self.schema())
-        return await message_shape(self.space, self.limit_checks, self.ros_kind, self.name, schema, url, self.node)
+        return await message_shape(self.limit_checks, self.ros_kind, self.name, schema, url, self.node)
 
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():

@@ -298,10 +298,10 @@ def _view(call: Call) -> CallView:
         call.service,
         call.state.value,
         call.created_ns,
-        (schema.request, call.request),
-        None if call.response is None else (schema.response, call.response),
         call.answered_ns,
         call.words,
+        (schema.request, call.request),
+        None if call.response is None else (schema.response, call.response),
         None if call.sender is None else call.sender.receipt,
     )
 

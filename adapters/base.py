@@ -20,16 +20,16 @@ Rules, each of which a contract test holds:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeAlias
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import Encoding, GoalEvent, GoalId, Graph, Operation, Qos, Ref, Sample, Schema, TypeRef
 from rosld.adapters.model import ParameterValue as ParameterValue
 
 
-@dataclass(frozen=True, slots=True)
-class Capabilities:
+class Capabilities(Struct, frozen=True):
     """What an adapter's kind of system can do at all, for what `allows` cannot tell thing by thing.
 
     `system` names it ("ROS 1", "recording", ...); `encoding` is what `publish` and `call` take and `call` returns;
@@ -54,8 +54,7 @@ class Capabilities:
     limits: Path | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Published:
+class Published(Struct, frozen=True):
     """Result of a publish: the number of subscribers connected when the message was handed over."""
 
     matched: int
@@ -117,8 +116,7 @@ class NullSink:
         """Not of interest."""
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedTopic:
+class RecordedTopic(Struct, frozen=True):
     """A topic of a recording: its type, how many messages, and why they cannot be decoded (None: they can)."""
 
     name: str
@@ -127,8 +125,7 @@ class RecordedTopic:
     unreadable: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedMessage:
+class RecordedMessage(Struct, frozen=True):
     """Message `index` (from 0, in recorded order) of a recording.
 
     `is_opening`: it was sent before the recording begins, and opens it, for it is latched.
@@ -144,8 +141,7 @@ FOR_EVER = 1 << 62
 """A time in ns, and a number of messages, that none is above."""
 
 
-@dataclass(frozen=True, slots=True)
-class MessageFilter:
+class MessageFilter(Struct, frozen=True):
     """Which messages of a recording: of `topics` (None: all), recorded from `from_ns` to `to_ns`, both included.
 
     Their indexes are from `start` on and below `end`.
@@ -395,8 +391,7 @@ class Adapter(Protocol):
 MESSAGE_LIMIT = 256 * 1024 * 1024
 
 
-@dataclass(frozen=True, slots=True)
-class AdapterOptions:
+class AdapterOptions(Struct, frozen=True):
     """The options of `rosld serve` that concern adapters; each adapter takes what applies to it.
 
     `qos` are profiles for topics by glob: the first that fits holds, where it says something. `message_limit` are the

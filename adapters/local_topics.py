@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Container, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from rosld.adapters.base import Published, Subscription
 from rosld.adapters.model import Encoding, NotFound, Refused, Sample, TypeRef
@@ -13,8 +14,7 @@ from rosld.adapters.slots import Slot
 _MAX_ADVERTISED = 10_000
 
 
-@dataclass(slots=True)
-class AdvertisedTopic:
+class AdvertisedTopic(Struct):
     """A topic that rosld advertises; `epoch` counts its advertisings, `sequence` its messages."""
 
     type: TypeRef

@@ -11,10 +11,10 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import orjson
+from msgspec import Struct
 from pyoxigraph import BlankNode, DefaultGraph, Literal, NamedNode, Quad, RdfFormat, Triple, parse, serialize
 
 from rosld.ontology.charsets import UnknownCharset, decode_xml
@@ -74,8 +74,7 @@ class ExpandedBodyError(BodyError):
         return ExpandedBodyError, (self.words,)
 
 
-@dataclass(frozen=True, slots=True)
-class RdfBody:
+class RdfBody(Struct, frozen=True):
     """The triples of a body: `subjects` maps each subject to its predicates, and these to their objects.
 
     `size` is how many there are. A triple said twice is there twice, except in what `objects` returns.

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from enum import Enum
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.triples import integer, statements, text, triples_about
@@ -49,8 +50,7 @@ _TYPES: Mapping[PanelKind, NamedNode] = {
 _KINDS: Mapping[NamedNode, PanelKind] = {type: kind for kind, type in _TYPES.items()}
 
 
-@dataclass(frozen=True, slots=True)
-class GridArea:
+class GridArea(Struct, frozen=True):
     """A place in the grid: its first column and row (None: the next that is free), and how many of them it takes."""
 
     width: int = 4
@@ -59,8 +59,7 @@ class GridArea:
     row: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Panel:
+class Panel(Struct, frozen=True):
     """A panel of a cockpit: what it draws, of which resources, of which of their fields, and where.
 
     `kind` is None for a type that is not known here, which `type` names.
@@ -74,8 +73,7 @@ class Panel:
     type: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Cockpit:
+class Cockpit(Struct, frozen=True):
     """A cockpit: its title, and its panels from the top to the bottom."""
 
     title: str

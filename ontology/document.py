@@ -7,9 +7,9 @@ both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
+from msgspec import Struct
 from pyoxigraph import Triple
 
 from rosld.adapters.model import Message
@@ -24,8 +24,7 @@ class Envelope(NamedTuple):
     publisher: str | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LiftedMessage:
+class LiftedMessage(Struct, frozen=True, eq=False):
     """A message within a document: `node` is its fragment (`#message`); the link to it is among the triples.
 
     `source` is the URL that has its bytes (`?field=`), where that is not the document itself.
@@ -66,8 +65,7 @@ class LiftedMessage:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Document:
+class Document(Struct, frozen=True):
     """The RDF of the resource at `url`: its description, and the messages it carries.
 
     `simulated_time`: stamps are no wall-clock times, so no xsd:dateTime is derived from them. `parts` are documents

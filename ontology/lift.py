@@ -7,11 +7,12 @@ values.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import RdfFormat, Triple, parse
 
 from rosld.adapters.model import FieldType, Message, MessageSchema, Nested, Primitive
@@ -40,8 +41,7 @@ TERMS: Mapping[str, object] = MappingProxyType(
 """The JSON-LD terms that every lifter's context holds: those of the envelope, of stamps and of what is elided."""
 
 
-@dataclass(frozen=True, slots=True)
-class LiftSettings:
+class LiftSettings(Struct, frozen=True):
     """`types`: the namespace of message types; `inline_limit`: bytes above which an array or string is elided."""
 
     types: str = TYPES
@@ -143,7 +143,7 @@ class Lifter:
 
 
 @lru_cache(maxsize=1024)
-def lifter(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> Lifter:
+def lifter(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> Lifter:  # noqa: B008
     """Return the compiled lifter of a schema; compiled once a schema and settings.
 
     Raises ValueError for a type that contains itself or whose name is none.

@@ -6,9 +6,9 @@ Everything is said twice, by triples for every syntax and by the compact JSON-LD
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
+from msgspec import Struct
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.ontology.document import Document
@@ -55,8 +55,7 @@ def type_named(iri: str) -> str | None:
     return name if name in CHANNEL_TYPES and name != iri else None
 
 
-@dataclass(frozen=True, slots=True)
-class ServiceDescription:
+class ServiceDescription(Struct, frozen=True):
     """A subscription service: its URL, and the name of the type of channel it makes."""
 
     url: str
@@ -98,8 +97,7 @@ def description_members(url: str, storage: str, services: Iterable[ServiceDescri
     return {"id": url, **_TYPES, "subscription": [service.members() for service in found], "@included": [offers]}
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelDescription:
+class ChannelDescription(Struct, frozen=True):
     """Description of a channel (protocol 3.3): `interval` is its rate in seconds, times are ns since 1970."""
 
     url: str

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import TypeAlias
 
+from msgspec import Struct
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.vocab import rdf
@@ -19,8 +19,7 @@ DEPTH = 16
 """How deep blank nodes and lists are nested; what lies deeper is written beside, under its label."""
 
 
-@dataclass(frozen=True, slots=True)
-class Outline:
+class Outline(Struct, frozen=True):
     """Triples by subject and predicate, both in the order of their first appearance; duplicates are gone.
 
     `lists` holds, for the head of every well-formed rdf:List that is used once, its elements; its cells are in

@@ -9,10 +9,11 @@ segment that looks like one of these: `~`, `~.`, `~..`, `~~`, ... So `/a//b` is 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 from urllib.parse import quote, unquote_to_bytes, urlsplit
+
+from msgspec import Struct
 
 from rosld.adapters.model import Schema, TypeRef, halves_of, names
 
@@ -94,8 +95,7 @@ def locate(raw_path: str | bytes) -> Location:
     return Location(decode_segment(kind), tuple(map(decode_segment, segments)), is_container)
 
 
-@dataclass(frozen=True, slots=True)
-class Space:
+class Space(Struct, frozen=True):
     """The URLs of one server. `base` ends in a slash; `types` is the namespace of the classes of message types.
 
     Every method raises ValueError for names that are not global ROS names or hold lone surrogates.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import TypeAlias
 
+from msgspec import Struct
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.ontology.coercion import Misfit
@@ -18,8 +18,7 @@ _MAX_VIOLATIONS = 20
 _MAX_TEXT = 120
 
 
-@dataclass(frozen=True, slots=True)
-class Violation:
+class Violation(Struct, frozen=True):
     """One thing that does not fit.
 
     `path` of the field (`linear.x`, "" for the message), what was expected, what was found (shortened, None where there

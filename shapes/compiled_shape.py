@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, TypeAlias
 from urllib.parse import unquote
 
+from msgspec import Struct, field
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.ontology.body import Term
@@ -54,8 +54,7 @@ ALONE = Extent()
 """The extent of a shape in which there is no other."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shape:
+class Shape(Struct, frozen=True, eq=False):
     """A shape, compiled. A node shape has no `path`: its one value node is the focus node (SHACL 2.1.3).
 
     `is_simple` is False where it, or a shape that it refers to, has parts that are not compiled. `paths` are the

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from math import isnan
 
 import re2
+from msgspec import Struct
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.body import Term
@@ -29,8 +29,7 @@ _MAX_MEMORY = 1 << 20
 _FLAGS = "ims"
 
 
-@dataclass(frozen=True, slots=True)
-class SafePattern:
+class SafePattern(Struct, frozen=True):
     """A pattern that may be searched for in texts of up to `max_length` bytes of UTF-8."""
 
     text: str

@@ -9,10 +9,11 @@ themselves, and their patterns cannot take for ever.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import islice
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import BlankNode, NamedNode, Triple
 
 from rosld.ontology.violations import Violation
@@ -25,8 +26,7 @@ MAX_VIOLATIONS = 20
 """The violations that are told; there may be more."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NodeShape:
+class NodeShape(Struct, frozen=True, eq=False):
     """One shape of a shapes graph. `violations` tells how a focus node and the triples around it break it.
 
     `paths` are the predicates that its simple property shapes look at (None where a path is not a predicate);

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.adapters.model import Array, FieldType, MessageSchema, Nested, ParameterType, Primitive
@@ -23,8 +24,7 @@ from rosld.shapes.writer import ShapesWriter
 Kind: TypeAlias = Primitive | Nested | Array | ParameterType
 
 
-@dataclass(frozen=True, slots=True)
-class ValuePlace:
+class ValuePlace(Struct, frozen=True):
     """A place that a path leads to: a value of a kind, in a message of a schema where it is in one."""
 
     kind: Kind
@@ -65,8 +65,7 @@ class ValuePlace:
         return next((ValuePlace(each.type, self.schema) for each in fields), None)
 
 
-@dataclass(frozen=True, slots=True)
-class ResourcePlace:
+class ResourcePlace(Struct, frozen=True):
     """A resource that a limit is about: the predicate of its value (`rdf:value`, `ros:latest`), and what that is."""
 
     predicate: NamedNode
@@ -99,8 +98,7 @@ class InexpressibleError(ValueError):
     """A limit that no shape of what is written can say."""
 
 
-@dataclass(frozen=True, slots=True)
-class LimitPart:
+class LimitPart(Struct, frozen=True):
     """Demand of a limit on a node or, with a `path`, on the value of a predicate.
 
     `bounds` are those of a scalar of a `kind` with a `datatype`, all of which must hold. `orders` are sibling numbers
@@ -270,8 +268,7 @@ def limit_statements(writer: ShapesWriter, values: AcceptedValues, part: LimitPa
         yield operator, (shapes[0] if operator == sh.not_ else writer.list_of(shapes))
 
 
-@dataclass(frozen=True, slots=True)
-class Demand:
+class Demand(Struct, frozen=True):
     """What limits demand of a message or a value, beyond its type.
 
     `bounds` are those of single scalars, by dotted path ("" is the value itself). `value_parts` are limits that say

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import islice
 from typing import TypeAlias, cast
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.adapters.model import Array, Message, MessageSchema, Nested, Primitive
@@ -74,8 +75,7 @@ def _rename(triple: Triple, old: str, new: str) -> Triple:
     return Triple(subject, triple.predicate, value)
 
 
-@dataclass(frozen=True, eq=False)
-class Limits:
+class Limits(Struct, frozen=True, eq=False):
     """All limits in force. `graph` is the shapes graphs they come from, in one.
 
     `by_class`: the limits on messages by the IRI of their class. `by_url`: those on resources.

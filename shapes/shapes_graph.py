@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
+from msgspec import Struct, field
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.body import Term
@@ -46,8 +46,7 @@ MAX_SHAPES = 1000
 _LONGEST_PATH = 50
 
 
-@dataclass
-class _Draft:
+class _Draft(Struct):
     """A shape in the making."""
 
     of_value: list[ValueConstraint] = field(default_factory=list)

@@ -9,6 +9,7 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, TypeAlias, TypeVar
 
+from msgspec import Struct
 from pyoxigraph import Literal, NamedNode
 
 from rosld.adapters.model import Field, MessageSchema, Primitive
@@ -17,8 +18,7 @@ from rosld.ontology.vocab import sh
 from rosld.shapes.terms import number
 
 
-@dataclass(frozen=True, slots=True)
-class Bounds:
+class Bounds(Struct, frozen=True):
     """Constraints on one scalar beyond its type (SHACL 4.3 to 4.8); None and () for none.
 
     `choices`: it is one of these. `step`: it is a multiple of these above `minimum`, or it is `maximum`. Lengths are in
@@ -67,8 +67,7 @@ class Bounds:
 UNBOUNDED = Bounds()
 
 
-@dataclass(frozen=True, slots=True)
-class Measure:
+class Measure(Struct, frozen=True):
     """Unit and kind of quantity of a number, as QUDT's terms."""
 
     unit: NamedNode | None = None
@@ -78,8 +77,7 @@ class Measure:
 NO_MEASURE = Measure()
 
 
-@dataclass(frozen=True, slots=True)
-class ScalarShape:
+class ScalarShape(Struct, frozen=True):
     """A value that is one scalar of a ROS primitive.
 
     `is_parameter`: it is a parameter's, whose integers are xsd:integer, and numbers in JSON however large.
@@ -105,8 +103,7 @@ class MessageShape:
     measure: ClassVar[Measure] = NO_MEASURE
 
 
-@dataclass(frozen=True, slots=True)
-class OpenShape:
+class OpenShape(Struct, frozen=True):
     """A value of any kind: a parameter's without a declared type, or a topic's whose type is not known."""
 
     kind: ClassVar[None] = None

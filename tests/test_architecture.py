@@ -261,7 +261,7 @@ STILL_LARGE = {"Mirror", "Client"}
 def attributes(node: ast.ClassDef) -> set[str]:
     """Return the attributes that a class declares as a record, or assigns to itself."""
     bases = {ast.unparse(base).rpartition(".")[2] for base in node.bases}
-    is_record = "NamedTuple" in bases or any("dataclass" in ast.unparse(each) for each in node.decorator_list)
+    is_record = bases & {"NamedTuple", "Struct"} or any("dataclass" in ast.unparse(one) for one in node.decorator_list)
     declared = {
         each.target.id
         for each in node.body

@@ -6,12 +6,12 @@ import logging
 import zlib
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_idl, get_typestore
@@ -143,8 +143,7 @@ _Value = TypeVar("_Value")
 log = logging.getLogger("rosld.recording")
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Stream:
+class Stream(Struct, frozen=True, eq=False):
     """Messages of a publisher on a topic: `positions` are their indexes in the recording, ascending."""
 
     topic: str

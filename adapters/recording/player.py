@@ -11,10 +11,10 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Sample, Unreachable
@@ -29,8 +29,7 @@ class Position(NamedTuple):
     offset_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class Playback:
+class Playback(Struct, frozen=True):
     """Playback of a recording of `duration_ns` at `rate` times its speed, in a loop with a short pause, or once.
 
     The pause shows the last message for the mean time between messages, at least a millisecond and at most a second.

@@ -7,12 +7,15 @@ followers. Following registers nothing: only senders and cancelers publish, and 
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import itertools
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field, replace
 from functools import partial
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from rosld.adapters.base import Sink
 from rosld.adapters.model import (
@@ -63,8 +66,7 @@ _CANCEL = TypeRef("actionlib_msgs/msg/GoalID")
 _PARTS = ("status", "result", "feedback", "goal")
 
 
-@dataclass(frozen=True, slots=True)
-class _Sending:
+class _Sending(Struct, frozen=True):
     """A goal's message, its publication, and the connections to servers that it was sent on."""
 
     message: bytes
@@ -72,8 +74,7 @@ class _Sending:
     links: frozenset[SubscriberConnection]
 
 
-@dataclass(slots=True)
-class _Known:
+class _Known(Struct):
     """A known goal with its latest status. `listed_at` is when its server last listed it."""
 
     listed_at: float
@@ -100,8 +101,7 @@ class _Known:
         return self.ended_at is not None
 
 
-@dataclass(slots=True)
-class _Followed:
+class _Followed(Struct):
     """A followed action, with its readers and number of followers."""
 
     readers: dict[str, TopicReader] = field(default_factory=dict)
@@ -319,7 +319,11 @@ class Actions:
         if known is not None:
             known.has_result = True
             ending, known.ending = known.ending, None
-            event = GoalEvent(time.time_ns(), result=result) if ending is None else replace(ending, result=result)
+            event = (
+                GoalEvent(time.time_ns(), result=result)
+                if ending is None
+                else dataclasses.replace(ending, result=result)
+            )
             self._tell(action, status.id, known, event)
 
     def _take_feedback(self, action: str, data: bytes) -> None:
@@ -389,7 +393,7 @@ class Actions:
             known.held.append(event)
             return
         self._flush(action, id, known)
-        self._sink.goal_changed(GoalId(action, id), replace(event, own=known.is_own))
+        self._sink.goal_changed(GoalId(action, id), dataclasses.replace(event, own=known.is_own))
 
     def _flush(self, action: str, id: str, known: _Known) -> None:
         held, known.held = known.held, []

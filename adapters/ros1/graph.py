@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TypeVar
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import Endpoint, Graph, Live, Master, Node, Parameter, Service, Stale, Topic, TypeRef, freeze
 from rosld.adapters.ros1.actionlib import actions_of
@@ -15,8 +17,7 @@ _NOTHING = EndpointFacts()
 _NOT_ASKED = ServiceFacts(None, "its type is not known yet: its node is being asked")
 
 
-@dataclass(frozen=True)
-class SystemState:
+class SystemState(Struct, frozen=True):
     """Response of getSystemState and getTopicTypes: nodes by name, types by topic."""
 
     publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -31,8 +32,7 @@ class SystemState:
         }
 
 
-@dataclass(frozen=True)
-class Observation:
+class Observation(Struct, frozen=True):
     """All inputs of the graph except learnt facts."""
 
     master: Master

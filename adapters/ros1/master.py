@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from rosld.adapters.model import NotFound, Refused, RosError, Sent, Unreachable
 from rosld.adapters.model.names import global_name
@@ -14,8 +15,7 @@ from rosld.adapters.ros1.xmlrpc import Answer, XmlRpcClient, encode_call
 LOOK = 5.0  # seconds without a response to a poll after which the master counts as lost
 
 
-@dataclass(frozen=True)
-class MasterSnapshot:
+class MasterSnapshot(Struct, frozen=True):
     """State of the master: its process id, and the raw responses, which are compared to detect changes."""
 
     pid: int

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import Descriptor, Parameter, Refused, Sent, coerce
 from rosld.adapters.model.parameter import ParameterValue
@@ -33,8 +34,7 @@ from rosld.adapters.ros1.types import Types
 _DEPTH = 1
 
 
-@dataclass(slots=True)
-class _Followed:
+class _Followed(Struct):
     """A followed server: its readers, its declarations, and its last reported values."""
 
     node: str

@@ -6,9 +6,10 @@ import asyncio
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import Schema, ServiceSchema, TypeRef, UnknownType
 from rosld.adapters.model.library import TypeLibrary
@@ -109,8 +110,7 @@ class ServiceFacts(NamedTuple):
     uncallable: str | None = None
 
 
-@dataclass
-class LearntFacts:
+class LearntFacts(Struct):
     """Learnt facts by name; written only on the reading thread. `changed` is called after each change."""
 
     changed: Callable[[], None]

@@ -11,9 +11,10 @@ import math
 import secrets
 import time
 from collections.abc import Callable, Coroutine, Mapping
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, cast
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import Action, GoalEvent, GoalId, GoalStatus, NotFound, Qos, Refused, RosError, Sent
 from rosld.adapters.ros2.calls import Calls
@@ -45,8 +46,7 @@ _PAUSE = 0.005
 _MAX_REMEMBERED = 1000
 
 
-@dataclass
-class _Goal:
+class _Goal(Struct):
     """A known goal: its status, and whether the request for its result is pending.
 
     `held` are events of our own goal from before its acceptance; None after it.
@@ -58,8 +58,7 @@ class _Goal:
     held: list[GoalEvent] | None = None
 
 
-@dataclass
-class _Line:
+class _Line(Struct):
     """An action that has followers, or pending goals of ours."""
 
     name: str

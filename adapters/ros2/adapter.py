@@ -6,8 +6,9 @@ import itertools
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
+
+from msgspec import Struct, field
 
 from rosld.adapters.base import AdapterOptions, Capabilities, Published, Sink, Watch
 from rosld.adapters.model import (
@@ -48,8 +49,7 @@ def adapter(source: str, options: AdapterOptions) -> Ros2Adapter:
     return Ros2Adapter(read, options)
 
 
-@dataclass
-class _Own:
+class _Own(Struct):
     """Newest messages that rosld published on a topic, and their count."""
 
     ref: TypeRef

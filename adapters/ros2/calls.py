@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import math
-from dataclasses import dataclass, field
 from functools import partial
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import Sent, TimedOut, UnknownType, Unreachable
 from rosld.adapters.ros2.middleware import Client, Participant
@@ -23,8 +24,7 @@ _SETTLING_STEPS = 10
 """Number of parts of this wait: on a busy machine each takes longer, like the server's discovery of our client."""
 
 
-@dataclass(eq=False)
-class _Line:
+class _Line(Struct, eq=False):
     """A client, and its pending calls."""
 
     client: Client

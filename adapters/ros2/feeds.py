@@ -10,7 +10,8 @@ import asyncio
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Encoding, Sample, TypeRef
@@ -23,8 +24,7 @@ _ECHOES = 64
 _REMEMBERED = 256
 
 
-@dataclass(frozen=True)
-class Publishers:
+class Publishers(Struct, frozen=True):
     """Facts about a topic's publishers: the number for each node (except ours), and the nodes by gid.
 
     `types` are the nodes' types, `latched` are the nodes with latched publishers, `type` is the topic's type if known.
@@ -37,8 +37,7 @@ class Publishers:
     type: TypeRef | None = None
 
 
-@dataclass
-class _Stream:
+class _Stream(Struct):
     """One publisher's newest samples, and the state of its count."""
 
     epoch: int

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TypeVar
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import (
     Action,
@@ -28,8 +30,7 @@ _SEND_GOAL = "/_action/send_goal"
 _FEEDBACK = "/_action/feedback"
 
 
-@dataclass(frozen=True)
-class Observation:
+class Observation(Struct, frozen=True):
     """An observation of the system, including our own things; `advertised` are our explicit publications."""
 
     nodes: tuple[str, ...] = ()
@@ -41,8 +42,7 @@ class Observation:
     callers: Mapping[str, Names] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class GraphInputs:
+class GraphInputs(Struct, frozen=True):
     """Inputs of the graph in addition to the observation.
 
     `problems` are the reasons why types cannot be used here, by name.

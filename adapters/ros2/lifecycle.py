@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, cast
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import (
     Lifecycle,
@@ -44,8 +46,7 @@ _TRIES = 4
 _MAX_TRANSITIONS = 64
 
 
-@dataclass(eq=False)
-class _Managed:
+class _Managed(Struct, eq=False):
     """A managed node: its known lifecycle, and the time of its next query."""
 
     lifecycle: Lifecycle
@@ -60,8 +61,7 @@ class _Managed:
         return self.lifecycle.state is not None and self.lifecycle.state.is_underway
 
 
-@dataclass
-class Lifecycles:
+class Lifecycles(Struct):
     """Lifecycles of all nodes except ours. `changed` is called after changes."""
 
     participant: Participant

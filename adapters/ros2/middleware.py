@@ -11,9 +11,10 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple, Protocol, TypeAlias
+
+from msgspec import Struct
 
 from rosld.adapters.model import Qos, TypeRef
 from rosld.adapters.model.names import global_name
@@ -58,8 +59,7 @@ class TakenMessage(NamedTuple):
     gid: bytes | None
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterChange:
+class ParameterChange(Struct, frozen=True):
     """Event of a node: parameters that were added (`new`), changed or deleted."""
 
     node: str

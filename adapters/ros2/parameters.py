@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass, field
 from typing import Any, cast
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import (
     Descriptor,
@@ -45,8 +46,7 @@ _AT_ONCE = 16
 _MAX_PARAMETERS = 20_000
 
 
-@dataclass
-class _Owner:
+class _Owner(Struct):
     """A node with parameters: their names and declarations, and the time of its next query.
 
     `new` are names with declarations yet to be requested; `describes` is whether the node returns declarations.
@@ -68,8 +68,7 @@ class _Owner:
         self.descriptors = {name: each for name, each in {**known, **descriptors}.items() if name in self.names}
 
 
-@dataclass
-class Parameters:
+class Parameters(Struct):
     """Parameters of all nodes except ours. `changed` is called with the names of changed parameters."""
 
     calls: Calls

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import importlib
 import re
-from dataclasses import dataclass
 from urllib.parse import parse_qsl
+
+from msgspec import Struct
 
 _DOMAINS = range(233)
 _NAMESPACE = re.compile(r"(/[A-Za-z_]\w*)+\Z", re.ASCII)
@@ -18,8 +19,7 @@ HOW_TO_GET_IT = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Source:
+class Source(Struct, frozen=True):
     """A domain (None: ROS_DOMAIN_ID or 0), and the namespace of our own nodes in it."""
 
     domain: int | None = None

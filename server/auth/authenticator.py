@@ -6,9 +6,10 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
+
+from msgspec import Struct
 
 from rosld.ontology.urls import Space
 from rosld.server.auth import config
@@ -29,8 +30,7 @@ _log = logging.getLogger("rosld")
 _Stamp: TypeAlias = tuple[int, int, int]
 
 
-@dataclass(frozen=True, slots=True)
-class AuthContext:
+class AuthContext(Struct, frozen=True):
     """The permissions of a request's agent, whether they still hold (a stream outlasts them), and the public ones."""
 
     permissions: Permissions

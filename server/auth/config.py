@@ -10,11 +10,11 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 from urllib.parse import urlsplit
 
+from msgspec import Struct, field
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, parse
 
 from rosld.ontology.vocab import acl, foaf, rdf, ros
@@ -43,8 +43,7 @@ MODES: Mapping[NamedNode, Mode] = {
 _MAX_BYTES = 4 * 1024 * 1024
 
 
-@dataclass(frozen=True, slots=True)
-class Issuer:
+class Issuer(Struct, frozen=True):
     """A trusted OpenID Connect issuer of access tokens for `audience`.
 
     `keys` is the URL of its keys, None to find it in the issuer's configuration.
@@ -56,8 +55,7 @@ class Issuer:
     keys: str | None = None
 
 
-@dataclass(frozen=True)
-class AuthConfig:
+class AuthConfig(Struct, frozen=True):
     """Contents of the file of `--auth`. `subjects` are the names of agents by issuer and subject."""
 
     policy: Policy

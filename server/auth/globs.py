@@ -8,10 +8,11 @@ encoded slash (`%2F`) is part of its segment. A final slash makes no difference.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TypeAlias
 from urllib.parse import unquote
+
+from msgspec import Struct
 
 from rosld.ontology.urls import Location, decode_segment
 
@@ -26,8 +27,7 @@ def path_at(location: Location) -> Path:
     return (location.kind, *location.segments) if location.kind else location.segments
 
 
-@dataclass(frozen=True)
-class Glob:
+class Glob(Struct, frozen=True, dict=True):
     """A glob such as `/topics/camera/**`. Raises ValueError with a sentence if it is invalid."""
 
     text: str

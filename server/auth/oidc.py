@@ -12,9 +12,10 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from typing import NamedTuple
 from urllib.parse import urlsplit
+
+from msgspec import Struct, field
 
 from rosld.server.auth.config import Issuer
 
@@ -62,8 +63,7 @@ def issuer_of(token: str, issuers: Iterable[Issuer]) -> Issuer | None:
     return next((issuer for issuer in issuers if issuer.url == said), None)
 
 
-@dataclass
-class TokenVerifier:
+class TokenVerifier(Struct):
     """Verifier of tokens. Belongs to one loop."""
 
     _keys: dict[Issuer, _Keys] = field(default_factory=dict)

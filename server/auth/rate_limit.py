@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from ipaddress import IPv6Address, ip_address
+
+from msgspec import Struct
 
 from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.http.problem import Problem
@@ -53,8 +54,7 @@ class RateLimitExceeded(Problem):
     """Problem 429: the client is at its limit. The response is sent after `RETRY_SECONDS`."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClientLimits:
+class ClientLimits(Struct, frozen=True):
     """Limits of one client: requests per second, concurrent requests, connections, and WebSockets among them."""
 
     rate: float

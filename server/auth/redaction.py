@@ -10,12 +10,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from copy import copy
-from dataclasses import replace
 from functools import lru_cache
 from typing import TypeAlias
 from urllib.parse import unquote, urljoin
 
 import orjson
+from msgspec.structs import replace
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.document import Document, LiftedMessage

@@ -15,6 +15,8 @@ from enum import Enum
 from functools import cached_property
 from typing import TypeAlias
 
+from msgspec import Struct
+
 from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.globs import Glob, Path, type_matches
 
@@ -60,8 +62,7 @@ def mode_of(method: str, path: Path) -> Mode:
     return Mode.CONTROL if route in _CONTROLLED else Mode.WRITE
 
 
-@dataclass(frozen=True, slots=True)
-class Rule:
+class Rule(Struct, frozen=True):
     """A rule that permits (or, with `deny`, forbids) agents to use modes at paths.
 
     `types` are globs that limit the rule to resources of such types. `agents` are names or WebIDs, `anybody` or
@@ -108,8 +109,7 @@ class Rule:
         return mode in self.modes and any(glob.overlaps_subtree(path) for glob in self.globs)
 
 
-@dataclass(frozen=True)
-class Policy:
+class Policy(Struct, frozen=True):
     """All rules of a server; `agents` are the declared ones, by name."""
 
     rules: tuple[Rule, ...] = ()

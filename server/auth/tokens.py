@@ -13,8 +13,9 @@ import hmac
 import re
 import secrets
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
+
+from msgspec import Struct
 
 from rosld.server.http.token_redaction import PREFIX
 
@@ -33,8 +34,7 @@ def token_digest(token: str) -> str:
     return "sha256:" + hashlib.sha256(token.encode("utf-8", "surrogatepass")).hexdigest()
 
 
-@dataclass(frozen=True)
-class TokenTable:
+class TokenTable(Struct, frozen=True, dict=True):
     """Names of agents by the digests of their tokens."""
 
     agents: Mapping[str, str]
@@ -50,8 +50,7 @@ class TokenTable:
         return found if hmac.compare_digest(sent, known) else None
 
 
-@dataclass(frozen=True, slots=True)
-class Credentials:
+class Credentials(Struct, frozen=True):
     """Credentials of a request: a token, and the user name if the token was sent as a password."""
 
     token: str

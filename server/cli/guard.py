@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from dataclasses import replace
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from rosld.adapters.base import Adapter, AdapterOptions
 from rosld.adapters.model import RosError

@@ -10,11 +10,11 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, NoReturn, cast
 
 import click
+from msgspec import Struct
 
 from rosld.adapters.base import AdapterOptions
 from rosld.ontology.lift import LiftSettings
@@ -37,8 +37,7 @@ _STRIDE = 500
 """Number of messages between two updates of the progress bar."""
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
+class Target(Struct, frozen=True):
     """The target of a lift: file, syntax, and compression."""
 
     path: Path

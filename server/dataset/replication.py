@@ -19,9 +19,9 @@ import random
 import threading
 import time
 from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeVar
 
+from msgspec import Struct
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.triples import date_time_literal as instant
@@ -91,8 +91,7 @@ class ReplicationSource(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class ReplicationStatus:
+class ReplicationStatus(Struct, frozen=True):
     """Progress of a mirror. `lag` is the age in seconds of the oldest change that is not replicated, or 0.
 
     `failure` is why the store cannot be updated now, or None, and `words` is the store's own message. `pending` graphs

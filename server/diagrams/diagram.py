@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
 from enum import Enum
 from urllib.parse import quote
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from rosld.adapters.model import Graph, Topic, names
 from rosld.adapters.model.qos import Mismatch, mismatches
@@ -35,8 +37,7 @@ class VertexKind(Enum):
     ACTION = "action"
 
 
-@dataclass(frozen=True, slots=True)
-class Vertex:
+class Vertex(Struct, frozen=True):
     """A thing in the graph, or `count` things folded into one vertex.
 
     `rate` is in messages per second, or 0.0 if unknown; `problem` is a text or empty. A topic that `is_unheard` has no
@@ -53,8 +54,7 @@ class Vertex:
     is_unheard: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Traffic:
+class Traffic(Struct, frozen=True):
     """Observations of a topic that are not in the computation graph.
 
     `rate` is in messages per second, or 0.0 before it is measured; `silence` is a text about a topic whose messages
@@ -67,8 +67,7 @@ class Traffic:
     is_subscribed: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Edge:
+class Edge(Struct, frozen=True):
     """The path of messages, calls or goals from one vertex to another, by their keys."""
 
     source: str
@@ -77,8 +76,7 @@ class Edge:
     problem: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Diagram:
+class Diagram(Struct, frozen=True):
     """A diagram; `total` is the number of things in all vertices."""
 
     vertices: tuple[Vertex, ...]
@@ -94,8 +92,7 @@ class Diagram:
         return [*found, *((target, f"{source}: {problem}") for target, source, problem in ends if problem)]
 
 
-@dataclass(frozen=True, slots=True)
-class Selection:
+class Selection(Struct, frozen=True):
     """Part of a graph to draw: the things `below` a name and those connected to them, or all.
 
     Things that all nodes share are omitted, except with `everything`.
@@ -105,8 +102,7 @@ class Selection:
     everything: bool = False
 
 
-@dataclass(slots=True)
-class _Draft:
+class _Draft(Struct):
     """A diagram under construction: vertices by key, edges by the keys of both ends."""
 
     vertices: dict[str, Vertex] = field(default_factory=dict)

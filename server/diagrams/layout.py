@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
+
+from msgspec import Struct, field
 
 _GAP_X, _GAP_Y = 56.0, 12.0
 _MARGIN = 12.0
@@ -30,8 +31,7 @@ class Point(NamedTuple):
     y: float
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
+class Layout(Struct, frozen=True):
     """Upper left corner of each box, and the points of each edge from its source to its target."""
 
     corners: Mapping[str, Point]
@@ -39,8 +39,7 @@ class Layout:
     size: Size
 
 
-@dataclass(slots=True)
-class _Layers:
+class _Layers(Struct):
     """Boxes and bends of edges (an edge and a rank) by rank, in order."""
 
     ranks: list[list[Hashable]]

@@ -7,8 +7,8 @@ import contextlib
 import logging
 from collections import Counter
 from collections.abc import Collection, Coroutine, Hashable, Iterator
-from dataclasses import dataclass, field
 
+from msgspec import Struct, field
 from starlette.datastructures import Address
 from starlette.types import Receive, Scope
 
@@ -32,8 +32,7 @@ LOOK_AGAIN_SECONDS = 5.0
 _log = logging.getLogger("rosld")
 
 
-@dataclass(frozen=True, slots=True)
-class Observation:
+class Observation(Struct, frozen=True):
     """The state of a resource at one moment, or the problem of reading it.
 
     `name` identifies the content. `chunks` are its events, by variant and edition: each is rendered once for all

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from decimal import Decimal
 from urllib.parse import urlsplit
 
 import orjson
+from msgspec import Struct
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.body import BodyError, RdfBody, Subject, check_json_depth, parse_body
@@ -36,8 +36,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _MAX_LENGTH = 200
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelRequest:
+class ChannelRequest(Struct, frozen=True):
     """A requested channel: `interval` in seconds, times in ns since 1970, `accept` the negotiated media type."""
 
     topic: str

@@ -14,8 +14,9 @@ import math
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import TypeAlias
+
+from msgspec import Struct, field
 
 MAX_LENGTH = 500
 """Maximum number of characters of a condition."""
@@ -56,8 +57,7 @@ class ConditionError(ValueError):
     """A condition is malformed, or can never hold for a value."""
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(Struct, frozen=True):
     """A field compared with a literal."""
 
     path: tuple[Step, ...]
@@ -96,8 +96,7 @@ class Comparison:
             raise ConditionError(f"{written} is true or false: compare it by = or !=")
 
 
-@dataclass(frozen=True, slots=True)
-class Negation:
+class Negation(Struct, frozen=True):
     """Negation of a condition."""
 
     of: Condition
@@ -111,8 +110,7 @@ class Negation:
         self.of.check(value)
 
 
-@dataclass(frozen=True, slots=True)
-class Combination:
+class Combination(Struct, frozen=True):
     """Conjunction or disjunction of conditions."""
 
     parts: tuple[Condition, ...]
@@ -156,8 +154,7 @@ def parse_condition(text: str) -> Condition:
 # Values
 
 
-@dataclass(frozen=True)
-class _Nowhere:
+class _Nowhere(Struct, frozen=True):
     """Value of a missing field."""
 
 
@@ -252,8 +249,7 @@ def _brief(value: Literal) -> str:
 # Text
 
 
-@dataclass(frozen=True, slots=True)
-class _Token:
+class _Token(Struct, frozen=True):
     """A word, a sign or a literal, with its position."""
 
     kind: str
@@ -279,8 +275,7 @@ _FORM = "a condition is like data >= 300 and status = 'on'"
 _END = _Token("end", "", -1)
 
 
-@dataclass
-class _Parser:
+class _Parser(Struct):
     """The tokens, and the number of those read."""
 
     tokens: tuple[_Token, ...]

@@ -6,9 +6,9 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Awaitable, Callable, Hashable, Iterator
-from dataclasses import dataclass
 from typing import TypeAlias
 
+from msgspec import Struct
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
@@ -159,8 +159,7 @@ def _whole(problem: Problem) -> Problem:
     return problem
 
 
-@dataclass(frozen=True, slots=True)
-class StreamFormat:
+class StreamFormat(Struct, frozen=True):
     """Format of states: `render` returns the representation `variant`, `name` the state part of the ETag."""
 
     variant: str
@@ -193,8 +192,7 @@ class StreamFormat:
         return event_frame(render(problem).body, name=name)
 
 
-@dataclass(frozen=True, slots=True)
-class StreamEnd:
+class StreamEnd(Struct, frozen=True):
     """End of a stream: once `holds` returns True (it may raise Problems), or after some seconds."""
 
     holds: Callable[[State], bool]

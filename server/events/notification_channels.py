@@ -7,9 +7,10 @@ import contextlib
 import secrets
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 from functools import lru_cache
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import NamedNode
 
 from rosld.ontology.notifications import Activity, ChannelDescription
@@ -32,8 +33,7 @@ IDLE_SECONDS = 300.0
 _SECOND = 1_000_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class ReceiverState:
+class ReceiverState(Struct, frozen=True):
     """Knowledge of a channel's receiver: the name of the topic's state, None if the topic did not exist.
 
     `container` is that state, during reception, if it lists members: to report which one was added or removed.
@@ -43,8 +43,7 @@ class ReceiverState:
     container: State | None = None
 
 
-@dataclass(eq=False, slots=True)
-class Channel:
+class Channel(Struct, eq=False):
     """A channel: its description, the observed resource, the last reported state, and its receiver."""
 
     token: str

@@ -6,9 +6,9 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import orjson
+from msgspec import Struct
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
@@ -30,8 +30,7 @@ _MAX_FRAMES = 200
 """Maximum number of drawn frames."""
 
 
-@dataclass(frozen=True, slots=True)
-class ShownTopic:
+class ShownTopic(Struct, frozen=True):
     """A topic of a view: its name, the label of its type, and references relative to the host.
 
     `picture` is the reference of a grid's picture, `cloud` of a point cloud's data, `history` of its recorded numbers,
@@ -46,8 +45,7 @@ class ShownTopic:
     cloud: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class SpaceSource:
+class SpaceSource(Struct, frozen=True):
     """Data source of a stream; `frames` is None for an agent that may not read them.
 
     `goals` returns the targets that accept poses, and the time for their headers, None under simulated time.

@@ -7,8 +7,9 @@ import contextlib
 import logging
 from collections.abc import AsyncGenerator, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import TypeAlias
+
+from msgspec.structs import replace
 
 from rosld.server.auth.agent import Agent
 from rosld.server.history.recording_orders import (

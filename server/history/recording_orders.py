@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Container, Mapping
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import cast
 
+import msgspec
 import orjson
+from msgspec import Struct
 
 from rosld.server.storage.files import remove_note, write_note
 
@@ -23,8 +24,7 @@ class RecordingRefused(Exception):
         self.is_too_large = is_too_large
 
 
-@dataclass(frozen=True, slots=True)
-class Trigger:
+class Trigger(Struct, frozen=True):
     """Trigger of a recording: `condition` becomes true for the value at the URL `resource`.
 
     Without a resource, `condition` is the IRI of a condition of a mapping. `limit` is the maximum number of recordings.
@@ -35,8 +35,7 @@ class Trigger:
     limit: int = 1
 
 
-@dataclass(frozen=True, slots=True)
-class RecordingOrder:
+class RecordingOrder(Struct, frozen=True):
     """Order of a recording: topics by name or glob, from `before` seconds ago, for `duration` (None: until ended).
 
     With a trigger it starts when the trigger fires, and `before` counts from then.
@@ -50,28 +49,14 @@ class RecordingOrder:
 
 
 def order_to_json(order: RecordingOrder) -> dict[str, object]:
-    """Return an order in the JSON form that clients send."""
-    return {**asdict(order), "topics": list(order.topics)}
+    """Return an order as clients send it in JSON."""
+    members: dict[str, object] = msgspec.to_builtins(order)
+    return members
 
 
 def order_from_json(members: Mapping[str, object]) -> RecordingOrder:
-    """Return the order with these members. Raises KeyError, TypeError, ValueError if they are invalid."""
-    topics, trigger, name = members["topics"], members.get("trigger"), members.get("name")
-    before, duration = members.get("before", 0.0), members.get("duration")
-    if not isinstance(topics, list) or not all(isinstance(each, str) for each in topics):
-        raise TypeError("its topics are no list of names")
-    if not isinstance(name, str | None) or not isinstance(trigger, dict | None):
-        raise TypeError("its name or its trigger is none")
-    if not isinstance(before, float | int) or not isinstance(duration, float | int | None):
-        raise TypeError("its seconds are no numbers")
-    return RecordingOrder(tuple(topics), name, before, duration, None if trigger is None else _trigger(trigger))
-
-
-def _trigger(members: Mapping[str, object]) -> Trigger:
-    condition, resource, limit = members["condition"], members.get("resource"), members.get("limit", 1)
-    if not isinstance(condition, str) or not isinstance(resource, str | None) or not isinstance(limit, int):
-        raise TypeError("its trigger is none")
-    return Trigger(condition, resource, limit)
+    """Return the order with these members. Raises msgspec.ValidationError."""
+    return msgspec.convert(members, RecordingOrder)
 
 
 log = logging.getLogger("rosld.history")

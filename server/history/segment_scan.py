@@ -6,7 +6,8 @@ import zlib
 from array import array
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import Sample
 from rosld.adapters.model.mcap import MAGIC, Fields
@@ -16,8 +17,7 @@ from rosld.server.history.mcap_writer import NUMBERS, Place, Summary
 from rosld.server.history.segment_file import DiskFile, SegmentFile, read_records
 
 
-@dataclass(slots=True)
-class ScannedChunk:
+class ScannedChunk(Struct):
     """A chunk found by the scan: its place, its channel, and the numbers of its messages."""
 
     place: Place
@@ -27,8 +27,7 @@ class ScannedChunk:
     numbers: array[int]
 
 
-@dataclass(slots=True)
-class Scan:
+class Scan(Struct):
     """The complete contents of a file up to `end`; `definitions` are the texts of types by name."""
 
     first: int = 0

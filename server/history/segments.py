@@ -8,8 +8,9 @@ import sqlite3
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from rosld.adapters.model import Sample, TypeRef
 from rosld.server.history.channel import Channel, model_name
@@ -22,8 +23,7 @@ _INDEX = "index.sqlite"
 _SUFFIX = ".mcap"
 
 
-@dataclass(frozen=True, slots=True)
-class HistoryLimits:
+class HistoryLimits(Struct, frozen=True):
     """Limits of the history: the last `seconds` in `size` bytes, in files of `segment_seconds` or `segment_size`."""
 
     seconds: float

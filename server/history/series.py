@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
+
+from msgspec import Struct
 
 from rosld.adapters.model import Sample
 from rosld.server.history.chunk_index import ChunkRow
@@ -41,8 +42,7 @@ class Point(NamedTuple):
     statistic: Statistic
 
 
-@dataclass(frozen=True, slots=True)
-class SeriesRange:
+class SeriesRange(Struct, frozen=True):
     """Range of times in ns, and the maximum number of points."""
 
     from_ns: int
@@ -58,8 +58,7 @@ class SeriesRange:
         return self.from_ns + interval * (self.to_ns - self.from_ns) // self.points
 
 
-@dataclass(frozen=True, slots=True)
-class Series:
+class Series(Struct, frozen=True):
     """The points, ascending. `is_reduced`: each is for an interval, else for one message."""
 
     points: Sequence[Point]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import TypeAlias
 from urllib.parse import quote
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.adapters.model import Primitive
 from rosld.ontology.cockpit import COLUMNS, Cockpit, Panel, PanelKind
@@ -42,67 +44,58 @@ LEVELS: Mapping[Level, tuple[str, str]] = {
 """The word of a level, and its tone."""
 
 
-@dataclass(frozen=True, slots=True)
-class WordsContent:
+class WordsContent(Struct, frozen=True):
     """Why nothing is shown, in a sentence."""
 
     words: str
 
 
-@dataclass(frozen=True, slots=True)
-class ValueContent:
+class ValueContent(Struct, frozen=True):
     """A resource: what it says, and where it is one of `/resources/` its view."""
 
     document: Document
     view: Offer | None
 
 
-@dataclass(frozen=True, slots=True)
-class StatesContent:
+class StatesContent(Struct, frozen=True):
     """Diagnostics, the worst first."""
 
     states: tuple[DiagnosticState, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class PlotContent:
+class PlotContent(Struct, frozen=True):
     """Numbers over time, and the references (`y`) that name them."""
 
     numbers: tuple[PlottedNumber, ...]
     references: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class PictureContent:
+class PictureContent(Struct, frozen=True):
     """The picture of a topic, and the number of its newest message."""
 
     view: PictureView
     sequence: int
 
 
-@dataclass(frozen=True, slots=True)
-class FormsContent:
+class FormsContent(Struct, frozen=True):
     """Forms, each with the URL that it posts to."""
 
     forms: tuple[Form, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class DriveContent:
+class DriveContent(Struct, frozen=True):
     """The form of a topic that commands a velocity."""
 
     form: HoldForm
 
 
-@dataclass(frozen=True, slots=True)
-class TableContent:
+class TableContent(Struct, frozen=True):
     """The results of a query."""
 
     results: PageResults
 
 
-@dataclass(frozen=True, slots=True)
-class SpaceContent:
+class SpaceContent(Struct, frozen=True):
     """The view of space that a reference names, relative to the base."""
 
     reference: str
@@ -121,8 +114,7 @@ PanelContent: TypeAlias = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class FilledPanel:
+class FilledPanel(Struct, frozen=True):
     """A panel and what it shows now; another `version` whenever that is something else."""
 
     panel: Panel
@@ -130,8 +122,7 @@ class FilledPanel:
     version: str
 
 
-@dataclass(frozen=True, slots=True)
-class ValueRow:
+class ValueRow(Struct, frozen=True):
     """A named value of a panel."""
 
     label: str
@@ -139,24 +130,21 @@ class ValueRow:
     anchor: Anchor | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ValueBody:
+class ValueBody(Struct, frozen=True):
     """Named values, or without any the table of all that is said."""
 
     rows: tuple[ValueRow, ...]
     table: TableView | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class StatesBody:
+class StatesBody(Struct, frozen=True):
     """The first states; there are `more`."""
 
     states: tuple[DiagnosticState, ...]
     more: int
 
 
-@dataclass(frozen=True, slots=True)
-class PlotBody:
+class PlotBody(Struct, frozen=True):
     """Configuration of the plot as JSON, and links to the plots of single numbers."""
 
     config: str
@@ -168,8 +156,7 @@ PanelBody: TypeAlias = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class PanelView:
+class PanelView(Struct, frozen=True):
     """A panel for the template: `part` is the template of its body, `key` identifies it across updates."""
 
     part: str
@@ -384,8 +371,7 @@ _WIDE = "(min-width: 48rem)"
 """From which width on there is a grid: below it each panel has the whole width."""
 
 
-@dataclass(frozen=True, slots=True)
-class CockpitPage:
+class CockpitPage(Struct, frozen=True):
     """The page of a cockpit: its panels as far as the reader may know of them, `hidden` of them left out.
 
     `others` are the URLs of cockpits with what they are called. Without a form nothing of it is on offer.

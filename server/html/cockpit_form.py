@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeAlias
+
+from msgspec import Struct
 
 from rosld.ontology.cockpit import COLUMNS, Cockpit, GridArea, Panel, PanelKind
 from rosld.ontology.violations import LoweringError, Violation
@@ -23,8 +24,7 @@ _KINDS = tuple(kind.value for kind in PanelKind)
 _MOST = 99
 
 
-@dataclass(frozen=True, slots=True)
-class PanelInputs:
+class PanelInputs(Struct, frozen=True):
     """Values of the inputs of one panel. `number` is 0 for a new panel."""
 
     prefix: str
@@ -41,8 +41,7 @@ class PanelInputs:
     is_removed: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class EditForm:
+class EditForm(Struct, frozen=True):
     """A form that writes a cockpit anew. `base` is what URLs of the robot begin with, `version` what is replaced."""
 
     template: ClassVar[str] = "edit"
@@ -70,8 +69,7 @@ class EditForm:
         return (*there, *(_empty(len(there) + 1 + number) for number in range(ADDED)))
 
 
-@dataclass(frozen=True, slots=True)
-class CopyForm:
+class CopyForm(Struct, frozen=True):
     """A form that makes a cockpit of a name as a copy of one at a URL."""
 
     template: ClassVar[str] = "copy"

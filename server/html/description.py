@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 
+from msgspec import Struct, field
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.ontology.document import Document
@@ -29,8 +29,7 @@ _LAST = {ros.definition: 1_000, ros.hasField: 999, rdfs.isDefinedBy: 998}
 _QUIET_TYPES = frozenset({ldp.Resource, ldp.RDFSource, ldp.Container})
 
 
-@dataclass(frozen=True, slots=True)
-class Section:
+class Section(Struct, frozen=True):
     """A subject of the document and what is said of it. `id` is its fragment on the page, `kind` its type in words."""
 
     title: str
@@ -39,8 +38,7 @@ class Section:
     kind: str = ""
 
 
-@dataclass(slots=True)
-class _Walk:
+class _Walk(Struct):
     """One document being walked: `drawn` are the subjects that have their place already, `left` bounds the rows.
 
     `parts` are what the IRIs of the parts of its subject begin with.
@@ -223,8 +221,7 @@ MAX_SECTIONS = 40
 """Sections that a page shows one below the other. More of them are folded, by kind."""
 
 
-@dataclass(frozen=True, slots=True)
-class SectionGroup:
+class SectionGroup(Struct, frozen=True):
     """The sections of one kind."""
 
     title: str

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from decimal import Decimal
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import asdict
 from pyoxigraph import Literal
 
 from rosld.adapters.model import MessageSchema, Primitive
-from rosld.ontology.fields import type_at
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.server.html.bounds import parse_number
 from rosld.server.html.inputs import Json
@@ -26,8 +26,7 @@ _WITHIN = Decimal("0.999")
 """What of an exclusive bound is driven at most."""
 
 
-@dataclass(frozen=True, slots=True)
-class Axis:
+class Axis(Struct, frozen=True):
     """One direction of the pad: the path of the field that it sets, what that is, and its range."""
 
     path: str
@@ -37,8 +36,7 @@ class Axis:
     greatest: float
 
 
-@dataclass(frozen=True, slots=True)
-class DrivePad:
+class DrivePad(Struct, frozen=True):
     """A pad for a topic: forward and leftward speeds, the message of standstill, and the terms of its hold."""
 
     topic: str
@@ -84,7 +82,7 @@ def drive_pad(
 
 def _bound_axis(axis: Axis, prefix: str, schema: MessageSchema, bounds: Mapping[str, Bounds]) -> Axis:
     path = prefix + axis.path
-    demanded, is_single = bounds.get(path, UNBOUNDED), type_at(schema, path) == Primitive("float32")
+    demanded, is_single = bounds.get(path, UNBOUNDED), _is_single(schema, path)
     lower = [bound for bound in (_value(demanded.minimum), _within(demanded.exclusive_minimum)) if bound is not None]
     upper = [bound for bound in (_value(demanded.maximum), _within(demanded.exclusive_maximum)) if bound is not None]
     least = max(lower, default=Decimal(str(axis.least)))
@@ -105,6 +103,15 @@ def _value(bound: Literal | None) -> Decimal | None:
 def _within(bound: Literal | None) -> Decimal | None:
     found = _value(bound)
     return None if found is None else found * _WITHIN
+
+
+def _is_single(schema: MessageSchema, path: str) -> bool:
+    """Whether a field is a float32."""
+    name, kind = schema.ref.name, None
+    for part in path.split("."):
+        kind = next(each.type for each in schema.types[name].fields if each.name == part)
+        name = getattr(kind, "name", "")
+    return kind == Primitive("float32")
 
 
 def _inside(bound: Decimal, inward: float, *, is_single: bool) -> float:

@@ -8,8 +8,10 @@ field (`linear.x`), so that a message may well have a field called `method`: onl
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
 from typing import ClassVar, TypeAlias
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from rosld.adapters.model import MessageSchema
 from rosld.ontology.violations import Violation
@@ -43,8 +45,7 @@ PARAMETER_TYPES = ("number", "string", "boolean", "JSON")
 """What a parameter's form offers; whole numbers stay whole."""
 
 
-@dataclass(frozen=True, slots=True)
-class NameChoices:
+class NameChoices(Struct, frozen=True):
     """Names to be ticked, which are added to what is typed into the text `field`; `urls` are what they are about."""
 
     field: str
@@ -62,8 +63,7 @@ class NameChoices:
         return group_names(self.names, lambda name: name)
 
 
-@dataclass(frozen=True)
-class ValueForm:
+class ValueForm(Struct, frozen=True):
     """A form for a value of a shape: a message to publish or to call a service with, a property's, a parameter's.
 
     `value` (plain JSON, None for ROS's defaults) is what it is filled with at first, `submitted` what was typed into it
@@ -145,8 +145,7 @@ def message_form(
     return ValueForm(MessageShape(schema, schema.type.fields), method, title, button, value, about=about)
 
 
-@dataclass(frozen=True, slots=True)
-class HoldTerms:
+class HoldTerms(Struct, frozen=True):
     """The defaults and maxima of a hold's rate (Hz) and time (s), and what is published at its end by default."""
 
     rate: float
@@ -156,8 +155,7 @@ class HoldTerms:
     then: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class HoldForm(ValueForm):
+class HoldForm(ValueForm, frozen=True, kw_only=True):
     """A form that holds a topic: the message, and in the query how often it is published and what becomes of that.
 
     `pad` is there where the topic commands a velocity.
@@ -185,8 +183,7 @@ def _query_number(name: str, label: str, value: float, most: float, unit: str, f
     return Input(name, label, "number", escape_controls(text), min="0.1", max=f"{most:g}", step="0.1", unit=unit)
 
 
-@dataclass(frozen=True, slots=True)
-class DeleteForm:
+class DeleteForm(Struct, frozen=True):
     """A button that deletes the resource; `about` says what that does, `query` are parameters that it sends."""
 
     template: ClassVar[str] = "delete"
@@ -200,8 +197,7 @@ class DeleteForm:
     violations: ClassVar[tuple[Violation, ...]] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class ChoiceForm:
+class ChoiceForm(Struct, frozen=True):
     """A button for each of several things that may be asked for by its name, which is sent as the field `name`.
 
     `labels` are what buttons say that do not say that name.

@@ -5,12 +5,12 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
 from jinja2 import DictLoader, Environment, StrictUndefined
 from markupsafe import Markup
+from msgspec import Struct
 from pyoxigraph import Literal
 
 from rosld.ontology.describe_graph import SECTIONS
@@ -122,8 +122,7 @@ def _words(segment: str) -> str:
     return escape_controls(text[1:] if text.startswith("~") else text) or "(empty)"
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(Struct, frozen=True):
     """The frame of a page."""
 
     site: Site

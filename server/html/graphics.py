@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from urllib.parse import quote
+
+from msgspec import Struct
 
 from rosld.adapters.model import Message, MessageSchema
 from rosld.server.html.page import PlotPage
@@ -18,8 +19,7 @@ from rosld.server.space.frame_buffer import FrameNode
 from rosld.server.space.transform import Transform, heading
 
 
-@dataclass(frozen=True, slots=True)
-class PlotRow:
+class PlotRow(Struct, frozen=True):
     """A number in the table: its topic, field and type, what is recorded of it, and the plot without it."""
 
     topic: Anchor | None
@@ -60,8 +60,7 @@ MAX_WIDTH, MAX_RATE = 960, 15
 """Of the picture on a page: at most so many pixels wide, and so many times a second."""
 
 
-@dataclass(frozen=True, slots=True)
-class PictureView:
+class PictureView(Struct, frozen=True):
     """The picture of a message: its URL, that of its stream (or empty), and its caption.
 
     `refused` is the reason why it is not drawn. `width` and `height` are 0 if unknown.
@@ -119,8 +118,7 @@ _MAX_DEPTH = 12
 """Of the indentation of frames."""
 
 
-@dataclass(frozen=True, slots=True)
-class SpaceRow:
+class SpaceRow(Struct, frozen=True):
     """A topic of a view: how its messages are called, the frame they name, where that is, or why it is not known."""
 
     topic: Anchor | None
@@ -130,8 +128,7 @@ class SpaceRow:
     problem: str
 
 
-@dataclass(frozen=True, slots=True)
-class FrameRow:
+class FrameRow(Struct, frozen=True):
     """A frame in the table of frames: how deep it is, and what is said of it; `received` is None of a root."""
 
     name: str

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import ClassVar, TypeAlias
 
+from msgspec import Struct, field
+from msgspec.structs import replace
+
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
-from rosld.ontology.coercion import is_octets
-from rosld.ontology.describe_types import definition_text
 from rosld.ontology.json_leaves import stated_default
-from rosld.ontology.literals import STRINGS, base64_text
+from rosld.ontology.literals import OCTETS, STRINGS, base64_text
 from rosld.ontology.neutral_message import HEADER
 from rosld.server.html.bounds import (
     browser_pattern,
@@ -22,6 +22,7 @@ from rosld.server.html.bounds import (
     option_texts,
     same_value,
 )
+from rosld.server.html.messages import type_name
 from rosld.server.html.view import escape_controls
 from rosld.shapes.value import UNBOUNDED, Bounds
 
@@ -38,8 +39,7 @@ _FOLDED = frozenset({"stamp", "covariance"})
 """Fields whose defaults nearly always do, wherever they are."""
 
 
-@dataclass(frozen=True, slots=True)
-class Input:
+class Input(Struct, frozen=True):
     """One input. `type` is number, text, checkbox, textarea or select; `name` is the path of the field.
 
     `value` is the text in it ("true" or "" for a checkbox), `hint` the ROS type, `unit` the symbol beside it, `note` a
@@ -72,8 +72,7 @@ class Input:
         return max(2, min(12, self.value.count("\n") + 1 + len(self.value) // 60))
 
 
-@dataclass(frozen=True, slots=True)
-class Fieldset:
+class Fieldset(Struct, frozen=True):
     """The inputs of a nested message, folded where their defaults nearly always do: of a header."""
 
     kind: ClassVar[str] = "fieldset"
@@ -88,8 +87,7 @@ class Fieldset:
 Control: TypeAlias = Input | Fieldset
 
 
-@dataclass(frozen=True, slots=True)
-class InputValues:
+class InputValues(Struct, frozen=True):
     """Values of a form: those `typed` before, else a value; `errors` and `bounds` by path."""
 
     submitted: Mapping[str, str] | None = None
@@ -205,7 +203,7 @@ def _text(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, f
         label,
         "textarea" if "\n" in text or "\r" in text else "text",
         escape_controls(text),
-        hint=definition_text(kind),
+        hint=type_name(kind),
         note=escape_controls(" ".join(filter(None, (fixed, describe_bounds(bounds))))),
         error=filling.error_below(path),
         required=bool(bounds.min_length),
@@ -264,7 +262,7 @@ def _json(kind: FieldType, label: str, path: str, value: Json, filling: InputVal
         label,
         "textarea",
         escape_controls(text),
-        hint=definition_text(kind),
+        hint=type_name(kind),
         note=too_long if present is None and filling.submitted is None else _how(kind),
         error=filling.error_below(path),
         required=not is_base64(kind),
@@ -279,7 +277,7 @@ def _how(kind: FieldType) -> str:
 
 def is_base64(kind: FieldType) -> bool:
     """Whether a field's plain JSON is one string of base64."""
-    return isinstance(kind, Array) and is_octets(kind)
+    return isinstance(kind, Array) and isinstance(kind.element, Primitive) and kind.element.name in OCTETS
 
 
 def json_text(kind: FieldType, value: Json) -> str | None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
 from typing import Generic, TypeVar
+
+from msgspec import Struct
 
 _HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _WORDS = {
@@ -101,8 +102,7 @@ _T = TypeVar("_T")
 _V = TypeVar("_V")
 
 
-@dataclass(frozen=True, slots=True)
-class NameGroup(Generic[_T]):
+class NameGroup(Struct, Generic[_T], frozen=True):
     """Items with names of one namespace, or a run of neighbours; `is_open`: unfolded at first."""
 
     title: str

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from msgspec import Struct
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.document import Document
@@ -19,8 +18,7 @@ _MAX_COLUMNS = 4
 _NO_COLUMNS = frozenset({rdf.type, ros.name, rdfs.label, rdfs.comment, ros.namespace})
 
 
-@dataclass(frozen=True, slots=True)
-class ListingRow:
+class ListingRow(Struct, frozen=True):
     """A member of a container: its link, its cells, and the container of the same name, where there is one."""
 
     anchor: Anchor
@@ -29,8 +27,7 @@ class ListingRow:
     is_failed: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class ContainerTable:
+class ContainerTable(Struct, frozen=True):
     """The table of a container: `members`, and `namespaces` that have no member of their name.
 
     Very many members are in `groups`, which a page folds.

@@ -6,9 +6,10 @@ The forms of a page are placed where they belong: beside the property that they 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
 from typing import ClassVar, TypeAlias
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import NamedNode
 
 from rosld.ontology.vocab import ros
@@ -36,8 +37,7 @@ _MOST_ROWS = 4
 _KINDS = {"topics": "topic", "services": "service", "parameters": "parameter"}
 
 
-@dataclass(frozen=True, slots=True)
-class FormTarget:
+class FormTarget(Struct, frozen=True):
     """A form on a page: where it posts to (empty for the page's own URL), and the token that it proves itself with."""
 
     form: Form
@@ -45,8 +45,7 @@ class FormTarget:
     token: str
 
 
-@dataclass(frozen=True, slots=True)
-class PropertyValueView:
+class PropertyValueView(Struct, frozen=True):
     """The value of a property; without a `view`, `words` say why, and `failed` whether that is an error."""
 
     view: View | None
@@ -58,8 +57,7 @@ class PropertyValueView:
     """A large message in a line, under which a table folds it."""
 
 
-@dataclass(frozen=True, slots=True)
-class PropertyRow:
+class PropertyRow(Struct, frozen=True):
     """A property of a complex resource; `change` leads to its own page where it can be set there only."""
 
     anchor: Anchor
@@ -69,8 +67,7 @@ class PropertyRow:
     edit_link: Anchor | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ActionRow:
+class ActionRow(Struct, frozen=True):
     """An action of a complex resource, without a form where it cannot be invoked."""
 
     anchor: Anchor
@@ -78,8 +75,7 @@ class ActionRow:
     form: FormTarget | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class LinkRow:
+class LinkRow(Struct, frozen=True):
     """A link of a complex resource: its relation in words, and where it leads."""
 
     label: str
@@ -87,8 +83,7 @@ class LinkRow:
     relation: Anchor | None
 
 
-@dataclass(frozen=True, slots=True)
-class ComplexOffer:
+class ComplexOffer(Struct, frozen=True):
     """A complex resource. `children` are the complex resources in it that no link leads to.
 
     Very many properties, and very many actions, are in groups, which a page folds.
@@ -123,8 +118,7 @@ class ComplexOffer:
         return any(row.form or row.edit_link for row in self.properties)
 
 
-@dataclass(frozen=True, slots=True)
-class PropertyOffer:
+class PropertyOffer(Struct, frozen=True):
     """A property by itself; `facts` are its type and what it measures, `sources` what it is read from and written to.
 
     `part_of` leads to the complex resource that it is in.
@@ -138,8 +132,7 @@ class PropertyOffer:
     relation: Anchor | None
 
 
-@dataclass(frozen=True, slots=True)
-class ActionOffer:
+class ActionOffer(Struct, frozen=True):
     """An action by itself; `sources` is what it invokes."""
 
     kind: ClassVar[str] = "action"

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, TypeAlias
 
+from msgspec import Struct, field
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.describe_activities import Receipt
-from rosld.ontology.describe_views import PlottedNumber, SearchResult
+from rosld.ontology.describe_search import SearchResult
+from rosld.ontology.describe_views import PlottedNumber
 from rosld.ontology.document import Document
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.violations import Violation
@@ -27,8 +28,7 @@ if TYPE_CHECKING:
 Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
 
 
-@dataclass(frozen=True, slots=True)
-class Thumbnail:
+class Thumbnail(Struct, frozen=True):
     """A cell that shows a topic as a small picture: its URL, the query of that picture, and its value in words."""
 
     url: str
@@ -52,16 +52,14 @@ class NoticeLevel(Enum):
     ERROR = "error"
 
 
-@dataclass(frozen=True, slots=True)
-class NoticeLink:
+class NoticeLink(Struct, frozen=True):
     """A link of a notice: where it leads, relative to the page, and its words."""
 
     href: str
     words: str
 
 
-@dataclass(frozen=True, slots=True)
-class Notice:
+class Notice(Struct, frozen=True):
     """Something the reader should know before all else, in a sentence; `violations` name fields that did not fit.
 
     `link` leads to more of it. `is_lasting`: the page says it for as long as it is followed.
@@ -74,8 +72,7 @@ class Notice:
     is_lasting: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Alternate:
+class Alternate(Struct, frozen=True):
     """Another format of the same resource, at `?format=...`: browsers cannot set Accept."""
 
     label: str
@@ -111,16 +108,14 @@ def no_csrf_token(action: str) -> str:
     return ""
 
 
-@dataclass(frozen=True, slots=True)
-class SequenceLink:
+class SequenceLink(Struct, frozen=True):
     """A link of a sequence such as the messages of a recording: `rel` is first, prev, next or last."""
 
     rel: str
     url: str
 
 
-@dataclass(frozen=True, slots=True)
-class MemberColumns:
+class MemberColumns(Struct, frozen=True):
     """Columns of a container's table: the headings, and the cells of each member by its URL.
 
     A described resource that is not a direct member (a name in a nested namespace) gets its own row. `total` is the
@@ -136,8 +131,7 @@ class MemberColumns:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Page:
+class Page(Struct, frozen=True):
     """The page of a resource. `forms` are shown as far as `allow` permits their methods, those with an `action` always.
 
     `title` is a ROS name as a rule, `kind` what it is ("Topic"); `csrf` makes the tokens of its forms. `summary` is one
@@ -161,8 +155,7 @@ class Page:
     query: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class EntryCount:
+class EntryCount(Struct, frozen=True):
     """A line of the entry page: how many there are of what, and where. `first`: it is where to begin."""
 
     label: str
@@ -172,8 +165,7 @@ class EntryCount:
     first: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class EntryPage:
+class EntryPage(Struct, frozen=True):
     """The page at `/`: what this robot is. `example` is a topic worth trying (its URL)."""
 
     site: Site
@@ -184,8 +176,7 @@ class EntryPage:
     alternates: tuple[Alternate, ...] = ALTERNATES
 
 
-@dataclass(frozen=True, slots=True)
-class StoredQueryLink:
+class StoredQueryLink(Struct, frozen=True):
     """A stored query: where it is, its purpose in a sentence, its text."""
 
     url: str
@@ -194,8 +185,7 @@ class StoredQueryLink:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class StoredQueryParameter:
+class StoredQueryParameter(Struct, frozen=True):
     """A parameter of a stored query and what it is for; `value` as given or by default."""
 
     name: str
@@ -203,8 +193,7 @@ class StoredQueryParameter:
     value: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class PageResults:
+class PageResults(Struct, frozen=True):
     """The answer to a query: rows of a SELECT (or of a graph, as subject, predicate, object), or a boolean.
 
     `rows` is read as far as the page shows them: `limit` rows, and one more to know whether there are more.
@@ -217,8 +206,7 @@ class PageResults:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class SparqlPage:
+class SparqlPage(Struct, frozen=True):
     """The page at `/sparql`: the text in the editor, and whether it asks for a partial answer."""
 
     site: Site
@@ -229,8 +217,7 @@ class SparqlPage:
     partial: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class QueryPage:
+class QueryPage(Struct, frozen=True):
     """The page of a stored query."""
 
     site: Site
@@ -240,8 +227,7 @@ class QueryPage:
     notices: tuple[Notice, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class SearchPage:
+class SearchPage(Struct, frozen=True):
     """The page at `/find`: a box for words, and what was found, the best first; `total` are all that fit.
 
     `pictures` are those of results by their URLs, in place of their values.
@@ -256,8 +242,7 @@ class SearchPage:
     pictures: Mapping[str, Thumbnail] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class PlotPage:
+class PlotPage(Struct, frozen=True):
     """The page at `/plot`: numbers over time, and the references (`y`) that name them."""
 
     site: Site
@@ -267,8 +252,7 @@ class PlotPage:
     notices: tuple[Notice, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class SpacePage:
+class SpacePage(Struct, frozen=True):
     """The page at `/space`: a view of topics, in the order in which they are drawn, in the frame `fixed`.
 
     `asked` is the requested frame. `references` (`show`) name the requested topics; `omitted` are those beyond the
@@ -288,8 +272,7 @@ class SpacePage:
     model: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class SpaceTopic:
+class SpaceTopic(Struct, frozen=True):
     """A topic of a view: its URL, the kind and the frame of its messages, and where that is, or why it is not known."""
 
     url: str
@@ -299,8 +282,7 @@ class SpaceTopic:
     problem: str
 
 
-@dataclass(frozen=True, slots=True)
-class FramesPage:
+class FramesPage(Struct, frozen=True):
     """The page at `/frames`: the frames, each before those below it; `node_url` is the URL of a node by its name."""
 
     site: Site
@@ -310,8 +292,7 @@ class FramesPage:
     notices: tuple[Notice, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class DiagnosticsPage:
+class DiagnosticsPage(Struct, frozen=True):
     """The page at `/diagnostics`: the states of parts, the worst first, or of those called `name`.
 
     `changes` is what that one said before, the newest first; `topics` are the URLs of where it is all said.
@@ -326,8 +307,7 @@ class DiagnosticsPage:
     notices: tuple[Notice, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class GraphPage:
+class GraphPage(Struct, frozen=True):
     """The page at `/graph`: `svg` is its drawing, already escaped, of `shown` vertices that stand for `total` things.
 
     `below` is the name that limits it, `namespaces` are the choices, `problems` are sentences with the URL of the
@@ -346,8 +326,7 @@ class GraphPage:
     notices: tuple[Notice, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class ProblemPage:
+class ProblemPage(Struct, frozen=True):
     """An error for people: RFC 9457's members, and the fields that did not fit. `url` is that of the request.
 
     `near` are URLs of resources with similar names, `quotes` words of others by speaker.

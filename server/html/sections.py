@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.ontology.document import Document, LiftedMessage
@@ -25,8 +26,7 @@ _DRAWN = frozenset({ros.latest, ros.recordedMessage})
 NEWEST = "#message"
 
 
-@dataclass(frozen=True, slots=True)
-class MessageSection:
+class MessageSection(Struct, frozen=True):
     """A message on a page: its fragment, what came with it, and its fields."""
 
     id: str
@@ -107,8 +107,7 @@ _PLAIN = "automatic"
 """The liveliness that all have who say nothing of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class EndpointRow:
+class EndpointRow(Struct, frozen=True):
     """An endpoint: the other thing that it belongs to, and its cells; `wrong` says in words what is wrong with it."""
 
     anchor: Anchor
@@ -116,8 +115,7 @@ class EndpointRow:
     problem: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class EndpointTable:
+class EndpointTable(Struct, frozen=True):
     """The endpoints of a topic, by node, or those of a node, by topic; `omitted` more are not shown."""
 
     heading: str
@@ -199,8 +197,7 @@ def _space_out(word: str) -> str:
 _TONES = {ros.Succeeded: "good", ros.Failed: "error", ros.Running: "warning"}
 
 
-@dataclass(frozen=True, slots=True)
-class StepRow:
+class StepRow(Struct, frozen=True):
     """A step: its description, its subject, the number of subscribers it reached (empty if unknown), and its outcome.
 
     `tone` is "good", "warning", "error", or empty for a step that was not done.
@@ -214,8 +211,7 @@ class StepRow:
     tone: str
 
 
-@dataclass(frozen=True, slots=True)
-class StopSteps:
+class StopSteps(Struct, frozen=True):
     """The table: what was done, or before a stop what would be."""
 
     title: str

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from urllib.parse import unquote, urlsplit
 
+from msgspec import Struct
+
 from rosld.ontology.modules import term_url
 from rosld.ontology.urls import TYPES, locate
 from rosld.ontology.vocab import PREFIXES, ros
@@ -33,8 +35,7 @@ def _anything(method: str, url: str) -> bool:
     return True
 
 
-@dataclass(frozen=True, slots=True)
-class Anchor:
+class Anchor(Struct, frozen=True):
     """A link as it is shown: where it goes, its short text, its full URL, and whether it leaves this server."""
 
     href: str

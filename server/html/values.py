@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from itertools import islice
 from typing import cast
 from urllib.parse import quote
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.ontology.body import parse_json
@@ -118,8 +119,7 @@ def _json_view(text: str) -> View:
     return ArrayView(len(value), head, full if len(value) > _HEAD else None, hint="JSON")
 
 
-@dataclass(frozen=True, slots=True)
-class ResultsTable:
+class ResultsTable(Struct, frozen=True):
     """Rows of views under headings; `cut` says that there were more rows than are shown."""
 
     columns: tuple[str, ...]

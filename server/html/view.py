@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import ClassVar, TypeAlias
+
+from msgspec import Struct
 
 from rosld.server.html.site import Anchor
 
@@ -14,8 +15,7 @@ _PICTURES = {code: 0x2400 + code for code in range(0x20) if code not in (0x09, 0
 _UNASSIGNED = re.compile(r"[\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff\x80-\x9f]")
 
 
-@dataclass(frozen=True, slots=True)
-class TextView:
+class TextView(Struct, frozen=True):
     """A value as text; `full` is all of a long one, `exact` all digits of a number, `hint` its type, `tone` a style.
 
     `plot` refers to the plot of a number over time; empty without.
@@ -30,8 +30,7 @@ class TextView:
     plot: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class BlockView:
+class BlockView(Struct, frozen=True):
     """Text of several lines, such as the definition of a type or a query."""
 
     kind: ClassVar[str] = "block"
@@ -39,8 +38,7 @@ class BlockView:
     hint: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class LinkView:
+class LinkView(Struct, frozen=True):
     """A link."""
 
     kind: ClassVar[str] = "link"
@@ -48,8 +46,7 @@ class LinkView:
     hint: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class TimeView:
+class TimeView(Struct, frozen=True):
     """A time: for machines (`iso`), for people, and as it was given."""
 
     kind: ClassVar[str] = "moment"
@@ -58,8 +55,7 @@ class TimeView:
     hint: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class ArrayView:
+class ArrayView(Struct, frozen=True):
     """An array of scalars: its length, its beginning, and (where there is more) as much of the whole as is shown."""
 
     kind: ClassVar[str] = "series"
@@ -69,8 +65,7 @@ class ArrayView:
     hint: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class BytesView:
+class BytesView(Struct, frozen=True):
     """Bytes: how many, the first of them in hexadecimal, and where they are (None: nowhere by themselves)."""
 
     kind: ClassVar[str] = "octets"
@@ -80,8 +75,7 @@ class BytesView:
     hint: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class ThumbnailView:
+class ThumbnailView(Struct, frozen=True):
     """A small picture in a table: where it is, where it is to be seen in full, what it is, and its value in words."""
 
     kind: ClassVar[str] = "thumbnail"
@@ -91,8 +85,7 @@ class ThumbnailView:
     words: str
 
 
-@dataclass(frozen=True, slots=True)
-class TableRow:
+class TableRow(Struct, frozen=True):
     """A named value (or several); `hint` is quiet, `term` links to what the name means."""
 
     label: str
@@ -110,8 +103,7 @@ class TableRow:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class TableView:
+class TableView(Struct, frozen=True):
     """A table of named values. `id` is the fragment it has on the page; `short` ones (a few numbers) take one line."""
 
     kind: ClassVar[str] = "rows"
@@ -121,8 +113,7 @@ class TableView:
     short: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class TableListView:
+class TableListView(Struct, frozen=True):
     """An array of tables; `items` are those shown."""
 
     kind: ClassVar[str] = "many"

@@ -11,9 +11,10 @@ import hashlib
 import re
 import secrets
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, TypeAlias
+
+from msgspec import Struct
 
 from rosld.server.http.fields import require_field_value
 from rosld.server.http.problem import Problem
@@ -28,8 +29,7 @@ _SAFE_METHODS = frozenset({"GET", "HEAD"})
 _SECRET = secrets.token_bytes(32)
 
 
-@dataclass(frozen=True, slots=True)
-class ETag:
+class ETag(Struct, frozen=True):
     """A strong entity tag: the state (`<boot>-<state>`) and the variant, which contains no dot.
 
     Raises ValueError for parts that could not be parsed again.
@@ -46,8 +46,7 @@ class ETag:
         return f'"{self.state}.{self.variant}"'
 
 
-@dataclass(frozen=True, slots=True)
-class ReceivedTag:
+class ReceivedTag(Struct, frozen=True):
     """An entity tag sent by a client: its opaque text and whether it is weak."""
 
     opaque: str
@@ -150,8 +149,7 @@ _FIELD = re.compile(r"[ \t]*bytes[ \t]*=(.*)", re.IGNORECASE | re.DOTALL)
 _SPEC = re.compile(r"([0-9]{0,20})[ \t]*-[ \t]*([0-9]{0,20})")
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
+class Span(Struct, frozen=True):
     """Bytes from `start` up to and excluding `stop` of a representation."""
 
     start: int
@@ -200,8 +198,7 @@ def select_ranges(range_: str | None, if_range: str | None, etag: str, size: int
     return parse_ranges(range_, size)
 
 
-@dataclass(frozen=True, slots=True)
-class MultipartFraming:
+class MultipartFraming(Struct, frozen=True):
     """Framing of several spans as multipart/byteranges (RFC 9110 14.6): the head of each part, and the tail."""
 
     boundary: str

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
+
+from msgspec import Struct, field
 
 from rosld.server.http.fields import is_token, parse_parameter, quote_string, require_field_value, split_members
 
 
-@dataclass(frozen=True, slots=True)
-class MediaType:
+class MediaType(Struct, frozen=True):
     """A media type or range: type and subtype in lower case, parameters sorted by lower-case name.
 
     The value of `charset` is in lower case too, because it is case-insensitive (RFC 9110 8.3.2).
@@ -60,8 +60,7 @@ _WISHES = frozenset({"profile", "version"})
 """Parameters that exclude no offer: JSON-LD's profile (according to its registration) and RDF's version."""
 
 
-@dataclass(frozen=True, slots=True)
-class MediaRange:
+class MediaRange(Struct, frozen=True):
     """A member of an Accept field: a media type, possibly with wildcards, and its weight from 0 to 1."""
 
     media: MediaType
@@ -157,16 +156,14 @@ def _fits(name: str, value: str, offer: MediaType) -> bool:
 Parameters = tuple[tuple[str, str], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Preference:
+class Preference(Struct, frozen=True):
     """A preference: its value ("" for none; RFC 7240 2 treats both alike) and its parameters."""
 
     value: str = ""
     parameters: Parameters = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Preferences:
+class Preferences(Struct, frozen=True):
     """Preferences of a request by lower-case name; the first of several with the same name counts (RFC 7240 2)."""
 
     named: Mapping[str, Preference] = field(default_factory=dict)

@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from ipaddress import ip_address
 from urllib.parse import urlsplit
 
+from msgspec import Struct
+
 from rosld.server.http.problem import Problem
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -32,8 +34,7 @@ ANY_ORIGIN = "*"
 """Value of `--cors-origin` that shares reads with every page; writes still require a listed origin."""
 
 
-@dataclass(frozen=True, slots=True)
-class OriginPolicy:
+class OriginPolicy(Struct, frozen=True):
     """This server's names: its base, the accepted Hosts, its own origins and those it shares with.
 
     `allows_any_origin`: pages of every origin may read.

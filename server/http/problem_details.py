@@ -5,9 +5,10 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import orjson
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import NamedNode
 from starlette.responses import Response
 
@@ -65,8 +66,7 @@ _MAX_QUOTED = 2000
 """Maximum number of characters of a value returned to its sender."""
 
 
-@dataclass(frozen=True, slots=True)
-class RenderedProblem:
+class RenderedProblem(Struct, frozen=True):
     """A problem ready to be sent."""
 
     status: int

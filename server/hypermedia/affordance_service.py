@@ -10,8 +10,10 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import ActionSchema, Descriptor, Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
@@ -55,8 +57,7 @@ _TYPES_SECONDS = 3.0
 """How long a layout waits for types that must be asked for; those that come later make another layout."""
 
 
-@dataclass(frozen=True, slots=True)
-class Snapshot:
+class Snapshot(Struct, frozen=True):
     """Readings of some properties at one moment, by name, and the results of the conditions on them."""
 
     readings: Mapping[str, Reading]

@@ -8,9 +8,10 @@ is a service that is neither a getter nor a setter, or an action of ROS, below w
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import TypeAlias
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import ActionSchema, Field, MessageSchema, ServiceSchema
 from rosld.ontology.names import Members
@@ -18,16 +19,14 @@ from rosld.ontology.urls import Space
 from rosld.shapes.value import ValueShape
 
 
-@dataclass(frozen=True, slots=True)
-class TopicSource:
+class TopicSource(Struct, frozen=True):
     """A topic: read as its latest message, written by publishing. `schema` is None while its type is not known."""
 
     name: str
     schema: MessageSchema | None
 
 
-@dataclass(frozen=True, slots=True)
-class Getter:
+class Getter(Struct, frozen=True):
     """A service with an empty request that returns the value in `fields` of its response, besides a status."""
 
     name: str
@@ -35,16 +34,14 @@ class Getter:
     fields: tuple[Field, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Setter:
+class Setter(Struct, frozen=True):
     """A service whose request is the value."""
 
     name: str
     schema: ServiceSchema
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterSource:
+class ParameterSource(Struct, frozen=True):
     """A parameter."""
 
     name: str
@@ -63,8 +60,7 @@ IDLE = "idle"
 """The status of an action of which no goal is known."""
 
 
-@dataclass(frozen=True, slots=True)
-class GoalSource:
+class GoalSource(Struct, frozen=True):
     """An action of ROS, of whose goal a part is read. `schema` is that of the part, None for the status, a word."""
 
     name: str
@@ -89,8 +85,7 @@ def source_url(way: Reader | Writer, space: Space) -> str:
             return space.service(way.name)
 
 
-@dataclass(frozen=True, slots=True)
-class Property:
+class Property(Struct, frozen=True):
     """A resource with a value, by its full name (`/aircraft/engine/speed`).
 
     `shape` is that of the first reader, else of the first writer. `readers` and `writers` are in the order in which
@@ -104,8 +99,7 @@ class Property:
     writers: tuple[Writer, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Action:
+class Action(Struct, frozen=True):
     """A resource that does something, by its full name, which is that of the service or (`sends_goals`) of the action.
 
     `schema` is None where the type of that is not known, so that it cannot be invoked.
@@ -117,8 +111,7 @@ class Action:
     sends_goals: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Catalogue:
+class Catalogue(Struct, frozen=True):
     """Everything found by convention, by full name; a name may be both a property and an action.
 
     `namespaces` are those of both. The `by_` mappings lead from the name of a topic, service or parameter to the full

@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from fnmatch import translate
 from functools import lru_cache
 from types import MappingProxyType
 from typing import TypeAlias, TypeVar
 
+from msgspec import Struct
 from pyoxigraph import Literal
 
 from rosld.adapters.model import Action as RosAction
@@ -72,8 +72,7 @@ _ACTIONLIB = {
 _OF_ROS_2 = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*", re.DOTALL)
 
 
-@dataclass(frozen=True, slots=True)
-class Conventions:
+class Conventions(Struct, frozen=True):
     """Which services read and write a property of which name, and which are in no resource at all.
 
     A template fits the last segments of a service's name: `{name}/get` makes `/arm/joint/get` read `/arm/joint`.

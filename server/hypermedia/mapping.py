@@ -8,8 +8,8 @@ action.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 
+from msgspec import Struct, field
 from pyoxigraph import NamedNode
 
 from rosld.server.robot.software_stop import StopCommand
@@ -17,8 +17,7 @@ from rosld.shapes.constraints import NodeShape
 from rosld.shapes.value import NO_MEASURE, Measure
 
 
-@dataclass(frozen=True, slots=True)
-class Condition:
+class Condition(Struct, frozen=True):
     """A SHACL node shape about the state of one resource: of the complex resource, or of the property, `about`.
 
     The focus node is that resource's URL. Of a complex resource the state is its properties by their predicates, of a
@@ -30,8 +29,7 @@ class Condition:
     shape: NodeShape
 
 
-@dataclass(frozen=True, slots=True)
-class MappedProperty:
+class MappedProperty(Struct, frozen=True):
     """A member's value (or, with `field`, one scalar of it: `pose.position.x`) as a property of a complex resource.
 
     `name` is its key in plain JSON and in Thing Descriptions. It may be written only while all of `writable_when` hold.
@@ -45,8 +43,7 @@ class MappedProperty:
     writable_when: tuple[Condition, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class MappedAction:
+class MappedAction(Struct, frozen=True):
     """A service offered as `name` under a complex resource, led to by `relation`, while all conditions hold."""
 
     relation: NamedNode
@@ -55,8 +52,7 @@ class MappedAction:
     available_when: tuple[Condition, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class MappedLink:
+class MappedLink(Struct, frozen=True):
     """A link from a complex resource to another one (`target` is its path), while all conditions hold."""
 
     relation: NamedNode
@@ -64,16 +60,14 @@ class MappedLink:
     available_when: tuple[Condition, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class MappedStop:
+class MappedStop(Struct, frozen=True):
     """A command that stops the robot, and the conditions under which its refusal is no failure."""
 
     command: StopCommand
     at_rest_when: tuple[Condition, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class ComplexResource:
+class ComplexResource(Struct, frozen=True):
     """A complex resource as a mapping has it: what it lists is what there is at `path`."""
 
     iri: str
@@ -102,8 +96,7 @@ class ComplexResource:
             yield from stop.at_rest_when
 
 
-@dataclass(frozen=True, slots=True)
-class MappingSet:
+class MappingSet(Struct, frozen=True):
     """All mappings in force together, by path. `revision` differs whenever anything in it does."""
 
     revision: int = 0

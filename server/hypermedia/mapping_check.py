@@ -5,13 +5,14 @@ A missing part is no error: it appears once the robot has it. But a misspelt nam
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
-from rosld.adapters.model import Descriptor, MessageSchema, Primitive
-from rosld.ontology.fields import type_at
+from msgspec.structs import replace
+
+from rosld.adapters.model import Array, Descriptor, MessageSchema, Nested, Primitive
 from rosld.server.hypermedia.mapping import ComplexResource, MappedAction, MappedProperty
 from rosld.shapes.parameter import declared_shape
 from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape, narrow
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 def limited_shape(shape: ValueShape, limits: Limits, url: str, measure: Measure) -> ValueShape:
     """Return the shape of the value of the property at `url` within its limits, for reads and writes."""
     if isinstance(shape, MessageShape):
-        return replace(shape, bounds=limits.bounds_of_message(shape.schema))
+        return dataclasses.replace(shape, bounds=limits.bounds_of_message(shape.schema))
     return replace(shape, bounds=narrow(limits.bounds_of_resource(url), shape.bounds), measure=measure)
 
 
@@ -62,10 +63,16 @@ def field_shape(shape: ValueShape, path: str, bounds: Bounds, measure: Measure) 
 
 def _primitive(schema: MessageSchema, path: str) -> Primitive | None:
     """Return the primitive at a dotted path; numbers are places in an array."""
-    try:
-        kind = type_at(schema, path)
-    except ValueError:
-        return None
+    kind: object = Nested(schema.ref.name)
+    for step in path.split("."):
+        if isinstance(kind, Array):
+            if not step.isdecimal():
+                return None
+            kind = kind.element
+            continue
+        if not isinstance(kind, Nested):
+            return None
+        kind = next((field.type for field in schema.types[kind.name].fields if field.name == step), None)
     return kind if isinstance(kind, Primitive) else None
 
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import count
 from pathlib import Path
 from time import monotonic
 from typing import TypeAlias, TypeVar
 
+from msgspec import Struct
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.body import BodyError, RdfBody, Term, parse_body, parse_json
@@ -59,8 +59,7 @@ _NEUTRAL = frozenset(
 """What may be said of a shape without demanding anything."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MappingDocument:
+class MappingDocument(Struct, frozen=True, eq=False):
     """A mapping document that was found good: its triples exactly as they were sent, and what they mean."""
 
     url: str

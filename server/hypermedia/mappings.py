@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
+
+from msgspec import Struct
 
 from rosld.ontology.names import IdentityCache
 from rosld.ontology.violations import Violation
@@ -82,8 +83,7 @@ def _claims(document: MappingDocument) -> tuple[set[str], set[str]]:
     return {one.path for one in resources}, {each.iri for one in resources for each in one.all_conditions()}
 
 
-@dataclass(frozen=True, slots=True)
-class _Index:
+class _Index(Struct, frozen=True):
     """The indexes of a mapping set."""
 
     guards: Mapping[str, tuple[Condition, ...]]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
 from itertools import count
 from math import inf
 from typing import NamedTuple
 from weakref import WeakValueDictionary
+
+from msgspec import Struct
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import MessageSchema, names
@@ -54,8 +55,7 @@ class _Result(NamedTuple):
     until: float
 
 
-@dataclass(slots=True)
-class _Kept:
+class _Kept(Struct):
     """A cached reading: valid until a loop time, for the view of its topic, or the part of its goal, that it is of."""
 
     property: Property

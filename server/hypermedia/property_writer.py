@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from enum import Enum
 from typing import cast
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import Literal
 
 from rosld.adapters.model import (
@@ -48,8 +49,7 @@ from rosld.shapes.parameter import require_form
 from rosld.shapes.value import MessageShape, ScalarShape, ValueShape
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlannedWrite:
+class PlannedWrite(Struct, frozen=True, eq=False):
     """A write of the property `property` of which all that could be refused has been looked at.
 
     `value` is what it was lowered to: the request, the message or the parameter's value; `data` are the bytes of the

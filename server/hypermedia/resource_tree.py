@@ -7,9 +7,10 @@ on the state of the robot. Plans are made when first asked for and kept with the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
 from typing import TypeVar
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import ActionSchema, Kind, MessageSchema, ServiceSchema
@@ -30,8 +31,7 @@ _P = TypeVar("_P")
 _MAX_AFFECTED = 10_000
 
 
-@dataclass(frozen=True, slots=True)
-class MemberPlan:
+class MemberPlan(Struct, frozen=True):
     """A property within a complex resource: its key, and how a mapping has it (None: as it is).
 
     `at` is the full name under which it answers by itself; None where that is already another's.
@@ -49,8 +49,7 @@ class MemberPlan:
         return self.mapped.field if self.mapped is not None else None
 
 
-@dataclass(frozen=True, slots=True)
-class ActionPlan:
+class ActionPlan(Struct, frozen=True):
     """An action by its full name; it is on offer while all of `exists_when` and `conditions` hold.
 
     `service` is the service that it calls, or (`sends_goals`) the action of ROS that it sends goals to. `schema` is
@@ -83,8 +82,7 @@ class ActionPlan:
         return parent_of_name(self.name)
 
 
-@dataclass(frozen=True, slots=True)
-class LinkPlan:
+class LinkPlan(Struct, frozen=True):
     """A link; `conditions` include those under which its target exists."""
 
     relation: NamedNode
@@ -92,16 +90,14 @@ class LinkPlan:
     conditions: tuple[Condition, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class ChildPlan:
+class ChildPlan(Struct, frozen=True):
     """A complex resource directly below; it is contained while all conditions hold."""
 
     path: str
     conditions: tuple[Condition, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class ComplexPlan:
+class ComplexPlan(Struct, frozen=True):
     """A complex resource. `reads` are all properties that tell its state and what it offers.
 
     `warnings` say what its mapping names that is not there, or cannot be offered.
@@ -124,8 +120,7 @@ class ComplexPlan:
         return parent_of(self.path)
 
 
-@dataclass(frozen=True, slots=True)
-class PropertyPlan:
+class PropertyPlan(Struct, frozen=True):
     """A property by itself, or one field of it under a name of its own, as a mapping may have it."""
 
     name: str

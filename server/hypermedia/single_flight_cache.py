@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass
 from typing import Generic, TypeAlias, TypeVar
+
+from msgspec import Struct
 
 from rosld.server.runtime.tasks import end_tasks
 
@@ -22,8 +23,7 @@ Slot: TypeAlias = "AbstractAsyncContextManager[None]"
 _MAX_ENTRIES = 65536
 
 
-@dataclass(frozen=True, slots=True)
-class CacheEntry(Generic[V]):
+class CacheEntry(Struct, Generic[V], frozen=True):
     """The answer to a fetch that began at turn `started`; valid until the loop time `until`."""
 
     value: V

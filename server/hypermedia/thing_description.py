@@ -7,11 +7,11 @@ the resources says.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
 import orjson
+from msgspec import Struct
 from pyoxigraph import NamedNode
 
 from rosld.ontology.describe_holds import CONFIRM, CONFIRM_PARAMETER, HOLD, MAX_LEASE, MAX_RATE, MEANINGS, PARAMETERS
@@ -46,8 +46,7 @@ _HOLD_VARIABLES: Members = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class ThingLink:
+class ThingLink(Struct, frozen=True):
     """A link of a thing: `relation` is a registered one (`item`, `collection`, `type`) or an IRI."""
 
     relation: str

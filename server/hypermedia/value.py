@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
+from msgspec import Struct
 from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.adapters.model import Codec, Encoding, Field, Message, MessageSchema, MessageType, ParameterValue, Primitive
@@ -42,8 +43,7 @@ WHOLE = LiftSettings().unelided
 _WORDS = frozenset({"message", "status_message"})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MessageValue:
+class MessageValue(Struct, frozen=True, eq=False):
     """The `fields` of a message; `origin` is the URL that has the bytes of those that are elided (`?field=`).
 
     That is the topic's URL; of what a getter answered it is the property's own.
@@ -55,8 +55,7 @@ class MessageValue:
     origin: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StoredValue:
+class StoredValue(Struct, frozen=True, eq=False):
     """The value of a parameter."""
 
     value: ParameterValue
@@ -65,8 +64,7 @@ class StoredValue:
 Value: TypeAlias = MessageValue | StoredValue
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
+class Reading(Struct, frozen=True, eq=False):
     """A property as it was read: its value, or why there is none.
 
     `failure` says what happened without a full stop (a getter that hangs, refuses or has vanished; bytes that cannot be

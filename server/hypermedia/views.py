@@ -7,9 +7,10 @@ without offers that it may not use.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TypeAlias
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import MessageSchema
@@ -26,8 +27,7 @@ def _redact_reading(reading: Reading, permissions: Permissions) -> Reading:
     return replace(reading, failure=WITHHELD, words=None, about=())
 
 
-@dataclass(frozen=True, slots=True)
-class PropertyAffordance:
+class PropertyAffordance(Struct, frozen=True):
     """A property as it can be used: `shape` is what its value is and what may be sent.
 
     `name` is its key in plain JSON, `predicate` its relation in a complex resource (None where no mapping names one).
@@ -53,8 +53,7 @@ class PropertyAffordance:
         return replace(self, read=read, observe=self.observe and read, write=write, hold=hold)
 
 
-@dataclass(frozen=True, slots=True)
-class GoalAffordance:
+class GoalAffordance(Struct, frozen=True):
     """What can be done with the goals of an action of ROS: see at `status` how its goal stands, cancel it (DELETE).
 
     `feedback` and `result` are what is told of it, None where the type is not known.
@@ -72,8 +71,7 @@ class GoalAffordance:
         return replace(self, status=self.status if may_read else None, can_cancel=can_cancel)
 
 
-@dataclass(frozen=True, slots=True)
-class ActionAffordance:
+class ActionAffordance(Struct, frozen=True):
     """An action: POST to `url`, with a message of `request` (None: its type is not known, so it cannot be called).
 
     `goals`: it takes its time, so that what comes of it is a goal. `is_open`: it may be invoked now.
@@ -94,16 +92,14 @@ class ActionAffordance:
         return self if request is self.request and goals == self.goals else replace(self, request=request, goals=goals)
 
 
-@dataclass(frozen=True, slots=True)
-class LinkAffordance:
+class LinkAffordance(Struct, frozen=True):
     """A link to follow: `target` is the URL of another resource."""
 
     relation: NamedNode
     target: str
 
 
-@dataclass(frozen=True, slots=True)
-class Member:
+class Member(Struct, frozen=True):
     """A property within a complex resource with its value as read; `field` picks one scalar of it."""
 
     affordance: PropertyAffordance
@@ -111,8 +107,7 @@ class Member:
     field: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class PropertyView:
+class PropertyView(Struct, frozen=True):
     """A property by itself (`/resources/aircraft/power`).
 
     `reads_from` and `writes_to`: the URLs of the ROS topics, services and parameters behind it; `part_of`: the URL of
@@ -137,8 +132,7 @@ class PropertyView:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class ActionView:
+class ActionView(Struct, frozen=True):
     """An action by itself (`/resources/aircraft/start`); `invokes` is the URL of the service or action behind it.
 
     None for who may not read that. `parts` tell how the goal of an action of ROS stands.
@@ -156,8 +150,7 @@ class ActionView:
         return replace(self, affordance=self.affordance.redact(permissions), invokes=invokes, parts=parts)
 
 
-@dataclass(frozen=True, slots=True)
-class ComplexView:
+class ComplexView(Struct, frozen=True):
     """A complex resource (`/resources/aircraft/`): everything in it that is on offer now, and nothing else.
 
     `children`: the URLs of the complex resources directly below, `parent`: that of the one above; `mapping`: the IRI of

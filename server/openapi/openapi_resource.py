@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Hashable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import lru_cache, partial
 
+from msgspec import Struct
 from starlette.responses import Response
 
 from rosld import __version__
@@ -64,8 +64,7 @@ _MAX_VARIANTS = 8
 """Sets of rights for which descriptions are kept."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Described:
+class _Described(Struct, frozen=True, eq=False):
     """A description, what it is made from, and of which version that is."""
 
     version: Hashable

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
 from itertools import chain, islice
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from rosld.adapters.model import Graph, names
 from rosld.ontology.notifications import CHANNEL_TYPES
@@ -23,8 +25,7 @@ from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem,
 from rosld.server.rest.resource import Resource
 
 
-@dataclass(frozen=True, slots=True)
-class DescribedPath:
+class DescribedPath(Struct, frozen=True):
     """What `template` answers. It lies below the base and begins with a slash, encoded as in the URL.
 
     Names in braces stand for segments, each told of in `segments`. `accepts` are the media types that each of the
@@ -65,8 +66,7 @@ _ENTRY = ("ontology", ".well-known/", ".well-known/wot", "openapi.json", "llms.t
 _NAME = "A name; those of several parts have slashes, as in the URL."
 
 
-@dataclass(frozen=True)
-class PathCollector:
+class PathCollector(Struct, frozen=True):
     """Finds the paths. `resolve` gives the resource at a path; nothing is waited for.
 
     `graph` is what is listed of the computation graph; `hidden`: whether hidden names of resources have paths too.

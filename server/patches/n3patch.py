@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
+from msgspec import Struct
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.body import BodyError
@@ -49,8 +49,7 @@ class Pattern(NamedTuple):
         return " ".join(map(str, self))
 
 
-@dataclass(frozen=True, slots=True)
-class N3Patch:
+class N3Patch(Struct, frozen=True):
     """A patch. Blank nodes in `where` are additional variables, listed in `unnamed`."""
 
     where: tuple[Pattern, ...] = ()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
+
+from msgspec import Struct
 
 from rosld.server.runtime.process_memory import PROCESS_MEMORY
 
@@ -24,8 +25,7 @@ class DepthRange(NamedTuple):
 DEFAULT_RANGE = DepthRange()
 
 
-@dataclass(frozen=True, slots=True)
-class PictureForm:
+class PictureForm(Struct, frozen=True):
     """Form of a requested picture: its media type, maximum width, and the distances of colours."""
 
     media_type: str = JPEG

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 from PIL import Image
 
 from rosld.adapters.model import Message
@@ -125,8 +125,7 @@ _ABSTRACT = re.compile(r"(8|16|32|64)([USF])C([0-9]{1,3})")
 _KINDS = {"U": "u", "S": "i", "F": "f"}
 
 
-@dataclass(frozen=True, slots=True)
-class RawImage:
+class RawImage(Struct, frozen=True):
     """Fields of a sensor_msgs/Image."""
 
     encoding: str

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
+from msgspec import Struct
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Graph, Kind, TypeRef
@@ -78,8 +78,7 @@ def _authorization(rule: Rule, node: NamedNode, nodes: Mapping[str, NamedNode]) 
     )
 
 
-@dataclass(frozen=True, slots=True)
-class AboutResources:
+class AboutResources(Struct, frozen=True):
     """Callable that returns the URLs of the subjects of a resource, or None if the resource is unknown.
 
     A removed resource has no subjects, because its absence reveals nothing. Thread-safe.

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from io import FileIO
 from pathlib import Path
 
+from msgspec.structs import replace
 from starlette.responses import Response
 
 from rosld.adapters.base import Recording

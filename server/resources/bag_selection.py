@@ -6,13 +6,14 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 from enum import Enum
 from fnmatch import fnmatchcase
 from functools import partial
 from urllib.parse import quote
 
 import orjson
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.base import FOR_EVER, MessageFilter, MessagePage, RecordedMessage, Recording
@@ -40,8 +41,7 @@ from rosld.server.rest.state import State
 from rosld.server.robot.schemas import Schemas
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DecodedRecord:
+class DecodedRecord(Struct, frozen=True, eq=False):
     """A recorded message, decoded as far as it can be."""
 
     message: RecordedMessage

@@ -5,15 +5,15 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import orjson
+from msgspec import Struct
 from pyoxigraph import Literal, NamedNode, Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import RecordedTopic, Recording, Watch
-from rosld.ontology.describe_bags import BagView, bag_document
+from rosld.ontology.describe_bags import bag_document
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
@@ -38,8 +38,7 @@ from rosld.server.runtime.tasks import call_every, loop_time
 from rosld.server.runtime.version_cache import VersionCache
 
 
-@dataclass(frozen=True, slots=True)
-class Bags:
+class Bags(Struct, frozen=True):
     """The recordings, and what is needed to read and describe them."""
 
     session: Session
@@ -100,35 +99,34 @@ def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> 
     """Return the document of a recording that can be read."""
     history = recordings.history
     if recording is history.recording:
-        return bag_document(BagView(recording, dropped=history.dropped(), problem=history.problem), space)
+        return bag_document(recording, space, dropped=history.dropped(), problem=history.problem)
     size: int | None = None
     with contextlib.suppress(OSError):
         size = recording.path.stat().st_size if recording.path.is_file() else None
     why = recordings.interruption(recording.name)
     digest, status = history.digests.known(recording.path), None if why is None else "interrupted"
-    return bag_document(BagView(recording, digest, size=size, problem=why, status=status), space)
+    return bag_document(recording, space, digest, size=size, problem=why, status=status)
 
 
 def describe_running(space: Space, recordings: Recordings, one: RunningRecording) -> Document:
     """Return the document of a recording that is being made."""
     writer = one.writer
-    view = BagView(
+    return bag_document(
         RunningView(one, recordings.silent(one)),
+        space,
         dropped=recordings.dropped(one),
         problem=writer.problem,
         size=writer.size,
         status="recording",
         order=one.order,
     )
-    return bag_document(view, space)
 
 
 def describe_armed(space: Space, one: ArmedRecording) -> Document:
     """Return the document of a recording that waits for its trigger."""
     status, problem = ("armed", one.problem) if one.suspended is None else ("suspended", one.suspended)
-    bag = ArmedView(one.name)
-    view = BagView(bag, problem=problem, status=status, order=one.order, triggered=one.count)
-    return bag_document(view, space)
+    view = ArmedView(one.name)
+    return bag_document(view, space, problem=problem, status=status, order=one.order, triggered=one.count)
 
 
 _TOPIC_BYTES = 200

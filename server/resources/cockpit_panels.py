@@ -6,9 +6,11 @@ import asyncio
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from itertools import islice
 from urllib.parse import parse_qsl
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
@@ -95,8 +97,7 @@ class QueryTables:
         return results
 
 
-@dataclass(frozen=True, slots=True)
-class CockpitSources:
+class CockpitSources(Struct, frozen=True):
     """Sources of the panels of cockpits. `at` finds the resource at a path."""
 
     session: Session

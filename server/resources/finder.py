@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
+
+from msgspec import Struct
 
 from rosld.adapters.base import Capabilities
 from rosld.adapters.model import Graph, Schema, TypeRef
@@ -85,8 +86,7 @@ _MANY_NAMES = 1000
 """Names from which an index is made on a thread: ten thousand take a quarter of a second."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Index:
+class _Index(Struct, frozen=True, eq=False):
     """An index of one version of what it was made of."""
 
     version: Hashable

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 from urllib.parse import parse_qsl, unquote, urlencode, urljoin
 
+from msgspec.structs import replace
 from pyoxigraph import NamedNode, Quad, Triple
 from starlette.responses import Response
 from starlette.types import Scope

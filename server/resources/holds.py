@@ -6,11 +6,11 @@ import contextlib
 import socket
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import cast
 from urllib.parse import urljoin, urlsplit
 
 import orjson
+from msgspec.structs import replace
 from pyoxigraph import NamedNode
 from starlette.responses import Response
 
@@ -204,13 +204,13 @@ class HoldResource(KeptResource[Hold]):
             hold.topic,
             hold.holder.name,
             hold.rate,
-            hold.created_ns,
-            hold.last_error,
             hold.lease,
             hold.until_ns,
+            hold.created_ns,
             (hold.message.schema, hold.message.message),
             None if hold.release_message is None else (hold.release_message.schema, hold.release_message.message),
             hold.release_requested,
+            hold.last_error,
             is_timed=hold.is_timed,
             is_changeable=not self.session.settings.read_only,
         )

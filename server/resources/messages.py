@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from msgspec import Struct
 from starlette.responses import Response
 
 from rosld.adapters.model import Message, MessageSchema, RosError, Sample
@@ -15,8 +14,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.robot.schemas import Schemas
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DecodedSample:
+class DecodedSample(Struct, frozen=True, eq=False):
     """A sample with its message, or with the reason why it cannot be read."""
 
     sample: Sample

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import TypeVar
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import NamedNode
 
 from rosld.adapters.base import Capabilities
 from rosld.adapters.model import Action, Graph, Node, Parameter, Service, Topic, freeze, names
 from rosld.ontology.describe_graph import namespace_document
-from rosld.ontology.describe_views import MemberOutline, member_triples
+from rosld.ontology.describe_search import MemberOutline, member_triples
 from rosld.ontology.document import Document
 from rosld.ontology.names import IdentityCache, Members, members_of
 from rosld.ontology.urls import Space, decode_segment, encode_segment
@@ -158,7 +160,7 @@ def _unhidden(graph: Graph) -> Graph:
     def shown(things: Mapping[str, _V]) -> Mapping[str, _V]:
         return _kept_if(lambda name, _: not names.is_hidden(name), things)
 
-    return replace(
+    return dataclasses.replace(
         graph,
         nodes=shown(graph.nodes),
         topics=shown(graph.topics),
@@ -191,8 +193,7 @@ def listing_query(place: PagePosition | None, *, hidden: bool) -> str:
     return "&".join(parts if place is None else [*parts, page_query(place.token)])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ListedNamespace:
+class ListedNamespace(Struct, frozen=True, eq=False):
     """A namespace of one route as listed in one graph. `hidden`: including hidden members."""
 
     graph: Graph

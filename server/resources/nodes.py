@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 
+from msgspec.structs import replace
 from pyoxigraph import Literal, NamedNode, Triple
 from starlette.responses import Response
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
+from msgspec.structs import replace
 from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.model import Descriptor, Graph, Kind, Operation, ParameterValue, Ref, names
@@ -81,7 +81,7 @@ class ParameterResource(ParameterBase):
         return super().constrained_by
 
     async def accepted(self, url: str) -> Document | None:
-        return await parameter_shape(self.limit_checks, self.name, url)
+        return await parameter_shape(self.space, self.session.adapter, self.limit_checks, self.name, url)
 
     def deny_reason(self, method: str) -> str:
         words = parameter_denied_reason(self.session.graph, self.name, delete=method == "DELETE")

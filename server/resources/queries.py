@@ -6,10 +6,11 @@ Those that rosld ships are there to be read; what clients put beside them are fi
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response
 
@@ -108,8 +109,7 @@ def _query_item(purpose: str, parameters: Iterable[QueryParameterDeclaration]) -
     )
 
 
-@dataclass(frozen=True, slots=True)
-class QueryRunner:
+class QueryRunner(Struct, frozen=True):
     """Runs stored queries, and renders the pages of their results."""
 
     service: QueryService

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import orjson
+from msgspec import Struct
 from pyoxigraph import NamedNode
 from starlette.responses import Response
 
@@ -52,8 +52,7 @@ _POSE, _STAMPED = "geometry_msgs/msg/Pose", "geometry_msgs/msg/PoseStamped"
 _MAX_TARGETS = 20
 
 
-@dataclass(frozen=True, slots=True)
-class GoalTarget:
+class GoalTarget(Struct, frozen=True):
     """An action or a topic that takes a pose, by `method` at `url`.
 
     `field` is the field of the goal that the pose is in, empty where it is the whole message; `is_stamped` says whether

@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.ontology.body import parse_json
-from rosld.ontology.describe_holds import CONFIRM, StepView, StopView, stop_document
+from rosld.ontology.describe_holds import CONFIRM, StepView, stop_document
 from rosld.ontology.document import Document
 from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space
@@ -100,7 +100,8 @@ class StopResource(Resource):
         """Return the RDF of the stop."""
         stops = self.software_stop
         stop_state = stops.stop_state
-        view = StopView(
+        return stop_document(
+            self.space,
             [
                 StepView(step.description, ros.terms[step.status.value], step.words, step.affects, step.subscribers)
                 for step in stops.steps
@@ -109,9 +110,8 @@ class StopResource(Resource):
             since_ns=None if stop_state is None else stop_state.since_ns,
             reason=None if stop_state is None else stop_state.reason,
             warning=stops.warning,
-            is_usable=stops.unusable_reason is None,
+            usable=stops.unusable_reason is None,
         )
-        return stop_document(view, self.space)
 
     def _plain(self) -> bytes:
         return self._plain_for(ALLOW_ALL)

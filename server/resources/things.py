@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import TypeAlias
 from urllib.parse import urljoin
 
 import orjson
+from msgspec import Struct
+from msgspec.structs import replace
 from starlette.responses import Response
 
 from rosld.ontology.serialize import serialize
@@ -41,8 +42,7 @@ _FRAME = 600
 """Bytes for links to the whole and to the next part."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Named:
+class _Named(Struct, frozen=True):
     """An affordance with its kind and name."""
 
     kind: str

@@ -10,12 +10,13 @@ import itertools
 import tempfile
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
 from functools import partial
 from io import FileIO
 from pathlib import Path
 from typing import TypeVar
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import RdfFormat, Triple, parse
 from pyoxigraph import serialize as pyoxigraph_serialize
 
@@ -33,8 +34,7 @@ MAX_BYTES = 512 * 1024 * 1024
 MAX_FILES = 16
 
 
-@dataclass(frozen=True, slots=True)
-class Excerpt:
+class Excerpt(Struct, frozen=True):
     """The first triples of a document, and the total number."""
 
     document: Document

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import replace
 from datetime import datetime, timezone
 from functools import partial
 from urllib.parse import parse_qsl, urlsplit
 
+from msgspec.structs import replace
 from starlette.responses import Response
 
 from rosld.adapters.model import Stale

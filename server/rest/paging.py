@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import TypeAlias
 from urllib.parse import quote
 
+from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.document import Document
@@ -28,8 +29,7 @@ _EMPTY = f"{ldp.iri}PreferEmptyContainer"
 _KNOWN = frozenset({_CONTAINMENT, _MEMBERSHIP, _MINIMAL})
 
 
-@dataclass(frozen=True, slots=True)
-class ContainerParts:
+class ContainerParts(Struct, frozen=True):
     """Parts in a representation of a container. `applied`: a preference selected them, which the response states."""
 
     containment: bool = True
@@ -93,8 +93,7 @@ _NAMED = re.compile(r"([1-9][0-9]{0,3})?:([!-~]{1,4096})")
 _COUNT = re.compile(r"0*([1-9][0-9]{0,8})")
 
 
-@dataclass(frozen=True, slots=True)
-class PagePosition:
+class PagePosition(Struct, frozen=True):
     """Position of a page: `limit` members after the number or name `after`; 0 is before all of them."""
 
     after: Key = 0
@@ -109,8 +108,7 @@ class PagePosition:
         return f"{self.after}-{limit}" if limit else str(self.after)
 
 
-@dataclass(frozen=True, slots=True)
-class LdpPage:
+class LdpPage(Struct, frozen=True):
     """A page of the container at URL `container`: its own token and those of its neighbours, None for missing ones."""
 
     container: str

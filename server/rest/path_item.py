@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from urllib.parse import quote
+
+from msgspec import Struct, field
 
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
@@ -15,8 +16,7 @@ ANY_TYPE = "*/*"
 BYTES = "application/octet-stream"
 
 
-@dataclass(frozen=True, slots=True)
-class QueryParameter:
+class QueryParameter(Struct, frozen=True):
     """A query parameter (4.8.12)."""
 
     name: str
@@ -46,8 +46,7 @@ _DONE = {"PUT": (200, 201, 204), "POST": (200, 201, 204), "PATCH": (200, 201, 20
 """Default statuses of success."""
 
 
-@dataclass(frozen=True, slots=True)
-class WriteMethod:
+class WriteMethod(Struct, frozen=True):
     """Request and response of a method that writes.
 
     `sends` is the schema of its JSON, `accepts` are its media types if they differ from the current ones of the
@@ -72,8 +71,7 @@ USUAL_STATUSES = WriteMethod()
 """Default description of a method."""
 
 
-@dataclass(frozen=True, slots=True)
-class PathItem:
+class PathItem(Struct, frozen=True):
     """The operations of a URL, or of each URL that matches a template.
 
     `reads` are the media types of GET, `plain` is the schema of `application/json` among them (None: JSON-LD), `query`
@@ -135,8 +133,7 @@ PART_QUERY = (
 _MAX_DIGITS = 6
 
 
-@dataclass(frozen=True, slots=True)
-class PartRequest:
+class PartRequest(Struct, frozen=True):
     """A requested part: its number, among the parts of the paths that begin with `below`."""
 
     below: str

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Hashable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from typing import TypeAlias, TypeVar
 
+from msgspec import Struct
 from pyoxigraph import Triple
 from starlette.responses import Response
 
@@ -34,8 +34,7 @@ from rosld.server.rest.state import State
 from rosld.server.storage.record import Write
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(Struct, frozen=True):
     """A source of pictures: `watch` calls back when there may be a new one, `newest` returns it as a file.
 
     `newest` returns None if there is no new picture, or none can be drawn.
@@ -46,8 +45,7 @@ class Motion:
     newest: Callable[[], Awaitable[bytes | None]]
 
 
-@dataclass(frozen=True, slots=True)
-class RobotWrite:
+class RobotWrite(Struct, frozen=True):
     """A write to the robot with its description; `carry_out` performs it and returns whether it was received.
 
     `carry_out` raises RosError, and Problems if the robot declines.
@@ -57,8 +55,7 @@ class RobotWrite:
     carry_out: Callable[[], Awaitable[bool]]
 
 
-@dataclass(frozen=True, slots=True)
-class StorageWrite:
+class StorageWrite(Struct, frozen=True):
     """Writes to the storage, applied in one transaction."""
 
     description: str
@@ -312,8 +309,7 @@ class Resource:
         raise self.not_allowed("DELETE")
 
 
-@dataclass(frozen=True, slots=True)
-class CreatedAnswer:
+class CreatedAnswer(Struct, frozen=True):
     """A created resource: answered as 201 with its location and, as body, its state if there is one."""
 
     location: str
@@ -322,8 +318,7 @@ class CreatedAnswer:
     links: tuple[Link, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class ShownAnswer:
+class ShownAnswer(Struct, frozen=True):
     """A resource that shows the outcome of a write: answered as 200 with its state and its Content-Location."""
 
     resource: Resource

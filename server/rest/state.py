@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import orjson
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import serialize
@@ -32,8 +33,7 @@ class Rendering(NamedTuple):
     etag: str
 
 
-@dataclass(eq=False)
-class State:
+class State(Struct, eq=False, dict=True):
     """The state of a resource: its RDF (created when first needed), and its plain JSON if there is a ROS value.
 
     `token` is the state part of its ETag; by default a digest of the RDF. `plain` returns ROS's own JSON, or raises the
@@ -114,8 +114,7 @@ class State:
         )
 
 
-@dataclass(eq=False)
-class MessageState(State):
+class MessageState(State, eq=False):
     """State with the newest message of each publisher; messages in between may have been skipped.
 
     `messages` are their publishers, epochs and sequence numbers.
@@ -124,8 +123,7 @@ class MessageState(State):
     messages: tuple[tuple[str, int, int], ...] = ()
 
 
-@dataclass(eq=False)
-class EndedState(State):
+class EndedState(State, eq=False):
     """The last state of an ended resource; `open_members` are the members of its plain JSON that may still change."""
 
     open_members: frozenset[str] = frozenset()

@@ -7,8 +7,10 @@ import hashlib
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from enum import Enum
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, Refused, RosError, Sent, ServiceSchema, TimedOut
@@ -30,8 +32,7 @@ class CallState(Enum):
     NOT_SENT = "NotSent"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Call:
+class Call(Struct, frozen=True, eq=False):
     """A call: immutable, replaced by its next state. Times are wall-clock nanoseconds."""
 
     id: str
@@ -46,8 +47,7 @@ class Call:
     sender: Sender | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class CallOutcome:
+class CallOutcome(Struct, frozen=True):
     """The state of a call in the response to its caller, and the error if it failed."""
 
     call: Call

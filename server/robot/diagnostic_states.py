@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any, NamedTuple, cast
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.adapters.model import Message
 
@@ -35,8 +37,7 @@ class KeyValue(NamedTuple):
     value: str
 
 
-@dataclass(frozen=True, slots=True)
-class DiagnosticState:
+class DiagnosticState(Struct, frozen=True):
     """The latest state of a part: its topic, name, hardware, and the time since it has this level.
 
     `said` is the reported level, `level` the effective one: a part that is silent becomes stale.

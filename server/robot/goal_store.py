@@ -7,7 +7,8 @@ import re
 import time
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from rosld.adapters.model import ActionSchema, GoalId, GoalStatus, Message
 from rosld.server.receipts.audit_context import Sender
@@ -21,8 +22,7 @@ _NOT_PLAIN = re.compile(r"[^A-Za-z0-9_-]+")
 _MAX_ID_LENGTH = 48
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Feedback:
+class Feedback(Struct, frozen=True, eq=False):
     """The latest feedback message of an action server, and its time of receipt."""
 
     message: Message
@@ -30,8 +30,7 @@ class Feedback:
     count: int = 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Goal:
+class Goal(Struct, frozen=True, eq=False):
     """A goal: immutable, replaced by its next state, compared by identity.
 
     `key` is None for a goal that was rejected when sent. Times are wall-clock nanoseconds. Undecodable messages are

@@ -10,7 +10,9 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.adapters.base import Adapter, Watch
 from rosld.adapters.model import (
@@ -96,8 +98,7 @@ class GoalFollower:
             opening.result().close()
 
 
-@dataclass(slots=True)
-class _Following:
+class _Following(Struct):
     """A followed action: the watch of its goals, the time of the last read (loop time), and the number of watches."""
 
     opening: asyncio.Future[Watch]
@@ -129,11 +130,10 @@ _ENDED = 3
 
 
 _MESSAGES = frozenset({"goal", "feedback", "result"})
-_FIELDS = tuple(field.name for field in fields(Goal))
+_FIELDS = Goal.__struct_fields__
 
 
-@dataclass(frozen=True, slots=True)
-class GoalSubmission:
+class GoalSubmission(Struct, frozen=True):
     """The state of a goal in the response to its sender, and the error if it was not accepted."""
 
     goal: Goal | None

@@ -7,15 +7,13 @@ nothing.
 from __future__ import annotations
 
 import asyncio
-import base64
 import logging
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import cast
 
-import orjson
+import msgspec
+from msgspec import Struct
 
 from rosld.server.storage.files import remove_note, write_note
 
@@ -27,8 +25,7 @@ _BEGIN_SECONDS = 0.05
 _log = logging.getLogger("rosld")
 
 
-@dataclass(frozen=True, slots=True)
-class HoldNote:
+class HoldNote(Struct, frozen=True):
     """An active hold. `node` is the ROS name of the rosld that publishes it; `type` the message type.
 
     `data` is the final message, encoded for the robot's system, None for none; `then` is the final message as
@@ -86,8 +83,8 @@ class HoldNotes:
         found: list[HoldNote] = []
         for path in sorted(self._folder.glob(f"[!.]*{_SUFFIX}")):
             try:
-                found.append(_decode(path.read_bytes()))
-            except (OSError, ValueError, KeyError, TypeError) as error:
+                found.append(msgspec.json.decode(path.read_bytes(), type=HoldNote))
+            except (OSError, ValueError) as error:
                 _log.warning("the note of a hold %s cannot be read: %s", path, error)
         return found
 
@@ -95,8 +92,8 @@ class HoldNotes:
         """Return the note again, which another process may have changed."""
         assert self._folder is not None
         try:
-            return _decode((self._folder / f"{note.id}{_SUFFIX}").read_bytes())
-        except (OSError, ValueError, KeyError, TypeError):
+            return msgspec.json.decode((self._folder / f"{note.id}{_SUFFIX}").read_bytes(), type=HoldNote)
+        except (OSError, ValueError):
             return note
 
     def write(self, note: HoldNote) -> None:
@@ -104,7 +101,7 @@ class HoldNotes:
         assert self._folder is not None
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            write_note(self._folder / f"{note.id}{_SUFFIX}", _encode(note))
+            write_note(self._folder / f"{note.id}{_SUFFIX}", msgspec.json.encode(note))
         except OSError as error:
             _log.warning(
                 "the hold on %s is not on the disk, and is not ended where rosld is killed: %s", note.topic, error
@@ -116,19 +113,3 @@ class HoldNotes:
             remove_note(self._folder / f"{id}{_SUFFIX}")
         except OSError as error:
             _log.warning("the note of the hold %s, which has ended, stays on the disk: %s", id, error)
-
-
-def _encode(note: HoldNote) -> bytes:
-    data = None if note.data is None else base64.b64encode(note.data).decode("ascii")
-    return orjson.dumps({**asdict(note), "data": data})
-
-
-def _decode(text: bytes) -> HoldNote:
-    """Decode a note. Raises ValueError, KeyError or TypeError for invalid content."""
-    members = cast("dict[str, object]", orjson.loads(text))
-    made = HoldNote(**members)  # type: ignore[arg-type]
-    for name in ("id", "topic", "type", "node", "holder", "then"):
-        if not isinstance(getattr(made, name), str):
-            raise ValueError(f"its {name} is no text")
-    data = members["data"]
-    return made if data is None else replace(made, data=base64.b64decode(str(data), validate=True))

@@ -13,8 +13,10 @@ import math
 import time
 from collections import OrderedDict
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.adapters.model import Encoding, Kind, Message, MessageSchema, RosError
 from rosld.ontology.neutral_message import is_unstamped, with_stamp
@@ -40,8 +42,7 @@ _LONGEST_PUBLISH = 0.5
 _log = logging.getLogger("rosld")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HeldMessage:
+class HeldMessage(Struct, frozen=True, eq=False):
     """A message to publish, encoded in advance unless it is stamped with the time of each publish.
 
     `passes_stop`: it is published even while the robot is stopped.
@@ -72,8 +73,7 @@ def held_message(
     return HeldMessage(schema, message, schema.codec.encode(message, encoding), is_stamped)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Hold:
+class Hold(Struct, frozen=True, eq=False):
     """A hold: immutable, replaced by its next state. `rate` is in Hz, `lease` in seconds; times are wall-clock ns.
 
     `is_timed`: the lease lasts as long as the requested duration, so that it needs no renewal. `release_message` is

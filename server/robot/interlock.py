@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import TypeVar
+
+from msgspec import Struct
 
 from rosld.adapters.model import RosError, Sent
 from rosld.server.runtime.dry_run import end_dry_run
@@ -15,8 +16,7 @@ from rosld.server.runtime.dry_run import end_dry_run
 _T = TypeVar("_T")
 
 
-@dataclass(frozen=True, slots=True)
-class StopState:
+class StopState(Struct, frozen=True):
     """The stop of the robot: who stopped it, when (wall-clock nanoseconds), and the reason, if given.
 
     `url` is its resource, `id` confirms a release by a person without a name.
@@ -53,8 +53,7 @@ class Stopped(RosError):
         self.stop_state = stop_state
 
 
-@dataclass(frozen=True, slots=True)
-class Holder:
+class Holder(Struct, frozen=True):
     """Holder of a topic: their name, and the URL of the hold."""
 
     name: str

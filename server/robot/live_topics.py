@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from math import inf
+
+from msgspec import Struct, field
 
 from rosld.adapters.base import Adapter, Subscription, Watch
 from rosld.adapters.model import Endpoint, Graph, Message, MessageSchema, RosError, Sample
@@ -29,8 +30,7 @@ _MEASURE = 2.5
 """Seconds between reads of all topics, which measure the rates of topics that no client reads."""
 
 
-@dataclass(frozen=True, slots=True)
-class LiveSettings:
+class LiveSettings(Struct, frozen=True):
     """Settings of subscriptions.
 
     `first_value`: seconds to wait for the first message of a published topic. `idle`: seconds that a subscription stays
@@ -43,8 +43,7 @@ class LiveSettings:
     eager: tuple[str, ...] = ()
 
 
-@dataclass(slots=True)
-class _Look:
+class _Look(Struct):
     """A subscription and its latest view.
 
     `awaited` are the publishers that sent nothing while awaited; `insisted`: a message was awaited even without

@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import orjson
+from msgspec import Struct
 
 from rosld.adapters.base import Adapter, Watch
 from rosld.adapters.model import MessageSchema, RosError, Sample
@@ -25,8 +25,7 @@ _LARGE = 64 * 1024
 _MAX_KEPT = 256
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DrawnSample:
+class DrawnSample(Struct, frozen=True, eq=False):
     """A sample and its drawing, also as JSON; or a sentence on why there is no drawing."""
 
     sample: Sample

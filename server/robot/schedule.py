@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TypeAlias
 
+from msgspec import Struct
+from msgspec.structs import replace
 
-@dataclass(frozen=True, slots=True)
-class Wait:
+
+class Wait(Struct, frozen=True):
     """Nothing to do before `until`."""
 
     until: float
 
 
-@dataclass(frozen=True, slots=True)
-class Publish:
+class Publish(Struct, frozen=True):
     """The message is due now; `after` is the schedule once it is published."""
 
     after: Schedule
 
 
-@dataclass(frozen=True, slots=True)
-class LeaseExpired:
+class LeaseExpired(Struct, frozen=True):
     """The lease has ended."""
 
 
 Step: TypeAlias = "Wait | Publish | LeaseExpired"
 
 
-@dataclass(frozen=True, slots=True)
-class Schedule:
+class Schedule(Struct, frozen=True):
     """Schedule of a message that is due at `origin` and every `period` after it, until `expires`.
 
     `tick` is the number of the next time. Times are counted from the origin, so that delays do not accumulate, and

@@ -6,9 +6,11 @@ import asyncio
 import logging
 import time
 from collections.abc import Awaitable, Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.adapters.model import Action, Graph, Kind, Message, MessageSchema, RosError, Topic
 from rosld.ontology.body import parse_json
@@ -44,8 +46,7 @@ class StepStatus(Enum):
     FAILED = "Failed"
 
 
-@dataclass(frozen=True, slots=True)
-class StopStep:
+class StopStep(Struct, frozen=True):
     """A step of the stop: a description, the URLs of its subjects, the outcome, and the reason.
 
     `subscribers` is the number of receivers of a message, None without a message or before it is known. `tells` is
@@ -60,8 +61,7 @@ class StopStep:
     tells: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class StopCommand:
+class StopCommand(Struct, frozen=True):
     """A command that stops the robot: a `service` to call, or a `topic` to publish on, and the JSON of the message.
 
     Missing members have ROS's defaults.

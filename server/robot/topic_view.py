@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple, cast
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import Message, MessageSchema, Sample
 
@@ -87,8 +88,7 @@ def decoder_of(schema: MessageSchema) -> Callable[[Sample], Message]:
     return decode
 
 
-@dataclass(frozen=True, slots=True)
-class TopicView:
+class TopicView(Struct, frozen=True):
     """The samples of a topic at one time: the newest of each publisher, and their rate.
 
     `samples` is in order of receipt, newest last; a folded topic (`/tf`) has a single one that combines all messages.
@@ -118,8 +118,7 @@ EMPTY_VIEW = TopicView()
 """View of a topic without messages."""
 
 
-@dataclass(slots=True)
-class _Anchor:
+class _Anchor(Struct):
     """Start of the count for one publisher, and a later one to replace it."""
 
     epoch: int
@@ -135,8 +134,7 @@ _LEAST_NS = 200_000_000
 """Minimum time between two messages to measure a rate: below that, network jitter dominates."""
 
 
-@dataclass(slots=True)
-class RateEstimator:
+class RateEstimator(Struct):
     """Message rates, computed from sequence numbers when samples are read: there is no work per message."""
 
     _anchors: dict[str, _Anchor] = field(default_factory=dict)

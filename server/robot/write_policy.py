@@ -6,8 +6,9 @@ node publishes it and another node subscribes to it (or rosld itself advertised 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import Graph, Kind, Topic
 from rosld.ontology.neutral_message import COMMANDS
@@ -92,8 +93,7 @@ def is_reserved(name: str, graph: Graph) -> bool:
     return name in RESERVED or graph.is_of_action(name)
 
 
-@dataclass(slots=True)
-class PublishLimiter:
+class PublishLimiter(Struct):
     """Rate limiter of publishes: at most `rate` per second and topic, in bursts of up to one second's worth."""
 
     rate: float

@@ -10,7 +10,8 @@ import asyncio
 import contextlib
 import logging
 import time
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Kind, RosError, Topic, Unreachable
@@ -43,8 +44,7 @@ _ABREAST = 2
 """Maximum number of concurrent publishes: the first waits for all subscribers, the second for those present."""
 
 
-@dataclass(frozen=True, slots=True)
-class Receivers:
+class Receivers(Struct, frozen=True):
     """Number of subscribers that received zero, and of all subscribers."""
 
     subscribers: int

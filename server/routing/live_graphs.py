@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache, partial, reduce
 from itertools import chain
 from typing import NamedTuple
+
+from msgspec.structs import replace
 
 from rosld.adapters.model import Array, Graph, MessageSchema, Nested, ParameterValue, RosError, Topic
 from rosld.ontology.document import Document

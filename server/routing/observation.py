@@ -6,9 +6,10 @@ import asyncio
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from functools import partial
 
+from msgspec import Struct
+from msgspec.structs import replace
 from starlette.responses import Response
 
 from rosld.server.auth import enforcement
@@ -31,8 +32,7 @@ _BOUNDARY = "rosld-picture"
 MEDIA_TYPE = f"multipart/x-mixed-replace; boundary={_BOUNDARY}"
 
 
-@dataclass(slots=True)
-class Pace:
+class Pace(Struct):
     """Limit of one picture per interval of 1/`rate` seconds; the intervals of all readers are aligned.
 
     So readers with low rates get the same pictures, which are drawn only once.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterator
-from dataclasses import replace
 
 import orjson
+from msgspec.structs import replace
 from starlette.responses import Response
 
 from rosld.adapters.model import Graph, RosError

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
 from typing import Generic, TypeVar
+
+from msgspec import Struct, field
 
 T = TypeVar("T")
 
 
-@dataclass(slots=True)
-class VersionCache(Generic[T]):
+class VersionCache(Struct, Generic[T]):
     """Values by URL, each for one version of its sources; the oldest are removed first."""
 
     limit: int = 4096

@@ -15,9 +15,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+
+from msgspec import Struct
 
 import rosld
 
@@ -41,8 +42,7 @@ _RUNNERS = ("/asyncio/runners.py", "/uvloop/__init__.py")
 """Files that run a loop: their callers are idle."""
 
 
-@dataclass(frozen=True, slots=True)
-class Pause:
+class Pause(Struct, frozen=True):
     """A pause of the event loop: its length, and the time that the loop's thread was working, in seconds.
 
     `ended_ns` is the wall-clock time of its end. `code` is the innermost running function of rosld, `stack` the
@@ -56,8 +56,7 @@ class Pause:
     stack: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Pauses:
+class Pauses(Struct, frozen=True):
     """The longest pause since the start of the server, and the seconds of the longest in the last minute.
 
     `busiest` is the pause in which the loop's thread itself worked the longest; if others have the processor, or the

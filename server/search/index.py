@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from functools import lru_cache
 from heapq import nsmallest
 from typing import NamedTuple, TypeAlias
+
+from msgspec import Struct, field
 
 
 class EntryKind(Enum):
@@ -26,8 +27,7 @@ class EntryKind(Enum):
     DOCUMENT = "document"
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(Struct, frozen=True):
     """A search entry for a resource with a URL.
 
     `name` is a ROS name, or the path of a stored document. `types` are the names of its ROS types, usually one. `texts`
@@ -42,8 +42,7 @@ class Entry:
     resource: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Catalog:
+class Catalog(Struct, frozen=True):
     """All entries, and the field paths of their types (`pose.position.x`) by type name."""
 
     entries: Sequence[Entry]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import httptools
 import uvicorn
+from msgspec import Struct
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from rosld.server.http.problem import Problem
@@ -36,8 +36,7 @@ def _is_never(method: bytes, path: bytes) -> bool:
     return False
 
 
-@dataclass(frozen=True, slots=True)
-class ConnectionBounds:
+class ConnectionBounds(Struct, frozen=True):
     """Limits of a connection: bytes of a head, seconds to send one, seconds to read what is sent.
 
     `connect` counts a connection, and `open_websocket` a WebSocket, of the client at an address. They raise a Problem

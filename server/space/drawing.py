@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from rosld.adapters.model import MessageSchema, Sample
 from rosld.server.pictures.form import CannotDraw
@@ -33,8 +33,7 @@ _DIGITS = 3
 """Number of decimals of coordinates in metres: millimetres."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ellipse:
+class Ellipse(Struct, frozen=True):
     """Uncertainty of a position: the semi-axes, one standard deviation each, and the direction of the first."""
 
     major: float
@@ -42,8 +41,7 @@ class Ellipse:
     angle: float
 
 
-@dataclass(frozen=True, slots=True)
-class Grid:
+class Grid(Struct, frozen=True):
     """Ground area of a grid's picture: its lower left corner, and its sides in metres and in cells."""
 
     origin: Transform
@@ -52,8 +50,7 @@ class Grid:
     rows: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drawing:
+class Drawing(Struct, frozen=True, eq=False):
     """Drawing of a message, in `frame` at `stamp_ns`. `has_trace`: its arrow leaves a trace of former positions."""
 
     frame: str
@@ -67,8 +64,7 @@ class Drawing:
     has_trace: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class _Kind:
+class _Kind(Struct, frozen=True):
     label: str
     draw: Callable[[Fields], Drawing]
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from rosld.adapters.model import Message, Sample
 from rosld.server.space.transform import (
@@ -40,8 +41,7 @@ class NoTransform(LookupError):
     """Reason why there is no transform between two frames: a sentence without its full stop."""
 
 
-@dataclass(frozen=True, slots=True)
-class FrameTransform:
+class FrameTransform(Struct, frozen=True):
     """A received transform: the pose of a frame in its parent at a time.
 
     `source` is the message that contained it, without its data.
@@ -55,8 +55,7 @@ class FrameTransform:
     source: Sample
 
 
-@dataclass(slots=True)
-class _History:
+class _History(Struct):
     """Transforms of one frame by their stamps, in ascending order."""
 
     stamps: list[int] = field(default_factory=list)
@@ -223,8 +222,7 @@ OLD_NS = 10_000_000_000
 """Age of the last transform above which moving frames are marked as old: tf2 has dropped them."""
 
 
-@dataclass(frozen=True, slots=True)
-class FrameNode:
+class FrameNode(Struct, frozen=True):
     """A frame in its tree: its depth, newest transform (None for a root), publishers, and problem."""
 
     name: str

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from rosld.adapters.model import MessageSchema, Sample
 from rosld.server.pictures.form import CannotDraw
@@ -29,8 +29,7 @@ _PER_POINT = 64
 _Column: TypeAlias = "npt.NDArray[np.generic]"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Cloud:
+class Cloud(Struct, frozen=True, eq=False):
     """Points of a message, in `frame` at `stamp_ns`.
 
     `points` are rows of x, y and z in metres; `colours` rows of red, green and blue, and `intensity` one number per
@@ -45,14 +44,12 @@ class Cloud:
     intensity: npt.NDArray[np.float32] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _Field:
+class _Field(Struct, frozen=True):
     offset: int
     format: str
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
+class _Layout(Struct, frozen=True):
     data: npt.NDArray[np.uint8]
     height: int
     width: int

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
+
+from msgspec import Struct
 
 from rosld.ontology.vocab import PREFIXES, hctl, htv, td
 from rosld.server.dataset import QueryError
@@ -31,8 +32,7 @@ _OFFERS = (td.iri, hctl.iri, htv.iri)
 """Namespaces of affordances and forms."""
 
 
-@dataclass(frozen=True, slots=True)
-class Analysis:
+class Analysis(Struct, frozen=True):
     """An accepted query; `text` is what is sent to the store.
 
     `form` is SELECT, ASK, CONSTRUCT or DESCRIBE. `needs` cover all graphs; FROM and FROM NAMED are in `default_graphs`

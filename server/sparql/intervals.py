@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import NamedTuple
 
+from msgspec import Struct, field
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.vocab import xsd
@@ -62,8 +62,7 @@ class Interval(NamedTuple):
 ANY_TIME = Interval()
 
 
-@dataclass(frozen=True, slots=True)
-class Knowledge:
+class Knowledge(Struct, frozen=True):
     """Constraints on variables: their time intervals (as far as they are times) and their possible terms."""
 
     times: Mapping[str, Interval] = field(default_factory=dict)

@@ -11,9 +11,10 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from itertools import count
 from typing import NamedTuple, Protocol
+
+from msgspec import Struct
 
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.rest.resource import Resource
@@ -52,8 +53,7 @@ class LiveDocument(NamedTuple):
     members: frozenset[str] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class LiveGraphs:
+class LiveGraphs(Struct, frozen=True):
     """Documents with their values, by URL (None for missing ones), and the reasons why others could not be read."""
 
     entries: dict[str, GraphEntry | None]

@@ -9,8 +9,10 @@ only add needs.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, replace
 from typing import NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.ontology.vocab import rdf
 from rosld.server.sparql.ros_functions import AGE
@@ -46,8 +48,7 @@ def _union(one: frozenset[str] | None, other: frozenset[str] | None) -> frozense
     return None if one is None or other is None else one | other
 
 
-@dataclass(frozen=True)
-class Needs:
+class Needs(Struct, frozen=True):
     """The values that a query can match: those that fit any of its `patterns`.
 
     `documents` are all IRIs, without fragment, in the query. `dataset` are the only graphs that it sees (FROM and FROM

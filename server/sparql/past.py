@@ -15,9 +15,11 @@ Patterns in GRAPH do not match recorded messages, which have no graph of their o
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 from urllib.parse import unquote
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from rosld.ontology.vocab import ldp, rdf, ros
 from rosld.server.auth.permissions import Permissions
@@ -61,8 +63,7 @@ _MOST_ROWS = 10_000
 """Maximum number of rows (including those skipped by OFFSET) for which only part of the messages is read."""
 
 
-@dataclass(frozen=True, slots=True)
-class MessageTerms:
+class MessageTerms(Struct, frozen=True):
     """Terms of messages. `types` is the namespace of message types, `base` is the prefix of this server's IRIs."""
 
     types: str
@@ -88,8 +89,7 @@ class MessageTerms:
         return frozenset(one for one in named if one is not None) if len(named) == 1 else _NOTHING
 
 
-@dataclass(frozen=True, slots=True)
-class PastSelection:
+class PastSelection(Struct, frozen=True):
     """Selection of messages received within `time`, of types that use all of `types`.
 
     Their topics have one of these `urls` and one of these `names` (None: any), and currently all of `topic_types`.
@@ -114,8 +114,7 @@ class PastEnd(NamedTuple):
     messages: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Context:
+class _Context(Struct, frozen=True):
     """Context of a group: constraints on variables, the topics they stand for, and the variables of known messages."""
 
     known: Knowledge = field(default_factory=Knowledge)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import lru_cache
 from math import inf
 from urllib.parse import parse_qsl
 
+from msgspec import Struct
 from pyoxigraph import NamedNode
 
 from rosld.ontology.charsets import UTF_8
@@ -25,8 +25,7 @@ _MAX_PARAMETERS = 1000
 _LONGEST_CACHED = 4096
 
 
-@dataclass(frozen=True, slots=True)
-class QueryRequest:
+class QueryRequest(Struct, frozen=True):
     """A query and its dataset: the graphs to merge into the default graph, and the named graphs.
 
     Without either, the dataset is complete: every graph under its name, and their union as the default graph. `timeout`
@@ -42,8 +41,7 @@ class QueryRequest:
     partial: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class UpdateRequest:
+class UpdateRequest(Struct, frozen=True):
     """An update and the dataset of its WHERE: the graphs to merge into the default graph, and the named graphs.
 
     Without either, the USING clauses of each operation apply, or else the dataset of a query that names none.

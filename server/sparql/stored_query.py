@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from enum import Enum
 from importlib.resources import files
 from itertools import count
 
+from msgspec import Struct
 from pyoxigraph import BlankNode, Literal, NamedNode, Store, Triple, Variable
 
 from rosld.ontology.coercion import Misfit
@@ -62,8 +62,7 @@ class ParameterType(Enum):
     DOUBLE = "double"
 
 
-@dataclass(frozen=True, slots=True)
-class QueryParameterDeclaration:
+class QueryParameterDeclaration(Struct, frozen=True):
     """A parameter; `name` is that of its variable, without the mark; `default` is text, None if it is required."""
 
     name: str
@@ -72,8 +71,7 @@ class QueryParameterDeclaration:
     about: str
 
 
-@dataclass(frozen=True, slots=True)
-class StoredQuery:
+class StoredQuery(Struct, frozen=True):
     """A stored query; `text` includes the comments."""
 
     name: str

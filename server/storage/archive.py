@@ -22,11 +22,11 @@ import tempfile
 import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import IO, NamedTuple, cast
 
 import pyoxigraph
+from msgspec.structs import asdict, replace
 
 from rosld.server.storage.blobs import ID, Blobs
 from rosld.server.storage.record import (

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum
 from typing import TypeAlias
 
+from msgspec import Struct
 from pyoxigraph import NamedNode
 
 from rosld.ontology.vocab import ldp
@@ -27,8 +27,7 @@ class Model(Enum):
         """Whether resources can be created in it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Blob:
+class Blob(Struct, frozen=True):
     """The bytes of a non-RDF source: `id` in the blob storage, size in bytes, and the exact media type."""
 
     id: str
@@ -36,8 +35,7 @@ class Blob:
     media_type: str
 
 
-@dataclass(frozen=True, slots=True)
-class Membership:
+class Membership(Struct, frozen=True):
     """Pattern of the membership triples of a Direct or Indirect container (LDP 5.4, 5.5), as IRIs.
 
     `relation` is ldp:hasMemberRelation, or with `inverse` ldp:isMemberOfRelation; `content` is
@@ -54,8 +52,7 @@ NO_MEMBER = ""
 """Member IRI of a member of an Indirect container that has not stated its member yet."""
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
+class Record(Struct, frozen=True):
     """A stored resource.
 
     `path` is its URL without the base, encoded as in the URL (`data/rooms/kitchen`); that of a container ends in a
@@ -79,8 +76,7 @@ class Record:
     count: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Member:
+class Member(Struct, frozen=True):
     """A member of a container. `number` orders members by creation, and never changes.
 
     `member` is that of its record: None means its own URL, `NO_MEMBER` none.
@@ -92,8 +88,7 @@ class Member:
     member: str | None
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
+class Difference(Struct, frozen=True):
     """Change of a record's triples by a write, as N-Triples without blank nodes: `removed`, then `added`.
 
     `before` is the previous record; `times` are the creation and modification times stated by its first writer, which
@@ -106,8 +101,7 @@ class Difference:
     added: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Put:
+class Put(Struct, frozen=True):
     """Creation or replacement of a record. `expected` is its current version, 0 if it must not exist, None for any.
 
     A new record is listed in its container, which is the path up to its last segment and must exist. Its model never
@@ -129,8 +123,7 @@ class Put:
     difference: Difference | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Remove:
+class Remove(Struct, frozen=True):
     """Removal of a record, which leaves a tombstone until the path is created again. A container must be empty.
 
     `with_versions` deletes its former versions, too.
@@ -191,8 +184,7 @@ class StorageError(Exception):
         self.final = final
 
 
-@dataclass(frozen=True, slots=True)
-class RecordChange:
+class RecordChange(Struct, frozen=True):
     """A path whose record or list of members has changed; `is_removed`: the record was removed."""
 
     path: str

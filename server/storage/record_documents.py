@@ -10,9 +10,9 @@ import re
 import struct
 import zlib
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
+from msgspec.structs import replace
 from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 
 from rosld.ontology.document import Document

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import httpx
 import pyshacl
 import pytest
 import rdflib
+from msgspec.structs import replace
 from rdflib.namespace import SH
 
 from rosld.adapters.model import Descriptor, ParameterType, Range
@@ -217,7 +218,7 @@ def test_a_property_of_a_parameter_offers_what_is_declared_and_conforms_to_its_s
 
 
 def test_the_form_shows_the_words_as_text_and_the_bounds(lamp: MadeUp, client: httpx.Client) -> None:
-    lamp.declared["/lamp/level"] = replace(lamp.declared["/lamp/level"], description="<script>\x00")
+    lamp.declared["/lamp/level"] = dataclasses.replace(lamp.declared["/lamp/level"], description="<script>\x00")
     lamp.parameter("/lamp/level", 5)
     for path in ("/parameters/lamp/level", "/resources/lamp/level"):
         page = client.get(path, headers={"accept": "text/html"}).text

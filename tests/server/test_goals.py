@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 import importlib
 import pkgutil
 import re
@@ -14,6 +13,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
+from msgspec import Struct
 
 import rosld.ontology
 import rosld.server
@@ -140,13 +140,13 @@ def test_records_that_hold_messages_are_compared_by_identity() -> None:
             if "__main__" not in found.name:
                 holding += [each for each in vars(importlib.import_module(found.name)).values() if _holds_message(each)]
     assert {Goal, Feedback} <= set(holding)
-    assert [each for each in set(holding) if each.__eq__ is not object.__eq__] == []
+    assert [each for each in set(holding) if each.__struct_config__.eq] == []
 
 
 def _holds_message(found: object) -> bool:
-    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
+    if not (isinstance(found, type) and issubclass(found, Struct)):
         return False
-    return any(re.search(r"\bMessage\b", str(field.type)) for field in dataclasses.fields(found))
+    return any(re.search(r"\bMessage\b", str(type)) for type in found.__annotations__.values())
 
 
 def test_ids_are_safe_in_urls_and_no_two_goals_share_one() -> None:

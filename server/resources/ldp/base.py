@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import ClassVar
 
+from msgspec import Struct
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
@@ -34,8 +34,7 @@ from rosld.server.storage.record import Conflict, ConflictCause, Put, Record, Re
 from rosld.server.storage.sqlite import Records
 
 
-@dataclass(frozen=True, slots=True)
-class Documents:
+class Documents(Struct, frozen=True):
     """The records, and the services with which resources read and write them."""
 
     space: Space

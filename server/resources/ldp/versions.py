@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Hashable
-from dataclasses import replace
 
+from msgspec.structs import replace
 from starlette.responses import Response
 
 from rosld.ontology.describe_views import time_map_document

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from http import HTTPStatus
 
 import orjson
+from msgspec import Struct
 from starlette.responses import Response
 
 from rosld.adapters.model import RosError, Sent
@@ -33,8 +33,7 @@ class Outcome(Enum):
     LEFT = "not attempted"
 
 
-@dataclass(frozen=True, slots=True)
-class ReportEntry:
+class ReportEntry(Struct, frozen=True):
     """One graph of a report: what its write does, what became of it, and why where it was not done."""
 
     graph: str

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
+from msgspec import Struct
 from pyoxigraph import NamedNode, Quad, Triple
 
 from rosld.adapters.model import RosError
@@ -26,8 +26,7 @@ _INLINE = 1000
 """Quads of an update that is evaluated on the loop."""
 
 
-@dataclass(frozen=True, slots=True)
-class ResourceGraphs:
+class ResourceGraphs(Struct, frozen=True):
     """The graphs of resources at one moment: the states of those that are there, by the names of the graphs.
 
     `tokens` are the tags of those that change by themselves, `documents` the names of all others.

@@ -13,16 +13,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from string import ascii_letters
 from typing import NamedTuple
+
+from msgspec import Struct
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.syntax.token import Kind, Token
 
 
-@dataclass(frozen=True, slots=True)
-class QueryBounds:
+class QueryBounds(Struct, frozen=True):
     """Upper bounds for a query or an update.
 
     `size` is in characters; `depth` counts open brackets; `steps` are keywords, operators and brackets (each can add a
@@ -39,8 +39,7 @@ class QueryBounds:
 DEFAULT_BOUNDS = QueryBounds()
 
 
-@dataclass(frozen=True, slots=True)
-class ServiceAllowlist:
+class ServiceAllowlist(Struct, frozen=True):
     """Endpoints that a text may make the server call: URLs that SERVICE may name, compared as strings."""
 
     services: frozenset[str] = frozenset()

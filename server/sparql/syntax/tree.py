@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple, TypeAlias
 
+from msgspec import Struct, field
 from pyoxigraph import Literal
 
 from rosld.ontology.vocab import rdf
@@ -54,8 +54,7 @@ class Pattern(NamedTuple):
     empty: bool = False
 
 
-@dataclass(eq=False, slots=True)
-class Group:
+class Group(Struct, eq=False):
     """A group graph pattern.
 
     `graph` is the enclosing GRAPH; `scoped`: nothing outside narrows it (a subquery); `assigned`: it has a BIND;
@@ -252,8 +251,7 @@ class Slice(NamedTuple):
     is_descending: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Query:
+class Query(Struct, frozen=True):
     """A query: its form, the group of its WHERE, its FROM (`default`) and FROM NAMED, and the functions it calls.
 
     `constants` are the IRIs in VALUES and expressions. `literals` are those in patterns, templates and VALUES; they and

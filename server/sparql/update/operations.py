@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import ClassVar, NamedTuple, TypeAlias
 
+from msgspec import Struct
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad
 
 
@@ -45,8 +45,7 @@ class WithGraph(NamedTuple):
     query: str
 
 
-@dataclass(frozen=True, slots=True)
-class Where:
+class Where(Struct, frozen=True):
     """The WHERE of a template: a SELECT for its variables or, without variables, an ASK.
 
     `default_graphs` and `named_graphs` are its dataset (USING); without either it is complete. With WITH the query
@@ -60,8 +59,7 @@ class Where:
     with_graph: WithGraph | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ChangeData:
+class ChangeData(Struct, frozen=True):
     """INSERT DATA, DELETE DATA, or the result of a LOAD, which may be `silent`.
 
     Quads in the default graph belong to the one graph that the update is about.
@@ -72,8 +70,7 @@ class ChangeData:
     silent: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Modify:
+class Modify(Struct, frozen=True):
     """DELETE and INSERT with WHERE: for each solution quads are removed, then quads are added."""
 
     deletes: tuple[QuadTemplate, ...]
@@ -101,8 +98,7 @@ class GraphGroup(Enum):
     ALL = "ALL"
 
 
-@dataclass(frozen=True, slots=True)
-class ManageGraph:
+class ManageGraph(Struct, frozen=True):
     """Operation on the graph `target`; `source` is the source of ADD, MOVE and COPY.
 
     `default` is the document that acts as the default graph, which exists even if the document does not.
@@ -115,8 +111,7 @@ class ManageGraph:
     default: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Load:
+class Load(Struct, frozen=True):
     """LOAD: a document on the web, to be inserted `into` a graph (None: the default graph)."""
 
     document: str

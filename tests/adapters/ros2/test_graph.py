@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from rosld.adapters.model import Endpoint, Graph, Live, Parameter, Qos, Stale, TypeRef
 from rosld.adapters.ros2.graph import GraphInputs, Observation, compose, stale

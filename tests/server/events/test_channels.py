@@ -7,9 +7,9 @@ import json
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from rosld.adapters.base import Watch
 from rosld.ontology.describe_graph import container_document

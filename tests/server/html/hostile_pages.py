@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
+from msgspec.structs import replace
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Primitive

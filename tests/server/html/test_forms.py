@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from functools import lru_cache
 from html.parser import HTMLParser
 from itertools import product
@@ -13,6 +13,7 @@ from itertools import product
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from pyoxigraph import Literal
 
 from rosld.adapters.model import (
@@ -271,7 +272,7 @@ def test_types_that_nest_without_end_in_sight_have_forms_of_finite_size() -> Non
     """Forty levels, each holding the next twice, would be a million million inputs."""
     types = {f"deep_msgs/msg/L{level}": twice(f"deep_msgs/msg/L{level}", level + 1) for level in range(40)}
     types["deep_msgs/msg/L40"] = MessageType("deep_msgs/msg/L40", (Field("x", Primitive("int8"), "x"),))
-    kind = replace(schema("std_msgs/msg/Empty"), ref=TypeRef("deep_msgs/msg/L0", "0"), types=types)
+    kind = dataclasses.replace(schema("std_msgs/msg/Empty"), ref=TypeRef("deep_msgs/msg/L0", "0"), types=types)
     inputs = page(message_form(kind, value={})).inputs
     assert [each["tag"] for each in inputs if each.get("name") in ("a", "b")] == ["textarea", "textarea"]
     assert len(inputs) < 10

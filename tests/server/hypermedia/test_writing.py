@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import math
 from collections.abc import Awaitable, Iterable
-from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 import pytest
+from msgspec.structs import replace
 from pyoxigraph import Literal
 
 from rosld.adapters.aircraft import Aircraft
@@ -131,10 +132,10 @@ def writable(*writers: Writer) -> Property:
 def test_the_first_writer_that_may_write_now_does() -> None:
     everything = writable()
     assert writer_of(robot()[0], everything) is SETTER
-    no_service = replace(WHOLE_GRAPH, services={})
+    no_service = dataclasses.replace(WHOLE_GRAPH, services={})
     assert writer_of(robot(no_service)[0], everything) == ParameterSource(X)
     assert writer_of(robot(WHOLE_GRAPH, {Operation.SET_PARAMETER})[0], everything) == ParameterSource(X)
-    assert writer_of(robot(replace(no_service, parameters={}))[0], everything) is TOPIC
+    assert writer_of(robot(dataclasses.replace(no_service, parameters={}))[0], everything) is TOPIC
     assert writer_of(robot(WHOLE_GRAPH, {Operation.PUBLISH})[0], everything) is TOPIC
     assert writer_of(robot(WHOLE_GRAPH, {Operation.PUBLISH}, allow_publish=())[0], everything) is None
     assert writer_of(robot(Graph(1))[0], everything) is None
@@ -148,7 +149,7 @@ def test_why_nothing_writes_is_told_of_every_writer() -> None:
         "There is no topic /robot/x any more."
     )
     uncallable = {"/robot/set_x": Service("/robot/set_x", SET.ref, (), "its definition is not known")}
-    nothing = robot(replace(WHOLE_GRAPH, services=uncallable), ())[0]
+    nothing = robot(dataclasses.replace(WHOLE_GRAPH, services=uncallable), ())[0]
     assert reason_of(nothing, writable()) == (
         "The service /robot/set_x cannot be called: its definition is not known. "
         "The parameter /robot/x of this fake cannot be set. Nothing can be published on /robot/x of a fake."

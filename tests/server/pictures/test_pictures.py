@@ -148,7 +148,7 @@ def test_what_is_no_picture_is_refused_in_words() -> None:
         ({"encoding": "nv21", "width": 5, "step": 5, "height": 3}, "nv21 has colours for squares"),
         ({"encoding": "uyvy", "width": 5, "step": 10}, "two pixels in four bytes"),
     ):
-        fields = {name: getattr(good, name) for name in RawImage.__slots__} | changes
+        fields = {name: getattr(good, name) for name in RawImage.__struct_fields__} | changes
         with pytest.raises(CannotDraw, match=words):
             draw_raw(RawImage(**fields))
 

@@ -22,9 +22,8 @@ from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space
 from rosld.server.auth.permissions import Permissions
 from rosld.server.events import query_params
-from rosld.server.html.page import Cell, MemberColumns, SequenceLink
+from rosld.server.html.page import Cell, MemberColumns
 from rosld.server.http.conditional import digest
-from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.receipts.journal import Journal, JournalEntry, NoSuchReceipt
@@ -32,11 +31,11 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.paging import (
     LdpPage,
+    PagedContainer,
     PagePosition,
     last_page_size,
     last_position,
     page_of,
-    page_query,
     parse_position,
     require_page,
 )
@@ -211,6 +210,7 @@ class ActivityResource(Resource):
     """The receipt of one write. It never changes."""
 
     kind = "Activity"
+    is_found_by_state = True
     shape = "Write"
     item = PathItem("The receipt of a write", plain=ANYTHING)
 
@@ -223,9 +223,6 @@ class ActivityResource(Resource):
         self.states = states
         self.receipts = receipts
         self.id = id
-
-    async def current_methods(self) -> frozenset[str]:
-        return await self.methods_if_there()
 
     async def state(self) -> State:
         try:
@@ -240,25 +237,18 @@ class ActivityResource(Resource):
         return self.receipts.changes.watch(wake)
 
 
-class ActivityContainer(Resource):
+class ActivityContainer(PagedContainer):
     """`/activity/`: the receipts that are kept, in pages where there are many."""
 
     kind = "Activity"
     shape = "Container"
     title = TITLE
     item = PathItem("The receipts of writes, the newest first", plain=ANYTHING, is_paged=True)
-    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
-
-    _place: PagePosition | None = None
 
     def __init__(self, space: Space, states: VersionCache[State], receipts: Journal) -> None:
         super().__init__(space, space.container("activity"))
         self.states = states
         self.receipts = receipts
-
-    @property
-    def variant_key(self) -> PagePosition | None:
-        return self._place
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the page that `?page=` asks for, the first of many pages (303); as a stream, the newest receipt."""
@@ -279,12 +269,11 @@ class ActivityContainer(Resource):
             return self.states.get_or_make(self.url, version, lambda: State(lambda: self._document(entries)))
         page, told = self._page(self._place)
 
-        def make() -> State:
-            headers = {"link": render_links([*self.links, *page.links()]), "vary": "Accept, Prefer"}
-            part = f"p{digest(page.token.encode())}"
-            return State(lambda: page.add_to(self._document(told)), part=part, headers=headers)
-
-        return self.states.get_or_make(page.url, version, make)
+        return self.states.get_or_make(
+            page.url,
+            version,
+            lambda: State(lambda: page.add_to(self._document(told)), part=page.part, headers=page.headers(self.links)),
+        )
 
     def _document(self, entries: list[JournalEntry]) -> Document:
         return container_document(self.url, (self.space.activity(entry.id) for entry in entries), TITLE)
@@ -301,12 +290,8 @@ class ActivityContainer(Resource):
         page = page_of(self.url, place, keys[start : start + limit + 1], before, last)
         return page, entries[start : start + limit]
 
-    @property
-    def query(self) -> str:
-        return "" if self._place is None else page_query(self._place.token)
-
-    def navigation_links(self) -> tuple[SequenceLink, ...]:
-        return () if self._place is None else self._page(self._place)[0].neighbours()
+    def ldp_page(self, place: PagePosition) -> LdpPage:
+        return self._page(place)[0]
 
     def listing(self) -> MemberColumns:
         """Return the columns: action, time, agent and outcome."""

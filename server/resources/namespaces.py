@@ -18,16 +18,16 @@ from rosld.ontology.document import Document
 from rosld.ontology.names import IdentityCache, Members, members_of
 from rosld.ontology.urls import Space, decode_segment, encode_segment
 from rosld.ontology.vocab import ros
-from rosld.server.html.page import Cell, MemberColumns, SequenceLink, Thumbnail
+from rosld.server.html.page import Cell, MemberColumns, Thumbnail
 from rosld.server.html.values import brief_text
 from rosld.server.http.conditional import digest
-from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.brief_value import LatestValue, LatestValues
 from rosld.server.pictures.form import OCCUPANCY_GRID
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import (
     LdpPage,
+    PagedContainer,
     PagePosition,
     page_of_names,
     page_query,
@@ -35,7 +35,7 @@ from rosld.server.rest.paging import (
     require_page,
 )
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
-from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource, permanent_redirect
+from rosld.server.rest.resource import Resource, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.runtime.version_cache import VersionCache
@@ -111,6 +111,7 @@ def action_cells(action: Action, space: Space) -> tuple[Cell, ...]:
     return (kind, NamedNode(space.node(action.servers[0])) if action.servers else "")
 
 
+NB = TypeVar("NB", bound="NamespaceBase")
 Namespaces = Mapping[tuple[str, ...], Members]
 
 MAX_ROWS = 1000
@@ -256,14 +257,49 @@ def redirect_to_namespace(space: Space, graph: Graph, route: str, name: str) -> 
     return permanent_redirect(space.container(route, path))
 
 
-class NamespaceContainer(Resource):
+class NamespaceBase(PagedContainer):
+    """Base of the containers of one kind of names, with hidden members or without."""
+
+    session: Session
+    route: str
+    namespace: tuple[str, ...]
+    _hidden = False
+
+    @property
+    def variant_key(self) -> Hashable:
+        return self._place, self._hidden
+
+    @property
+    def query(self) -> str:
+        return listing_query(self._place, hidden=self._hidden)
+
+    @property
+    def _sequence(self) -> str:
+        return with_hidden(self.url) if self._hidden else self.url
+
+    def _listed(self) -> ListedNamespace:
+        """The namespace as it is listed in the graph of now."""
+        return ListedNamespace(
+            self.session.graph, self.session.adapter.capabilities, self.route, self.namespace, hidden=self._hidden
+        )
+
+    def requested(self: NB, exchange: Exchange) -> NB:
+        """Return the page, and with it the members, that a query asks for."""
+        token = exchange.query.get("page")
+        place = None if token is None else parse_named_position(token)
+        return self.variant(_place=place, _hidden=exchange.query_flag("hidden"))
+
+    def ldp_page(self, place: PagePosition) -> LdpPage | None:
+        members = self._listed().members
+        return None if members is None else page_of_names(self._sequence, place, member_keys(members))[0]
+
+
+class NamespaceContainer(NamespaceBase):
     """A namespace of one kind of names: `/topics/`, `/topics/camera/`, ...; in pages where there are many."""
 
     kind = "Namespace"
+    is_found_by_state = True
     shape = "Container"
-    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
-    _place: PagePosition | None = None
-    _hidden = False
 
     def __init__(
         self,
@@ -282,27 +318,14 @@ class NamespaceContainer(Resource):
         self.namespace = namespace
         self.item = PathItem(self.route.capitalize(), query=LISTING_PARAMETERS, is_paged=True)
 
-    @property
-    def variant_key(self) -> tuple[PagePosition | None, bool]:
-        return self._place, self._hidden
-
-    @property
-    def _sequence(self) -> str:
-        return with_hidden(self.url) if self._hidden else self.url
-
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the page that `?page=` asks for, the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
-        hidden, token = exchange.query_flag("hidden"), exchange.query.get("page")
-        place = None if token is None else parse_named_position(token)
-        asked = self.variant(_place=place, _hidden=hidden)
-        if place is None:
+        asked = self.requested(exchange)
+        if asked._place is None:
             require_page(exchange, self.url, count_members(asked._members(asked._listed())))
         return asked
-
-    async def current_methods(self) -> frozenset[str]:
-        return await self.methods_if_there()
 
     async def state(self) -> State:
         now = self._listed()
@@ -316,9 +339,8 @@ class NamespaceContainer(Resource):
             document = self._document(now, told, outlines)
             if page is None:
                 return State(lambda: document, token=token)
-            headers = {"link": render_links([*self.links, *page.links()]), "vary": "Accept, Prefer"}
-            part = f"p{digest(page.token.encode())}"
-            return State(lambda: page.add_to(document), token=token, part=part, headers=headers)
+            headers = page.headers(self.links)
+            return State(lambda: page.add_to(document), token=token, part=page.part, headers=headers)
 
         token = digest(repr((members, now.is_name, now.leaves_out, outlines, values)).encode("utf-8", "replace"))
         return self.states.get_or_make(self._sequence if page is None else page.url, version, make)
@@ -350,12 +372,6 @@ class NamespaceContainer(Resource):
         told = (triple for outline in outlines for triple in member_triples(outline, self.space))
         return replace(document, triples=(*document.triples, *told))
 
-    def _listed(self) -> ListedNamespace:
-        """The namespace as it is listed in the graph of now."""
-        return ListedNamespace(
-            self.session.graph, self.session.adapter.capabilities, self.route, self.namespace, hidden=self._hidden
-        )
-
     def _members(self, now: ListedNamespace) -> Members:
         """Return the members; a Problem where there is no such namespace."""
         members = now.members
@@ -367,14 +383,6 @@ class NamespaceContainer(Resource):
         """Return a page, and its members."""
         page, told = page_of_names(self._sequence, place, member_keys(members))
         return page, members_from_keys(told)
-
-    @property
-    def query(self) -> str:
-        return listing_query(self._place, hidden=self._hidden)
-
-    def navigation_links(self) -> tuple[SequenceLink, ...]:
-        members = self._listed().members
-        return () if self._place is None or members is None else self._page(self._place, members)[0].neighbours()
 
     def listing(self) -> MemberColumns | None:
         """Return everything below on this page, with types and endpoints."""

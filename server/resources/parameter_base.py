@@ -15,23 +15,21 @@ from rosld.ontology.parameters import Outline, parameter_container_document, par
 from rosld.ontology.urls import Space, encode_segment
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction import redact_tree
-from rosld.server.html.page import MemberColumns, SequenceLink
+from rosld.server.html.page import MemberColumns
 from rosld.server.http.conditional import digest
-from rosld.server.http.fields import render_links
 from rosld.server.http.problem import Problem
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.named_resource import NamedResource
 from rosld.server.resources.namespaces import (
     ListedNamespace,
+    NamespaceBase,
     count_members,
     is_of_hidden,
-    listing_query,
-    member_keys,
     with_hidden,
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, page_of_names
-from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Answer, ShownAnswer
+from rosld.server.rest.resource import Answer, ShownAnswer
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import has_other_values
 from rosld.server.robot.session import Session
@@ -99,12 +97,10 @@ class ParameterBase(NamedResource[Parameter]):
     """Base of the resources of a parameter and of a tree of them."""
 
     shape = "Parameter"
+    is_found_by_state = True
     ros_kind = Kind.PARAMETER
     url_of = Space.parameter
     is_absent = False
-
-    async def current_methods(self) -> frozenset[str]:
-        return await self.methods_if_there()
 
     def deny_reason(self, method: str) -> str:
         system = self.session.adapter.capabilities.system
@@ -209,7 +205,7 @@ _TRIPLES_BYTES = 40
 """Bytes of N-Triples, about, that a byte of plain JSON of a tree comes to."""
 
 
-class ParameterContainer(ParameterBase):
+class ParameterContainer(NamespaceBase, ParameterBase):
     """A namespace of parameters as it is read: a container, and as plain JSON the object of its members' values.
 
     Where there are many members the container comes in pages. The object is one value, and never does unasked. Neither
@@ -217,9 +213,7 @@ class ParameterContainer(ParameterBase):
     """
 
     kind = "Parameters"
-    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
-    _place: PagePosition | None = None
-    _hidden = False
+    route = "parameters"
 
     def __init__(
         self,
@@ -228,21 +222,9 @@ class ParameterContainer(ParameterBase):
         states: VersionCache[State],
         namespace: tuple[str, ...],
     ) -> None:
-        super().__init__(session, limit_checks, states, names.join(namespace))
+        ParameterBase.__init__(self, session, limit_checks, states, names.join(namespace))
         self.url = session.space.container("parameters", namespace)
         self.namespace = namespace
-
-    @property
-    def variant_key(self) -> tuple[PagePosition | None, bool]:
-        return self._place, self._hidden
-
-    @property
-    def _sequence(self) -> str:
-        return with_hidden(self.url) if self._hidden else self.url
-
-    @property
-    def query(self) -> str:
-        return listing_query(self._place, hidden=self._hidden)
 
     async def state(self) -> State:
         return self.state_of(await self._value())
@@ -288,11 +270,6 @@ class ParameterContainer(ParameterBase):
         hidden = {each.name for each in self.session.graph.parameters.values() if is_of_hidden(each)}
         return omit_parameters(self.name, value, hidden) if hidden else value
 
-    def _listed(self) -> ListedNamespace:
-        """The namespace as it is listed in the graph of now."""
-        capabilities = self.session.adapter.capabilities
-        return ListedNamespace(self.session.graph, capabilities, "parameters", self.namespace, hidden=self._hidden)
-
     def _page_shown(self, place: PagePosition, tree: Mapping[str, ParameterValue], whole: bytes) -> State:
         page, held = self._page(place, tree)
 
@@ -301,8 +278,8 @@ class ParameterContainer(ParameterBase):
                 lambda: page.add_to(parameter_container_document(self.namespace, held, self.space, MAX_PAGE_SIZE)),
                 lambda: self._plain(held),
                 digest(whole),
-                part=f"p{digest(page.token.encode())}",
-                headers={"link": render_links([*self.links, *page.links()]), "vary": "Accept, Prefer"},
+                part=page.part,
+                headers=page.headers(self.links),
             )
 
         return self.states.get_or_make(page.url, whole, make)
@@ -314,12 +291,6 @@ class ParameterContainer(ParameterBase):
         keys = {encode_segment(key) + ("/" if isinstance(tree[key], dict) else ""): key for key in tree}
         page, told = page_of_names(self._sequence, place, sorted(keys))
         return page, {keys[end]: tree[keys[end]] for end in told}
-
-    def navigation_links(self) -> tuple[SequenceLink, ...]:
-        members = self._listed().members
-        if self._place is None or members is None:
-            return ()
-        return page_of_names(self._sequence, self._place, member_keys(members))[0].neighbours()
 
     def listing(self) -> MemberColumns | None:
         members = self._listed().members

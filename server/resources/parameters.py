@@ -37,7 +37,7 @@ from rosld.server.resources.parameter_base import (
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
-from rosld.server.rest.paging import parse_named_position, require_page
+from rosld.server.rest.paging import require_page
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Plan, Resource, RobotWrite, permanent_redirect
 from rosld.server.rest.state import State
@@ -286,11 +286,9 @@ class ParameterTree(ParameterContainer):
         """Return the page of `?page=`; redirect from the container to the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
-        token = exchange.query.get("page")
-        place = None if token is None else parse_named_position(token)
-        asked = self.variant(_place=place, _hidden=exchange.query_flag("hidden"))
+        asked = self.requested(exchange)
         members = asked._listed().members
-        if place is None and members is not None and not _wants_value(exchange):
+        if asked._place is None and members is not None and not _wants_value(exchange):
             require_page(exchange, self.url, count_members(members))
         return asked
 

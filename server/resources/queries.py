@@ -305,10 +305,6 @@ class QueryDescription(DescriptionResource):
 class AbsentQueryResource(AbsentResource):
     """No query yet: PUT makes it."""
 
-    def __init__(self, documents: Documents, queries: StoredQueries, path: str) -> None:
-        super().__init__(documents, path)
-        self.queries = queries
-
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         methods = READ if self.documents.settings.read_only else READ | {"PUT", "DELETE"}
         return replace(_query_item("A stored query that may be made", ()), methods=methods)
@@ -466,5 +462,5 @@ def query_route(documents: Documents, queries: StoredQueries, runner: QueryRunne
             query = queries.shipped.get(location.segments[0]) if len(location.segments) == 1 else None
             if query is not None and not location.is_container:
                 return ShippedQueryResource(documents.space, documents.settings, documents.states, query, runner)
-            return AbsentQueryResource(documents, queries, found.path)
+            return AbsentQueryResource(documents, found.path)
     return found

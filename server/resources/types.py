@@ -62,6 +62,7 @@ class TypeResource(Resource):
     """One message, service or action type; `?hash=` asks for one of several definitions."""
 
     kind = "Type"
+    is_found_by_state = True
     shape = "Type"
     item = PathItem("One of the types", query=(FORMAT, _HASH))
 
@@ -75,9 +76,6 @@ class TypeResource(Resource):
         hash = exchange.query.get("hash")
         ref = TypeRef(self.ref.name, hash)
         return self if hash is None else self.variant(url=self.space.type(ref), ref=ref)
-
-    async def current_methods(self) -> frozenset[str]:
-        return await self.methods_if_there()
 
     async def state(self) -> State:
         schema = await schema_of(self.session.schemas, self.ref)
@@ -93,6 +91,7 @@ class ShapeResource(Resource):
     """The SHACL shape of one type."""
 
     kind = "Shape"
+    is_found_by_state = True
     item = PathItem("One of the shapes")
 
     def __init__(self, space: Space, schemas: Schemas, states: VersionCache[State], name: str) -> None:
@@ -100,9 +99,6 @@ class ShapeResource(Resource):
         self.schemas = schemas
         self.states = states
         self.name = name
-
-    async def current_methods(self) -> frozenset[str]:
-        return await self.methods_if_there()
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -119,6 +115,7 @@ class ShapesGraphResource(Resource):
     """`/shapes/data`, `/shapes/documents`, `/shapes/limits`, ...: a shapes graph by itself."""
 
     kind = "Shape"
+    is_found_by_state = True
 
     def __init__(
         self,
@@ -138,9 +135,6 @@ class ShapesGraphResource(Resource):
 
     def deny_reason(self, method: str) -> str:
         return _deny_reason(self.space, self.session.settings, self.url, method)
-
-    async def current_methods(self) -> frozenset[str]:
-        return await self.methods_if_there()
 
     @property
     def conforms_to(self) -> Sequence[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import TypeAlias
 from urllib.parse import quote
 
@@ -16,10 +16,12 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import triples_about
 from rosld.ontology.vocab import ldp, rdf, xhv
 from rosld.server.html.page import SequenceLink
-from rosld.server.http.fields import Link, to_uri
+from rosld.server.http.conditional import digest
+from rosld.server.http.fields import Link, render_links, to_uri
 from rosld.server.http.negotiation import Preferences, preference_applied
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 
 _CONTAINMENT = f"{ldp.iri}PreferContainment"
 _MEMBERSHIP = f"{ldp.iri}PreferMembership"
@@ -146,6 +148,15 @@ class LdpPage(Struct, frozen=True):
         """Return a document of the members on this page with the triples of the page."""
         return replace(document, triples=(*document.triples, *self.triples()))
 
+    @property
+    def part(self) -> str:
+        """Short name of the page, for ETags."""
+        return f"p{digest(self.token.encode())}"
+
+    def headers(self, links: Sequence[Link]) -> dict[str, str]:
+        """Return the headers of the page of a container that has these links."""
+        return {"link": render_links([*links, *self.links()]), "vary": "Accept, Prefer"}
+
     def triples(self) -> list[Triple]:
         """Return the triples of the page."""
         relations = {"first": xhv.first, "prev": xhv.prev, "next": xhv.next, "last": xhv.last}
@@ -155,6 +166,30 @@ class LdpPage(Struct, frozen=True):
             (ldp.pageSequence, NamedNode(self.container)),
             *((relations[step.rel], NamedNode(step.url)) for step in self.neighbours()),
         )
+
+
+class PagedContainer(Resource):
+    """Base of containers that come in pages if they have many members."""
+
+    links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+    _place: PagePosition | None = None
+    """Position of the requested page, or None for the whole container."""
+
+    def ldp_page(self, place: PagePosition) -> LdpPage | None:
+        """Return the page at a position, or None without a container."""
+        raise NotImplementedError
+
+    @property
+    def variant_key(self) -> Hashable:
+        return self._place
+
+    @property
+    def query(self) -> str:
+        return "" if self._place is None else page_query(self._place.token)
+
+    def navigation_links(self) -> tuple[SequenceLink, ...]:
+        page = None if self._place is None else self.ldp_page(self._place)
+        return () if page is None else page.neighbours()
 
 
 def require_page(exchange: Exchange, container: str, count: int) -> None:

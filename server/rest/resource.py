@@ -93,6 +93,8 @@ class Resource:
     """Whether the path always leads to the same kind of resource."""
     passes_unknown_parameters: frozenset[str] = frozenset()
     """Methods that ignore undeclared query parameters, which otherwise cause a 400."""
+    is_found_by_state = False
+    """Whether only reading its state tells whether there is anything to GET."""
     takes_forms = True
     """Whether a posted form is a form of our pages (otherwise the resource reads it itself)."""
     title = ""
@@ -139,10 +141,8 @@ class Resource:
 
     async def current_methods(self) -> frozenset[str]:
         """Return the methods in the current state, which may have to be read: the answer to OPTIONS."""
-        return ABSENT if self.is_absent else self.methods()
-
-    async def methods_if_there(self) -> frozenset[str]:
-        """Return the methods of the current state, if there is anything to GET."""
+        if not self.is_found_by_state:
+            return ABSENT if self.is_absent else self.methods()
         try:
             await self.state()
         except (RosError, Problem) as error:  # other errors may be temporary, and do not mean that nothing exists

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from functools import partial
 
 from msgspec.structs import replace
@@ -10,7 +10,6 @@ from pyoxigraph import Triple
 
 from rosld.ontology.urls import encode_segment
 from rosld.server.html.forms import Form
-from rosld.server.html.page import SequenceLink
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import MessageSchemas
@@ -48,8 +47,9 @@ from rosld.server.rest.interaction import choose_name, model_links, parse_member
 from rosld.server.rest.paging import (
     ALL_PARTS,
     ContainerParts,
+    LdpPage,
+    PagedContainer,
     PagePosition,
-    page_query,
     parse_position,
     require_page,
     select_parts,
@@ -139,7 +139,7 @@ def require_free(documents: Documents, path: str) -> None:
 _SUMMARIES = {"data/": "Data that clients keep", "mappings/": "Mapping documents", "cockpit/": "Cockpits"}
 
 
-class ContainerResource(RdfSourceResource):
+class ContainerResource(PagedContainer, RdfSourceResource):
     """A container (LDP 5): POST creates a member; many members are listed in pages."""
 
     kind = "Container"
@@ -149,16 +149,15 @@ class ContainerResource(RdfSourceResource):
     takes_forms = False
 
     _parts: ContainerParts = ALL_PARTS
-    _place: PagePosition | None = None
 
     def __init__(self, documents: Documents, path: str) -> None:
-        super().__init__(documents, path)
+        RdfSourceResource.__init__(self, documents, path)
         self.accepts = {"POST": self.accepted_media_types, "PUT": RDF_BODIES, "PATCH": (SPARQL_UPDATE, N3_PATCH)}
         record = documents.records.get(path)
         self.links = model_links(record.model if record is not None else Model.BASIC_CONTAINER)
 
     @property
-    def variant_key(self) -> tuple[ContainerParts, PagePosition | None]:
+    def variant_key(self) -> Hashable:
         return self._parts, self._place
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -188,17 +187,9 @@ class ContainerResource(RdfSourceResource):
             return state_of(self.documents, record, self._parts)
         return page_state(self.documents, record, self._parts, self._place)
 
-    @property
-    def query(self) -> str:
-        return "" if self._place is None else page_query(self._place.token)
-
-    def navigation_links(self) -> tuple[SequenceLink, ...]:
+    def ldp_page(self, place: PagePosition) -> LdpPage | None:
         record = self.documents.records.get(self.path)
-        return (
-            ()
-            if self._place is None or record is None
-            else page_at(self.documents, record, self._place)[0].neighbours()
-        )
+        return None if record is None else page_at(self.documents, record, place)[0]
 
     async def forms(self) -> Sequence[Form]:
         return ()  # a form that is posted here is a file like any other

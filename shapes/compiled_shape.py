@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol, TypeAlias
 from urllib.parse import unquote
@@ -11,7 +12,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.ontology.body import Term
 from rosld.ontology.violations import Violation, brief_value
-from rosld.ontology.vocab import rdf
+from rosld.ontology.vocab import rdf, sh
 from rosld.shapes.terms import View
 from rosld.shapes.value import UNBOUNDED, Bounds
 
@@ -27,20 +28,32 @@ class ShapeValidator(Protocol):
         ...
 
 
-class ValueConstraint(NamedTuple):
-    """A constraint on each value node: its component, its test and a sentence."""
+class Constraint(Struct, frozen=True, eq=False):
+    """A constraint: its parameter and value as written, the sentence about a violation, and its test.
 
-    component: NamedNode
-    test: ValueTest
-    words: str
+    `test` looks at each value node, `test_all` at all of them together; where both are missing, pyshacl judges.
+    `bounds` narrow the value nodes, `shapes` are those that the value refers to. `max_length` is that of the texts
+    that a pattern is tried on.
+    """
+
+    parameter: NamedNode
+    value: Term
+    words: str = ""
+    test: ValueTest | None = None
+    test_all: SetTest | None = None
+    bounds: Bounds = UNBOUNDED
+    shapes: tuple[Shape, ...] = ()
+    max_length: int = sys.maxsize
+
+    @property
+    def component(self) -> NamedNode:
+        return component(self.parameter)
 
 
-class SetConstraint(NamedTuple):
-    """A constraint on the value nodes together."""
-
-    component: NamedNode
-    test: SetTest
-    words: str
+def component(parameter: NamedNode) -> NamedNode:
+    """Return the constraint component of a parameter: `sh:minInclusive` is of `sh:MinInclusiveConstraintComponent`."""
+    name = parameter.value[len(sh.iri) :]
+    return NamedNode(f"{sh.iri}{name[0].upper()}{name[1:]}ConstraintComponent")
 
 
 class Extent(NamedTuple):
@@ -65,9 +78,7 @@ class Shape(Struct, frozen=True, eq=False):
 
     node: NamedNode | BlankNode
     path: NamedNode | None = None
-    value_constraints: tuple[ValueConstraint, ...] = ()
-    set_constraints: tuple[SetConstraint, ...] = ()
-    properties: tuple[Shape, ...] = ()
+    constraints: tuple[Constraint, ...] = ()
     words: str | None = None
     severity: NamedNode | None = None
     is_property: bool = False
@@ -77,6 +88,7 @@ class Shape(Struct, frozen=True, eq=False):
     within: Mapping[tuple[NamedNode, ...], Bounds] = field(default_factory=dict)
     is_bounds: bool = True
     extent: Extent = ALONE
+    max_length: int = sys.maxsize
 
     def values(self, focus: Term, view: View) -> Sequence[Term]:
         """Return the value nodes of a focus node."""
@@ -85,16 +97,13 @@ class Shape(Struct, frozen=True, eq=False):
     def conforms(self, focus: Term, view: View) -> bool:
         """Whether nothing is broken."""
         values = self.values(focus, view)
-        for together in self.set_constraints:
-            if not together.test(values):
+        for each in self.constraints:
+            if each.test is not None:
+                for value in values:
+                    if not each.test(value, view):
+                        return False
+            elif each.test_all is not None and not each.test_all(values):
                 return False
-        for value in values:
-            for each in self.value_constraints:
-                if not each.test(value, view):
-                    return False
-            for inner in self.properties:
-                if not inner.conforms(value, view):
-                    return False
         return True
 
     def find_violations(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
@@ -103,19 +112,17 @@ class Shape(Struct, frozen=True, eq=False):
             return
         values = self.values(focus, view)
         path = above if self.path is None else join_path(above, self.path)
-        for together in self.set_constraints:
-            if not together.test(values):
-                yield self.violation(focus, path, together, None)
+        for each in self.constraints:
+            if each.test_all is not None and not each.test_all(values):
+                yield self._violation(focus, path, each, None)
         for value in values:
-            for each in self.value_constraints:
-                if not each.test(value, view):
-                    yield self.violation(focus, path, each, value)
-            for inner in self.properties:
-                yield from inner.find_violations(value, view, path)
+            for each in self.constraints:
+                if each.parameter == sh.property:
+                    yield from each.shapes[0].find_violations(value, view, path)
+                elif each.test is not None and not each.test(value, view):
+                    yield self._violation(focus, path, each, value)
 
-    def violation(
-        self, focus: Term, path: str, constraint: ValueConstraint | SetConstraint, value: Term | None
-    ) -> Violation:
+    def _violation(self, focus: Term, path: str, constraint: Constraint, value: Term | None) -> Violation:
         """Return a violation of one constraint, with the shape's own message where it has any (SHACL 2.1.5)."""
         return Violation(
             path,

@@ -1,4 +1,4 @@
-r"""Constraint components of SHACL Core (section 4) as tests on value nodes, each with a sentence for people.
+r"""Constraints of SHACL Core (section 4): how each parameter is read, tested, and told to people.
 
 Patterns of clients are matched by RE2, in linear time. RE2 has no back-references and no lookaround, as XPath has no
 lookaround (SHACL 4.4.3, SPARQL 17.4.3.14). `\d`, `\s` and `\w` are ASCII, as in Java and JavaScript, and `$` is the end
@@ -8,18 +8,20 @@ of the text.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import isnan
+from typing import NamedTuple, TypeAlias
 
 import re2
 from msgspec import Struct
-from pyoxigraph import Literal, NamedNode
+from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.body import Term
 from rosld.ontology.literals import quote
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
-from rosld.shapes.compiled_shape import SetConstraint, SetTest, Shape, ValueConstraint, ValueTest
+from rosld.shapes.compiled_shape import Constraint, SetTest, Shape, ValueTest
 from rosld.shapes.terms import Number, View, compare, is_numeric, is_plain, normalize, number
+from rosld.shapes.value import UNBOUNDED, Bounds
 
 _STEPS = 30_000_000
 """The size of a pattern times the bytes of a text, up to which it is tried: a third of a second at worst."""
@@ -63,13 +65,85 @@ def compile_pattern(text: str, flags: str = "") -> SafePattern:
 _DATATYPE = NamedNode(rdfs.iri + "Datatype")
 _ANY_LITERAL = NamedNode(rdfs.iri + "Literal")
 
-_KINDS = {
-    sh.IRI: (True, False, False),
-    sh.BlankNode: (False, True, False),
-    sh.Literal: (False, False, True),
-    sh.BlankNodeOrIRI: (True, True, False),
-    sh.BlankNodeOrLiteral: (False, True, True),
-    sh.IRIOrLiteral: (True, False, True),
+
+def term(name: str) -> NamedNode:
+    """Return a term of SHACL."""
+    return NamedNode(sh.iri + name)
+
+
+PAIRS = frozenset(map(term, ("equals", "disjoint", "lessThan", "lessThanOrEquals")))
+"""The parameters whose values are predicates that the values of the path are compared with."""
+_XML = frozenset(NamedNode(rdf.iri + name) for name in ("XMLLiteral", "HTML"))
+_CARDINAL = (xsd.integer, xsd.nonNegativeInteger, NamedNode(xsd.iri + "positiveInteger"))
+_TRUTH = {"true": True, "1": True, "false": False, "0": False}
+
+
+class ParameterFault(ValueError):
+    """The value of a parameter is invalid; the words follow its name."""
+
+
+def checked_iri(value: Term) -> NamedNode:
+    """Return the value, which must be an IRI. Raises ParameterFault."""
+    if not isinstance(value, NamedNode):
+        raise ParameterFault(f"is {value}, where an IRI is needed")
+    return value
+
+
+def checked_text(value: Term) -> str:
+    """Return the text of the value, which must be an xsd:string. Raises ParameterFault."""
+    if not isinstance(value, Literal) or value.datatype != xsd.string:
+        raise ParameterFault(f"is {value}, where a string is needed")
+    return value.value
+
+
+def checked_truth(value: Term) -> bool:
+    """Return the value of an xsd:boolean. Raises ParameterFault."""
+    if not isinstance(value, Literal) or value.datatype != xsd.boolean or value.value not in _TRUTH:
+        raise ParameterFault(f"is {value}, where true or false is needed")
+    return _TRUTH[value.value]
+
+
+def checked_cardinal(value: Term) -> int:
+    """Return the number of the value, which must be an integer from 0. Raises ParameterFault."""
+    if isinstance(value, Literal) and value.datatype in _CARDINAL:
+        found = number(value)
+        if isinstance(found, int) and found >= 0:
+            return found
+    raise ParameterFault(f"is {value}, where an integer from 0 is needed")
+
+
+def checked_term(value: Term) -> Term:
+    """Return the value, which must be a term that can be compared with.
+
+    Raises ParameterFault for triple terms, for markup, and for ill-typed numbers.
+    """
+    if isinstance(value, Triple):
+        raise ParameterFault("is a triple term, which SHACL does not know")
+    if isinstance(value, Literal):
+        if value.datatype in _XML:
+            raise ParameterFault("is XML or HTML, which is not compared here")
+        if is_numeric(value.datatype) and number(value) is None:
+            raise ParameterFault(f"is {value}, which is no number")
+    return value
+
+
+class ShapeSource(NamedTuple):
+    """What the constraints of a shape are read from: its statements, the shapes it refers to, and lists."""
+
+    said: Mapping[NamedNode, Sequence[Term]]
+    shape: Callable[[Term], Shape]
+    members: Callable[[Term], Sequence[Term]]
+
+
+_BLANK = (BlankNode, Triple)
+"""A triple term is a blank node, as in `terms.normalize`."""
+_KINDS: Mapping[NamedNode, tuple[type, ...]] = {
+    sh.IRI: (NamedNode,),
+    sh.BlankNode: _BLANK,
+    sh.Literal: (Literal,),
+    sh.BlankNodeOrIRI: (NamedNode, *_BLANK),
+    sh.BlankNodeOrLiteral: (Literal, *_BLANK),
+    sh.IRIOrLiteral: (NamedNode, Literal),
 }
 _KIND_WORDS = {
     sh.IRI: "must be an IRI",
@@ -79,21 +153,12 @@ _KIND_WORDS = {
     sh.BlankNodeOrLiteral: "must be no IRI",
     sh.IRIOrLiteral: "must be no blank node",
 }
-_Compare = Callable[[Number, Number], bool]
-_ORDERS: dict[NamedNode, tuple[_Compare, Callable[[int], bool], str]] = {
-    sh.minInclusive: (operator.ge, lambda order: order >= 0, "must be at least {}"),
-    sh.maxInclusive: (operator.le, lambda order: order <= 0, "must be at most {}"),
-    sh.minExclusive: (operator.gt, lambda order: order > 0, "must be more than {}"),
-    sh.maxExclusive: (operator.lt, lambda order: order < 0, "must be less than {}"),
+_RANGES: dict[NamedNode, tuple[Callable[[Number, Number], bool], Callable[[Literal], Bounds], str]] = {
+    sh.minInclusive: (operator.ge, lambda value: Bounds(minimum=value), "must be at least {}"),
+    sh.maxInclusive: (operator.le, lambda value: Bounds(maximum=value), "must be at most {}"),
+    sh.minExclusive: (operator.gt, lambda value: Bounds(exclusive_minimum=value), "must be more than {}"),
+    sh.maxExclusive: (operator.lt, lambda value: Bounds(exclusive_maximum=value), "must be less than {}"),
 }
-RANGES = tuple(_ORDERS)
-NODE_KINDS = tuple(_KINDS)
-
-
-def component(parameter: NamedNode) -> NamedNode:
-    """Return the constraint component of a parameter: `sh:minInclusive` is of `sh:MinInclusiveConstraintComponent`."""
-    name = parameter.value[len(sh.iri) :]
-    return NamedNode(f"{sh.iri}{name[0].upper()}{name[1:]}ConstraintComponent")
 
 
 def phrase(term: Term) -> str:
@@ -115,8 +180,9 @@ def list_terms(terms: Iterable[Term], limit: int = 12) -> str:
 # Value type (4.1)
 
 
-def class_(iri: NamedNode) -> ValueConstraint:
-    """sh:class: an instance of the class, or of one that the data says is below it."""
+def _class(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    """An instance of the class, or of one that the data says is below it."""
+    iri = checked_iri(value)
 
     def test(value: Term, view: View) -> bool:
         if isinstance(value, Literal):
@@ -132,74 +198,63 @@ def class_(iri: NamedNode) -> ValueConstraint:
             waiting += more
         return False
 
-    return ValueConstraint(component(sh.class_), test, f"must be a <{iri.value}>")
+    return Constraint(parameter, value, f"must be a <{iri.value}>", test)
 
 
-def datatype(iri: NamedNode) -> ValueConstraint:
-    """sh:datatype: a literal of exactly this datatype that is no ill-typed one."""
-    test: ValueTest
-    if iri == _ANY_LITERAL:
-        test = lambda value, _: isinstance(value, Literal)  # noqa: E731
-    elif iri == _DATATYPE:
-        test = lambda value, _: not is_plain(value)  # noqa: E731
-    elif iri in (xsd.string, rdf.langString):
-        test = lambda value, _: isinstance(value, Literal) and value.datatype == iri  # noqa: E731
-    elif is_numeric(iri):
-        test = lambda value, _: (  # noqa: E731
-            isinstance(value, Literal) and value.datatype == iri and number(value) is not None
-        )
-    else:
-        test = lambda value, _: (  # noqa: E731
-            isinstance(value, Literal) and value.datatype == iri and not getattr(normalize(value), "ill_typed", False)
-        )
-    name = f"xsd:{iri.value[len(xsd.iri) :]}" if iri.value.startswith(xsd.iri) else f"literal of <{iri.value}>"
-    article = "an" if name[0] in "x" else "a"
-    return ValueConstraint(component(sh.datatype), test, f"must be {article} {name}")
-
-
-def node_kind(kind: NamedNode) -> ValueConstraint:
-    """sh:nodeKind."""
-    iri, blank, literal = _KINDS[kind]
+def _datatype(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    """A literal of exactly this datatype that is no ill-typed one."""
+    iri = checked_iri(value)
 
     def test(value: Term, view: View) -> bool:
-        return literal if isinstance(value, Literal) else iri if isinstance(value, NamedNode) else blank
+        if not isinstance(value, Literal) or iri == _ANY_LITERAL:
+            return isinstance(value, Literal)
+        if iri == _DATATYPE:
+            return not is_plain(value)
+        if value.datatype != iri or iri in (xsd.string, rdf.langString):
+            return value.datatype == iri
+        return number(value) is not None if is_numeric(iri) else not getattr(normalize(value), "ill_typed", False)
 
-    return ValueConstraint(component(sh.nodeKind), test, _KIND_WORDS[kind])
+    is_xsd = iri.value.startswith(xsd.iri)
+    words = f"must be an xsd:{iri.value[len(xsd.iri) :]}" if is_xsd else f"must be a literal of <{iri.value}>"
+    return Constraint(parameter, value, words, test)
+
+
+def _node_kind(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    if value not in _KINDS or not isinstance(value, NamedNode):
+        raise ParameterFault(f"is {value}, which is no kind of node: sh:IRI, sh:Literal, sh:BlankNode, ...")
+    kinds = _KINDS[value]
+    return Constraint(parameter, value, _KIND_WORDS[value], lambda value, _: isinstance(value, kinds))
 
 
 # Cardinality (4.2)
 
 
-def min_count(least: int) -> SetConstraint:
-    """sh:minCount."""
-    words = "is missing" if least == 1 else f"must be there at least {least} times"
-    return SetConstraint(component(sh.minCount), lambda values: len(values) >= least, words)
-
-
-def max_count(limit: int) -> SetConstraint:
-    """sh:maxCount."""
-    words = (
-        "must not be there"
-        if limit == 0
-        else "must be there once only"
-        if limit == 1
-        else f"is there over {limit} times"
-    )
-    return SetConstraint(component(sh.maxCount), lambda values: len(values) <= limit, words)
+def _count(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    if sh.path not in source.said:
+        raise ParameterFault("is for property shapes only: this shape has no sh:path")
+    if not isinstance(value, Literal) or value.datatype != xsd.integer:
+        raise ParameterFault(f"is {value}, where an xsd:integer is needed")
+    count = checked_cardinal(value)
+    if parameter == sh.minCount:
+        words = "is missing" if count == 1 else f"must be there at least {count} times"
+        return Constraint(parameter, value, words, test_all=lambda values: len(values) >= count)
+    words = {0: "must not be there", 1: "must be there once only"}.get(count, f"is there over {count} times")
+    return Constraint(parameter, value, words, test_all=lambda values: len(values) <= count)
 
 
 # Value range (4.3)
 
 
-def value_range(parameter: NamedNode, bound: Literal) -> ValueConstraint:
-    """sh:minInclusive, sh:maxInclusive, sh:minExclusive, sh:maxExclusive: numbers by value, whatever their datatypes.
-
-    Raises ValueError for a bound that is NaN.
-    """
-    limit = number(bound)
+def _range(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    """Numbers by value, whatever their datatypes."""
+    if not isinstance(value, Literal):
+        raise ParameterFault(f"is {value}, where a literal is needed")
+    if value.language is None and value.datatype != xsd.string:
+        checked_term(value)
+    bound, limit = value, number(value)
     if limit is not None and isnan(limit):
-        raise ValueError(f"sh:{parameter.value[len(sh.iri) :]} is NaN, with which nothing compares")
-    is_within, accepts, words = _ORDERS[parameter]
+        raise ParameterFault("is NaN, with which nothing compares")
+    is_within, bounds, words = _RANGES[parameter]
 
     def test(value: Term, view: View) -> bool:
         if not isinstance(value, Literal):
@@ -209,9 +264,9 @@ def value_range(parameter: NamedNode, bound: Literal) -> ValueConstraint:
             if found is not None:
                 return not (isinstance(found, float) and isnan(found)) and is_within(found, limit)
         order = compare(value, bound)
-        return order is not None and accepts(order)
+        return order is not None and is_within(order, 0)
 
-    return ValueConstraint(component(parameter), test, words.format(phrase(bound)))
+    return Constraint(parameter, value, words.format(phrase(value)), test, bounds=bounds(value))
 
 
 # Strings (4.4)
@@ -224,93 +279,95 @@ def str_of(value: Term) -> str | None:
     return str(normalize(value)) if isinstance(value, Literal) else None
 
 
-def length(parameter: NamedNode, length: int) -> ValueConstraint:
-    """sh:minLength and sh:maxLength, in characters."""
-    unit = "character" if length == 1 else "characters"
-    if parameter == sh.minLength:
+def _length(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    """Lengths in characters."""
+    length = checked_cardinal(value)
+    is_least = parameter == sh.minLength
 
-        def test(value: Term, view: View) -> bool:
-            text = str_of(value)
-            return length == 0 or (text is not None and len(text) >= length)
-
-        return ValueConstraint(component(parameter), test, f"must be at least {length} {unit} long")
-
-    def test_most(value: Term, view: View) -> bool:
+    def test(value: Term, view: View) -> bool:
         text = str_of(value)
-        return text is not None and len(text) <= length
+        if text is None:
+            return is_least and length == 0
+        return len(text) >= length if is_least else len(text) <= length
 
-    return ValueConstraint(component(parameter), test_most, f"must be at most {length} {unit} long")
+    words = f"must be at {'least' if is_least else 'most'} {length} character{'' if length == 1 else 's'} long"
+    bounds = Bounds(min_length=length) if is_least else Bounds(max_length=length)
+    return Constraint(parameter, value, words, test, bounds=bounds)
 
 
-def pattern_(pattern: SafePattern) -> ValueConstraint:
-    """sh:pattern."""
+def _pattern(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    text, flags = checked_text(value), "".join(map(checked_text, source.said.get(sh.flags, ())))
+    try:
+        pattern = compile_pattern(text, flags)
+    except ValueError as error:
+        raise ParameterFault(f"cannot be used: {error}") from error
 
     def test(value: Term, view: View) -> bool:
         text = str_of(value)
         return text is not None and pattern.is_found_in(text)
 
-    return ValueConstraint(component(sh.pattern), test, f"must match the pattern {pattern.text}")
+    words, bounds = f"must match the pattern {text}", UNBOUNDED if flags else Bounds(pattern=text)
+    return Constraint(parameter, value, words, test, bounds=bounds, max_length=pattern.max_length)
 
 
 # Logic and shapes (4.6 and 4.7)
 
 
-def not_(shape: Shape) -> ValueConstraint:
-    """sh:not."""
-    return ValueConstraint(
-        component(sh.not_), lambda value, view: not shape.conforms(value, view), "must not be like this"
-    )
+def _logic(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    """sh:and, sh:or and sh:xone, whose values are lists of shapes."""
+    shapes = tuple(map(source.shape, source.members(value)))
+    if not shapes:
+        raise ParameterFault("is an empty list")
+    words, least, most = {
+        sh.and_: ("must conform to all of {} shapes", len(shapes), len(shapes)),
+        sh.or_: ("must conform to one of {} shapes at least", 1, len(shapes)),
+        sh.xone: ("must conform to exactly one of {} shapes", 1, 1),
+    }[parameter]
+
+    def test(value: Term, view: View) -> bool:
+        return least <= sum(shape.conforms(value, view) for shape in shapes) <= most
+
+    return Constraint(parameter, value, words.format(len(shapes)), test, shapes=shapes)
 
 
-def and_(shapes: Sequence[Shape]) -> ValueConstraint:
-    """sh:and."""
-    return ValueConstraint(
-        component(sh.and_),
-        lambda value, view: all(shape.conforms(value, view) for shape in shapes),
-        f"must conform to all of {len(shapes)} shapes",
-    )
+def _not(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    shape = source.shape(value)
+    test: ValueTest = lambda value, view: not shape.conforms(value, view)  # noqa: E731
+    return Constraint(parameter, value, "must not be like this", test, shapes=(shape,))
 
 
-def or_(shapes: Sequence[Shape]) -> ValueConstraint:
-    """sh:or."""
-    return ValueConstraint(
-        component(sh.or_),
-        lambda value, view: any(shape.conforms(value, view) for shape in shapes),
-        f"must conform to one of {len(shapes)} shapes at least",
-    )
+def _node(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    shape = source.shape(value)
+    if shape.is_property:
+        raise ParameterFault("leads to a property shape: it must be a node shape")
+    named = f" <{value.value}>" if isinstance(value, NamedNode) else ""
+    return Constraint(parameter, value, f"must conform to the shape{named}", shape.conforms, shapes=(shape,))
 
 
-def xone(shapes: Sequence[Shape]) -> ValueConstraint:
-    """sh:xone."""
-    return ValueConstraint(
-        component(sh.xone),
-        lambda value, view: sum(shape.conforms(value, view) for shape in shapes) == 1,
-        f"must conform to exactly one of {len(shapes)} shapes",
-    )
-
-
-def node(shape: Shape) -> ValueConstraint:
-    """sh:node."""
-    named = f" <{shape.node.value}>" if isinstance(shape.node, NamedNode) else ""
-    return ValueConstraint(component(sh.node), shape.conforms, f"must conform to the shape{named}")
+def _property(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    shape = source.shape(value)
+    if not shape.is_property:
+        raise ParameterFault("leads to a shape without a sh:path")
+    return Constraint(parameter, value, test=shape.conforms, shapes=(shape,))
 
 
 # Other (4.8)
 
 
-def in_(terms: Sequence[Term]) -> ValueConstraint:
-    """sh:in: the same term, which of literals means: the same normal form."""
+def _in(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    """The same term, which of literals means: the same normal form."""
+    terms = [checked_term(each) for each in source.members(value)]
     contains = _membership(terms)
-    return ValueConstraint(
-        component(sh.in_), lambda value, view: contains(value), f"must be one of {list_terms(terms)}"
-    )
+    bounds = Bounds(choices=tuple(each for each in terms if isinstance(each, Literal)))
+    words = f"must be one of {list_terms(terms)}"
+    return Constraint(parameter, value, words, lambda value, _: contains(value), bounds=bounds)
 
 
-def has_value(term: Term) -> SetConstraint:
-    """sh:hasValue."""
-    contains = _membership((term,))
-    test: SetTest = lambda values: any(map(contains, values))  # noqa: E731
-    return SetConstraint(component(sh.hasValue), test, f"must be {phrase(term)}")
+def _has_value(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    contains = _membership((checked_term(value),))
+    bounds = Bounds(choices=(value,)) if isinstance(value, Literal) else UNBOUNDED
+    test_all: SetTest = lambda values: any(map(contains, values))  # noqa: E731
+    return Constraint(parameter, value, f"must be {phrase(value)}", test_all=test_all, bounds=bounds)
 
 
 def _membership(terms: Iterable[Term]) -> Callable[[Term], bool]:
@@ -325,3 +382,53 @@ def _membership(terms: Iterable[Term]) -> Callable[[Term], bool]:
         return bool(forms) and isinstance(value, Literal) and value.datatype in datatypes and normalize(value) in forms
 
     return contains
+
+
+# Left to pyshacl, which would fail on wrong values later
+
+
+def _qualified(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    return Constraint(parameter, value, shapes=(source.shape(value),))
+
+
+def _left(check: Callable[[Term], object], *, is_list: bool = False) -> Build:
+    """Return the function for a constraint whose value is checked alone."""
+
+    def build(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+        for each in source.members(value) if is_list else (value,):
+            check(each)
+        return Constraint(parameter, value)
+
+    return build
+
+
+Build: TypeAlias = Callable[[NamedNode, Term, ShapeSource], Constraint]
+CONSTRAINTS: Mapping[NamedNode, Build] = {
+    sh.class_: _class,
+    sh.datatype: _datatype,
+    sh.nodeKind: _node_kind,
+    sh.minCount: _count,
+    sh.maxCount: _count,
+    **dict.fromkeys(_RANGES, _range),
+    sh.minLength: _length,
+    sh.maxLength: _length,
+    sh.pattern: _pattern,
+    sh.not_: _not,
+    sh.and_: _logic,
+    sh.or_: _logic,
+    sh.xone: _logic,
+    sh.node: _node,
+    sh.property: _property,
+    sh.in_: _in,
+    sh.hasValue: _has_value,
+    term("qualifiedValueShape"): _qualified,
+    term("qualifiedMinCount"): _left(checked_cardinal),
+    term("qualifiedMaxCount"): _left(checked_cardinal),
+    term("qualifiedValueShapesDisjoint"): _left(checked_truth),
+    term("languageIn"): _left(checked_text, is_list=True),
+    term("uniqueLang"): _left(checked_truth),
+    sh.closed: _left(checked_truth),
+    sh.ignoredProperties: _left(checked_iri, is_list=True),
+    **dict.fromkeys(PAIRS, _left(checked_iri)),
+}
+"""The parameters of SHACL Core by the functions that read their values."""

@@ -4,34 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import reduce
 from typing import TYPE_CHECKING, TypeAlias
 
-from msgspec import Struct, field
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.body import Term
-from rosld.ontology.vocab import rdf, sh, xsd
-from rosld.shapes import components
-from rosld.shapes.compiled_shape import Extent, SetConstraint, Shape, ValueConstraint
-from rosld.shapes.components import SafePattern, compile_pattern
-from rosld.shapes.parameter_checks import (
-    ABOUT,
-    BEYOND_CORE,
-    BOUNDS,
-    COMPILED,
-    LEFT_TO_PYSHACL,
-    PAIRS,
-    REPEATABLE,
-    TARGETS,
-    ParameterFault,
-    checked_cardinal,
-    checked_iri,
-    checked_term,
-    checked_text,
-    checked_truth,
-    prefixed,
-)
-from rosld.shapes.value import UNBOUNDED, Bounds, is_exact, merge_bounds, narrow
+from rosld.ontology.vocab import rdf, sh
+from rosld.shapes.compiled_shape import Constraint, Extent, Shape
+from rosld.shapes.components import CONSTRAINTS, PAIRS, ParameterFault, ShapeSource, checked_truth, term
+from rosld.shapes.value import UNBOUNDED, is_exact, merge_bounds, narrow
 
 if TYPE_CHECKING:
     from rosld.shapes.pyshacl_fallback import PyshaclShape
@@ -46,25 +28,25 @@ MAX_SHAPES = 1000
 _LONGEST_PATH = 50
 
 
-class _Draft(Struct):
-    """A shape in the making."""
+def _terms(names: str) -> frozenset[NamedNode]:
+    return frozenset(map(term, names.split()))
 
-    of_value: list[ValueConstraint] = field(default_factory=list)
-    of_set: list[SetConstraint] = field(default_factory=list)
-    properties: list[Shape] = field(default_factory=list)
-    parts: list[Shape] = field(default_factory=list)
-    own: Bounds = UNBOUNDED
-    within: list[Mapping[tuple[NamedNode, ...], Bounds]] = field(default_factory=list)
 
-    def demand(self, bounds: Bounds) -> None:
-        """Narrow what the value nodes may be."""
-        self.own = narrow(self.own, bounds)
-
-    def include(self, shape: Shape) -> None:
-        """Take over what a shape that must hold demands of the same value nodes."""
-        if not shape.is_property:
-            self.demand(shape.own)
-        self.within.append(shape.within)
+_TARGETS = _terms("targetNode targetClass targetSubjectsOf targetObjectsOf")
+_ABOUT = _terms("flags path message severity deactivated name description order group defaultValue")
+_KNOWN = CONSTRAINTS.keys() | _TARGETS | _ABOUT
+_REPEATABLE = (
+    PAIRS
+    | _TARGETS
+    | _terms(
+        "class minInclusive maxInclusive minExclusive maxExclusive pattern and or not xone node property hasValue "
+        "qualifiedValueShape message name description"
+    )
+)
+"""Those that a shape may have more than once."""
+_BEYOND_CORE = _terms("sparql js rule expression target values entailment shapesGraph")
+_BOUNDS = _terms("minInclusive maxInclusive minExclusive maxExclusive minLength maxLength pattern in")
+"""Those that only narrow what a single value may be."""
 
 
 class ShapesGraph:
@@ -78,13 +60,12 @@ class ShapesGraph:
                 objects.append(triple.object)
         self._shapes: dict[Node, Shape] = {}
         self._open: list[Node] = []
-        self._longest: dict[Node, int] = {}
 
     def targets(self) -> Iterator[tuple[Node, NamedNode, Term]]:
         """Yield each target declaration: the shape, the kind of target (`sh:targetNode`), the target (SHACL 2.1.3)."""
         for node, said in self._said.items():
             if isinstance(node, NamedNode | BlankNode):
-                for kind in sorted(said.keys() & TARGETS, key=str):
+                for kind in sorted(said.keys() & _TARGETS, key=str):
                     yield from ((node, kind, target) for target in said[kind])
 
     def roots(self) -> Iterator[Node]:
@@ -93,12 +74,12 @@ class ShapesGraph:
             each
             for said in self._said.values()
             for predicate, objects in said.items()
-            if predicate not in (rdf.type, *TARGETS)
+            if predicate not in (rdf.type, *_TARGETS)
             for each in objects
         }
         for node, said in self._said.items():
             typed = {sh.NodeShape, sh.PropertyShape} & set(said.get(rdf.type, ()))
-            if (typed or said.keys() & (COMPILED | LEFT_TO_PYSHACL | TARGETS)) and node not in inner:
+            if (typed or said.keys() & (CONSTRAINTS.keys() | _TARGETS)) and node not in inner:
                 assert isinstance(node, NamedNode | BlankNode)
                 yield node
 
@@ -141,9 +122,8 @@ class ShapesGraph:
 
         shapes: dict[Term, None] = {}
         triples = list(self._closure(node, shapes))
-        longest = min((self._longest.get(each, sys.maxsize) for each in shapes if isinstance(each, Node)), default=0)
         try:
-            return PyshaclShape(node, list(shapes), triples, longest)
+            return PyshaclShape(node, list(shapes), triples, self.shape(node).max_length)
         except ValueError as error:
             raise ValueError(f"{self.name(node)} cannot be read: {error}") from error
 
@@ -160,10 +140,10 @@ class ShapesGraph:
             if not predicate.value.startswith(sh.iri) and predicate != rdf.type:
                 continue
             for each in objects:
-                if predicate in TARGETS or (predicate == rdf.type and each not in (sh.NodeShape, sh.PropertyShape)):
+                if predicate in _TARGETS or (predicate == rdf.type and each not in (sh.NodeShape, sh.PropertyShape)):
                     continue
                 yield Triple(node, predicate, each)
-                if predicate in (sh.property, sh.node, sh.not_, NamedNode(sh.iri + "qualifiedValueShape")):
+                if predicate in (sh.property, sh.node, sh.not_, term("qualifiedValueShape")):
                     yield from self._closure(each, shapes)
                 elif predicate in (sh.and_, sh.or_, sh.xone):
                     yield from self._inner(each)
@@ -192,58 +172,67 @@ class ShapesGraph:
     def _compile(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> Shape:
         self._check_terms(node, said)
         path, is_property, simple_path = self._path(node, said)
-        draft = _Draft()
-        for parameter in sorted(said.keys() & (COMPILED | LEFT_TO_PYSHACL), key=str):
-            for value in said[parameter]:
-                self._parameter(node, draft, parameter, value, is_property)
-        off = self._is_deactivated(node, said)
-        children = draft.parts
+        constraints = self._constraints(node, said)
+        children = [shape for each in constraints for shape in each.shapes]
         extents = [each.extent for each in children]
         extent = Extent(1 + sum(each.size for each in extents), 1 + max((each.depth for each in extents), default=0))
         if extent.depth > MAX_DEPTH:
             raise self._deep()
         if extent.size > MAX_SHAPES:
             raise ValueError(f"{self.name(node)} holds more than {MAX_SHAPES} shapes, counted as often as referred to")
-        if off:
+        if self._is_deactivated(node, said):
             return Shape(node, path, is_property=is_property)
-        inner = merge_bounds(*draft.within)
+        holding = [
+            shape for each in constraints if each.parameter in (sh.property, sh.node, sh.and_) for shape in each.shapes
+        ]
+        bounds = [each.bounds for each in constraints]
+        own = reduce(narrow, [*bounds, *(each.own for each in holding if not each.is_property)], UNBOUNDED)
+        inner = merge_bounds(*(each.within for each in holding))
         if is_property:
             lead = () if path is None else (path,)
-            own = {lead: draft.own} if draft.own else {}
-            inner = {} if path is None else own | {(*lead, *way): bounds for way, bounds in inner.items()}
+            mine = {lead: own} if own else {}
+            inner = {} if path is None else mine | {(*lead, *way): bounds for way, bounds in inner.items()}
         return Shape(
             node,
             path,
-            tuple(draft.of_value),
-            tuple(draft.of_set),
-            tuple(draft.properties),
+            tuple(constraints),
             words=self._words(node, said),
             severity=self._severity(node, said),
             is_property=is_property,
-            is_simple=simple_path and not said.keys() & LEFT_TO_PYSHACL and all(each.is_simple for each in children),
+            is_simple=simple_path
+            and all(each.test or each.test_all for each in constraints)
+            and all(each.is_simple for each in children),
             paths=self._paths(said, path, is_property, children),
-            own=draft.own,
+            own=own,
             within=inner,
-            is_bounds=self._is_bounds(said, path, is_property, draft),
+            is_bounds=self._is_bounds(said, path, is_property, children, holding),
             extent=extent,
+            max_length=min(
+                [sys.maxsize, *(each.max_length for each in constraints), *(each.max_length for each in children)]
+            ),
         )
 
     def _is_bounds(
-        self, said: Mapping[NamedNode, list[Term]], path: NamedNode | None, is_property: bool, draft: _Draft
+        self,
+        said: Mapping[NamedNode, list[Term]],
+        path: NamedNode | None,
+        is_property: bool,
+        children: Sequence[Shape],
+        holding: Sequence[Shape],
     ) -> bool:
         """Whether a shape demands nothing but its bounds and those of the properties in it."""
-        told = said.keys() & (COMPILED | LEFT_TO_PYSHACL) - {sh.property}
+        told = said.keys() & (CONSTRAINTS.keys() | {sh.flags}) - {sh.property}
         return (
             (not is_property or path is not None)
-            and told <= (BOUNDS if is_property else frozenset[NamedNode]())
+            and told <= (_BOUNDS if is_property else frozenset[NamedNode]())
             and all(len(said[each]) == 1 for each in told)
             and all(isinstance(each, Literal) for chosen in said.get(sh.in_, ()) for each in self._list(chosen))
-            and all(each.is_bounds for each in draft.parts)
-            and is_exact(*draft.within)
+            and all(each.is_bounds for each in children)
+            and is_exact(*(each.within for each in holding))
         )
 
     def _paths(
-        self, said: Mapping[NamedNode, list[Term]], path: NamedNode | None, is_property: bool, children: list[Shape]
+        self, said: Mapping[NamedNode, list[Term]], path: NamedNode | None, is_property: bool, children: Sequence[Shape]
     ) -> frozenset[NamedNode] | None:
         """Return the predicates that a shape looks at from the focus node; None where there are more than these."""
         pairs = frozenset(
@@ -261,14 +250,14 @@ class ShapesGraph:
     def _check_terms(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> None:
         """Refuse unknown terms, which may have been meant as constraints."""
         for predicate in said:
-            if not predicate.value.startswith(sh.iri) or predicate in COMPILED | LEFT_TO_PYSHACL | TARGETS | ABOUT:
-                if len(said[predicate]) > 1 and predicate.value.startswith(sh.iri) and predicate not in REPEATABLE:
+            if not predicate.value.startswith(sh.iri) or predicate in _KNOWN:
+                if len(said[predicate]) > 1 and predicate.value.startswith(sh.iri) and predicate not in _REPEATABLE:
                     raise self._wrong(node, predicate, "is there more than once")
                 continue
-            if predicate in BEYOND_CORE:
-                raise ValueError(f"{self.name(node)} uses {prefixed(predicate)}: only SHACL Core is judged here")
+            if predicate in _BEYOND_CORE:
+                raise ValueError(f"{self.name(node)} uses {_prefixed(predicate)}: only SHACL Core is judged here")
             raise ValueError(
-                f"{self.name(node)} says {prefixed(predicate)}, which is no term of SHACL Core for a shape"
+                f"{self.name(node)} says {_prefixed(predicate)}, which is no term of SHACL Core for a shape"
             )
 
     def _path(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> tuple[NamedNode | None, bool, bool]:
@@ -289,142 +278,20 @@ class ShapesGraph:
             raise self._wrong(node, sh.path, "is too long")
         return None, True, False
 
-    def _parameter(self, node: Node, draft: _Draft, parameter: NamedNode, value: Term, is_property: bool) -> None:
-        """Take one parameter of a constraint into the draft."""
-        try:
-            self._constraint(node, draft, parameter, value, is_property)
-        except ParameterFault as fault:
-            raise self._wrong(node, parameter, str(fault)) from fault
+    def _constraints(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> list[Constraint]:
+        source, found = ShapeSource(said, self._part, self._list), []
+        for parameter in sorted(said.keys() & CONSTRAINTS.keys(), key=str):
+            for value in said[parameter]:
+                try:
+                    found.append(CONSTRAINTS[parameter](parameter, value, source))
+                except ParameterFault as fault:
+                    raise self._wrong(node, parameter, str(fault)) from fault
+        return found
 
-    def _constraint(self, node: Node, draft: _Draft, parameter: NamedNode, value: Term, is_property: bool) -> None:
-        match parameter:
-            case sh.class_:
-                draft.of_value.append(components.class_(checked_iri(value)))
-            case sh.datatype:
-                draft.of_value.append(components.datatype(checked_iri(value)))
-            case sh.nodeKind:
-                if value not in components.NODE_KINDS:
-                    raise ParameterFault(f"is {value}, which is no kind of node: sh:IRI, sh:Literal, sh:BlankNode, ...")
-                draft.of_value.append(components.node_kind(checked_iri(value)))
-            case sh.minCount | sh.maxCount:
-                self._count(draft, parameter, value, is_property)
-            case sh.minInclusive | sh.maxInclusive | sh.minExclusive | sh.maxExclusive:
-                self._range(draft, parameter, value)
-            case sh.minLength | sh.maxLength:
-                length = checked_cardinal(value)
-                draft.of_value.append(components.length(parameter, length))
-                is_least = parameter == sh.minLength
-                draft.demand(Bounds(min_length=length) if is_least else Bounds(max_length=length))
-            case sh.pattern:
-                self._pattern(node, draft, value)
-            case sh.flags:
-                checked_text(value)
-            case sh.in_:
-                members = self._list(value)
-                draft.of_value.append(components.in_([checked_term(each) for each in members]))
-                draft.demand(Bounds(choices=tuple(each for each in members if isinstance(each, Literal))))
-            case sh.hasValue:
-                draft.of_set.append(components.has_value(checked_term(value)))
-                draft.demand(Bounds(choices=(value,)) if isinstance(value, Literal) else UNBOUNDED)
-            case _ if parameter in LEFT_TO_PYSHACL:
-                self._check_left_to_pyshacl(draft, parameter, value)
-            case _:
-                self._shapes_of(draft, parameter, value)
-
-    def _check_left_to_pyshacl(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
-        """Check the values of terms that pyshacl evaluates, which would fail on wrong ones later."""
-        match prefixed(parameter):
-            case "sh:qualifiedValueShape":
-                self._part(draft, value)
-            case "sh:qualifiedMinCount" | "sh:qualifiedMaxCount":
-                checked_cardinal(value)
-            case "sh:languageIn":
-                for each in self._list(value):
-                    checked_text(each)
-            case "sh:ignoredProperties":
-                for each in self._list(value):
-                    checked_iri(each)
-            case "sh:closed" | "sh:uniqueLang" | "sh:qualifiedValueShapesDisjoint":
-                checked_truth(value)
-            case _:
-                checked_iri(value)
-
-    def _shapes_of(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
-        """The parameters whose values are shapes."""
-        match parameter:
-            case sh.property:
-                shape = self._part(draft, value)
-                if not shape.is_property:
-                    raise ParameterFault("leads to a shape without a sh:path")
-                draft.properties.append(shape)
-                draft.include(shape)
-            case sh.node:
-                shape = self._part(draft, value)
-                if shape.is_property:
-                    raise ParameterFault("leads to a property shape: it must be a node shape")
-                draft.of_value.append(components.node(shape))
-                draft.include(shape)
-            case sh.not_:
-                draft.of_value.append(components.not_(self._part(draft, value)))
-            case sh.and_ | sh.or_ | sh.xone:
-                shapes = [self._part(draft, each) for each in self._list(value)]
-                if not shapes:
-                    raise ParameterFault("is an empty list")
-                logic = {sh.and_: components.and_, sh.or_: components.or_, sh.xone: components.xone}
-                draft.of_value.append(logic[parameter](shapes))
-                for shape in shapes if parameter == sh.and_ else ():
-                    draft.include(shape)
-
-    def _part(self, draft: _Draft, value: Term) -> Shape:
+    def _part(self, value: Term) -> Shape:
         if not isinstance(value, NamedNode | BlankNode):
             raise ParameterFault(f"is {value}, which is no shape")
-        shape = self.shape(value)
-        draft.parts.append(shape)
-        return shape
-
-    def _count(self, draft: _Draft, parameter: NamedNode, value: Term, is_property: bool) -> None:
-        if not is_property:
-            raise ParameterFault("is for property shapes only: this shape has no sh:path")
-        if not isinstance(value, Literal) or value.datatype != xsd.integer:
-            raise ParameterFault(f"is {value}, where an xsd:integer is needed")
-        count = checked_cardinal(value)
-        is_least = parameter == sh.minCount
-        draft.of_set.append(components.min_count(count) if is_least else components.max_count(count))
-
-    def _range(self, draft: _Draft, parameter: NamedNode, value: Term) -> None:
-        if not isinstance(value, Literal):
-            raise ParameterFault(f"is {value}, where a literal is needed")
-        if value.language is None and value.datatype != xsd.string:
-            checked_term(value)
-        try:
-            draft.of_value.append(components.value_range(parameter, value))
-        except ValueError as error:
-            raise ParameterFault(str(error)) from error
-        match parameter:
-            case sh.minInclusive:
-                draft.demand(Bounds(minimum=value))
-            case sh.maxInclusive:
-                draft.demand(Bounds(maximum=value))
-            case sh.minExclusive:
-                draft.demand(Bounds(exclusive_minimum=value))
-            case _:
-                draft.demand(Bounds(exclusive_maximum=value))
-
-    def _pattern(self, node: Node, draft: _Draft, value: Term) -> None:
-        flags = "".join(checked_text(each) for each in self._said[node].get(sh.flags, ()))
-        found = self._compile_regex(value, flags)
-        self._longest[node] = min(found.max_length, self._longest.get(node, sys.maxsize))
-        draft.of_value.append(components.pattern_(found))
-        if not flags:
-            draft.demand(Bounds(pattern=found.text))
-
-    def _compile_regex(self, value: Term, flags: str) -> SafePattern:
-        try:
-            return compile_pattern(checked_text(value), flags)
-        except ParameterFault:
-            raise
-        except ValueError as error:
-            raise ParameterFault(f"cannot be used: {error}") from error
+        return self.shape(value)
 
     # What is said about a shape
 
@@ -463,4 +330,9 @@ class ShapesGraph:
         return members
 
     def _wrong(self, node: Term, parameter: NamedNode, words: str) -> ValueError:
-        return ValueError(f"{self.name(node)}: {prefixed(parameter)} {words}")
+        return ValueError(f"{self.name(node)}: {_prefixed(parameter)} {words}")
+
+
+def _prefixed(term: NamedNode) -> str:
+    """Return a term of SHACL as people write it, such as `sh:path`."""
+    return f"sh:{term.value[len(sh.iri) :]}"

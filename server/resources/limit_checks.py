@@ -34,7 +34,7 @@ from rosld.shapes.command_numbers import (
     require_finite_message,
     require_finite_parameter,
 )
-from rosld.shapes.components import component
+from rosld.shapes.compiled_shape import component
 from rosld.shapes.limit_parts import Demand, ValuePlace, limited_texts
 from rosld.shapes.limits import Limits
 from rosld.shapes.parameter import declared_demand, violations

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -123,3 +125,58 @@ def test_a_page_on_an_embedded_robot_prints_what_it_shows(page: str, command: st
             wanted = [MEASURED.sub("0", line) for line in expected]
             found = MEASURED.sub("0", printed).splitlines()
             assert prints(wanted, found), f"{shown}\n{done.stdout}\n{done.stderr}"
+
+
+BLOCK = re.compile(r"^```(python|toml|diff)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+
+
+def add_lines(root: Path, diff: str) -> None:
+    """Add the `+` lines of a diff without line numbers to the files below `root`; `...` separates places of a file."""
+    for section in diff.split("--- ")[1:]:
+        name, _, body = section.partition("\n")
+        text = (root / name).read_text("utf-8") if (root / name).exists() else "\n"
+        for place in body.split("...\n"):
+            lines = place.splitlines()
+            old = "\n" + "".join(f"{line[1:]}\n" for line in lines if not line.startswith("+")).rstrip("\n")
+            assert text.count(old) == 1, (name, old)
+            text = text.replace(old, "\n" + "\n".join(line[1:] for line in lines))
+        (root / name).write_text(text.lstrip("\n"), "utf-8")
+
+
+@pytest.mark.slow
+def test_the_examples_of_the_architecture_add_an_adapter_a_function_a_resource_and_a_panel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for part in ("rosld", "adapters", "ontology", "queries", "server", "shapes"):
+        shutil.copytree(ROOT / part, tmp_path / part, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+    (plugin := tmp_path / "thermometer-1.dist-info").mkdir()
+    (plugin / "METADATA").write_text("Metadata-Version: 2.1\nName: thermometer\nVersion: 1\n")
+    blocks = BLOCK.findall((ROOT / "docs" / "explanation" / "architecture.md").read_text("utf-8"))
+    assert [kind for kind, _ in blocks] == ["python", "toml", "diff", "diff", "diff"]
+    for kind, text in blocks:
+        assert text.count("\n") <= 40, text
+        if kind == "diff":
+            add_lines(tmp_path, text)
+        elif kind == "python":
+            (tmp_path / "thermometer.py").write_text(text, "utf-8")
+        else:
+            section, entry = text.splitlines()
+            assert section == '[project.entry-points."rosld.adapters"]'
+            (plugin / "entry_points.txt").write_text(f"[rosld.adapters]\n{entry.replace(chr(34), '')}\n")
+    monkeypatch.chdir(tmp_path)  # its rosld is the one that runs
+    with servers() as start:
+        http = start("thermometer:", environment={**os.environ, "PYTHONPATH": str(tmp_path)}).http
+        until(lambda: http.get("topics/temperature?format=json").json(), "a temperature")
+        assert http.get("topics/temperature?format=json").json() == {"data": 20.5}
+        query = 'PREFIX ros: <https://w3id.org/rosld#> SELECT (ros:sum("[1,2.5]"^^rdf:JSON) AS ?sum) {}'
+        prefix = "PREFIX rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> "
+        answer = http.get("sparql", params={"query": prefix + query}, headers={"Accept": "text/csv"})
+        assert answer.text.split() == ["sum", "3.5"]
+        assert http.get("uptime?format=json").json() > 0
+        assert "ros:duration" in http.get("uptime").text
+        cockpit = (
+            "@prefix ros: <https://w3id.org/rosld#> . <> a ros:Cockpit ;"
+            " ros:hasPanel [ a ros:TypePanel ; ros:shows </topics/temperature> ] ."
+        )
+        http.put("cockpit/types", content=cockpit, headers={"Content-Type": "text/turtle"}).raise_for_status()
+        assert "https://w3id.org/rosld#Topic" in http.get("cockpit/types", headers={"Accept": "text/html"}).text

@@ -20,8 +20,8 @@ from rosld.ontology.lower_graph import IGNORED
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, integer, statements, text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
-from rosld.shapes.accepted_values import PARAMETERS, AcceptedValues, OpenParameter
-from rosld.shapes.limit_parts import NO_DEMAND, Demand, Place, is_limited_text, limited_texts, write_limit
+from rosld.shapes.accepted_values import AcceptedValues, OpenParameter
+from rosld.shapes.limit_parts import NO_DEMAND, Demand, Place, ValuePlace, is_limited_text, limited_texts, write_limit
 from rosld.shapes.limits import Limits
 from rosld.shapes.message import MessageShapes
 from rosld.shapes.shapes_graph import Node, ShapesGraph
@@ -106,16 +106,13 @@ def _scalar(
         ranges = [each for _, bounds in demand.bounds for each in values.bounds(Primitive("float64"), bounds)]
         shapes: list[Value] = [values.open_parameter(kind), *(writer.blank(*each) for each in ranges)]
         return writer.blank((sh.and_, writer.list_of(shapes)))
-    if isinstance(kind, ParameterType) and kind not in PARAMETERS:
-        return values.parameter_array(kind)
-    primitive, datatype = (kind, None) if isinstance(kind, Primitive) else (PARAMETERS[kind], None)
-    if kind is ParameterType.INTEGER:
-        datatype = xsd.integer
-    own = values.scalar(kind) if isinstance(kind, Primitive) else values.parameter(kind)
-    bounds = [each for _, bounds in demand.bounds for each in values.bounds(primitive, bounds, datatype)]
+    own, place = values.scalar(kind) if isinstance(kind, Primitive) else values.parameter(kind), ValuePlace(kind)
+    if place.primitive is None:
+        return own
+    bounds = [each for _, bounds in demand.bounds for each in values.bounds(place.primitive, bounds, place.datatype)]
     demands = [writer.blank(*each) for each in bounds]
     demands += [write_limit(writer, values, part) for _, part in demand.value_parts]
-    demands += [writer.blank((sh.datatype, xsd.string))] if is_limited_text(primitive, demand) else []
+    demands += [writer.blank((sh.datatype, xsd.string))] if is_limited_text(place.primitive, demand) else []
     return writer.blank((sh.and_, writer.list_of([own, *demands])))
 
 

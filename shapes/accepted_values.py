@@ -95,22 +95,17 @@ class AcceptedValues:
         return self._writer.shared("-".join(parts), lambda: self._array(kind, element))
 
     def parameter(self, type: ParameterType) -> NamedNode:
-        """The shape of a scalar that is a parameter's: its text is no octets."""
+        """The shape of a value that is a parameter's: its text is no octets, and an array is one literal."""
+        shared = self._writer.shared
         if type is ParameterType.STRING:
-            return self._writer.shared("text", lambda: [(sh.datatype, xsd.string)])
-        return self.scalar(PARAMETERS[type])
-
-    def parameter_array(self, type: ParameterType) -> NamedNode:
-        """The shape of an array that is a parameter's: one literal."""
+            return shared("text", lambda: [(sh.datatype, xsd.string)])
         if type is ParameterType.BYTE_ARRAY:
-            octets = [(sh.datatype, xsd.base64Binary), (sh.pattern, text(base64_pattern()))]
-            return self._writer.shared("octets", lambda: octets)
+            return shared("octets", lambda: [(sh.datatype, xsd.base64Binary), (sh.pattern, text(base64_pattern()))])
+        if type in PARAMETERS:
+            return self.scalar(PARAMETERS[type])
         element = PARAMETER_ARRAYS[type]
-        array = [
-            (sh.datatype, rdf.JSON),
-            (sh.pattern, text(parameter_array_pattern(element, is_finite=self._largest is not None))),
-        ]
-        return self._writer.shared(f"{element.name}-array", lambda: array)
+        pattern = parameter_array_pattern(element, is_finite=self._largest is not None)
+        return shared(f"{element.name}-array", lambda: [(sh.datatype, rdf.JSON), (sh.pattern, text(pattern))])
 
     def open_parameter(self, kind: OpenParameter) -> NamedNode:
         """Return the shape of an undeclared parameter's value, by datatype."""

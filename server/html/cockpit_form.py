@@ -63,10 +63,12 @@ class EditForm(Struct, frozen=True):
     def panels(self) -> tuple[PanelInputs, ...]:
         """The inputs of its panels, and of some that may be added."""
         if self.submitted is not None:
-            given = _rows(self.submitted)
-            return tuple(_panel_inputs(number, given[number]) for number in sorted(given))
-        there = [_inputs(number, panel, self.base) for number, panel in enumerate(self.cockpit.panels, 1)]
-        return (*there, *(_empty(len(there) + 1 + number) for number in range(ADDED)))
+            return tuple(
+                _panel_inputs(number, number, texts) for number, texts in sorted(_rows(self.submitted).items())
+            )
+        there = [_panel_texts(panel, self.base) for panel in self.cockpit.panels]
+        rows = enumerate([*there, *[_NEW_PANEL] * ADDED], 1)
+        return tuple(_panel_inputs(row, row if row <= len(there) else 0, texts) for row, texts in rows)
 
 
 class CopyForm(Struct, frozen=True):
@@ -188,31 +190,29 @@ def _rows(pairs: Pairs) -> dict[int, dict[str, str]]:
     return found
 
 
-def _inputs(number: int, panel: Panel, base: str) -> PanelInputs:
+_NEW_PANEL = {"kind": PanelKind.VALUE.value, "width": "4", "height": "3"}
+
+
+def _panel_texts(panel: Panel, base: str) -> Mapping[str, str]:
+    """Return the texts of the inputs of a panel, by their names."""
     area = panel.area
-    return PanelInputs(
-        f"panel.{number}.",
-        number,
-        "" if panel.kind is None else panel.kind.value,
-        escape_controls(panel.type),
-        escape_controls(" ".join(each.removeprefix(base) for each in panel.shows)),
-        escape_controls(" ".join(panel.fields)),
-        escape_controls(panel.title),
-        str(area.column or ""),
-        str(area.row or ""),
-        str(area.width),
-        str(area.height),
-    )
+    return {
+        "kind": "" if panel.kind is None else panel.kind.value,
+        "type": panel.type,
+        "shows": " ".join(each.removeprefix(base) for each in panel.shows),
+        "fields": " ".join(panel.fields),
+        "title": panel.title,
+        "column": str(area.column or ""),
+        "row": str(area.row or ""),
+        "width": str(area.width),
+        "height": str(area.height),
+    }
 
 
-def _empty(number: int) -> PanelInputs:
-    return PanelInputs(f"panel.{number}.", 0, PanelKind.VALUE.value, "", "", "", "", "", "", "4", "3")
-
-
-def _panel_inputs(number: int, said: Mapping[str, str]) -> PanelInputs:
+def _panel_inputs(row: int, number: int, texts: Mapping[str, str]) -> PanelInputs:
     names = ("kind", "type", "shows", "fields", "title", "column", "row", "width", "height")
-    given = {name: escape_controls(said.get(name, "")) for name in names}
-    return PanelInputs(f"panel.{number}.", number, is_removed=bool(said.get("remove")), **given)
+    given = {name: escape_controls(texts.get(name, "")) for name in names}
+    return PanelInputs(f"panel.{row}.", number, is_removed=bool(texts.get("remove")), **given)
 
 
 def kinds_of_panels() -> Sequence[str]:

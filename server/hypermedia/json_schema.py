@@ -66,16 +66,8 @@ _FLOATS = frozenset({"float32", "float64"})
 _VELOCITIES: JsonSchema = {"minimum": -LARGEST_VELOCITY, "maximum": LARGEST_VELOCITY}
 _SPECIALS: JsonSchema = {"type": "string", "enum": ["NaN", "INF", "-INF"]}
 _DIGITS: JsonSchema = {"type": "string", "pattern": "^-?[0-9]{16,20}$"}
-_ELIDED: JsonSchema = {
-    "type": "object",
-    "properties": {
-        "elided": {"type": "boolean", "const": True},
-        "length": {"type": "integer", "minimum": 0},
-        "href": {"type": "string"},
-    },
-    "required": ["elided", "length", "href"],
-    "readOnly": True,
-}
+_LENGTH: JsonSchema = {"type": "integer", "minimum": 0}
+_ELIDED = {**json_object({"elided": {**BOOLEAN, "const": True}, "length": _LENGTH, "href": TEXT}), "readOnly": True}
 _SETTINGS = LiftSettings()
 
 
@@ -107,10 +99,7 @@ def patch_schema(schema: JsonSchema) -> JsonSchema:
     members = schema.get("properties")
     if not isinstance(members, dict):
         return {name: each for name, each in schema.items() if name != "default"}  # what is left out stays as it is
-    return {
-        "type": "object",
-        "properties": {name: patch_schema(cast(JsonSchema, each)) for name, each in members.items()},
-    }
+    return json_object(optional={name: patch_schema(cast(JsonSchema, each)) for name, each in members.items()})
 
 
 def nullable(schema: JsonSchema) -> JsonSchema:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import NamedTuple, TypeAlias, cast
+from typing import TypeAlias, cast
 
 import numpy as np
 from msgspec import Struct
@@ -36,6 +36,7 @@ from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.ontology.vocab import rdf, xsd
 from rosld.server.http.conditional import digest
 from rosld.server.hypermedia.catalogue import Getter, Property, Setter, TopicSource
+from rosld.shapes.value import MessageShape
 
 WHOLE = LiftSettings().unelided
 """Settings under which nothing is elided."""
@@ -258,13 +259,6 @@ def version_key(reading: Reading) -> str:
     return digest(f"none\0{reading.failure or ''}\0{reading.words or ''}".encode("utf-8", "surrogatepass"))
 
 
-class Layout(NamedTuple):
-    """The fields of a type of message as which a value may be sent."""
-
-    schema: MessageSchema
-    fields: tuple[Field, ...]
-
-
 def content_from_rdf(
     body: RdfBody,
     subject: NamedNode,
@@ -310,15 +304,15 @@ def _describe(
     return parse_json(plain_json(MessageValue(found.schema, message, found.fields, document), WHOLE))
 
 
-def layouts(property: Property) -> Iterator[Layout]:
+def layouts(property: Property) -> Iterator[MessageShape]:
     """Yield the messages that the property is read as and written with."""
     for way in (*property.readers, *property.writers):
         match way:
             case TopicSource(schema=schema) if schema is not None:
-                yield Layout(schema, schema.type.fields)
+                yield MessageShape(schema, schema.type.fields)
             case Getter(schema=service, fields=fields):
-                yield Layout(service.response, fields)
+                yield MessageShape(service.response, fields)
             case Setter(schema=service):
-                yield Layout(service.request, service.request.type.fields)
+                yield MessageShape(service.request, service.request.type.fields)
             case _:
                 pass

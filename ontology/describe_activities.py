@@ -4,22 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pyoxigraph import Literal, NamedNode
+from pyoxigraph import NamedNode, Triple
 
+from rosld.ontology import kinds
 from rosld.ontology.document import Document
-from rosld.ontology.triples import (
-    RDF_SOURCE,
-    Statement,
-    boolean,
-    date_time_literal,
-    double,
-    integer,
-    statements,
-    text,
-    triples_about,
-)
+from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcterms, htv, prov, rdf, rdfs, ros, xsd
+from rosld.ontology.vocab import dcterms, htv, prov, rdfs, ros
 
 _ACTIVITIES = frozenset({"calls", "goals", "holds"})
 """What lies below these is an activity: a call, a goal, a hold."""
@@ -61,6 +52,46 @@ class Receipt(NamedTuple):
         return max(0, self.ended_ns - self.started_ns) / 1e9
 
 
+_WRITE = NodeShape[Receipt]("Write", "the receipt of a write", ros.Write, prov.Activity, *SOURCE).with_properties(
+    one(prov.startedAtTime, kinds.DATE_TIME, lambda receipt: receipt.started_ns),
+    one(prov.endedAtTime, kinds.DATE_TIME, lambda receipt: receipt.ended_ns),
+    one(ros.duration, kinds.AMOUNT, lambda receipt: receipt.seconds),
+    one(prov.wasAssociatedWith, kinds.IRI.where("sh:class prov:Agent")),
+    one(prov.used, kinds.FRAGMENT.where("sh:class htv:Request"), lambda receipt: "#request"),
+    many(prov.generated, kinds.FRAGMENT, lambda receipt: ["#answer"], minimum=1),
+    optional(
+        prov.qualifiedAssociation,
+        kinds.FRAGMENT.where("sh:class prov:Association"),
+        lambda receipt: "#association" if receipt.plan else None,
+    ),
+    many(ros.touches, kinds.IRI, lambda receipt: receipt.touched),
+    optional(ros.matched, kinds.COUNT, lambda receipt: receipt.matched),
+)
+_REQUEST = NodeShape[Receipt]("Request", "what was asked", htv.Request, prov.Entity).with_properties(
+    one(htv.methodName, kinds.TEXT, lambda receipt: receipt.method),
+    one(htv.requestURI, kinds.URI, lambda receipt: receipt.url),
+    optional(dcterms.format, kinds.TEXT, lambda receipt: receipt.media_type),
+    optional(ros.byteLength, kinds.COUNT, lambda receipt: receipt.length or None),
+    optional(ros.digest, kinds.TEXT, lambda receipt: receipt.digest),
+    optional(ros.excerpt, kinds.TEXT, lambda receipt: receipt.excerpt),
+    optional(ros.withheld, kinds.FLAG, lambda receipt: receipt.withheld or None),
+)
+_RESPONSE = NodeShape[Receipt]("Response", "what was answered", htv.Response, prov.Entity).with_properties(
+    one(htv.statusCodeValue, kinds.COUNT.where("sh:maxInclusive 599"), lambda receipt: receipt.status),
+    optional(ros.words, kinds.TEXT, lambda receipt: receipt.words),
+)
+_AGENT = NodeShape[Receipt]("Agent", "who asked", prov.Agent).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda receipt: receipt.agent)
+)
+_ASSOCIATION = NodeShape[NamedNode]("Association", "how who asked took part", prov.Association).with_properties(
+    one(prov.agent, kinds.TERM.where("sh:class prov:Agent"), lambda agent: agent),
+    one(prov.hadPlan, kinds.IRI.where("sh:class prov:Plan")),
+)
+_PLAN = NodeShape[Receipt]("Plan", "what was to be done", prov.Plan, prov.Entity).with_properties(
+    many(ros.does, kinds.TEXT, lambda receipt: dict.fromkeys(receipt.plan), minimum=1)
+)
+
+
 def activity_document(receipt: Receipt, space: Space) -> Document:
     """Return a receipt: agent, request, time, plan, touched resources, and response."""
     url = space.activity(receipt.id)
@@ -68,59 +99,19 @@ def activity_document(receipt: Receipt, space: Space) -> Document:
     request, answer, association, plan = (
         NamedNode(f"{url}#{name}") for name in ("request", "answer", "association", "plan")
     )
-    has_plan = bool(receipt.plan)
-    made, is_activity = NamedNode(receipt.made) if receipt.made else None, _is_activity(receipt.made, space)
-    triples = triples_about(
-        activity,
-        (rdf.type, ros.Write),
-        (rdf.type, prov.Activity),
-        *RDF_SOURCE,
-        (prov.startedAtTime, date_time_literal(receipt.started_ns)),
-        (prov.endedAtTime, date_time_literal(receipt.ended_ns)),
-        (ros.duration, double(receipt.seconds)),
-        (prov.wasAssociatedWith, agent),
-        (prov.used, request),
-        (prov.generated, answer),
-        (prov.generated, made if made and not is_activity else None),
-        (prov.qualifiedAssociation, association if has_plan else None),
-        *statements(ros.touches, map(NamedNode, receipt.touched)),
-        (ros.matched, integer(receipt.matched)),
-    )
+    made = NamedNode(receipt.made) if receipt.made else None
+    is_activity = _is_activity(receipt.made, space)
+    generated = None if is_activity else made
+    triples = _WRITE.triples(activity, receipt, space, (prov.wasAssociatedWith, agent), (prov.generated, generated))
     if made and is_activity:
-        triples += triples_about(made, (prov.wasInformedBy, activity))
-    triples += triples_about(agent, (rdf.type, prov.Agent), (rdfs.label, text(receipt.agent)))
-    triples += triples_about(request, *_request_statements(receipt))
-    triples += triples_about(answer, *_response_statements(receipt))
-    if has_plan:
-        triples += triples_about(association, (rdf.type, prov.Association), (prov.agent, agent), (prov.hadPlan, plan))
-        steps = statements(ros.does, [Literal(step) for step in dict.fromkeys(receipt.plan)])
-        triples += triples_about(plan, (rdf.type, prov.Plan), (rdf.type, prov.Entity), *steps)
+        triples.append(Triple(made, prov.wasInformedBy, activity))
+    triples += _AGENT.triples(agent, receipt, space)
+    triples += _REQUEST.triples(request, receipt, space)
+    triples += _RESPONSE.triples(answer, receipt, space)
+    if receipt.plan:
+        triples += _ASSOCIATION.triples(association, agent, space, (prov.hadPlan, plan))
+        triples += _PLAN.triples(plan, receipt, space)
     return Document(url, tuple(triples))
-
-
-def _request_statements(receipt: Receipt) -> tuple[Statement, ...]:
-    """Return the statements about a request, in HTTP in RDF."""
-    return (
-        (rdf.type, htv.Request),
-        (rdf.type, prov.Entity),
-        (htv.methodName, Literal(receipt.method)),
-        (htv.requestURI, Literal(receipt.url, datatype=xsd.anyURI)),
-        (dcterms.format, text(receipt.media_type)),
-        (ros.byteLength, integer(receipt.length) if receipt.length else None),
-        (ros.digest, text(receipt.digest)),
-        (ros.excerpt, text(receipt.excerpt)),
-        (ros.withheld, boolean(True) if receipt.withheld else None),
-    )
-
-
-def _response_statements(receipt: Receipt) -> tuple[Statement, ...]:
-    """Return the statements about a response, in HTTP in RDF."""
-    return (
-        (rdf.type, htv.Response),
-        (rdf.type, prov.Entity),
-        (htv.statusCodeValue, integer(receipt.status)),
-        (ros.words, text(receipt.words)),
-    )
 
 
 def _is_activity(url: str | None, space: Space) -> bool:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from decimal import Decimal
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
 from typing import NamedTuple, Protocol
@@ -12,19 +11,11 @@ from urllib.parse import urljoin
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.adapters.model import Sample, TypeRef
+from rosld.ontology import kinds
 from rosld.ontology.describe_topics import MESSAGE, type_url
 from rosld.ontology.document import Document, LiftedMessage
-from rosld.ontology.triples import (
-    CONTAINER,
-    RDF_SOURCE,
-    Statement,
-    boolean,
-    date_time_literal,
-    integer,
-    statements,
-    text,
-    triples_about,
-)
+from rosld.ontology.node_shape import CONTAINER_TYPES, SOURCE, NodeShape, many, one, optional
+from rosld.ontology.triples import CONTAINER, Statement, date_time_literal, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, ldes, ldp, rdf, rdfs, ros, sosa, spdx, tree, xhv, xsd
 
@@ -100,101 +91,99 @@ class RecordingOrder(Protocol):
     def trigger(self) -> Trigger | None: ...
 
 
-def bag_document(
-    bag: Bag,
-    space: Space,
-    sha256: str | None = None,
-    *,
-    dropped: Mapping[str, int] = MappingProxyType({}),
-    problem: str | None = None,
-    size: int | None = None,
-    status: str | None = None,
-    order: RecordingOrder | None = None,
-    triggered: int | None = None,
-) -> Document:
-    """Return a recording: how it is stored, from when to when, its topics with their types and counts.
+class BagView(NamedTuple):
+    """A recording as it is described.
 
-    `sha256` is the digest of its file in hexadecimal, where that is known.
-    `dropped` are messages by topic that were sent and are not in it, `problem` says why it does not go on. `size` are
-    the bytes of its file, `status` is missing of one that is complete, `order` says how it is being made: it has no
-    messages that could be read yet. `triggered` is how many recordings its trigger has begun, where it waits for that.
+    `sha256` is the digest of its file in hexadecimal, where that is known. `dropped` are messages by topic that were
+    sent and are not in it, `problem` says why it does not go on. `size` are the bytes of its file, `status` is missing
+    of one that is complete, `order` says how it is being made: it has no messages that could be read yet. `triggered`
+    is how many recordings its trigger has begun, where it waits for that.
     """
-    url, messages = space.bag(bag.name), NamedNode(space.bag_messages(bag.name))
-    tracks = _track_nodes(bag, space)
-    triples = triples_about(
-        NamedNode(url),
-        (rdf.type, ros.Bag),
-        *CONTAINER,
-        (ros.name, text(bag.name)),
-        (dcterms.format, text(bag.format)),
-        (ros.count, integer(bag.count)),
-        (ros.recordingProblem, text(problem)),
-        (ros.recordedBytes, None if size is None else integer(size)),
-        (ros.recordedFile, NamedNode(f"{url}file") if size is not None and order is None else None),
-        (ros.recordingStatus, text(status)),
-        (ros.triggerCount, integer(triggered)),
-        *(() if order is None else _order(order, space)),
-        (ros.start, date_time_literal(bag.start_ns) if bag.count else None),
-        (ros.end, date_time_literal(bag.end_ns) if bag.count else None),
-        (ldp.contains, messages if order is None else None),
-        (rdfs.seeAlso, NamedNode(space.bag_stream(bag.name)) if order is None else None),
-        *statements(ros.hasRecordedTopic, tracks),
-        *((ros.silentTopic, text(topic)) for topic in bag.silent),
-        (spdx.checksum, None if sha256 is None else NamedNode(f"{url}#checksum")),
-    )
-    if sha256 is not None:
-        triples += _checksum_triples(url, sha256)
-    if order is None:
-        triples += triples_about(messages, (rdfs.label, text("Messages")))
+
+    bag: Bag
+    sha256: str | None = None
+    dropped: Mapping[str, int] = MappingProxyType({})
+    problem: str | None = None
+    size: int | None = None
+    status: str | None = None
+    order: RecordingOrder | None = None
+    triggered: int | None = None
+
+
+_STATUS = 'sh:in ( "armed" "suspended" "recording" "interrupted" "ended" )'
+_BAG = NodeShape[BagView]("Bag", "a recording", ros.Bag, *CONTAINER_TYPES).with_properties(
+    one(ros.name, kinds.TEXT, lambda view: view.bag.name),
+    one(dcterms.format, kinds.TEXT, lambda view: view.bag.format),
+    one(ros.count, kinds.COUNT, lambda view: view.bag.count),
+    optional(ros.recordingProblem, kinds.TEXT, lambda view: view.problem),
+    optional(ros.recordedBytes, kinds.COUNT, lambda view: view.size),
+    optional(ros.recordedFile, kinds.FRAGMENT, lambda view: None if view.size is None or view.order else "file"),
+    optional(ros.recordingStatus, kinds.TEXT.where(_STATUS), lambda view: view.status),
+    optional(ros.triggerCount, kinds.COUNT, lambda view: view.triggered),
+    optional(ros.triggerShape, kinds.IRI),
+    optional(ros.triggerCondition, kinds.TEXT),
+    optional(ros.triggerResource, kinds.IRI),
+    optional(ros.triggerLimit, kinds.COUNT),
+    many(ros.recordsTopic, kinds.TEXT, lambda view: view.order.topics if view.order else ()),
+    optional(ros.secondsBefore, kinds.DECIMAL, lambda view: (view.order.before or None) if view.order else None),
+    optional(ros.secondsLong, kinds.DECIMAL, lambda view: view.order.duration if view.order else None),
+    optional(ros.start, kinds.DATE_TIME, lambda view: view.bag.start_ns if view.bag.count else None),
+    optional(ros.end, kinds.DATE_TIME, lambda view: view.bag.end_ns if view.bag.count else None),
+    optional(ldp.contains, kinds.IRI.where('sh:pattern "/bags/"')),
+    optional(rdfs.seeAlso, kinds.IRI.where('sh:pattern "/ldes$"')),
+    many(ros.hasRecordedTopic, kinds.IRI.where("sh:class ros:BagTopic")),
+    many(ros.silentTopic, kinds.TEXT.where('sh:pattern "^[/*]"'), lambda view: view.bag.silent),
+    optional(spdx.checksum, kinds.node("Checksum")),
+)
+_ALGORITHM = "sh:hasValue spdx:checksumAlgorithm_sha256"
+_SHA256: kinds.Kind[str] = kinds.Kind(
+    lambda value: Literal(value, datatype=xsd.hexBinary), 'sh:datatype xsd:hexBinary ; sh:pattern "^[0-9a-f]{64}$"'
+)
+_CHECKSUM = NodeShape[str]("Checksum", "the checksum of the file of a recording", spdx.Checksum).with_properties(
+    one(spdx.algorithm, kinds.TERM.where(_ALGORITHM), lambda _: spdx.checksumAlgorithm_sha256),
+    one(spdx.checksumValue, _SHA256, lambda sha256: sha256),
+)
+_TRACK = NodeShape[Track]("BagTopic", "a topic of a recording", ros.BagTopic).with_properties(
+    one(ros.name, kinds.NAME, lambda track: track.name),
+    one(ros.hasMessageType, kinds.CLASS, lambda track: track.type),
+    one(ros.count, kinds.COUNT, lambda track: track.count),
+    optional(ros.dropped, kinds.COUNT),
+    optional(ros.unreadable, kinds.TEXT, lambda track: track.unreadable),
+    one(rdfs.seeAlso, kinds.TOPIC, lambda track: track.name),
+)
+
+
+def bag_document(view: BagView, space: Space) -> Document:
+    """Return a recording: how it is stored, from when to when, its topics with their types and counts."""
+    bag = view.bag
+    url, messages, stream = space.bag(bag.name), space.bag_messages(bag.name), space.bag_stream(bag.name)
+    checksum = None if view.sha256 is None else NamedNode(f"{url}#checksum")
+    tracks = {
+        NamedNode(space.fragment(url, "topic", *name[1:].split("/"))): track for name, track in bag.topics.items()
+    }
+    readable = ((ldp.contains, NamedNode(messages)), (rdfs.seeAlso, NamedNode(stream))) if view.order is None else ()
+    trigger = _trigger(view.order.trigger, space) if view.order and view.order.trigger else ()
+    more = (*readable, *trigger, *statements(ros.hasRecordedTopic, tracks), (spdx.checksum, checksum))
+    triples = _BAG.triples(NamedNode(url), view, space, *more)
+    if checksum and view.sha256:
+        triples += _CHECKSUM.triples(checksum, view.sha256, space)
+    if view.order is None:
+        triples.append(Triple(NamedNode(messages), rdfs.label, Literal("Messages")))
     for node, track in tracks.items():
-        lost = dropped.get(track.name)
-        triples += triples_about(node, *_track(track, space), (ros.dropped, integer(lost) if lost else None))
+        lost = integer(view.dropped.get(track.name) or None)
+        triples += _TRACK.triples(node, track, space, (ros.dropped, lost))
     for ref in dict.fromkeys(track.type for track in bag.topics.values()):
         triples += type_url(ref, space)
     return Document(url, tuple(triples))
 
 
-def _track_nodes(bag: Bag, space: Space) -> dict[NamedNode, Track]:
-    """Return the topics of a recording by the fragments that identify them."""
-    url = space.bag(bag.name)
-    return {NamedNode(space.fragment(url, "topic", *name[1:].split("/"))): track for name, track in bag.topics.items()}
-
-
-def _checksum_triples(url: str, sha256: str) -> list[Triple]:
-    """Return the checksum of the file of the recording at `url`, as SPDX has it."""
-    return triples_about(
-        NamedNode(f"{url}#checksum"),
-        (rdf.type, spdx.Checksum),
-        (spdx.algorithm, spdx.checksumAlgorithm_sha256),
-        (spdx.checksumValue, Literal(sha256, datatype=xsd.hexBinary)),
-    )
-
-
-def _order(order: RecordingOrder, space: Space) -> Iterator[Statement]:
-    if order.trigger is not None:
-        condition, resource = order.trigger.condition, order.trigger.resource
-        yield ros.triggerShape, NamedNode(condition) if resource is None else None
-        yield ros.triggerCondition, text(condition) if resource is not None else None
-        yield ros.triggerResource, None if resource is None else NamedNode(urljoin(space.base, resource))
-        yield ros.triggerLimit, integer(order.trigger.limit)
-    yield from ((ros.recordsTopic, text(topic)) for topic in order.topics)
-    yield ros.secondsBefore, _seconds(order.before) if order.before else None
-    yield ros.secondsLong, None if order.duration is None else _seconds(order.duration)
-
-
-def _seconds(value: float) -> Literal:
-    return Literal(format(Decimal(str(value)), "f"), datatype=xsd.decimal)
-
-
-def _track(track: Track, space: Space) -> list[Statement]:
-    return [
-        (rdf.type, ros.BagTopic),
-        (ros.name, text(track.name)),
-        (ros.hasMessageType, NamedNode(space.class_of(track.type.name))),
-        (ros.count, integer(track.count)),
-        (ros.unreadable, text(track.unreadable)),
-        (rdfs.seeAlso, NamedNode(space.topic(track.name))),
-    ]
+def _trigger(trigger: Trigger, space: Space) -> tuple[Statement, ...]:
+    """Return the condition: a shape, or a query's text and the resource that it is about."""
+    limit = (ros.triggerLimit, integer(trigger.limit))
+    if trigger.resource is None:
+        return (ros.triggerShape, NamedNode(trigger.condition)), limit
+    resource = NamedNode(urljoin(space.base, trigger.resource))
+    return (ros.triggerCondition, text(trigger.condition)), (ros.triggerResource, resource), limit
 
 
 def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size: int = 100) -> Document:
@@ -206,13 +195,7 @@ def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size:
     begin, last = bag.first // size, max(0, (bag.first + bag.count - 1) // size)
     pages = [NamedNode(f"{container.value}?page={number}") for number in (begin, last)]
     subject = container if page is None else NamedNode(f"{container.value}?page={page}")
-    triples = triples_about(
-        container,
-        *CONTAINER,
-        (dcterms.title, text(f"Messages of {bag.name}")),
-        (ros.recordedIn, NamedNode(space.bag(bag.name))),
-        (ros.count, integer(bag.count)),
-    )
+    triples = _container(bag, space)
     triples += triples_about(subject, (xhv.first, pages[0]), (xhv.last, pages[1]))
     if page is not None:
         first, beyond = max(page * size, bag.first), min((page + 1) * size, bag.first + bag.count)
@@ -230,47 +213,52 @@ def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size:
 
 def bag_selection_document(bag: Bag, space: Space, url: str, messages: Sequence[BagMessage]) -> Document:
     """Some messages of a recording, as the page at `url` lists them: their numbers, topics and times."""
-    container = NamedNode(space.bag_messages(bag.name))
-    nodes = [NamedNode(space.bag_message(bag.name, each.index)) for each in messages]
-    triples = triples_about(
-        container,
+    records = {NamedNode(space.bag_message(bag.name, each.index)): each for each in messages}
+    triples = [
+        *_container(bag, space),
+        *triples_about(NamedNode(space.bag_messages(bag.name)), *statements(ldp.contains, records)),
+    ]
+    for node, message in records.items():
+        triples += _RECORD.triples(node, (bag, message), space)
+    return Document(url, tuple(triples))
+
+
+def _container(bag: Bag, space: Space) -> list[Triple]:
+    """Return the container of the messages of a recording."""
+    return triples_about(
+        NamedNode(space.bag_messages(bag.name)),
         *CONTAINER,
         (dcterms.title, text(f"Messages of {bag.name}")),
         (ros.recordedIn, NamedNode(space.bag(bag.name))),
         (ros.count, integer(bag.count)),
-        *statements(ldp.contains, nodes),
     )
-    for node, message in zip(nodes, messages, strict=True):
-        triples += triples_about(node, *_record(bag, message, space))
-    return Document(url, tuple(triples))
+
+
+_MOMENT = NodeShape[tuple[Bag, int]]("Moment", "a moment of a recording", ros.Moment, *SOURCE).with_properties(
+    one(ros.momentOf, kinds.BAG, lambda of: of[0].name),
+    one(ros.momentTime, kinds.DATE_TIME, lambda of: of[1]),
+    many(ros.newestRecord, kinds.IRI.where("sh:class ros:Record")),
+)
 
 
 def bag_moment_document(bag: Bag, space: Space, url: str, at_ns: int, messages: Sequence[BagMessage]) -> Document:
     """Return the messages of a recording that were the newest of their topics at a time."""
-    nodes = [NamedNode(space.bag_message(bag.name, each.index)) for each in messages]
-    triples = triples_about(
-        NamedNode(url),
-        (rdf.type, ros.Moment),
-        *RDF_SOURCE,
-        (ros.momentOf, NamedNode(space.bag(bag.name))),
-        (ros.momentTime, date_time_literal(at_ns)),
-        *statements(ros.newestRecord, nodes),
-    )
-    for node, message in zip(nodes, messages, strict=True):
-        triples += triples_about(node, *_record(bag, message, space))
+    records = {NamedNode(space.bag_message(bag.name, each.index)): each for each in messages}
+    triples = _MOMENT.triples(NamedNode(url), (bag, at_ns), space, *statements(ros.newestRecord, records))
+    for node, message in records.items():
+        triples += _RECORD.triples(node, (bag, message), space)
     return Document(url, tuple(triples))
 
 
-def _record(bag: Bag, message: BagMessage, space: Space) -> list[Statement]:
-    return [
-        (rdf.type, ros.Record),
-        *RDF_SOURCE,
-        (ros.recordedIn, NamedNode(space.bag(bag.name))),
-        (ros.index, integer(message.index)),
-        (ros.onTopic, NamedNode(space.topic(message.topic))),
-        (ros.recordedAt, date_time_literal(message.sample.received_ns)),
-        (ros.opensRecording, boolean(True) if message.is_opening else None),
-    ]
+_RECORD = NodeShape[tuple[Bag, BagMessage]]("Record", "the record of a message", ros.Record, *SOURCE).with_properties(
+    one(ros.recordedIn, kinds.BAG, lambda of: of[0].name),
+    one(ros.index, kinds.COUNT, lambda of: of[1].index),
+    one(ros.onTopic, kinds.TOPIC, lambda of: of[1].topic),
+    one(ros.recordedAt, kinds.DATE_TIME, lambda of: of[1].sample.received_ns),
+    optional(ros.opensRecording, kinds.FLAG, lambda of: of[1].is_opening or None),
+    optional(ros.recordedMessage, kinds.MESSAGE),
+    optional(ros.unreadable, kinds.TEXT),
+)
 
 
 def bag_message_document(
@@ -278,12 +266,8 @@ def bag_message_document(
 ) -> Document:
     """One recorded message: when it was recorded, on which topic, and the message itself or why it cannot be read."""
     url = space.bag_message(bag.name, message.index)
-    triples = triples_about(
-        NamedNode(url),
-        *_record(bag, message, space),
-        (ros.recordedMessage, NamedNode(url + MESSAGE) if lifted else None),
-        (ros.unreadable, text(unreadable)),
-    )
+    more = (ros.recordedMessage, NamedNode(url + MESSAGE) if lifted else None), (ros.unreadable, text(unreadable))
+    triples = _RECORD.triples(NamedNode(url), (bag, message), space, *more)
     return Document(url, tuple(triples), (lifted,) if lifted else ())
 
 
@@ -315,6 +299,27 @@ class StreamLink(NamedTuple):
     to_ns: int | None = None
 
 
+_STREAM = NodeShape[StreamProfile]("EventStream", "an event stream", ldes.EventStream).with_properties(
+    one(tree.view, kinds.IRI.where('sh:pattern "/ldes"')),
+    one(ldes.timestampPath, kinds.TERM, lambda profile: profile.time),
+    one(ldes.versionOfPath, kinds.TERM, lambda profile: profile.version_of),
+    optional(tree.shape, kinds.IRI),
+    many(tree.member, kinds.IRI.where('sh:pattern "/messages/[0-9]+$"')),
+)
+_PAGE = NodeShape[Sequence[BlankNode]]("StreamPage", "a page of an event stream", tree.Node).with_properties(
+    many(tree.relation, kinds.node("StreamRelation"), lambda relations: relations)
+)
+_RELATIONS = "tree:Relation tree:GreaterThanOrEqualToRelation tree:LessThanOrEqualToRelation"
+_RELATION = NodeShape[tuple[StreamLink, StreamProfile, NamedNode, int | None]](
+    "StreamRelation", "a link to a page of an event stream", target=""
+).with_properties(
+    one(rdf.type, kinds.TERM.where(f"sh:in ( {_RELATIONS} )"), lambda of: of[2]),
+    one(tree.node, kinds.IRI.where('sh:pattern "/ldes/"'), lambda of: of[0].url),
+    optional(tree.path, kinds.TERM, lambda of: None if of[3] is None else of[1].time),
+    optional(tree.value, kinds.DATE_TIME, lambda of: of[3]),
+)
+
+
 def event_stream_document(
     root: str,
     url: str,
@@ -325,19 +330,24 @@ def event_stream_document(
 ) -> Document:
     """Return the page at `url` of the event stream whose first page is at `root`, with its links and members."""
     stream, page = NamedNode(root.partition("?")[0] + STREAM), NamedNode(url)
-    triples = triples_about(
-        stream,
-        (rdf.type, ldes.EventStream),
-        (tree.view, NamedNode(root)),
-        (ldes.timestampPath, profile.time),
-        (ldes.versionOfPath, profile.version_of),
-        (tree.shape, None if shape is None else NamedNode(shape)),
-    )
-    triples += triples_about(page, (rdf.type, tree.Node))
-    for number, link in enumerate(links):
-        triples += _relations(page, link, number, profile.time)
+    shapes = (tree.shape, None if shape is None else NamedNode(shape))
+    triples = _STREAM.triples(stream, profile, None, (tree.view, NamedNode(root)), shapes)
+    relations = {
+        BlankNode(f"relation{number}x{place}"): (link, profile, *bound)
+        for number, link in enumerate(links)
+        for place, bound in enumerate(_bounds(link))
+    }
+    triples += _PAGE.triples(page, [*relations], None)
+    for node, relation in relations.items():
+        triples += _RELATION.triples(node, relation, None)
     triples += [Triple(stream, tree.member, NamedNode(member.url)) for member in members]
     return Document(url, tuple(triples), parts=tuple(members))
+
+
+def _bounds(link: StreamLink) -> list[tuple[NamedNode, int | None]]:
+    """Return the relations of a page to another, with the time of each."""
+    bounds = ((tree.GreaterThanOrEqualToRelation, link.from_ns), (tree.LessThanOrEqualToRelation, link.to_ns))
+    return [bound for bound in bounds if bound[1] is not None] or [(tree.Relation, None)]
 
 
 def observation_triples(url: str, message: BagMessage, space: Space, lifted: Sequence[Triple]) -> list[Triple]:
@@ -354,24 +364,3 @@ def observation_triples(url: str, message: BagMessage, space: Space, lifted: Seq
         (sosa.hasResult, node if lifted else None),
         (sosa.hasSimpleResult, simple),
     )
-
-
-def _relations(page: NamedNode, link: StreamLink, number: int, path: NamedNode) -> list[Triple]:
-    bounds = (
-        (tree.GreaterThanOrEqualToRelation, date_time_literal(link.from_ns)),
-        (tree.LessThanOrEqualToRelation, date_time_literal(link.to_ns)),
-    )
-    known: list[tuple[NamedNode, Literal | None]] = [each for each in bounds if each[1] is not None]
-    known = known or [(tree.Relation, None)]
-    triples: list[Triple] = []
-    for place, (kind, value) in enumerate(known):
-        relation = BlankNode(f"relation{number}x{place}")
-        triples.append(Triple(page, tree.relation, relation))
-        triples += triples_about(
-            relation,
-            (rdf.type, kind),
-            (tree.node, NamedNode(link.url)),
-            (tree.path, None if value is None else path),
-            (tree.value, value),
-        )
-    return triples

@@ -9,18 +9,18 @@ from typing import NamedTuple, TypeVar
 from msgspec import Struct, field
 from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.adapters.model import Endpoint, Graph, Lifecycle, LifecycleState, Live, Node, Stale, Topic, names
-from rosld.ontology.describe_search import search_triples
+from rosld.adapters.model import Endpoint, Graph, Lifecycle, LifecycleState, Live, Master, Node, Stale, Topic, names
+from rosld.ontology import kinds
 from rosld.ontology.describe_topics import endpoints_of
+from rosld.ontology.describe_views import search_triples
 from rosld.ontology.document import Document
 from rosld.ontology.names import IdentityCache, Members
+from rosld.ontology.node_shape import CONTAINER_TYPES, SOURCE, NodeShape, many, one, optional
 from rosld.ontology.triples import (
     BODIES,
     CONTAINER,
     RDF_SOURCE,
     Statement,
-    Value,
-    boolean,
     date_time_literal,
     forms,
     integer,
@@ -29,7 +29,7 @@ from rosld.ontology.triples import (
     triples_about,
 )
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import cora, dcterms, ldp, rdf, rdfs, ros, sh, sosa, td, xsd
+from rosld.ontology.vocab import cora, dcterms, hydra, ldp, rdf, rdfs, ros, sh, sosa, td, xsd
 
 _STATES: Mapping[int, NamedNode] = {
     1: ros.Unconfigured,
@@ -44,16 +44,6 @@ _STATES: Mapping[int, NamedNode] = {
     15: ros.ErrorProcessing,
 }
 """The states of lifecycle_msgs/msg/State that have a meaning."""
-
-
-def lifecycle_statements(lifecycle: Lifecycle) -> tuple[Statement, ...]:
-    """Return the lifecycle statements about a managed node."""
-    state = lifecycle.state
-    return (
-        (ros.lifecycleState, None if state is None else _STATES.get(state.id)),
-        (ros.lifecycleStateWord, None if state is None else text(state.label)),
-        (ros.lifecycleUnknown, text(lifecycle.unknown)),
-    )
 
 
 def transition_triples(node: str, lifecycle: Lifecycle, space: Space) -> list[Triple]:
@@ -125,6 +115,41 @@ class ServerProblems(NamedTuple):
 _NO_PROBLEMS = ServerProblems()
 
 
+_SERVICES: Mapping[str, str] = {
+    "sparql": "SPARQL",
+    "graphs": "Graph store",
+    "graph": "Who talks to whom",
+    "ontology": "Ontology",
+}
+"""What there is one of beside the routes, by its name below the base, with its label."""
+
+
+_GRAPH = NodeShape[Graph]("Graph", "a computation graph", ros.Graph, *CONTAINER_TYPES).with_properties(
+    one(dcterms.title, kinds.TEXT),
+    one(ros.state, kinds.TERM.where("sh:in ( ros:Live ros:Stale )")),
+    optional(ros.staleSince, kinds.DATE_TIME),
+    optional(ros.reason, kinds.TEXT),
+    one(ros.robot, kinds.FRAGMENT.where("sh:class sosa:Platform"), lambda graph: "#robot"),
+    optional(
+        ros.hasMaster, kinds.FRAGMENT.where("sh:class ros:Master"), lambda graph: "#master" if graph.master else None
+    ),
+    one(hydra.search, kinds.IRI.where("sh:class hydra:IriTemplate")),
+    optional(ros.simulatedTime, kinds.FLAG, lambda graph: graph.simulated_time or None),
+    many(ldp.contains, kinds.FRAGMENT, lambda graph: [f"{route}/" for route in SECTIONS], minimum=1),
+    one(ros.hasStop, kinds.FRAGMENT, lambda graph: "stop"),
+    one(ros.hasServerStatus, kinds.FRAGMENT, lambda graph: "status"),
+    many(rdfs.seeAlso, kinds.FRAGMENT, lambda graph: (*_SERVICES, "cockpit/default"), minimum=1),
+)
+_ROBOT = NodeShape[str]("Robot", "the machine", sosa.Platform, cora.Robot).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda name: name),
+    many(sosa.hosts, kinds.IRI, minimum=1),
+)
+_MASTER = NodeShape[Master]("Master", "a master", ros.Master).with_properties(
+    optional(ros.uri, kinds.URI, lambda master: master.uri),
+    optional(ros.runId, kinds.TEXT, lambda master: master.run_id),
+)
+
+
 def entry_document(
     graph: Graph, space: Space, system: str = "ROS", problems: ServerProblems = _NO_PROBLEMS, *, name: str = "robot"
 ) -> Document:
@@ -132,45 +157,18 @@ def entry_document(
 
     `system` names the kind of ROS system (`ROS 1`, `recording`, ...), `name` the robot.
     """
-    entry, robot, status = NamedNode(space.base), NamedNode(f"{space.base}#robot"), NamedNode(f"{space.base}status")
-    services = {name: NamedNode(space.base + name) for name in _SERVICES}
-    triples = triples_about(
-        entry,
-        (rdf.type, ros.Graph),
-        *CONTAINER,
-        (dcterms.title, text(f"The computation graph ({system})")),
-        *graph_state(graph),
-        (ros.robot, robot),
-        (ros.hasMaster, NamedNode(f"{space.base}#master") if graph.master else None),
-        *(((ros.simulatedTime, boolean(True)),) if graph.simulated_time else ()),
-        *statements(ldp.contains, (NamedNode(space.container(route)) for route in SECTIONS)),
-        (ros.hasStop, NamedNode(space.stop)),
-        (ros.hasServerStatus, status),
-        *statements(rdfs.seeAlso, (*services.values(), NamedNode(space.cockpit("default")))),
-    )
-    triples += triples_about(
-        robot, (rdf.type, sosa.Platform), (rdf.type, cora.Robot), (rdfs.label, text(name)), (sosa.hosts, entry)
-    )
-    triples += _master_triples(graph, space)
+    entry, title = NamedNode(space.base), text(f"The computation graph ({system})")
+    master = NamedNode(f"{space.base}#master") if graph.master else None
+    triples = _GRAPH.triples(entry, graph, space, (dcterms.title, title), (ros.hasMaster, master), *graph_state(graph))
+    triples += _ROBOT.triples(NamedNode(f"{space.base}#robot"), name, space, (sosa.hosts, entry))
+    if master and graph.master:
+        triples += _MASTER.triples(master, graph.master, space)
     triples += _section_triples(graph, space)
-    triples += triples_about(status, *problem_statements(problems))
+    triples += triples_about(NamedNode(f"{space.base}status"), *problem_statements(problems))
     triples += search_triples(entry, space)
     for each, label in _SERVICES.items():
-        triples += triples_about(services[each], (rdfs.label, text(label)))
+        triples.append(Triple(NamedNode(space.base + each), rdfs.label, Literal(label)))
     return Document(space.base, tuple(triples), simulated_time=graph.simulated_time)
-
-
-_SERVICES = {"sparql": "SPARQL", "graphs": "Graph store", "graph": "Who talks to whom", "ontology": "Ontology"}
-"""What there is one of beside the routes, by its name below the base, with its label."""
-
-
-def _master_triples(graph: Graph, space: Space) -> list[Triple]:
-    """Return the triples about the ROS 1 master, if the system has one."""
-    if graph.master is None:
-        return []
-    master = NamedNode(f"{space.base}#master")
-    said = ((rdf.type, ros.Master), (ros.uri, _uri(graph.master.uri)), (ros.runId, text(graph.master.run_id)))
-    return triples_about(master, *said)
 
 
 def _section_triples(graph: Graph, space: Space) -> Iterator[Triple]:
@@ -204,11 +202,6 @@ def graph_state(graph: Graph) -> list[Statement]:
             return [(ros.state, ros.Stale), (ros.staleSince, date_time_literal(since_ns)), (ros.reason, text(why))]
 
 
-def _uri(uri: str | None) -> Value | None:
-    found = text(uri)
-    return None if found is None else Literal(found.value, datatype=xsd.anyURI)
-
-
 class NodeView(Struct, frozen=True):
     """A node and everything it takes part in: topics with its endpoints on them, the others by name.
 
@@ -223,6 +216,14 @@ class NodeView(Struct, frozen=True):
     sends_goals_to: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
     offers: bool = False
+
+    @property
+    def lifecycle(self) -> Lifecycle:
+        return self.node.lifecycle or Lifecycle("")
+
+    @property
+    def state(self) -> LifecycleState | None:
+        return self.lifecycle.state
 
 
 class _Parts(Struct):
@@ -279,44 +280,58 @@ node_views: IdentityCache[Graph, dict[str, NodeView]] = IdentityCache(_views)
 """The nodes of a graph with what each takes part in."""
 
 
+def _uses(view: NodeView, space: Space) -> dict[NamedNode, Sequence[str]]:
+    """Return the URLs of what a node takes part in, by the property that leads there."""
+    return {
+        ros.publishes: [space.topic(topic.name) for topic, _ in view.publishes],
+        ros.subscribes: [space.topic(topic.name) for topic, _ in view.subscribes],
+        ros.provides: [*map(space.service, view.provides), *map(space.action, view.serves)],
+        ros.sendsGoalsTo: [space.action(name) for name in view.sends_goals_to],
+    }
+
+
+_NODE = NodeShape[NodeView]("Node", "a node", ros.Node, *SOURCE, is_listed=True).with_properties(
+    one(ros.name, kinds.NAME, lambda view: view.node.name),
+    optional(ros.uri, kinds.URI, lambda view: view.node.uri),
+    optional(ros.unreachable, kinds.TEXT, lambda view: view.node.unreachable),
+    optional(ros.lifecycleState, kinds.STATE, lambda view: _STATES.get(view.state.id) if view.state else None),
+    optional(ros.lifecycleStateWord, kinds.TEXT, lambda view: view.state.label if view.state else None),
+    optional(ros.lifecycleUnknown, kinds.TEXT, lambda view: view.lifecycle.unknown),
+    many(ros.publishes, kinds.TOPIC),
+    many(ros.subscribes, kinds.TOPIC),
+    many(ros.provides, kinds.IRI.where('sh:pattern "/(services|actions)/"')),
+    many(ros.sendsGoalsTo, kinds.ACTION),
+    many(ros.hasParameter, kinds.PARAMETER, lambda view: view.parameters),
+    many(ros.hasEndpoint, kinds.ENDPOINT),
+    many(td.hasActionAffordance, kinds.ACTION_AFFORDANCE),
+)
+
+
 def node_document(view: NodeView, space: Space, *, simulated_time: bool = False) -> Document:
     """Return a node with its lifecycle, its endpoints, services, actions and parameters.
 
     Topics include the quality of service, a node that does not answer the reason.
     """
-    node = view.node
-    url = space.node(node.name)
+    url, lifecycle = space.node(view.node.name), view.node.lifecycle
     endpoints = [
         described
         for kind, topics in ((ros.Publisher, view.publishes), (ros.Subscriber, view.subscribes))
         for topic, own in topics
         for described in endpoints_of(kind, own, topic, space)
     ]
-    triples = triples_about(
+    triples = _NODE.triples(
         NamedNode(url),
-        (rdf.type, ros.Node),
-        (rdf.type, ros.ManagedNode if node.lifecycle else None),
-        *RDF_SOURCE,
-        (ros.name, text(node.name)),
-        (ros.uri, _uri(node.uri)),
-        (ros.unreachable, text(node.unreachable)),
-        *(lifecycle_statements(node.lifecycle) if node.lifecycle else ()),
-        *_links(ros.publishes, (space.topic(topic.name) for topic, _ in view.publishes)),
-        *_links(ros.subscribes, (space.topic(topic.name) for topic, _ in view.subscribes)),
-        *_links(ros.provides, (*map(space.service, view.provides), *map(space.action, view.serves))),
-        *_links(ros.sendsGoalsTo, map(space.action, view.sends_goals_to)),
-        *_links(ros.hasParameter, map(space.parameter, view.parameters)),
+        view,
+        space,
+        (rdf.type, ros.ManagedNode if lifecycle else None),
+        *((predicate, NamedNode(used)) for predicate, urls in _uses(view, space).items() for used in sorted(urls)),
         *statements(ros.hasEndpoint, [endpoint for endpoint, _ in endpoints]),
     )
-    for _, said in endpoints:
-        triples += said
-    if node.lifecycle and view.offers:
-        triples += transition_triples(url, node.lifecycle, space)
+    for _, described in endpoints:
+        triples += described
+    if lifecycle and view.offers:
+        triples += transition_triples(url, lifecycle, space)
     return Document(url, tuple(triples), simulated_time=simulated_time)
-
-
-def _links(predicate: NamedNode, urls: Iterable[str]) -> list[Statement]:
-    return statements(predicate, [NamedNode(url) for url in dict.fromkeys(sorted(urls))])
 
 
 def container_document(url: str, members: Iterable[str], title: str) -> Document:
@@ -387,20 +402,12 @@ def edges_document(
 
     `problems` are URLs with what is wrong with the things there, in words.
     """
-    triples: list[Triple] = [*triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Who talks to whom")))]
-
-    def links(predicate: NamedNode, urls: Iterable[str]) -> list[Statement]:
-        return statements(predicate, [NamedNode(each) for each in urls if each in shown])
-
+    triples = triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Who talks to whom")))
     for name, view in views.items():
         if space.node(name) in shown:
-            triples += triples_about(
-                NamedNode(space.node(name)),
-                *links(ros.publishes, (space.topic(topic.name) for topic, _ in view.publishes)),
-                *links(ros.subscribes, (space.topic(topic.name) for topic, _ in view.subscribes)),
-                *links(ros.provides, (*map(space.service, view.provides), *map(space.action, view.serves))),
-                *links(ros.sendsGoalsTo, map(space.action, view.sends_goals_to)),
-            )
+            for predicate, urls in _uses(view, space).items():
+                links = statements(predicate, [NamedNode(each) for each in urls if each in shown])
+                triples += triples_about(NamedNode(space.node(name)), *links)
     for thing, words in problems:
         triples += triples_about(NamedNode(thing), (rdfs.comment, text(words)))
     return Document(url, tuple(triples))

@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from types import MappingProxyType
 
 from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Message, MessageSchema
+from rosld.ontology import kinds
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.triples import (
-    BODIES,
-    RDF_SOURCE,
-    SSE,
-    STREAM,
-    Statement,
-    affordance,
-    boolean,
-    date_time_literal,
-    double,
-    forms,
-    integer,
-    statements,
-    text,
-    triples_about,
-)
+from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
+from rosld.ontology.triples import BODIES, SSE, STREAM, Statement, affordance, double, forms
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, js, prov, rdf, rdfs, ros, td
 
@@ -63,46 +50,66 @@ CONFIRM_PARAMETER = "{?confirm}"
 """The parameter of a release, as in a URI template."""
 
 
-class HoldView(Struct, frozen=True, eq=False):
-    """A hold as it is described; messages come with their schema. Times are wall-clock nanoseconds.
-
-    `is_timed`: the lease is the time that `for` asked for. `is_changeable`: it can be changed and ended here now, and
-    forms say how.
-    """
+class HoldOutline(Struct, frozen=True):
+    """What lists say of a hold, too. Times are wall-clock nanoseconds."""
 
     id: str
     topic: str
     holder: str
     rate: float
+    created_ns: int
+    last_error: str | None
+
+
+class HoldView(HoldOutline, frozen=True, eq=False):
+    """A hold as it is described; messages come with their schema.
+
+    `is_timed`: the lease is the time that `for` asked for. `is_changeable`: it can be changed and ended here now, and
+    forms say how.
+    """
+
     lease: float
     until_ns: int | None
-    created_ns: int
     message: tuple[MessageSchema, Message]
     release_message: tuple[MessageSchema, Message] | None
     release_requested: str
-    last_error: str | None = None
     is_timed: bool = False
     is_changeable: bool = True
+
+
+HOLD_OUTLINE = NodeShape[HoldOutline]("Hold", "a hold of a topic", ros.Hold).with_properties(
+    one(ros.holds, kinds.TOPIC, lambda hold: hold.topic),
+    one(ros.holder, kinds.TEXT, lambda hold: hold.holder),
+    one(ros.publishRate, kinds.POSITIVE, lambda hold: hold.rate),
+    one(prov.startedAtTime, kinds.DATE_TIME, lambda hold: hold.created_ns),
+    optional(ros.words, kinds.TEXT, lambda hold: hold.last_error),
+)
+_HOLD = NodeShape[HoldView](
+    HOLD_OUTLINE.name,
+    HOLD_OUTLINE.label,
+    ros.Hold,
+    *SOURCE,
+    required=(ros.leaseTime, ros.heldMessage, ros.atTheEnd),
+).with_properties(
+    *HOLD_OUTLINE.properties,
+    optional(ros.leaseTime, kinds.POSITIVE, lambda hold: hold.lease),
+    optional(ros.leaseUntil, kinds.DATE_TIME, lambda hold: hold.until_ns),
+    optional(ros.holdTime, kinds.POSITIVE, lambda hold: hold.lease if hold.is_timed else None),
+    optional(ros.heldMessage, kinds.MESSAGE, lambda hold: "#message"),
+    optional(ros.then, kinds.MESSAGE, lambda hold: "#then" if hold.release_message else None),
+    optional(ros.atTheEnd, kinds.TEXT, lambda hold: hold.release_requested),
+    many(td.hasEventAffordance, kinds.EVENT_AFFORDANCE),
+    many(td.hasActionAffordance, kinds.ACTION_AFFORDANCE),
+)
 
 
 def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
     """Return the document of a hold: topic, message, rate, holder, lease, and what is published at its end."""
     url = space.hold(hold.id)
     subject = NamedNode(url)
-    messages = [LiftedMessage("#message", lifter(hold.message[0], settings), hold.message[1])]
-    if hold.release_message is not None:
-        messages.append(LiftedMessage("#then", lifter(hold.release_message[0], settings), hold.release_message[1]))
-    triples = hold_outline(hold.id, hold.topic, hold.holder, hold.rate, hold.created_ns, hold.last_error, space)
-    triples += triples_about(
-        subject,
-        *RDF_SOURCE,
-        (ros.leaseTime, double(hold.lease)),
-        (ros.leaseUntil, date_time_literal(hold.until_ns)),
-        (ros.holdTime, double(hold.lease) if hold.is_timed else None),
-        (ros.heldMessage, NamedNode(f"{url}#message")),
-        (ros.then, NamedNode(f"{url}#then") if hold.release_message else None),
-        (ros.atTheEnd, text(hold.release_requested)),
-    )
+    parts = {"#message": hold.message, "#then": hold.release_message}
+    messages = [LiftedMessage(node, lifter(part[0], settings), part[1]) for node, part in parts.items() if part]
+    triples = _HOLD.triples(subject, hold, space)
     if hold.is_changeable:
         triples += affordance(subject, "renew", td.hasActionAffordance, td.ActionAffordance)
         renew = NamedNode(f"{url}#renew")
@@ -114,21 +121,6 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
         triples += affordance(subject, "end", td.hasActionAffordance, td.ActionAffordance)
         triples += forms(NamedNode(f"{url}#end"), "delete", "DELETE", td.cancelAction, url)
     return Document(url, tuple(triples), tuple(messages))
-
-
-def hold_outline(
-    id: str, topic: str, holder: str, rate: float, created_ns: int, last_error: str | None, space: Space
-) -> list[Triple]:
-    """The triples of a hold that lists have, too: its topic, its holder, since when, and its last error."""
-    return triples_about(
-        NamedNode(space.hold(id)),
-        (rdf.type, ros.Hold),
-        (ros.holds, NamedNode(space.topic(topic))),
-        (ros.holder, text(holder)),
-        (ros.publishRate, double(rate)),
-        (prov.startedAtTime, date_time_literal(created_ns)),
-        (ros.words, text(last_error)),
-    )
 
 
 def holdable(
@@ -177,87 +169,91 @@ class StepView(Struct, frozen=True):
     subscribers: int | None = None
 
 
-def stop_document(
-    space: Space,
-    steps: Sequence[StepView],
-    *,
-    by: str | None = None,
-    since_ns: int | None = None,
-    reason: str | None = None,
-    warning: str | None = None,
-    usable: bool = True,
-) -> Document:
-    """Return the stop: whether the robot is stopped (`by` somebody), and what is done to stop it.
+class StopView(Struct, frozen=True):
+    """The stop: what is done to stop the robot, and, if it is stopped, by whom.
 
-    `warning` says why it may go on moving all the same. `usable`: the robot can be stopped here, and forms say how.
+    `warning` says why the robot may go on moving all the same. `is_usable`: it can be stopped here, and forms say how.
     """
+
+    steps: Sequence[StepView]
+    by: str | None = None
+    since_ns: int | None = None
+    reason: str | None = None
+    warning: str | None = None
+    is_usable: bool = True
+
+
+_STOP = NodeShape[StopView]("Stop", "the stop of the robot", ros.Stop, *SOURCE).with_properties(
+    one(ros.stopped, kinds.BOOLEAN, lambda stop: stop.by is not None),
+    optional(ros.stoppedBy, kinds.TEXT, lambda stop: stop.by),
+    optional(ros.stoppedAt, kinds.DATE_TIME, lambda stop: stop.since_ns),
+    optional(ros.reason, kinds.TEXT, lambda stop: stop.reason),
+    optional(ros.warning, kinds.TEXT, lambda stop: stop.warning),
+    many(ros.stopStep, replace(kinds.FRAGMENT, shacl="sh:node <#StopStep>"), lambda stop: map(_fragment, stop.steps)),
+    many(td.hasActionAffordance, kinds.ACTION_AFFORDANCE),
+)
+_STEP = NodeShape[StepView]("StopStep", "a step of the stop", target="sh:targetObjectsOf ros:stopStep").with_properties(
+    one(rdfs.label, kinds.TEXT, lambda step: step.does),
+    one(ros.state, kinds.STATE, lambda step: step.state),
+    optional(ros.subscriberCount, kinds.COUNT, lambda step: step.subscribers),
+    optional(ros.words, kinds.TEXT, lambda step: step.words),
+    many(ros.touches, kinds.IRI, lambda step: step.touches),
+)
+
+
+def _fragment(step: StepView) -> str:
+    """Return the fragment of a step, named by a digest of its description, which hides the number of steps."""
+    return f"#step-{sha256(step.does.encode()).hexdigest()[:12]}"
+
+
+def stop_document(stop: StopView, space: Space) -> Document:
+    """Return the document of the stop."""
     url = space.stop
     subject = NamedNode(url)
-    nodes = [_step_node(url, step) for step in steps]
-    triples = triples_about(
-        subject,
-        (rdf.type, ros.Stop),
-        *RDF_SOURCE,
-        (ros.stopped, boolean(by is not None)),
-        (ros.stoppedBy, text(by)),
-        (ros.stoppedAt, date_time_literal(since_ns)),
-        (ros.reason, text(reason)),
-        (ros.warning, text(warning)),
-        *statements(ros.stopStep, nodes),
-    )
-    for node, step in zip(nodes, steps, strict=True):
-        triples += triples_about(node, *_step_statements(step))
-    if usable:
+    triples = _STOP.triples(subject, stop, space)
+    for step in stop.steps:
+        triples += _STEP.triples(NamedNode(url + _fragment(step)), step, space)
+    if stop.is_usable:
         triples += affordance(subject, "stop", td.hasActionAffordance, td.ActionAffordance)
-        stop = NamedNode(f"{url}#stop")
-        triples += forms(stop, "post", "POST", td.invokeAction, url, BODIES[:1])
-        if by is not None:
+        action = NamedNode(f"{url}#stop")
+        triples += forms(action, "post", "POST", td.invokeAction, url, BODIES[:1])
+        if stop.by is not None:
             template = f"{url}{CONFIRM_PARAMETER}"
-            triples += forms(stop, "delete", "DELETE", td.cancelAction, url, template=template)
-            confirm = NamedNode(f"{stop.value}/confirm")
-            triples.append(Triple(stop, td.hasUriTemplateSchema, confirm))
-            named = (js.propertyName, Literal("confirm"))
-            triples += triples_about(
-                confirm, (rdf.type, js.StringSchema), named, (dcterms.description, Literal(CONFIRM))
-            )
+            triples += forms(action, "delete", "DELETE", td.cancelAction, url, template=template)
+            triples += _variable(action, "confirm", CONFIRM, (rdf.type, js.StringSchema))
     return Document(url, tuple(triples))
 
 
-def _step_statements(step: StepView) -> tuple[Statement, ...]:
-    return (
-        (rdfs.label, text(step.does)),
-        (ros.state, step.state),
-        (ros.subscriberCount, integer(step.subscribers)),
-        (ros.words, text(step.words)),
-        *statements(ros.touches, map(NamedNode, step.touches)),
-    )
-
-
-def _step_node(url: str, step: StepView) -> NamedNode:
-    """Return the node of a step, named by a digest of its description, which hides the number of steps."""
-    return NamedNode(f"{url}#step-{sha256(step.does.encode()).hexdigest()[:12]}")
+_VARIABLE = NodeShape[tuple[str, str, float | None]](
+    "UriVariable", "a variable of a template", target="sh:targetObjectsOf td:hasUriTemplateSchema"
+).with_properties(
+    one(rdf.type, kinds.IRI),
+    one(js.propertyName, kinds.TEXT, lambda of: of[0]),
+    optional(dcterms.description, kinds.TEXT, lambda of: of[1]),
+    optional(js.default, kinds.DOUBLE, lambda of: of[2]),
+    optional(js.exclusiveMinimum, kinds.DOUBLE),
+    optional(js.maximum, kinds.DOUBLE),
+)
 
 
 def _variables(subject: NamedNode, affordance: str, defaults: Mapping[str, float] = _NO_DEFAULTS) -> list[Triple]:
     """The parameters of a hold: its rate in Hz, its lease or time in seconds, and what is published when it ends."""
-    node = NamedNode(f"{subject.value}#{affordance}")
-    said: Iterable[tuple[str, NamedNode, float | None]] = (
-        ("rate", js.NumberSchema, MAX_RATE),
-        ("lease", js.NumberSchema, MAX_LEASE),
-        ("for", js.NumberSchema, math.inf),
-        ("then", js.StringSchema, None),
-    )
+    action, positive = NamedNode(f"{subject.value}#{affordance}"), (js.exclusiveMinimum, double(0))
+    kinds_of: Mapping[str, Sequence[Statement]] = {
+        "rate": ((rdf.type, js.NumberSchema), positive, (js.maximum, double(MAX_RATE))),
+        "lease": ((rdf.type, js.NumberSchema), positive, (js.maximum, double(MAX_LEASE))),
+        "for": ((rdf.type, js.NumberSchema), positive),
+        "then": ((rdf.type, js.StringSchema),),
+    }
     triples: list[Triple] = []
-    for name, kind, limit in said:
-        variable = NamedNode(f"{node.value}/{name}")
-        triples.append(Triple(node, td.hasUriTemplateSchema, variable))
-        triples += triples_about(
-            variable,
-            (rdf.type, kind),
-            (js.propertyName, Literal(name)),
-            (dcterms.description, Literal(MEANINGS[name])),
-            (js.default, double(defaults[name]) if name in defaults else None),
-            (js.exclusiveMinimum, None if limit is None else double(0)),
-            (js.maximum, None if limit in (None, math.inf) else double(limit)),
-        )
+    for name, more in kinds_of.items():
+        triples += _variable(action, name, MEANINGS[name], *more, default=defaults.get(name))
     return triples
+
+
+def _variable(
+    action: NamedNode, name: str, meaning: str, *more: Statement, default: float | None = None
+) -> list[Triple]:
+    variable = NamedNode(f"{action.value}/{name}")
+    schema = _VARIABLE.triples(variable, (name, meaning, default), None, *more)
+    return [Triple(action, td.hasUriTemplateSchema, variable), *schema]

@@ -5,114 +5,107 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from msgspec import Struct
-from pyoxigraph import NamedNode, Triple
+from pyoxigraph import NamedNode
 
 from rosld.adapters.model import Action, GoalStatus, Graph, Message, MessageSchema, Service
+from rosld.ontology import kinds
 from rosld.ontology.describe_topics import type_url
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.names import is_namespace
-from rosld.ontology.triples import (
-    BODIES,
-    RDF_SOURCE,
-    SSE,
-    STREAM,
-    Statement,
-    affordance,
-    boolean,
-    date_time_literal,
-    forms,
-    statements,
-    text,
-    triples_about,
-)
+from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
+from rosld.ontology.triples import BODIES, SSE, STREAM, affordance, forms, statements
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import prov, rdf, ros, td
+from rosld.ontology.vocab import prov, ros, td
 
 _SETTINGS = LiftSettings()
+
+
+_SERVICE = NodeShape[Service]("Service", "a service", ros.Service, *SOURCE, is_listed=True).with_properties(
+    one(ros.name, kinds.NAME, lambda service: service.name),
+    optional(ros.hasServiceType, kinds.CLASS, lambda service: service.type),
+    optional(ros.requestShape, kinds.shape_of("_Request"), lambda service: service.type),
+    optional(ros.responseShape, kinds.shape_of("_Response"), lambda service: service.type),
+    many(ros.provider, kinds.NODE, lambda service: dict.fromkeys(service.providers)),
+    optional(ros.uncallable, kinds.TEXT, lambda service: service.uncallable),
+    optional(ros.namespace, kinds.SERVICE),
+)
 
 
 def service_document(service: Service, space: Space, graph: Graph) -> Document:
     """Return a service: its type, providers, the shapes of request and response, and why it cannot be called."""
     url = space.service(service.name)
-    triples = triples_about(
-        NamedNode(url),
-        (rdf.type, ros.Service),
-        *RDF_SOURCE,
-        (ros.name, text(service.name)),
-        *_service_type(service, space),
-        *statements(ros.provider, [NamedNode(space.node(node)) for node in dict.fromkeys(service.providers)]),
-        (ros.uncallable, text(service.uncallable)),
-        (ros.namespace, NamedNode(url + "/") if is_namespace(service.name, graph.services) else None),
-    )
+    namespace = NamedNode(url + "/") if is_namespace(service.name, graph.services) else None
+    triples = _SERVICE.triples(NamedNode(url), service, space, (ros.namespace, namespace))
     if service.type is not None:
         triples += type_url(service.type, space)
     return Document(url, tuple(triples), simulated_time=graph.simulated_time)
 
 
-def _service_type(service: Service, space: Space) -> list[Statement]:
-    if service.type is None:
-        return []
-    name = service.type.name
-    return [
-        (ros.hasServiceType, NamedNode(space.class_of(name))),
-        (ros.requestShape, NamedNode(space.shape(f"{name}_Request"))),
-        (ros.responseShape, NamedNode(space.shape(f"{name}_Response"))),
-    ]
+class CallOutline(Struct, frozen=True):
+    """What lists say of a call, too: `state` is a local name of the vocabulary (`Running`, `Succeeded`, ...).
 
-
-class CallView(Struct, frozen=True, eq=False):
-    """A call as it is described: `state` is a local name of the vocabulary (`Running`, `Succeeded`, ...).
-
-    A message comes with its schema. Times are wall-clock nanoseconds. `receipt` is the id of that of its request.
+    Times are wall-clock nanoseconds.
     """
 
     id: str
     service: str
     state: str
     created_ns: int
+    answered_ns: int | None
+    words: str | None
+
+
+class CallView(CallOutline, frozen=True, eq=False):
+    """A call as it is described; a message comes with its schema. `receipt` is the id of that of its request."""
+
     request: tuple[MessageSchema, Message]
     response: tuple[MessageSchema, Message] | None = None
-    answered_ns: int | None = None
-    words: str | None = None
     receipt: str | None = None
+
+
+CALL_OUTLINE = NodeShape[CallOutline]("Call", "a call of a service", ros.Call).with_properties(
+    one(ros.isCallOf, kinds.SERVICE, lambda call: call.service),
+    one(
+        ros.state,
+        kinds.TERM.where("sh:in ( ros:Running ros:Succeeded ros:Failed ros:Refused ros:OutcomeUnknown ros:NotSent )"),
+        lambda call: ros.terms[call.state],
+    ),
+    one(prov.startedAtTime, kinds.DATE_TIME, lambda call: call.created_ns),
+    optional(prov.endedAtTime, kinds.DATE_TIME, lambda call: call.answered_ns),
+    optional(ros.words, kinds.TEXT, lambda call: call.words),
+)
+_CALL = NodeShape[CallView](
+    CALL_OUTLINE.name, CALL_OUTLINE.label, ros.Call, *SOURCE, required=(ros.request,)
+).with_properties(
+    *CALL_OUTLINE.properties,
+    optional(ros.request, kinds.MESSAGE, lambda call: "#request"),
+    optional(ros.response, kinds.MESSAGE, lambda call: "#response" if call.response else None),
+    optional(prov.wasInformedBy, kinds.ACTIVITY, lambda call: call.receipt),
+)
 
 
 def call_document(call: CallView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
     """Return the document of a call: its request, its response, its outcome."""
     url = space.call(call.id)
-    halves = {"request": call.request, "response": call.response}
-    messages = tuple(
-        LiftedMessage(f"#{half}", lifter(found[0], settings), found[1]) for half, found in halves.items() if found
-    )
-    triples = triples_about(
-        NamedNode(url),
-        *RDF_SOURCE,
-        (ros.request, NamedNode(f"{url}#request")),
-        (ros.response, NamedNode(f"{url}#response") if call.response else None),
-        (prov.wasInformedBy, None if call.receipt is None else NamedNode(space.activity(call.receipt))),
-    )
-    times = call.created_ns, call.answered_ns
-    outline = call_outline(call.id, call.service, call.state, times, call.words, space)
-    return Document(url, (*outline, *triples), messages)
+    parts = {"#request": call.request, "#response": call.response}
+    messages = [LiftedMessage(node, lifter(part[0], settings), part[1]) for node, part in parts.items() if part]
+    return Document(url, tuple(_CALL.triples(NamedNode(url), call, space)), tuple(messages))
 
 
-def call_outline(
-    id: str, service: str, state: str, times_ns: tuple[int, int | None], words: str | None, space: Space
-) -> list[Triple]:
-    """Return the triples of a call that lists have, too: its service, its outcome, its times."""
-    return triples_about(
-        NamedNode(space.call(id)),
-        (rdf.type, ros.Call),
-        (ros.isCallOf, NamedNode(space.service(service))),
-        (ros.state, ros.terms[state]),
-        (prov.startedAtTime, date_time_literal(times_ns[0])),
-        (prov.endedAtTime, date_time_literal(times_ns[1])),
-        (ros.words, text(words)),
-    )
-
-
-_TERMS: Mapping[GoalStatus, NamedNode] = {status: ros.terms[status.value.capitalize()] for status in GoalStatus}
+_ACTION = NodeShape[Action]("Action", "an action", ros.Action, *SOURCE, is_listed=True).with_properties(
+    one(ros.name, kinds.NAME, lambda action: action.name),
+    optional(ros.hasActionType, kinds.CLASS, lambda action: action.type),
+    optional(ros.goalShape, kinds.shape_of("_Goal"), lambda action: action.type),
+    optional(ros.resultShape, kinds.shape_of("_Result"), lambda action: action.type),
+    optional(ros.feedbackShape, kinds.shape_of("_Feedback"), lambda action: action.type),
+    many(ros.provider, kinds.NODE, lambda action: dict.fromkeys(action.servers)),
+    many(ros.client, kinds.NODE, lambda action: dict.fromkeys(action.clients)),
+    optional(ros.unusable, kinds.TEXT, lambda action: action.unusable),
+    optional(ros.namespace, kinds.ACTION),
+    many(ros.hasGoal, kinds.GOAL),
+    many(td.hasActionAffordance, kinds.ACTION_AFFORDANCE),
+)
 
 
 def action_document(
@@ -124,15 +117,10 @@ def action_document(
     """
     url = space.action(action.name)
     subject = NamedNode(url)
-    triples = triples_about(
+    triples = _ACTION.triples(
         subject,
-        (rdf.type, ros.Action),
-        *RDF_SOURCE,
-        (ros.name, text(action.name)),
-        *_action_type(action, space),
-        *statements(ros.provider, [NamedNode(space.node(node)) for node in dict.fromkeys(action.servers)]),
-        *statements(ros.client, [NamedNode(space.node(node)) for node in dict.fromkeys(action.clients)]),
-        (ros.unusable, text(action.unusable)),
+        action,
+        space,
         (ros.namespace, NamedNode(url + "/") if is_namespace(action.name, graph.actions) else None),
         *statements(ros.hasGoal, [NamedNode(space.goal(goal)) for goal in goals]),
     )
@@ -145,65 +133,70 @@ def action_document(
     return Document(url, tuple(triples), simulated_time=graph.simulated_time)
 
 
-def _action_type(action: Action, space: Space) -> list[Statement]:
-    if action.type is None:
-        return []
-    name = action.type.name
-    return [
-        (ros.hasActionType, NamedNode(space.class_of(name))),
-        (ros.goalShape, NamedNode(space.shape(f"{name}_Goal"))),
-        (ros.resultShape, NamedNode(space.shape(f"{name}_Result"))),
-        (ros.feedbackShape, NamedNode(space.shape(f"{name}_Feedback"))),
-    ]
-
-
-class GoalView(Struct, frozen=True, eq=False):
-    """A goal as it is described; a message comes with its schema, feedback with when it came and its number.
-
-    Times are wall-clock nanoseconds. `goal_id` is what its server knows it by. `cancelable`: it can be canceled here
-    now, and a form says how. `receipt` is the id of the receipt of the request that sent it.
-    """
+class GoalOutline(Struct, frozen=True):
+    """What lists say of a goal, too. Times are wall-clock nanoseconds."""
 
     id: str
     action: str
-    goal_id: str | None
     status: GoalStatus
+    created_ns: int | None
+    ended_ns: int | None
+    words: str | None
+
+
+class GoalView(GoalOutline, frozen=True, eq=False):
+    """A goal as it is described; a message comes with its schema, feedback with when it came and its number.
+
+    `goal_id` is what its server knows it by. `cancelable`: it can be canceled here now, and a form says how. `receipt`
+    is the id of the receipt of the request that sent it.
+    """
+
+    goal_id: str | None
     own: bool
-    created_ns: int
     goal: tuple[MessageSchema, Message] | None = None
     feedback: tuple[MessageSchema, Message, Envelope] | None = None
     result: tuple[MessageSchema, Message] | None = None
-    ended_ns: int | None = None
-    words: str | None = None
     unreadable: str | None = None
     cancelable: bool = False
     receipt: str | None = None
+
+
+_STATUS: Mapping[GoalStatus, NamedNode] = {status: ros.terms[status.value.capitalize()] for status in GoalStatus}
+GOAL_OUTLINE = NodeShape[GoalOutline]("Goal", "a goal of an action", ros.Goal).with_properties(
+    one(ros.isGoalOf, kinds.ACTION, lambda goal: goal.action),
+    one(ros.status, kinds.STATE, lambda goal: _STATUS[goal.status]),
+    one(ros.statusWord, kinds.TEXT, lambda goal: goal.status.value),
+    optional(ros.words, kinds.TEXT, lambda goal: goal.words),
+    one(prov.startedAtTime, kinds.DATE_TIME, lambda goal: goal.created_ns),
+    optional(prov.endedAtTime, kinds.DATE_TIME, lambda goal: goal.ended_ns),
+)
+_GOAL = NodeShape[GoalView](
+    GOAL_OUTLINE.name, GOAL_OUTLINE.label, ros.Goal, *SOURCE, required=(ros.own,)
+).with_properties(
+    *GOAL_OUTLINE.properties,
+    optional(ros.goalId, kinds.TEXT, lambda goal: goal.goal_id),
+    optional(ros.own, kinds.BOOLEAN, lambda goal: goal.own),
+    optional(prov.wasInformedBy, kinds.ACTIVITY, lambda goal: goal.receipt),
+    optional(ros.unreadable, kinds.TEXT, lambda goal: goal.unreadable),
+    optional(ros.goalMessage, kinds.MESSAGE, lambda goal: "#goal" if goal.goal else None),
+    optional(ros.feedback, kinds.MESSAGE, lambda goal: "#feedback" if goal.feedback else None),
+    optional(ros.result, kinds.MESSAGE, lambda goal: "#result" if goal.result else None),
+    many(td.hasEventAffordance, kinds.EVENT_AFFORDANCE),
+    many(td.hasActionAffordance, kinds.ACTION_AFFORDANCE),
+)
 
 
 def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
     """Return the document of a goal: its message, its status, the latest feedback, the result."""
     url = space.goal(goal.id)
     subject = NamedNode(url)
-    messages: list[LiftedMessage] = []
-    if goal.goal is not None:
-        messages.append(LiftedMessage("#goal", lifter(goal.goal[0], settings), goal.goal[1]))
-    if goal.feedback is not None:
-        schema, message, envelope = goal.feedback
-        messages.append(LiftedMessage("#feedback", lifter(schema, settings), message, envelope))
-    if goal.result is not None:
-        messages.append(LiftedMessage("#result", lifter(goal.result[0], settings), goal.result[1]))
-    triples = goal_outline(goal.id, goal.action, goal.status, (goal.created_ns, goal.ended_ns), goal.words, space)
-    triples += triples_about(
-        subject,
-        *RDF_SOURCE,
-        (ros.goalId, text(goal.goal_id)),
-        (ros.own, boolean(goal.own)),
-        (prov.wasInformedBy, None if goal.receipt is None else NamedNode(space.activity(goal.receipt))),
-        (ros.unreadable, text(goal.unreadable)),
-        (ros.goalMessage, NamedNode(f"{url}#goal") if goal.goal else None),
-        (ros.feedback, NamedNode(f"{url}#feedback") if goal.feedback else None),
-        (ros.result, NamedNode(f"{url}#result") if goal.result else None),
-    )
+    parts = {"#goal": goal.goal, "#feedback": goal.feedback, "#result": goal.result}
+    messages = [
+        LiftedMessage(node, lifter(part[0], settings), part[1], part[2] if len(part) > 2 else None)
+        for node, part in parts.items()
+        if part
+    ]
+    triples = _GOAL.triples(subject, goal, space)
     if not goal.status.is_final:
         triples += affordance(subject, "events", td.hasEventAffordance, td.EventAffordance)
         events = NamedNode(f"{url}#events")
@@ -212,19 +205,3 @@ def goal_document(goal: GoalView, space: Space, settings: LiftSettings = _SETTIN
         triples += affordance(subject, "cancel", td.hasActionAffordance, td.ActionAffordance)
         triples += forms(NamedNode(f"{url}#cancel"), "cancel", "DELETE", td.cancelAction, url)
     return Document(url, tuple(triples), tuple(messages))
-
-
-def goal_outline(
-    id: str, action: str, status: GoalStatus, times_ns: tuple[int | None, int | None], words: str | None, space: Space
-) -> list[Triple]:
-    """Return the triples of a goal that lists have, too: its action, its status, when it was sent and when it ended."""
-    return triples_about(
-        NamedNode(space.goal(id)),
-        (rdf.type, ros.Goal),
-        (ros.isGoalOf, NamedNode(space.action(action))),
-        (ros.status, _TERMS[status]),
-        (ros.statusWord, text(status.value)),
-        (ros.words, text(words)),
-        (prov.startedAtTime, date_time_literal(times_ns[0])),
-        (prov.endedAtTime, date_time_literal(times_ns[1])),
-    )

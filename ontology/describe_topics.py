@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
+from itertools import chain
 
 from msgspec.structs import replace
-from pyoxigraph import Literal, NamedNode, Triple
+from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.model import Endpoint, Graph, Qos, Topic, TypeRef, mismatch_count, mismatches
+from rosld.adapters.model.qos import Mismatch
+from rosld.ontology import kinds
 from rosld.ontology.describe_holds import holdable as holdable_at
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.names import is_namespace
 from rosld.ontology.neutral_message import COMMANDS
-from rosld.ontology.triples import RDF_SOURCE, Statement, boolean, double, integer, statements, text, triples_about
+from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
+from rosld.ontology.triples import double, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import rdf, rdfs, ros
+from rosld.ontology.vocab import rdf, rdfs, ros, td
 
 MESSAGE = "#message"
 _MAX_MISMATCHES = 50
@@ -88,50 +92,87 @@ def _fragment(message: LiftedMessage, nodes: str) -> str:
     return f"#from/{publisher.removeprefix(nodes).replace('.', '%2E')}" if publisher else "#from"
 
 
+_TOPIC = NodeShape[Topic]("Topic", "a topic", ros.Topic, *SOURCE, is_listed=True).with_properties(
+    one(ros.name, kinds.NAME, lambda topic: topic.name),
+    optional(ros.hasMessageType, kinds.CLASS, lambda topic: topic.type),
+    optional(ros.shape, kinds.SHAPE, lambda topic: topic.type),
+    many(ros.conflictingType, kinds.TYPE, lambda topic: () if topic.type else topic.types),
+    many(ros.publishedBy, kinds.NODE, lambda topic: dict.fromkeys(each.node for each in topic.publishers)),
+    many(ros.subscribedBy, kinds.NODE, lambda topic: dict.fromkeys(each.node for each in topic.subscribers)),
+    many(ros.hasEndpoint, kinds.ENDPOINT),
+    many(ros.hasQosMismatch, kinds.IRI.where("sh:class ros:QosMismatch")),
+    optional(ros.qosMismatchCount, kinds.COUNT),
+    optional(ros.namespace, kinds.TOPIC),
+    optional(ros.unreadable, kinds.TEXT),
+    optional(ros.rate, kinds.AMOUNT),
+    optional(ros.latest, kinds.MESSAGE),
+    many(ros.latestFrom, kinds.MESSAGE),
+    optional(ros.heldBy, kinds.HOLD),
+    many(td.hasActionAffordance, kinds.ACTION_AFFORDANCE),
+)
+_ENDPOINT = NodeShape[tuple[Endpoint, Topic]]("Endpoint", "a publisher or a subscriber", ros.Endpoint).with_properties(
+    many(rdf.type, kinds.IRI.where("sh:in ( ros:Endpoint ros:Publisher ros:Subscriber )"), minimum=1),
+    one(ros.ofNode, kinds.NODE, lambda of: of[0].node),
+    one(ros.ofTopic, kinds.TOPIC, lambda of: of[1].name),
+    optional(ros.latched, kinds.FLAG, lambda of: of[0].latched or None),
+    optional(ros.unreachable, kinds.TEXT, lambda of: of[0].unreachable),
+    optional(ros.conflictingType, kinds.TYPE, lambda of: _conflict(*of)),
+    optional(ros.hasQos, kinds.IRI.where("sh:class ros:Qos")),
+)
+_QOS = NodeShape[Qos]("Qos", "a quality of service", ros.Qos).with_properties(
+    optional(ros.reliability, kinds.TEXT, lambda qos: qos.reliability),
+    optional(ros.durability, kinds.TEXT, lambda qos: qos.durability),
+    optional(ros.history, kinds.TEXT, lambda qos: qos.history),
+    optional(ros.depth, kinds.COUNT, lambda qos: qos.depth or None),
+    optional(ros.deadline, kinds.SECONDS, lambda qos: qos.deadline_ns),
+    optional(ros.lifespan, kinds.SECONDS, lambda qos: qos.lifespan_ns),
+    optional(ros.liveliness, kinds.TEXT, lambda qos: qos.liveliness),
+    optional(ros.lease, kinds.SECONDS, lambda qos: qos.lease_ns),
+)
+_MISMATCH = NodeShape[Mismatch]("QosMismatch", "a mismatch of quality of service", ros.QosMismatch).with_properties(
+    one(ros.offeringNode, kinds.NODE, lambda pair: pair.publisher),
+    one(ros.requestingNode, kinds.NODE, lambda pair: pair.subscriber),
+    one(ros.policy, kinds.TEXT, lambda pair: pair.policy),
+    optional(ros.offered, kinds.TEXT, lambda pair: pair.offered),
+    optional(ros.requested, kinds.TEXT, lambda pair: pair.requested),
+)
+
+
 @lru_cache(maxsize=4096)
 def _description(topic: Topic, space: Space, is_namespace: bool) -> tuple[Triple, ...]:
     """Return the part of the document that does not change with messages."""
     url = space.topic(topic.name)
-    endpoints = [
-        *endpoints_of(ros.Publisher, topic.publishers, topic, space),
-        *endpoints_of(ros.Subscriber, topic.subscribers, topic, space),
-    ]
-    unfit = list(_mismatches(topic, space))
-    triples = triples_about(
+    endpoints = dict(
+        chain(
+            endpoints_of(ros.Publisher, topic.publishers, topic, space),
+            endpoints_of(ros.Subscriber, topic.subscribers, topic, space),
+        )
+    )
+    pairs = {
+        NamedNode(space.fragment(url, "qos-mismatch", str(number))): pair
+        for number, pair in enumerate(mismatches(topic.publishers, topic.subscribers, _MAX_MISMATCHES), 1)
+    }
+    triples = _TOPIC.triples(
         NamedNode(url),
-        (rdf.type, ros.Topic),
-        *RDF_SOURCE,
-        (ros.name, text(topic.name)),
-        *_type(topic, space),
-        *statements(ros.publishedBy, _nodes(topic.publishers, space)),
-        *statements(ros.subscribedBy, _nodes(topic.subscribers, space)),
-        *statements(ros.hasEndpoint, [node for node, _ in endpoints]),
-        *statements(ros.hasQosMismatch, [node for node, _ in unfit]),
-        (ros.qosMismatchCount, integer(mismatch_count(topic.publishers, topic.subscribers) if unfit else None)),
+        topic,
+        space,
+        *statements(ros.hasEndpoint, endpoints),
+        *statements(ros.hasQosMismatch, pairs),
+        (ros.qosMismatchCount, integer(mismatch_count(topic.publishers, topic.subscribers) if pairs else None)),
         (ros.namespace, NamedNode(url + "/") if is_namespace else None),
     )
-    for _, said in (*endpoints, *unfit):
-        triples += said
+    for described in endpoints.values():
+        triples += described
+    for node, pair in pairs.items():
+        triples += _MISMATCH.triples(node, pair, space)
     for ref in topic.types:
         triples += type_url(ref, space)
     return tuple(triples)
 
 
-def _type(topic: Topic, space: Space) -> list[Statement]:
-    """Return the type with its shape, or the variants that contradict each other."""
-    if topic.type is None:
-        return statements(ros.conflictingType, [NamedNode(space.type(ref)) for ref in topic.types])
-    name = topic.type.name
-    return [(ros.hasMessageType, NamedNode(space.class_of(name))), (ros.shape, NamedNode(space.shape(name)))]
-
-
 def type_url(ref: TypeRef, space: Space) -> list[Triple]:
     """Return the URL on this server that describes the class of a type."""
     return triples_about(NamedNode(space.class_of(ref.name)), (rdfs.isDefinedBy, NamedNode(space.type(ref.name))))
-
-
-def _nodes(endpoints: Iterable[Endpoint], space: Space) -> list[NamedNode]:
-    return [NamedNode(url) for url in dict.fromkeys(space.node(endpoint.node) for endpoint in endpoints)]
 
 
 def endpoints_of(
@@ -145,67 +186,21 @@ def endpoints_of(
     role = "publisher" if kind == ros.Publisher else "subscriber"
     met: Counter[str] = Counter()
     for endpoint in endpoints:
-        conflict = endpoint.type if len(topic.types) > 1 else None
-        if not (endpoint.latched or endpoint.unreachable or endpoint.qos or conflict):
+        if not (endpoint.latched or endpoint.unreachable or endpoint.qos or _conflict(endpoint, topic)):
             continue
         met[endpoint.node] += 1
         path, ordinal = (role, *endpoint.node[1:].split("/")), met[endpoint.node]
         node = NamedNode(_numbered_fragment(space.fragment(url, *path), ordinal))
         qos = NamedNode(_numbered_fragment(space.fragment(url, "qos", *path), ordinal)) if endpoint.qos else None
-        yield (
-            node,
-            triples_about(
-                node,
-                (rdf.type, ros.Endpoint),
-                (rdf.type, kind),
-                (ros.ofNode, NamedNode(space.node(endpoint.node))),
-                (ros.ofTopic, NamedNode(url)),
-                (ros.latched, boolean(True) if endpoint.latched else None),
-                (ros.unreachable, text(endpoint.unreachable)),
-                (ros.conflictingType, NamedNode(space.type(conflict)) if conflict else None),
-                (ros.hasQos, qos),
-            )
-            + (_qos(qos, endpoint.qos) if qos and endpoint.qos else []),
-        )
+        triples = _ENDPOINT.triples(node, (endpoint, topic), space, (rdf.type, kind), (ros.hasQos, qos))
+        yield node, triples + (_QOS.triples(qos, endpoint.qos, space) if qos and endpoint.qos else [])
+
+
+def _conflict(endpoint: Endpoint, topic: Topic) -> TypeRef | None:
+    """Return the type of an endpoint of a topic with several."""
+    return endpoint.type if len(topic.types) > 1 else None
 
 
 def _numbered_fragment(fragment: str, ordinal: int) -> str:
     """The fragment of a node's endpoint; where it has several of one role on a topic, they are counted from 2 on."""
     return f"{fragment};{ordinal}" if ordinal > 1 else fragment
-
-
-def _qos(node: NamedNode, qos: Qos) -> list[Triple]:
-    return triples_about(
-        node,
-        (rdf.type, ros.Qos),
-        (ros.reliability, text(qos.reliability)),
-        (ros.durability, text(qos.durability)),
-        (ros.history, text(qos.history)),
-        (ros.depth, integer(qos.depth or None)),
-        (ros.deadline, _seconds(qos.deadline_ns)),
-        (ros.lifespan, _seconds(qos.lifespan_ns)),
-        (ros.liveliness, text(qos.liveliness)),
-        (ros.lease, _seconds(qos.lease_ns)),
-    )
-
-
-def _seconds(nanoseconds: int | None) -> Literal | None:
-    return None if nanoseconds is None else double(nanoseconds / 1e9)
-
-
-def _mismatches(topic: Topic, space: Space) -> Iterator[tuple[NamedNode, list[Triple]]]:
-    """Return the incompatible pairs of endpoints, and their number if there are too many."""
-    for number, one in enumerate(mismatches(topic.publishers, topic.subscribers, _MAX_MISMATCHES), 1):
-        node = NamedNode(space.fragment(space.topic(topic.name), "qos-mismatch", str(number)))
-        yield (
-            node,
-            triples_about(
-                node,
-                (rdf.type, ros.QosMismatch),
-                (ros.offeringNode, NamedNode(space.node(one.publisher))),
-                (ros.requestingNode, NamedNode(space.node(one.subscriber))),
-                (ros.policy, text(one.policy)),
-                (ros.offered, text(one.offered)),
-                (ros.requested, text(one.requested)),
-            ),
-        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from pyoxigraph import Literal, NamedNode, Triple
 
@@ -21,11 +22,51 @@ from rosld.adapters.model import (
     TypeRef,
     halves_of,
 )
+from rosld.ontology import kinds
+from rosld.ontology.describe_topics import type_url
 from rosld.ontology.document import Document
 from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
-from rosld.ontology.triples import RDF_SOURCE, Statement, boolean, double, integer, statements, text, triples_about
+from rosld.ontology.node_shape import SOURCE, NodeShape, Property, many, one, optional
+from rosld.ontology.triples import Statement, boolean, double, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import foaf, owl, rdf, rdfs, ros, schema_org, xsd
+
+
+class _TypeView(NamedTuple):
+    """A type, the URL of its document, and its other variants."""
+
+    schema: Schema
+    url: str
+    others: Sequence[TypeRef]
+
+
+_TYPE_PROPERTIES: tuple[Property[_TypeView], ...] = (
+    one(rdfs.label, kinds.TEXT, lambda view: view.schema.ref.name),
+    one(ros.name, kinds.TEXT, lambda view: view.schema.ref.name),
+    optional(ros.md5, kinds.TEXT.where('sh:pattern "^[0-9a-f]{32}$"'), lambda view: _hash(view.schema.ref, False)),
+    optional(ros.typeHash, kinds.TEXT.where('sh:pattern "^RIHS[0-9]{2}_"'), lambda view: _hash(view.schema.ref, True)),
+    one(rdfs.isDefinedBy, kinds.IRI.where('sh:pattern "/types/"'), lambda view: view.url),
+    many(ros.variant, kinds.TYPE, lambda view: view.others),
+    one(ros.definition, kinds.TEXT, lambda view: view.schema.definition),
+)
+_TYPE = NodeShape[NamedNode](
+    "Type", "the description of a type", *SOURCE, target="sh:targetSubjectsOf foaf:primaryTopic"
+).with_properties(one(foaf.primaryTopic, kinds.TERM, lambda kind: kind))
+_MESSAGE_TYPE = NodeShape[_TypeView](
+    "MessageType", "a message type", ros.MessageType, rdfs.Class, owl.Class
+).with_properties(
+    *_TYPE_PROPERTIES,
+    one(rdfs.subClassOf, kinds.TERM.where("sh:hasValue ros:Message"), lambda view: ros.Message),
+    one(ros.shape, kinds.SHAPE, lambda view: view.schema.ref),
+    many(ros.hasField, kinds.IRI.where("sh:class ros:Field")),
+    many(ros.hasConstant, kinds.IRI.where("sh:class ros:Constant")),
+)
+_SERVICE_TYPE = NodeShape[_TypeView]("ServiceType", "a service type", ros.ServiceType).with_properties(
+    *_TYPE_PROPERTIES, one(ros.requestType, kinds.IRI), one(ros.responseType, kinds.IRI)
+)
+_ACTION_TYPE = NodeShape[_TypeView]("ActionType", "an action type", ros.ActionType).with_properties(
+    *_TYPE_PROPERTIES, one(ros.goalType, kinds.IRI), one(ros.resultType, kinds.IRI), one(ros.feedbackType, kinds.IRI)
+)
 
 
 def type_document(schema: Schema, space: Space, variants: Sequence[TypeRef] = ()) -> Document:
@@ -35,46 +76,81 @@ def type_document(schema: Schema, space: Space, variants: Sequence[TypeRef] = ()
     """
     others = [ref for ref in variants if ref.hash and ref.hash != schema.ref.hash]
     url = space.type(TypeRef(schema.ref.name, schema.ref.hash if others else None))
-    kind = NamedNode(space.class_of(schema.ref.name))
-    triples = triples_about(NamedNode(url), *RDF_SOURCE, (foaf.primaryTopic, kind))
-    triples += triples_about(
-        kind,
-        (rdf.type, _KINDS[type(schema)]),
-        *statements(rdf.type, (rdfs.Class, owl.Class) if isinstance(schema, MessageSchema) else ()),
-        (rdfs.subClassOf, ros.Message if isinstance(schema, MessageSchema) else None),
-        (rdfs.label, text(schema.ref.name)),
-        (ros.name, text(schema.ref.name)),
-        _hash(schema.ref),
-        (rdfs.isDefinedBy, NamedNode(url)),
-        *statements(ros.variant, [NamedNode(space.type(ref)) for ref in others]),
-    )
+    kind, view = NamedNode(space.class_of(schema.ref.name)), _TypeView(schema, url, others)
+    triples = _TYPE.triples(NamedNode(url), kind, space)
     if isinstance(schema, MessageSchema):
-        triples += triples_about(kind, (ros.shape, NamedNode(space.shape(schema.ref.name))))
+        triples += _MESSAGE_TYPE.triples(kind, view, space)
         triples += _message_type(schema.type, space)
     else:
-        for half, predicate in zip(halves_of(schema), _HALVES[type(schema)], strict=True):
+        shape, predicates = _HALVES[type(schema)]
+        triples += shape.triples(kind, view, space)
+        for half, predicate in zip(halves_of(schema), predicates, strict=True):
             inner = NamedNode(space.class_of(half.ref.name))
-            triples += triples_about(kind, (predicate, inner))
-            triples += triples_about(inner, (rdfs.isDefinedBy, NamedNode(space.type(half.ref.name))))
+            triples.append(Triple(kind, predicate, inner))
+            triples += type_url(half.ref, space)
             triples += _message_type(half.type, space)
-    triples += triples_about(kind, (ros.definition, text(schema.definition)))
     return Document(url, tuple(triples))
 
 
-_KINDS: Mapping[type, NamedNode] = {
-    MessageSchema: ros.MessageType,
-    ServiceSchema: ros.ServiceType,
-    ActionSchema: ros.ActionType,
-}
-_HALVES: Mapping[type, Sequence[NamedNode]] = {
-    ServiceSchema: (ros.requestType, ros.responseType),
-    ActionSchema: (ros.goalType, ros.resultType, ros.feedbackType),
+_HALVES: Mapping[type, tuple[NodeShape[_TypeView], Sequence[NamedNode]]] = {
+    ServiceSchema: (_SERVICE_TYPE, (ros.requestType, ros.responseType)),
+    ActionSchema: (_ACTION_TYPE, (ros.goalType, ros.resultType, ros.feedbackType)),
 }
 
 
-def _hash(ref: TypeRef) -> Statement:
-    """The hash under the name that its kind of ROS has for it."""
-    return (ros.typeHash if ref.hash and ref.hash.startswith("RIHS") else ros.md5, text(ref.hash))
+def _hash(ref: TypeRef, is_ros2: bool) -> str | None:
+    """Return the hash of a type if its kind of ROS made it."""
+    return ref.hash if ref.hash and ref.hash.startswith("RIHS") == is_ros2 else None
+
+
+class _FieldView(NamedTuple):
+    """A field of a message type, with its position."""
+
+    field: Field
+    position: int
+
+    @property
+    def array(self) -> Array | None:
+        return self.field.type if isinstance(self.field.type, Array) else None
+
+    @property
+    def string(self) -> Primitive | None:
+        element = self.array.element if self.array else self.field.type
+        return element if isinstance(element, Primitive) else None
+
+    @property
+    def nested(self) -> TypeRef | None:
+        name = _nested_type(self.field.type)
+        return None if name is None else TypeRef(name)
+
+
+_FIELD = NodeShape[_FieldView](
+    "Field",
+    "a field of a message type",
+    ros.Field,
+    rdf.Property,
+    more="sh:xone ( [ sh:property [ sh:path rdfs:range ; sh:minCount 1 ] ]"
+    " [ sh:property [ sh:path schema:rangeIncludes ; sh:minCount 1 ] ] )",
+).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda view: view.field.name),
+    one(ros.fieldName, kinds.TEXT, lambda view: view.field.name),
+    one(ros.fieldType, kinds.TEXT, lambda view: definition_text(view.field.type)),
+    one(ros.position, kinds.COUNT, lambda view: view.position),
+    optional(ros.nestedType, kinds.CLASS, lambda view: view.nested),
+    optional(ros.arrayLength, kinds.COUNT, lambda view: view.array.length if view.array else None),
+    optional(ros.arrayBound, kinds.COUNT, lambda view: view.array.bound if view.array else None),
+    optional(ros.stringBound, kinds.COUNT, lambda view: view.string.bound if view.string else None),
+    one(rdfs.domain, kinds.IRI),
+    optional(rdfs.range, kinds.IRI),
+    many(schema_org.rangeIncludes, kinds.IRI),
+)
+_CONSTANT = NodeShape[tuple[int, Constant]]("Constant", "a constant of a message type", ros.Constant).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda of: of[1].name),
+    one(ros.fieldName, kinds.TEXT, lambda of: of[1].name),
+    one(ros.fieldType, kinds.TEXT, lambda of: of[1].type),
+    one(ros.position, kinds.COUNT, lambda of: of[0]),
+    optional(ros.value, kinds.LITERAL, lambda of: constant_value(of[1])),
+)
 
 
 def _message_type(kind: MessageType, space: Space) -> list[Triple]:
@@ -84,64 +160,21 @@ def _message_type(kind: MessageType, space: Space) -> list[Triple]:
     constants = [NamedNode(space.property_of(kind.name, constant.name)) for constant in kind.constants]
     triples = triples_about(subject, *statements(ros.hasField, fields), *statements(ros.hasConstant, constants))
     for position, (node, field) in enumerate(zip(fields, kind.fields, strict=True)):
-        triples += triples_about(node, *_field(field, position, subject, space))
-        if (nested := _nested_type(field.type)) is not None:
-            triples += triples_about(
-                NamedNode(space.class_of(nested)), (rdfs.isDefinedBy, NamedNode(space.type(nested)))
-            )  # fmt: skip
-    for position, (node, constant) in enumerate(zip(constants, kind.constants, strict=True)):
-        triples += triples_about(node, *_constant(constant, position))
+        view = _FieldView(field, position)
+        triples += _FIELD.triples(node, view, space, (rdfs.domain, subject), *_range(field.type, space))
+        if view.nested is not None:
+            triples += type_url(view.nested, space)
+    for node, each in zip(constants, enumerate(kind.constants), strict=True):
+        triples += _CONSTANT.triples(node, each, space)
     return triples
 
 
-def _field(field: Field, position: int, kind: NamedNode, space: Space) -> list[Statement]:
-    nested = _nested_type(field.type)
-    array = field.type if isinstance(field.type, Array) else None
-    element = array.element if array else field.type
-    return [
-        (rdf.type, ros.Field),
-        *statements(rdf.type, _property_types(field.type)),
-        (rdfs.label, text(field.name)),
-        (ros.fieldName, text(field.name)),
-        (ros.fieldType, text(definition_text(field.type))),
-        (ros.position, integer(position)),
-        (ros.nestedType, NamedNode(space.class_of(nested)) if nested else None),
-        (ros.arrayLength, integer(array.length) if array else None),
-        (ros.arrayBound, integer(array.bound) if array else None),
-        (ros.stringBound, integer(element.bound) if isinstance(element, Primitive) else None),
-        (rdfs.domain, kind),
-        *_range(field.type, space),
-    ]
-
-
-def _property_types(kind: FieldType) -> tuple[NamedNode, ...]:
-    """Return the classes of a field's property; one that may be elided has literals and nodes."""
-    if isinstance(kind, Nested):
-        return (rdf.Property, owl.ObjectProperty)
-    return (rdf.Property,) if _may_be_elided(kind) else (rdf.Property, owl.DatatypeProperty)
-
-
 def _range(kind: FieldType, space: Space) -> list[Statement]:
-    """Return the range of a field; that of one that may be elided includes nodes."""
-    if _may_be_elided(kind):
-        return statements(schema_org.rangeIncludes, (value_type(kind, space), ros.Elided))
-    return [(rdfs.range, value_type(kind, space))]
-
-
-def _may_be_elided(kind: FieldType) -> bool:
-    """Whether a value may be too large to write, so that a node replaces it."""
-    return isinstance(kind, Array) or (isinstance(kind, Primitive) and kind.name in STRINGS)
-
-
-def _constant(constant: Constant, position: int) -> list[Statement]:
-    return [
-        (rdf.type, ros.Constant),
-        (rdfs.label, text(constant.name)),
-        (ros.fieldName, text(constant.name)),
-        (ros.fieldType, text(constant.type)),
-        (ros.position, integer(position)),
-        (ros.value, constant_value(constant)),
-    ]
+    """Return the class and the range of a field; one that may be elided has literals and nodes."""
+    values = value_type(kind, space)
+    if isinstance(kind, Array) or (isinstance(kind, Primitive) and kind.name in STRINGS):
+        return statements(schema_org.rangeIncludes, (values, ros.Elided))
+    return [(rdf.type, owl.ObjectProperty if isinstance(kind, Nested) else owl.DatatypeProperty), (rdfs.range, values)]
 
 
 def constant_value(constant: Constant) -> Literal | None:

@@ -1,16 +1,180 @@
-"""Documents of views on topics: series, plots, frames, diagnostics, and time maps."""
+"""Documents of views: search results, series, plots, frames, diagnostics, and time maps."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 from urllib.parse import quote
 
 from msgspec import Struct
-from pyoxigraph import Literal, NamedNode
+from pyoxigraph import Literal, NamedNode, Triple
 
+from rosld.adapters.model import TypeRef
+from rosld.ontology import kinds
 from rosld.ontology.document import Document
-from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, integer, statements, text, triples_about
-from rosld.ontology.vocab import dcterms, ldp, memento, rdf, rdfs, ros, xhv, xsd
+from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
+from rosld.ontology.triples import RDF_SOURCE, Statement, date_time_literal, double, statements, text, triples_about
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import dcterms, hydra, memento, rdf, rdfs, ros, schema_org, xhv, xsd
+
+_TYPE_RELATIONS: Mapping[NamedNode, NamedNode] = {
+    ros.Topic: ros.hasMessageType,
+    ros.Service: ros.hasServiceType,
+    ros.Action: ros.hasActionType,
+}
+
+
+class MemberOutline(Struct, frozen=True):
+    """A resource in a list: its URL, its class (or None), its name, and known values.
+
+    `types` are its ROS types; two or more contradict each other. `rate` is in messages a second, `value`
+    brief plain JSON; both are None if unknown.
+    """
+
+    url: str
+    kind: NamedNode | None
+    name: str | None
+    types: tuple[TypeRef | str, ...] = ()
+    rate: float | None = None
+    value: str | None = None
+
+
+def member_triples(member: MemberOutline, space: Space) -> list[Triple]:
+    """Return the triples of a member of a list."""
+    relation = None if member.kind is None else _TYPE_RELATIONS.get(member.kind)
+    name = member.name and (member.name.rstrip("/") or "/")  # as a container says it of itself
+    return triples_about(
+        NamedNode(member.url),
+        (rdf.type, member.kind),
+        (ros.name, text(name)),
+        *(() if relation is None else _types(relation, member.types, space)),
+        (ros.rate, None if member.rate is None else double(member.rate)),
+        (ros.briefValue, None if member.value is None else Literal(member.value, datatype=rdf.JSON)),
+    )
+
+
+def _types(relation: NamedNode, types: tuple[TypeRef | str, ...], space: Space) -> list[Statement]:
+    if len(types) == 1:
+        (type,) = types
+        return [(relation, NamedNode(space.class_of(type if isinstance(type, str) else type.name)))]
+    return [(ros.conflictingType, NamedNode(space.type(type))) for type in types]
+
+
+class SearchResult(Struct, frozen=True):
+    """A search result: `kind` is the kind of resource in a word, `match` the part that matched.
+
+    `field` is the path of the matching field. `resource` is the equivalent URL below `/resources/`.
+    """
+
+    member: MemberOutline
+    kind: str
+    match: str
+    field: str | None = None
+    resource: str | None = None
+
+
+def search_template(space: Space) -> str:
+    """Return the template of the URLs at which something is searched for (RFC 6570)."""
+    return f"{space.base}find{{?q}}"
+
+
+_SEARCH = NodeShape[str]("Search", "how the server is searched", hydra.IriTemplate).with_properties(
+    one(hydra.template, kinds.TEXT, lambda template: template),
+    one(hydra.variableRepresentation, kinds.TERM, lambda template: hydra.BasicRepresentation),
+    many(hydra.mapping, kinds.IRI.where("sh:class hydra:IriTemplateMapping"), minimum=1),
+)
+_VARIABLE = NodeShape[str]("SearchVariable", "a variable of a search", hydra.IriTemplateMapping).with_properties(
+    one(hydra.variable, kinds.TEXT, lambda name: name),
+    one(hydra.property, kinds.TERM, lambda name: hydra.freetextQuery),
+    one(hydra.required, kinds.BOOLEAN, lambda name: True),
+)
+
+
+def search_triples(subject: NamedNode, space: Space) -> list[Triple]:
+    """Return the hydra:IriTemplate of the search, as a property of `subject`."""
+    search, variable = NamedNode(f"{space.base}find#search"), NamedNode(f"{space.base}find#q")
+    return [
+        Triple(subject, hydra.search, search),
+        *_SEARCH.triples(search, search_template(space), space, (hydra.mapping, variable)),
+        *_VARIABLE.triples(variable, "q", space),
+    ]
+
+
+_RESULTS = NodeShape[int]("SearchResults", "what was found", schema_org.ItemList, *SOURCE).with_properties(
+    one(dcterms.title, kinds.TEXT),
+    one(schema_org.numberOfItems, kinds.COUNT, lambda total: total),
+    many(schema_org.itemListElement, kinds.IRI.where("sh:class schema:ListItem")),
+)
+_RESULT = NodeShape[tuple[int, SearchResult]](
+    "SearchResult", "something that was found", schema_org.ListItem
+).with_properties(
+    one(schema_org.position, kinds.COUNT, lambda item: item[0]),
+    one(schema_org.item, kinds.IRI, lambda item: item[1].member.url),
+    one(ros.matchedBy, kinds.TEXT, lambda item: item[1].match),
+    optional(ros.fieldPath, kinds.TEXT, lambda item: item[1].field),
+)
+
+
+def search_document(url: str, query: str, total: int, results: Sequence[SearchResult], space: Space) -> Document:
+    """Return the results, the best first, as a schema:ItemList with positions. `total` is the number of all matches."""
+    items = {NamedNode(f"{url}#{number}"): (number, result) for number, result in enumerate(results, 1)}
+    title, elements = (dcterms.title, text(f"Search: {query}")), statements(schema_org.itemListElement, items)
+    triples = _RESULTS.triples(NamedNode(url), total, space, title, *elements)
+    for node, item in items.items():
+        triples += _RESULT.triples(node, item, space)
+        member, resource = item[1].member, item[1].resource
+        triples += member_triples(member, space)
+        if resource is not None:
+            triples.append(Triple(NamedNode(member.url), rdfs.seeAlso, NamedNode(resource)))
+    return Document(url, tuple(triples))
+
+
+def unasked_document(url: str, space: Space) -> Document:
+    """Return the search itself, while nothing is searched for."""
+    subject = NamedNode(url)
+    triples = [*triples_about(subject, *RDF_SOURCE, (dcterms.title, text("Search"))), *search_triples(subject, space)]
+    return Document(url, tuple(triples))
+
+
+class PlottedNumber(Struct, frozen=True):
+    """A number of a topic that is drawn: the topic's URL, the path of the field, its type in ROS.
+
+    `series` is the URL of what is recorded of it, None where nothing is.
+    """
+
+    topic: str
+    field: str
+    type: str = ""
+    series: str | None = None
+
+
+_SERIES = NodeShape[PlottedNumber]("Series", "a number over a time", ros.Series).with_properties(
+    one(ros.seriesOf, kinds.IRI.where('sh:pattern "/topics/"'), lambda number: number.topic),
+    one(ros.seriesField, kinds.TEXT, lambda number: number.field),
+    many(ros.hasPoint, kinds.node("SeriesPoint")),
+    optional(rdfs.seeAlso, kinds.IRI, lambda number: number.series),
+)
+
+
+class Point(NamedTuple):
+    """A point of a series: its time (ns), and the number of one message, or those of an interval that begins then."""
+
+    time_ns: int
+    value: float | None = None
+    minimum: float | None = None
+    maximum: float | None = None
+    mean: float | None = None
+    messages: int | None = None
+
+
+_POINT = NodeShape[Point]("SeriesPoint", "a point of a series", ros.SeriesPoint, target="").with_properties(
+    one(ros.pointTime, kinds.DATE_TIME, lambda point: point.time_ns),
+    optional(ros.pointValue, kinds.DOUBLE, lambda point: point.value),
+    optional(ros.minimum, kinds.DOUBLE, lambda point: point.minimum),
+    optional(ros.maximum, kinds.DOUBLE, lambda point: point.maximum),
+    optional(ros.meanValue, kinds.DOUBLE, lambda point: point.mean),
+    optional(ros.count, kinds.COUNT, lambda point: point.messages),
+)
 
 
 def series_document(
@@ -27,55 +191,25 @@ def series_document(
     then, else of one message.
     """
     nodes = [NamedNode(f"{url}#point.{number}") for number in range(len(points))]
-    triples = triples_about(
-        NamedNode(url),
-        (rdf.type, ros.Series),
-        (rdf.type, ldp.Resource),
-        (rdf.type, ldp.RDFSource),
-        (ros.seriesOf, NamedNode(topic)),
-        (ros.seriesField, text(field)),
-        *statements(ros.hasPoint, nodes),
-    )
+    subject, series = NamedNode(url), PlottedNumber(topic, field)
+    triples = _SERIES.triples(subject, series, None, *RDF_SOURCE, *statements(ros.hasPoint, nodes))
     for node, (time_ns, minimum, maximum, total, count) in zip(nodes, points, strict=True):
-        numbers: tuple[tuple[NamedNode, Literal | None], ...] = (
-            (ros.minimum, double(minimum)),
-            (ros.maximum, double(maximum)),
-            (ros.meanValue, double(total / count)),
-            (ros.count, integer(count)),
-        )
-        triples += triples_about(
-            node,
-            (rdf.type, ros.SeriesPoint),
-            (ros.pointTime, date_time_literal(time_ns)),
-            *(numbers if is_reduced else ((ros.pointValue, double(minimum)),)),
-        )
+        numbers = (None, minimum, maximum, total / count, count) if is_reduced else (minimum,)
+        triples += _POINT.triples(node, Point(time_ns, *numbers), None)
     return Document(url, tuple(triples))
 
 
-class PlottedNumber(Struct, frozen=True):
-    """A number of a topic that is drawn: the topic's URL, the path of the field, its type in ROS.
-
-    `series` is the URL of what is recorded of it, None where nothing is.
-    """
-
-    topic: str
-    field: str
-    type: str
-    series: str | None
+_PLOT = NodeShape[Sequence[NamedNode]]("Plot", "numbers drawn together over time", ros.Plot, *SOURCE).with_properties(
+    many(ros.plots, kinds.TERM.where("sh:class ros:Series"), lambda nodes: nodes)
+)
 
 
 def plot_document(url: str, numbers: Sequence[PlottedNumber]) -> Document:
     """Return the plot at a URL."""
     nodes = [NamedNode(f"{url}#series.{place}") for place in range(len(numbers))]
-    triples = triples_about(NamedNode(url), (rdf.type, ros.Plot), *RDF_SOURCE, *statements(ros.plots, nodes))
+    triples = _PLOT.triples(NamedNode(url), nodes, None)
     for node, number in zip(nodes, numbers, strict=True):
-        triples += triples_about(
-            node,
-            (rdf.type, ros.Series),
-            (ros.seriesOf, NamedNode(number.topic)),
-            (ros.seriesField, text(number.field)),
-            (rdfs.seeAlso, None if number.series is None else NamedNode(number.series)),
-        )
+        triples += _SERIES.triples(node, number, None)
     return Document(url, tuple(triples))
 
 
@@ -159,22 +293,29 @@ def diagnostics_document(url: str, states: Sequence[PartState], types: str) -> D
     return Document(url, tuple(triples))
 
 
+_TIME_MAP = NodeShape[str]("TimeMap", "the mementos of a resource", memento.TimeMap, *SOURCE).with_properties(
+    one(memento.original, kinds.IRI, lambda original: original),
+    one(memento.timegate, kinds.IRI, lambda original: original),
+    many(memento.memento, kinds.node("Memento")),
+    optional(xhv.next, kinds.IRI),
+)
+_MEMENTO = NodeShape[int]("Memento", "a memento in a list of them", memento.Memento, target="").with_properties(
+    one(memento.mementoDatetime, kinds.DATE_TIME, lambda time_ns: time_ns)
+)
+
+
 def time_map_document(
     url: str, original: str, mementos: Sequence[tuple[str, int]], after: str | None = None
 ) -> Document:
     """Return the TimeMap at `url`: `mementos` are URLs and times (ns), `after` is the TimeMap of those that follow."""
-    nodes = [NamedNode(each) for each, _ in mementos]
-    triples = triples_about(
+    nodes = {NamedNode(each): time_ns for each, time_ns in mementos}
+    triples = _TIME_MAP.triples(
         NamedNode(url),
-        (rdf.type, memento.TimeMap),
-        *RDF_SOURCE,
-        (memento.original, NamedNode(original)),
-        (memento.timegate, NamedNode(original)),
+        original,
+        None,
         *statements(memento.memento, nodes),
         (xhv.next, None if after is None else NamedNode(after)),
     )
-    for node, (_, time_ns) in zip(nodes, mementos, strict=True):
-        triples += triples_about(
-            node, (rdf.type, memento.Memento), (memento.mementoDatetime, date_time_literal(time_ns))
-        )
+    for node, time_ns in nodes.items():
+        triples += _MEMENTO.triples(node, time_ns, None)
     return Document(url, tuple(triples))

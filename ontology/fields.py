@@ -38,11 +38,8 @@ def field_at(schema: MessageSchema, message: Message, path: str) -> tuple[FieldT
     return kind, value
 
 
-def number_type(schema: MessageSchema, path: str) -> Primitive | Array:
-    """Return the type of the number, or of the array of numbers, at `path` in every message of a type.
-
-    Raises ValueError naming the path where there is no such field, or it holds no numbers.
-    """
+def type_at(schema: MessageSchema, path: str) -> FieldType:
+    """Return the type of the field at `path`. Raises ValueError naming the path where a message has no such field."""
     kind: FieldType = Nested(schema.ref.name)
     walked: list[str] = []
     for step in path.split("."):
@@ -51,6 +48,15 @@ def number_type(schema: MessageSchema, path: str) -> Primitive | Array:
             kind = _type_step(schema, kind, step)
         except LookupError as error:
             raise ValueError(f"{schema.ref.name} has no field {'.'.join(walked)!r}") from error
+    return kind
+
+
+def number_type(schema: MessageSchema, path: str) -> Primitive | Array:
+    """Return the type of the number, or of the array of numbers, at `path` in every message of a type.
+
+    Raises ValueError naming the path where there is no such field, or it holds no numbers.
+    """
+    kind = type_at(schema, path)
     element = kind.element if isinstance(kind, Array) else kind
     if isinstance(element, Nested) or element.name in STRINGS:
         raise ValueError(f"{path!r} of {schema.ref.name} is no number")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache
 
 from msgspec.structs import replace
@@ -46,12 +46,17 @@ def declared_shape(descriptor: Descriptor, measure: Measure = NO_MEASURE) -> Sca
     )
 
 
+def _expand_steps(descriptor: Descriptor) -> ScalarShape | OpenShape:
+    """Return the shape of a value with its steps as choices where they are few."""
+    declared = declared_shape(descriptor)
+    choices = declared.bounds.choices or _choices(descriptor.range)
+    return replace(declared, bounds=replace(declared.bounds, choices=choices))
+
+
 def declared_demand(descriptor: Descriptor) -> Demand:
     """Return the demand on a scalar beyond its type, as far as SHACL Core can express steps."""
-    declared, range = declared_shape(descriptor), descriptor.range
-    choices = declared.bounds.choices or _choices(range)
-    bounds = replace(declared.bounds, choices=choices, step=None)
-    return Demand((("", bounds),) if bounds else (), range is None or not range.step or bool(choices))
+    bounds, range = replace(_expand_steps(descriptor).bounds, step=None), descriptor.range
+    return Demand((("", bounds),) if bounds else (), range is None or not range.step or bool(bounds.choices))
 
 
 def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Triple]:
@@ -69,12 +74,8 @@ def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Tri
     )
     if shape is None or type is None:
         return triples
-    declared = declared_shape(descriptor)
-    if isinstance(declared, ScalarShape):
-        choices = declared.bounds.choices or _choices(descriptor.range)
-        declared = replace(declared, bounds=replace(declared.bounds, choices=choices))
     value = within(shape, "value")
-    triples += value_shape_triples(declared, shape, ros.value, space)
+    triples += value_shape_triples(_expand_steps(descriptor), shape, ros.value, space)
     triples += triples_about(shape, (sh.targetNode, subject))
     return triples + triples_about(
         value,
@@ -121,19 +122,13 @@ def _number(value: int | float | None) -> Literal | None:
     return double(value) if isinstance(value, float) else integer(value)
 
 
-def _choices(range: Range | None) -> tuple[Literal, ...]:
+def _choices(declared: Range | None) -> tuple[Literal, ...]:
     """Return all whole numbers of a range with a step, where they are few; none where SHACL Core cannot say them."""
-    match range:
+    match declared:
         case Range(int(least), int(greatest), int(step)) if step > 1 and (greatest - least) // step < _MAX_CHOICES:
-            values = dict.fromkeys((*_count_up(least, greatest, step), greatest))
+            values = dict.fromkeys((*range(least, greatest + 1, step), greatest))
             return tuple(found for value in values if (found := integer(value)) is not None)
     return ()
-
-
-def _count_up(least: int, greatest: int, step: int) -> Iterator[int]:
-    while least <= greatest:
-        yield least
-        least += step
 
 
 def violations(descriptor: Descriptor, name: str, url: str, value: ParameterValue) -> tuple[Violation, ...]:

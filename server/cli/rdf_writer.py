@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from rosld.adapters.base import RecordedMessage, Recording
 from rosld.adapters.model import MessageSchema, RosError, TypeRef
-from rosld.ontology.describe_bags import bag_document, bag_message_document
+from rosld.ontology.describe_bags import BagView, bag_document, bag_message_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import Lifter, LiftSettings, lifter
@@ -51,7 +51,7 @@ class Lifting:
 
     def descriptions(self) -> Iterator[Document]:
         """Yield the document of the recording with its topics, then that of each readable type."""
-        yield bag_document(self.recording, self._space)
+        yield bag_document(BagView(self.recording), self._space)
         refs = list(dict.fromkeys(topic.type for topic in self.recording.topics.values()))
         for ref in refs:
             reader = self._reader(ref)

@@ -13,6 +13,7 @@ from msgspec.structs import asdict
 from pyoxigraph import Literal
 
 from rosld.adapters.model import MessageSchema, Primitive
+from rosld.ontology.fields import type_at
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.server.html.bounds import parse_number
 from rosld.server.html.inputs import Json
@@ -82,7 +83,7 @@ def drive_pad(
 
 def _bound_axis(axis: Axis, prefix: str, schema: MessageSchema, bounds: Mapping[str, Bounds]) -> Axis:
     path = prefix + axis.path
-    demanded, is_single = bounds.get(path, UNBOUNDED), _is_single(schema, path)
+    demanded, is_single = bounds.get(path, UNBOUNDED), type_at(schema, path) == Primitive("float32")
     lower = [bound for bound in (_value(demanded.minimum), _within(demanded.exclusive_minimum)) if bound is not None]
     upper = [bound for bound in (_value(demanded.maximum), _within(demanded.exclusive_maximum)) if bound is not None]
     least = max(lower, default=Decimal(str(axis.least)))
@@ -103,15 +104,6 @@ def _value(bound: Literal | None) -> Decimal | None:
 def _within(bound: Literal | None) -> Decimal | None:
     found = _value(bound)
     return None if found is None else found * _WITHIN
-
-
-def _is_single(schema: MessageSchema, path: str) -> bool:
-    """Whether a field is a float32."""
-    name, kind = schema.ref.name, None
-    for part in path.split("."):
-        kind = next(each.type for each in schema.types[name].fields if each.name == part)
-        name = getattr(kind, "name", "")
-    return kind == Primitive("float32")
 
 
 def _inside(bound: Decimal, inward: float, *, is_single: bool) -> float:

@@ -11,8 +11,10 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
+from rosld.ontology.coercion import is_octets
+from rosld.ontology.describe_types import definition_text
 from rosld.ontology.json_leaves import stated_default
-from rosld.ontology.literals import OCTETS, STRINGS, base64_text
+from rosld.ontology.literals import STRINGS, base64_text
 from rosld.ontology.neutral_message import HEADER
 from rosld.server.html.bounds import (
     browser_pattern,
@@ -22,7 +24,6 @@ from rosld.server.html.bounds import (
     option_texts,
     same_value,
 )
-from rosld.server.html.messages import type_name
 from rosld.server.html.view import escape_controls
 from rosld.shapes.value import UNBOUNDED, Bounds
 
@@ -203,7 +204,7 @@ def _text(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, f
         label,
         "textarea" if "\n" in text or "\r" in text else "text",
         escape_controls(text),
-        hint=type_name(kind),
+        hint=definition_text(kind),
         note=escape_controls(" ".join(filter(None, (fixed, describe_bounds(bounds))))),
         error=filling.error_below(path),
         required=bool(bounds.min_length),
@@ -262,7 +263,7 @@ def _json(kind: FieldType, label: str, path: str, value: Json, filling: InputVal
         label,
         "textarea",
         escape_controls(text),
-        hint=type_name(kind),
+        hint=definition_text(kind),
         note=too_long if present is None and filling.submitted is None else _how(kind),
         error=filling.error_below(path),
         required=not is_base64(kind),
@@ -277,7 +278,7 @@ def _how(kind: FieldType) -> str:
 
 def is_base64(kind: FieldType) -> bool:
     """Whether a field's plain JSON is one string of base64."""
-    return isinstance(kind, Array) and isinstance(kind.element, Primitive) and kind.element.name in OCTETS
+    return isinstance(kind, Array) and is_octets(kind)
 
 
 def json_text(kind: FieldType, value: Json) -> str | None:

@@ -14,7 +14,9 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from rosld.adapters.model import Array, Field, Message, MessageSchema, MessageType, Nested, Primitive
-from rosld.ontology.literals import OCTETS, STRINGS
+from rosld.ontology.coercion import is_octets
+from rosld.ontology.describe_types import definition_text
+from rosld.ontology.literals import STRINGS
 from rosld.server.html.view import (
     ArrayView,
     BytesView,
@@ -98,7 +100,7 @@ def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _
             value = _value(each, content, f"{path}{each.name}", depth, drawing)
             if isinstance(value, TextView) and (word := constant_name(kind, each, content)):
                 value = replace(value, hint=word)
-        rows.append(TableRow(each.name, (value,), hint=type_name(each.type)))
+        rows.append(TableRow(each.name, (value,), hint=definition_text(each.type)))
     return TableView(tuple(rows), kind.name, short=depth > 0 and _is_short(kind))
 
 
@@ -168,7 +170,7 @@ def _time(name: str, message: Message, drawing: _Drawing) -> View:
 
 
 def _array(kind: Array, value: object, path: str, depth: int, drawing: _Drawing) -> View:
-    if isinstance(kind.element, Primitive) and kind.element.name in OCTETS:
+    if is_octets(kind):
         return _octets(np.asarray(value), path, drawing)
     values = cast("Sequence[object]", value)
     if isinstance(kind.element, Nested):
@@ -232,13 +234,3 @@ def element_text(value: object) -> str:
     """One string of an array, on one line and not too long."""
     view = text_view(str(value).replace("\n", "⏎"))
     return view.text if isinstance(view, TextView) else ""
-
-
-def type_name(kind: Primitive | Nested | Array) -> str:
-    """Return a field's type as ROS writes it: `float64[36]`, `string<=10`, `geometry_msgs/msg/Point[<=4]`."""
-    if isinstance(kind, Primitive):
-        return f"{kind.name}<={kind.bound}" if kind.bound else kind.name
-    if isinstance(kind, Nested):
-        return kind.name
-    size = str(kind.length) if kind.length is not None else f"<={kind.bound}" if kind.bound is not None else ""
-    return f"{type_name(kind.element)}[{size}]"

@@ -10,8 +10,7 @@ from msgspec import Struct, field
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.describe_activities import Receipt
-from rosld.ontology.describe_search import SearchResult
-from rosld.ontology.describe_views import PlottedNumber
+from rosld.ontology.describe_views import PlottedNumber, SearchResult
 from rosld.ontology.document import Document
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.violations import Violation

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from msgspec.structs import replace
 from pyoxigraph import NamedNode
 
-from rosld.ontology.describe_search import SearchResult
+from rosld.ontology.describe_views import SearchResult
 from rosld.ontology.document import Document
 from rosld.ontology.modules import home_of_terms, module_url
 from rosld.ontology.neutral_message import COMMANDS

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from rosld.adapters.model import Array, Descriptor, MessageSchema, Nested, Primitive
+from rosld.adapters.model import Descriptor, MessageSchema, Primitive
+from rosld.ontology.fields import type_at
 from rosld.server.hypermedia.mapping import ComplexResource, MappedAction, MappedProperty
 from rosld.shapes.parameter import declared_shape
 from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape, narrow
@@ -63,16 +64,10 @@ def field_shape(shape: ValueShape, path: str, bounds: Bounds, measure: Measure) 
 
 def _primitive(schema: MessageSchema, path: str) -> Primitive | None:
     """Return the primitive at a dotted path; numbers are places in an array."""
-    kind: object = Nested(schema.ref.name)
-    for step in path.split("."):
-        if isinstance(kind, Array):
-            if not step.isdecimal():
-                return None
-            kind = kind.element
-            continue
-        if not isinstance(kind, Nested):
-            return None
-        kind = next((field.type for field in schema.types[kind.name].fields if field.name == step), None)
+    try:
+        kind = type_at(schema, path)
+    except ValueError:
+        return None
     return kind if isinstance(kind, Primitive) else None
 
 

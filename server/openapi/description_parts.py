@@ -66,7 +66,11 @@ def description_parts(data: bytes, url: str, below: str) -> tuple[bytes, ...]:
     tags = said.pop("tags")
     said.pop("x-parts")
     always = {("securitySchemes", name) for name in components.get("securitySchemes", ())}
-    weights = _Weights(components)
+    weights = {
+        (kind, name): len(orjson.dumps(each)) + len(name) + _PUNCTUATION
+        for kind, named in components.items()
+        for name, each in named.items()
+    }
     room = MAX_PART - len(orjson.dumps({**said, "tags": tags})) - len(part_url(url, below)) - _FRAME
     found: list[_Part] = []
     for path, item in paths.items():
@@ -74,9 +78,9 @@ def description_parts(data: bytes, url: str, below: str) -> tuple[bytes, ...]:
             continue
         needed = references(item, components) | always
         own = len(orjson.dumps(item)) + len(path) + _PUNCTUATION
-        if not found or found[-1].size + own + weights.of(needed - found[-1].keys) > room:
+        if not found or found[-1].size + own + sum(weights[key] for key in needed - found[-1].keys) > room:
             found.append(_Part())
-        found[-1].add(path, item, needed, own + weights.of(needed - found[-1].keys))
+        found[-1].add(path, item, needed, own + sum(weights[key] for key in needed - found[-1].keys))
     return tuple(
         orjson.dumps(
             {
@@ -116,25 +120,6 @@ class _Part(Struct):
         items = [item for item in self.paths.values() if isinstance(item, dict)]
         operations = [one for item in items for one in item.values() if isinstance(one, dict)]
         return {tag for one in operations for tag in one.get("tags", ())}
-
-
-class _Weights:
-    """The sizes of components, each written once to be measured."""
-
-    def __init__(self, components: Components) -> None:
-        self._components = components
-        self._known: dict[Key, int] = {}
-
-    def of(self, keys: set[Key]) -> int:
-        """The size of all of these."""
-        return sum(map(self._one, keys))
-
-    def _one(self, key: Key) -> int:
-        found = self._known.get(key)
-        if found is None:
-            kind, name = key
-            found = self._known[key] = len(orjson.dumps(self._components[kind][name])) + len(name) + _PUNCTUATION
-        return found
 
 
 _Json: TypeAlias = "dict[str, object]"

@@ -25,9 +25,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import ABSENT, Resource
 from rosld.server.rest.state import State
-from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.session import Session
-from rosld.server.settings import Settings
 from rosld.shapes.accepted import Accepted, accepted_message_document, accepted_value_document, limit_datatypes
 from rosld.shapes.accepted_values import PARAMETERS, OpenParameter
 from rosld.shapes.limit_parts import Demand, Place, ResourcePlace, ValuePlace, is_limited_text, limited_texts
@@ -68,9 +66,10 @@ class AcceptedShape(Resource):
 
 
 async def message_shape(
-    space: Space, limit_checks: LimitChecks, kind: Kind, name: str, schema: MessageSchema, shape: str, node: str
+    limit_checks: LimitChecks, kind: Kind, name: str, schema: MessageSchema, shape: str, node: str
 ) -> Document:
     """Return the shape of messages to a topic, a service or an action, as the shapes graph at the URL `shape`."""
+    space = limit_checks.session.space
     url = {Kind.TOPIC: space.topic, Kind.SERVICE: space.service, Kind.ACTION: space.action}[kind](name)
     demand = await limit_checks.message_demand(kind, name, schema, url, node)
     return accepted_message_document(shape, schema, space, f"What may be sent to {_path(shape, space)}", demand)
@@ -86,40 +85,32 @@ def has_parameter_shape(graph: Graph, name: str) -> bool:
     return name in graph.parameters
 
 
-async def parameter_shape(
-    space: Space, adapter: AuditedAdapter, limit_checks: LimitChecks, name: str, shape: str
-) -> Document | None:
+async def parameter_shape(limit_checks: LimitChecks, name: str, shape: str) -> Document | None:
     """Return the shape of values of a parameter, or None if it does not exist."""
-    url, kinds = space.parameter(name), await _of_parameter(adapter, limit_checks, name)
+    space = limit_checks.session.space
+    url, kinds = space.parameter(name), await _of_parameter(limit_checks, name)
     title = f"What {_path(shape, space)} may be set to"
     return accepted_value_document(shape, url, ros.value, kinds, space, title) if kinds else None
 
 
-async def property_shape(
-    session: Session,
-    affordances: AffordanceService[State],
-    limit_checks: LimitChecks,
-    plan: PropertyPlan,
-    url: str,
-    shape: str,
-) -> Document | None:
+async def property_shape(limit_checks: LimitChecks, plan: PropertyPlan, url: str, shape: str) -> Document | None:
     """Return the shape of values of a property, or None if it has no writer or no known type."""
-    writer = property_writer(session.adapter, session.settings, plan.source)
-    kinds = [] if writer is None else await _of_writer(session, affordances, limit_checks, plan, writer)
-    title = f"What {_path(shape, session.space)} may be made"
-    return accepted_value_document(shape, url, rdf.value, kinds, session.space, title) if kinds else None
+    space, writer = limit_checks.session.space, property_writer(limit_checks.session, plan.source)
+    kinds = [] if writer is None else await _of_writer(limit_checks, plan, writer)
+    title = f"What {_path(shape, space)} may be made"
+    return accepted_value_document(shape, url, rdf.value, kinds, space, title) if kinds else None
 
 
-def property_writer(adapter: AuditedAdapter, settings: Settings, own: Property) -> Writer | None:
+def property_writer(session: Session, own: Property) -> Writer | None:
     """Return the writer of a property, available now or not."""
-    return current_writer(adapter, settings, own) or next(iter(own.writers), None)
+    return current_writer(session.adapter, session.settings, own) or next(iter(own.writers), None)
 
 
-def has_property_shape(adapter: AuditedAdapter, settings: Settings, plan: PropertyPlan) -> bool:
+def has_property_shape(session: Session, plan: PropertyPlan) -> bool:
     """Whether `property_shape` has a shape of a property."""
-    match property_writer(adapter, settings, plan.source):
+    match property_writer(session, plan.source):
         case ParameterSource(name=name):
-            return plan.member.field is None and has_parameter_shape(adapter.graph, name)
+            return plan.member.field is None and has_parameter_shape(session.graph, name)
         case TopicSource(schema=schema):
             return schema is not None
         case Setter():
@@ -129,25 +120,21 @@ def has_property_shape(adapter: AuditedAdapter, settings: Settings, plan: Proper
 
 
 async def require_property_text(
-    session: Session,
-    affordances: AffordanceService[State],
-    limit_checks: LimitChecks,
-    plan: PropertyPlan,
-    body: RdfBody,
-    subject: NamedNode,
-    predicate: NamedNode,
+    limit_checks: LimitChecks, plan: PropertyPlan, body: RdfBody, subject: NamedNode, predicate: NamedNode
 ) -> None:
     """Raise LoweringError where a body writes a text of a property that limits are about as octets."""
     octets = [each for each in body.literals() if each.datatype in BINARIES] if limit_checks.limits else []
-    writer = property_writer(session.adapter, session.settings, plan.source) if octets else None
-    for kind, demand in () if writer is None else await _of_writer(session, affordances, limit_checks, plan, writer):
+    session = limit_checks.session
+    writer = property_writer(session, plan.source) if octets else None
+    for kind, demand in () if writer is None else await _of_writer(limit_checks, plan, writer):
         if isinstance(kind, MessageSchema):
             require_no_octets(body, limited_texts(demand, kind, session.space))
         elif isinstance(kind, Primitive) and is_limited_text(kind, demand.at("")):
             require_no_octets(body, {predicate} & body.properties(subject).keys())
 
 
-async def _of_parameter(adapter: AuditedAdapter, limit_checks: LimitChecks, name: str) -> list[tuple[Accepted, Demand]]:
+async def _of_parameter(limit_checks: LimitChecks, name: str) -> list[tuple[Accepted, Demand]]:
+    adapter = limit_checks.session.adapter
     parameter = adapter.graph.parameters.get(name)
     if parameter is None:
         return []
@@ -161,27 +148,22 @@ async def _of_parameter(adapter: AuditedAdapter, limit_checks: LimitChecks, name
     return [(descriptor.type, demand if is_scalar else is_array)]
 
 
-async def _of_writer(
-    session: Session,
-    affordances: AffordanceService[State],
-    limit_checks: LimitChecks,
-    plan: PropertyPlan,
-    writer: Writer,
-) -> list[tuple[Accepted, Demand]]:
+async def _of_writer(limit_checks: LimitChecks, plan: PropertyPlan, writer: Writer) -> list[tuple[Accepted, Demand]]:
+    space = limit_checks.session.space
     match writer:
         case ParameterSource():
             if plan.member.field is not None:
                 return []
-            return await _of_parameter(session.adapter, limit_checks, writer.name)
+            return await _of_parameter(limit_checks, writer.name)
         case Setter(schema=service):
-            schema, kind, url, node = service.request, Kind.SERVICE, session.space.service(writer.name), "#request"
+            schema, kind, url, node = service.request, Kind.SERVICE, space.service(writer.name), "#request"
         case TopicSource(schema=known) if known is not None:
-            schema, kind, url, node = known, Kind.TOPIC, session.space.topic(writer.name), "#message"
+            schema, kind, url, node = known, Kind.TOPIC, space.topic(writer.name), "#message"
         case _:
             return []
     demand = await limit_checks.message_demand(kind, writer.name, schema, url, node)
     if plan.member.field is not None:
-        return list(_of_field(affordances, plan, demand))
+        return list(_of_field(limit_checks.affordances, plan, demand))
     return list(_of_message(plan.source, schema, demand))
 
 
@@ -237,33 +219,25 @@ class CommandResource(Resource):
         return self
 
 
-async def load_limited_types(
-    session: Session, affordances: AffordanceService[State], limit_checks: LimitChecks
-) -> None:
+async def load_limited_types(limit_checks: LimitChecks) -> None:
     """Get the definitions of what limits are about, as far as the robot has them."""
-    await affordances.tree()
+    session = limit_checks.session
+    await limit_checks.affordances.tree()
     refs = [TypeRef(name) for name in map(session.space.type_of, limit_checks.limits.by_class) if name is not None]
-    refs += [
-        ref
-        for location in _locations(session.space, limit_checks)
-        if (ref := _type(session.graph, location)) is not None
-    ]
+    refs += [ref for location in _locations(limit_checks) if (ref := _type(session.graph, location)) is not None]
     for ref in refs:
         with suppress(RosError):
             await session.schemas.get(ref)
 
 
-def datatypes_of_limits(
-    session: Session, affordances: AffordanceService[State], limit_checks: LimitChecks
-) -> tuple[Triple, ...]:
+def datatypes_of_limits(limit_checks: LimitChecks) -> tuple[Triple, ...]:
     """Return the datatypes of the fields that limits are about."""
-    return limit_datatypes(limit_checks.limits, tuple(_places(session, affordances, limit_checks)), session.space.types)
+    return limit_datatypes(limit_checks.limits, tuple(_places(limit_checks)), limit_checks.session.space.types)
 
 
-def _places(
-    session: Session, affordances: AffordanceService[State], limit_checks: LimitChecks
-) -> Iterator[tuple[str, Place]]:
+def _places(limit_checks: LimitChecks) -> Iterator[tuple[str, Place]]:
     """Yield each target of a limit, and what it is."""
+    session = limit_checks.session
     for iri in limit_checks.limits.by_class:
         name = session.space.type_of(iri)
         schema = None if name is None else session.schemas.find_cached(TypeRef(name))
@@ -271,14 +245,14 @@ def _places(
             yield iri, ValuePlace.message(schema)
     for url in limit_checks.limits.by_url:
         location = session.space.location(url)
-        found = None if location is None else _place(session, affordances, location)
+        found = None if location is None else _place(limit_checks, location)
         if found is not None:
             yield url, found
 
 
-def _locations(space: Space, limit_checks: LimitChecks) -> Iterator[Location]:
+def _locations(limit_checks: LimitChecks) -> Iterator[Location]:
     for url in limit_checks.limits.by_url:
-        location = space.location(url)
+        location = limit_checks.session.space.location(url)
         if location is not None:
             yield location
 
@@ -290,13 +264,14 @@ def _type(graph: Graph, location: Location) -> TypeRef | None:
     return topic.type if topic is not None else None if service is None else service.type
 
 
-def _place(session: Session, affordances: AffordanceService[State], location: Location) -> ResourcePlace | None:
+def _place(limit_checks: LimitChecks, location: Location) -> ResourcePlace | None:
+    session = limit_checks.session
     if location.kind == "parameters":
         parameter = session.graph.parameters.get(location.name)
         type = None if parameter is None or parameter.descriptor is None else parameter.descriptor.type
         return None if type is None else ResourcePlace(ros.value, ValuePlace(type))
     if location.kind == "resources":
-        return ResourcePlace(rdf.value, _value_of_property(session, affordances, location.name))
+        return ResourcePlace(rdf.value, _value_of_property(limit_checks, location.name))
     ref = _type(session.graph, location)
     schema = None if ref is None else session.schemas.find_cached(ref)
     if isinstance(schema, ServiceSchema):
@@ -304,16 +279,15 @@ def _place(session: Session, affordances: AffordanceService[State], location: Lo
     return ResourcePlace(ros.latest, ValuePlace.message(schema)) if isinstance(schema, MessageSchema) else None
 
 
-def _value_of_property(session: Session, affordances: AffordanceService[State], name: str) -> ValuePlace | None:
+def _value_of_property(limit_checks: LimitChecks, name: str) -> ValuePlace | None:
     """Return the written form of a property: a scalar if its message has one field."""
+    affordances = limit_checks.affordances
     tree = affordances.cached_tree() or affordances.last_tree
     plan = None if tree is None else tree.property(name)
-    writer = None if plan is None else property_writer(session.adapter, session.settings, plan.source)
+    writer = None if plan is None else property_writer(limit_checks.session, plan.source)
     match writer:
         case ParameterSource(name=parameter):
-            found = _place(
-                session, affordances, Location("parameters", tuple(parameter[1:].split("/")), is_container=False)
-            )
+            found = _place(limit_checks, Location("parameters", tuple(parameter[1:].split("/")), is_container=False))
             return None if found is None else found.value
         case Setter(schema=service):
             schema = service.request

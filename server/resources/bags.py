@@ -13,7 +13,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import RecordedTopic, Recording, Watch
-from rosld.ontology.describe_bags import bag_document
+from rosld.ontology.describe_bags import BagView, bag_document
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
@@ -99,34 +99,35 @@ def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> 
     """Return the document of a recording that can be read."""
     history = recordings.history
     if recording is history.recording:
-        return bag_document(recording, space, dropped=history.dropped(), problem=history.problem)
+        return bag_document(BagView(recording, dropped=history.dropped(), problem=history.problem), space)
     size: int | None = None
     with contextlib.suppress(OSError):
         size = recording.path.stat().st_size if recording.path.is_file() else None
     why = recordings.interruption(recording.name)
     digest, status = history.digests.known(recording.path), None if why is None else "interrupted"
-    return bag_document(recording, space, digest, size=size, problem=why, status=status)
+    return bag_document(BagView(recording, digest, size=size, problem=why, status=status), space)
 
 
 def describe_running(space: Space, recordings: Recordings, one: RunningRecording) -> Document:
     """Return the document of a recording that is being made."""
     writer = one.writer
-    return bag_document(
+    view = BagView(
         RunningView(one, recordings.silent(one)),
-        space,
         dropped=recordings.dropped(one),
         problem=writer.problem,
         size=writer.size,
         status="recording",
         order=one.order,
     )
+    return bag_document(view, space)
 
 
 def describe_armed(space: Space, one: ArmedRecording) -> Document:
     """Return the document of a recording that waits for its trigger."""
     status, problem = ("armed", one.problem) if one.suspended is None else ("suspended", one.suspended)
-    view = ArmedView(one.name)
-    return bag_document(view, space, problem=problem, status=status, order=one.order, triggered=one.count)
+    bag = ArmedView(one.name)
+    view = BagView(bag, problem=problem, status=status, order=one.order, triggered=one.count)
+    return bag_document(view, space)
 
 
 _TOPIC_BYTES = 200

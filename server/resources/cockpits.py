@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import cast
 
 from msgspec.structs import replace
@@ -69,15 +69,6 @@ def wants_page(exchange: Exchange) -> bool:
     return FORMATS.get(wanted) == HTML if wanted else choose_offer(exchange.accept, OFFERS) == HTML
 
 
-async def filled_state(cockpit: Cockpit, document: State, reader: PanelReader) -> CockpitState:
-    """The state of the page of a cockpit whose document has this state."""
-    panels, hidden = await reader.read(cockpit)
-    token = digest(repr((document.tag, hidden, [each.version for each in panels])).encode("utf-8", "replace"))
-    return CockpitState(
-        document.describe, token=token, headers=document.headers, cockpit=cockpit, panels=panels, hidden=hidden
-    )
-
-
 def cockpit_tabs(documents: Documents) -> tuple[tuple[str, str], ...]:
     """Return the URLs of the default cockpit and the first of those that clients keep, with what they are called."""
     space = documents.space
@@ -89,74 +80,57 @@ def copy_form(site: Site, source: str) -> CopyForm | None:
     return None if site.read_only or not site.may("POST", f"{site.base}{ROUTE}") else CopyForm(source)
 
 
-class _ShownPage(Resource):
-    """Base of the pages of the default cockpit and of those that clients keep, as shown to one agent."""
-
-    documents: Documents
-    _reader: PanelReader
-
-    def _set_reader(self, sources: CockpitSources, permissions: Permissions) -> None:
-        self._permissions = permissions
-        self._reader = PanelReader(sources, permissions)
-
-    async def cockpit(self) -> Cockpit:
-        """The cockpit that is shown."""
-        raise NotImplementedError
-
-    async def select_variant(self, exchange: Exchange) -> Resource:
-        return self
-
-    async def state(self) -> State:
-        return await filled_state(await self.cockpit(), await super().state(), self._reader)
-
-    def redact(self, state: State, permissions: Permissions) -> State:
-        """Return the state: its panels were read for the agent."""
-        return state
-
-    async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        own = self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
-        return combine_watches(own, await self._reader.watch(await self.cockpit(), wake))
-
-
-# What clients keep
-
-
-class CockpitResource(RdfSourceResource):
-    """A cockpit that a client keeps."""
+class _CockpitBase(Resource):
+    """Base of cockpits: documents, whose pages are shown to one agent with the values that its panels have now."""
 
     kind = "Cockpit"
+    _reader: PanelReader | None = None
+    """The reader of the panels of a page, or None for the document."""
 
-    def __init__(self, sources: CockpitSources, path: str) -> None:
-        super().__init__(sources.documents, path)
+    def __init__(self, sources: CockpitSources, url: str) -> None:
+        super().__init__(sources.session.space, url)
+        self.documents = sources.documents
         self._sources = sources
 
-    async def select_variant(self, exchange: Exchange) -> Resource:
-        """As it was, or its page where that is asked for."""
-        former = former_of(self.documents, self.path, exchange)
-        if former is not None or not wants_page(exchange):
-            return former or self
-        return ShownCockpit(self._sources, self.path, exchange.permissions)
-
-
-class ShownCockpit(_ShownPage, CockpitResource):
-    """A cockpit that a client keeps, as its page shows it to one agent."""
-
-    def __init__(self, sources: CockpitSources, path: str, permissions: Permissions) -> None:
-        CockpitResource.__init__(self, sources, path)
-        self._set_reader(sources, permissions)
-
     async def cockpit(self) -> Cockpit:
-        return self._cockpit
+        """Return the cockpit as it is now."""
+        raise NotImplementedError
+
+    async def document_state(self) -> State:
+        """Return the state of the document."""
+        raise NotImplementedError
 
     @property
-    def _cockpit(self) -> Cockpit:
-        return read_cockpit(state_of(self.documents, self.require_record()).document.triples, self.url)
+    def variant_key(self) -> Hashable:
+        return self._reader is not None, super().variant_key
 
-    async def forms(self) -> Sequence[Form]:
-        if "PUT" not in self.methods():
-            return ()
-        edit = EditForm(self._cockpit, self.space.base, str(self.require_record().version))
-        return (edit, DeleteForm("Delete this cockpit"))
+    def shown(self, exchange: Exchange) -> Resource:
+        """Return the page if a request asks for it, else the document."""
+        if self._reader is not None or not wants_page(exchange):
+            return self
+        reader = PanelReader(self._sources, exchange.permissions)
+        return self.variant(_permissions=exchange.permissions, _reader=reader)
+
+    async def state(self) -> State:
+        document = await self.document_state()
+        if self._reader is None:
+            return document
+        cockpit = await self.cockpit()
+        panels, hidden = await self._reader.read(cockpit)
+        token = digest(repr((document.tag, hidden, [each.version for each in panels])).encode("utf-8", "replace"))
+        return CockpitState(
+            document.describe, token=token, headers=document.headers, cockpit=cockpit, panels=panels, hidden=hidden
+        )
+
+    def redact(self, state: State, permissions: Permissions) -> State:
+        """Return the state of a page as it is: its panels were read for the agent."""
+        return state if self._reader is not None else super().redact(state, permissions)
+
+    async def watch(self, wake: Callable[[], None]) -> Watch | None:
+        if self._reader is None:
+            return await super().watch(wake)
+        own = self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
+        return combine_watches(own, await self._reader.watch(await self.cockpit(), wake))
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         assert isinstance(state, CockpitState)
@@ -179,11 +153,44 @@ class ShownCockpit(_ShownPage, CockpitResource):
             )
         )
 
+
+# What clients keep
+
+
+class CockpitResource(_CockpitBase, RdfSourceResource):
+    """A cockpit that a client keeps."""
+
+    def __init__(self, sources: CockpitSources, path: str) -> None:
+        RdfSourceResource.__init__(self, sources.documents, path)
+        self._sources = sources
+
+    async def select_variant(self, exchange: Exchange) -> Resource:
+        """As it was, or its page where that is asked for."""
+        return former_of(self.documents, self.path, exchange) or self.shown(exchange)
+
+    async def document_state(self) -> State:
+        return await RdfSourceResource.state(self)
+
+    async def cockpit(self) -> Cockpit:
+        return self._cockpit
+
+    @property
+    def _cockpit(self) -> Cockpit:
+        return read_cockpit(state_of(self.documents, self.require_record()).document.triples, self.url)
+
+    async def forms(self) -> Sequence[Form]:
+        if "PUT" not in self.methods():
+            return ()
+        edit = EditForm(self._cockpit, self.space.base, str(self.require_record().version))
+        return (edit, DeleteForm("Delete this cockpit"))
+
     async def put(self, exchange: Exchange) -> Answer:
         """Write the cockpit that a form describes in place of this one.
 
         Raises a 409 Problem where it was changed after the form was drawn.
         """
+        if self._reader is None:
+            return await super().put(exchange)
         value = cast("Mapping[str, object]", json.loads(await exchange.body()))
         cockpit = cockpit_of_form(value, self.space.base)
 
@@ -225,18 +232,15 @@ def _suggestions(sources: CockpitSources, site: Site) -> tuple[str, ...]:
 # What is made
 
 
-class DefaultCockpit(Resource):
+class DefaultCockpit(_CockpitBase):
     """The cockpit that is made from what the robot has. It is not kept: a copy of it is."""
 
-    kind = "Cockpit"
     title = "Default cockpit"
     item = PathItem("The cockpit that is made from what the robot has", query=(FORMAT,))
     links = (RESOURCE, RDF_SOURCE_LINK)
 
     def __init__(self, sources: CockpitSources) -> None:
-        super().__init__(sources.session.space, sources.session.space.cockpit(DEFAULT))
-        self.documents = sources.documents
-        self._sources = sources
+        super().__init__(sources, sources.session.space.cockpit(DEFAULT))
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -249,53 +253,20 @@ class DefaultCockpit(Resource):
         return f"This cockpit is made from what the robot has: PUT one of another name to {container}NAME."
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Its page where that is asked for."""
-        if not wants_page(exchange):
-            return self
-        return ShownDefault(self._sources, exchange.permissions)
+        return self.shown(exchange)
 
     async def cockpit(self) -> Cockpit:
-        """The cockpit as it is now."""
         sources = self._sources
         can_stop = sources.software_stop.unusable_reason is None
         return await default_cockpit(sources.session, sources.affordances, can_stop=can_stop)
 
-    async def state(self) -> State:
+    async def document_state(self) -> State:
         cockpit = await self.cockpit()
         return self.documents.states.get_or_make(self.url, cockpit, lambda: State(lambda: self._document(cockpit)))
 
     def _document(self, cockpit: Cockpit) -> Document:
         own = triples_about(NamedNode(self.url), *RDF_SOURCE)
         return Document(self.url, (*own, *cockpit_triples(self.url, cockpit)))
-
-
-class ShownDefault(_ShownPage, DefaultCockpit):
-    """The default cockpit as its page shows it to one agent."""
-
-    is_cacheable = False
-
-    def __init__(self, sources: CockpitSources, permissions: Permissions) -> None:
-        DefaultCockpit.__init__(self, sources)
-        self._set_reader(sources, permissions)
-
-    async def cockpit(self) -> Cockpit:
-        return await DefaultCockpit.cockpit(self)
-
-    def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        assert isinstance(state, CockpitState)
-        return render_cockpit(
-            CockpitPage(
-                site,
-                self.url,
-                state.cockpit,
-                state.panels,
-                state.hidden,
-                cockpit_tabs(self.documents),
-                csrf,
-                copy=copy_form(site, self.url),
-                notices=tuple(notices),
-            )
-        )
 
 
 # All of them

@@ -16,12 +16,11 @@ from rosld.adapters.base import Watch
 from rosld.ontology.body import index_triples, parse_json
 from rosld.ontology.document import Document
 from rosld.server.auth.permissions import Permissions
-from rosld.server.history.history import History
 from rosld.server.html.forms import Form
 from rosld.server.html.offer import forms_of
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
+from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Property
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.json_schema import (
@@ -37,7 +36,6 @@ from rosld.server.hypermedia.value import shape_url
 from rosld.server.hypermedia.view_documents import complex_document, complex_json
 from rosld.server.hypermedia.views import ComplexView
 from rosld.server.patches.patch import apply_update
-from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.memento import PAST
 from rosld.server.resources.past_resources import PastReadings, TimeGate
 from rosld.server.resources.property_writes import (
@@ -49,7 +47,7 @@ from rosld.server.resources.property_writes import (
     read_fresh_state,
 )
 from rosld.server.resources.things import FORMAT as TD
-from rosld.server.resources.things import ThingDescriptions, wants_thing
+from rosld.server.resources.things import wants_thing
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, MERGE_PATCH, OFFERS, SPARQL_UPDATE
 from rosld.server.rest.path_item import FORMAT, PART_QUERY, PathItem, WriteMethod
@@ -65,8 +63,6 @@ from rosld.server.rest.resource import (
     permanent_redirect,
 )
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
-from rosld.server.runtime.version_cache import VersionCache
 
 _MANY_MEMBERS = 40
 """Members from which messages among them are described at their own URLs alone: hundreds of them are megabytes."""
@@ -80,20 +76,9 @@ class ComplexResource(TimeGate):
     shape = "ComplexResource"
     accepts: Mapping[str, Sequence[str]] = {"PATCH": (MERGE_PATCH, SPARQL_UPDATE)}
 
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        limit_checks: LimitChecks,
-        things: ThingDescriptions,
-        states: VersionCache[State],
-        history: History,
-        path: str,
-    ) -> None:
-        super().__init__(session, affordances, limit_checks, things, states, history, path)
-        self.title = path if path != "/" else "Resources"
+    def _own_links(self) -> tuple[Link, ...]:
         thing = Link(f"{self.url}?format={TD}", "describedby", type=MEDIA_TYPE)
-        self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, thing, *self._gate)
+        return (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, thing)
 
     @property
     def also_changes(self) -> Sequence[str]:
@@ -257,9 +242,7 @@ class ComplexResource(TimeGate):
         async with self.affordances.lock(tree, self.name, *named, modified=named):
             snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
             changes = self._changes(exchange.media_type, plan, snapshot, data)
-            return await carry_out_all(
-                self.session, await plan_changes(self.session, self.limit_checks, plan, snapshot, changes)
-            )
+            return await carry_out_all(self.session, await plan_changes(self.limit_checks, plan, snapshot, changes))
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Plan the writes of the properties that a graph changes; the caller holds the lock of `affected_names`.
@@ -273,7 +256,7 @@ class ComplexResource(TimeGate):
         view = self.affordances.complex_view(plan, snapshot)
         body = index_triples(triples)
         writes = await plan_changes(
-            self.session, self.limit_checks, plan, snapshot, changes_in_graph(body, plan, view, self.session.lifting)
+            self.limit_checks, plan, snapshot, changes_in_graph(body, plan, view, self.session.lifting)
         )
 
         async def carried_out_all() -> bool:

@@ -12,7 +12,7 @@ import orjson
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import RosError
-from rosld.ontology.describe_search import (
+from rosld.ontology.describe_views import (
     MemberOutline,
     SearchResult,
     search_document,

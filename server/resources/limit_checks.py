@@ -68,9 +68,9 @@ class LimitChecks:
     """Checks what is written against the limits in force, by the resources and the types that they are about."""
 
     def __init__(self, session: Session, affordances: AffordanceService[State], active: ActiveLimits) -> None:
-        self._session = session
+        self.session = session
         self._space = session.space
-        self._affordances = affordances
+        self.affordances = affordances
         self._active = active
 
     @property
@@ -99,7 +99,7 @@ class LimitChecks:
             note_limits(url)
             said = Triple(NamedNode(url), _LINKS[node], NamedNode(url + node))
             broken += shape.violations(
-                NamedNode(url), [said, *lifter(schema, self._session.lifting).triples(message, url, node)]
+                NamedNode(url), [said, *lifter(schema, self.session.lifting).triples(message, url, node)]
             )
         own = MessageValue(schema, message, schema.type.fields, url)
         broken += await self._of_property(kind, name, own)
@@ -155,7 +155,7 @@ class LimitChecks:
             limits.bounds_of_message(schema),
             limits.bounds_of_value(self._space.topic(name), _LINKS["#message"], schema),
         ]
-        tree = await self._affordances.tree()
+        tree = await self.affordances.tree()
         own = tree.catalogue.by_topic.get(name)
         for shown, field in () if own is None else tree.names_of(own):
             if field is None:
@@ -172,7 +172,7 @@ class LimitChecks:
             raise LoweringError(*broken)
 
     def _takes_finite(self, kind: Kind, name: str, type: str = "") -> bool:
-        return takes_finite_numbers(self._session.graph, self._session.settings.allow_non_finite, kind, name, type)
+        return takes_finite_numbers(self.session.graph, self.session.settings.allow_non_finite, kind, name, type)
 
     def _require_finite_parameter(self, name: str, value: ParameterValue, path: Path = None) -> None:
         """Raise LoweringError where a float of a parameter, or of one in a tree, is not finite or too large."""
@@ -184,7 +184,7 @@ class LimitChecks:
 
     def _declaration_violations(self, name: str, value: ParameterValue) -> list[Violation]:
         """Return the violations by a value, or one in a tree, of declarations of nodes."""
-        parameter = self._session.graph.parameters.get(name)
+        parameter = self.session.graph.parameters.get(name)
         if parameter is not None:
             return list(violations(parameter.descriptor or Descriptor(), name, self._space.parameter(name), value))
         if not isinstance(value, dict):
@@ -217,7 +217,7 @@ class LimitChecks:
 
     async def _property_names(self, kind: Kind, name: str) -> Sequence[tuple[str, str | None]]:
         """Return the URLs of the properties that a topic, service or parameter writes, each with its field."""
-        tree = await self._affordances.tree()
+        tree = await self.affordances.tree()
         catalogue = tree.catalogue
         ways = {
             Kind.TOPIC: catalogue.by_topic,
@@ -232,7 +232,7 @@ class LimitChecks:
         return [(url_of(shown, self._space), field) for shown, field in tree.names_of(found)]
 
     def _triples(self, url: str, predicate: NamedNode, value: Value, field: str | None = None) -> list[Triple]:
-        return value_triples(NamedNode(url), predicate, Reading("value", value), field, self._session.lifting)
+        return value_triples(NamedNode(url), predicate, Reading("value", value), field, self.session.lifting)
 
 
 def require_no_octets(body: RdfBody, texts: Set[NamedNode]) -> None:

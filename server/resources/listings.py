@@ -8,14 +8,14 @@ from itertools import islice
 import orjson
 from msgspec import Struct
 from msgspec.structs import replace
-from pyoxigraph import Triple
+from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import GoalStatus
 from rosld.ontology.describe_activities import Receipt, activity_document
 from rosld.ontology.describe_graph import container_document
-from rosld.ontology.describe_holds import hold_outline
-from rosld.ontology.describe_services import call_outline, goal_outline
+from rosld.ontology.describe_holds import HOLD_OUTLINE, HoldOutline
+from rosld.ontology.describe_services import CALL_OUTLINE, GOAL_OUTLINE, CallOutline, GoalOutline
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.ontology.triples import date_time_literal
@@ -130,9 +130,10 @@ def calls_listing(space: Space, calls: Calls, states: VersionCache[State]) -> Li
         outcome = _OUTCOMES.get(call.state, call.state.value.lower())
         cells = (outcome, time_cell(call.created_ns), time_cell(call.answered_ns), call.words or "")
         is_failed = call.state not in (CallState.RUNNING, CallState.SUCCEEDED)
-        times = call.created_ns, call.answered_ns
-        outline = call_outline(call.id, call.service, call.state.value, times, call.words, space)
-        return ListedMember(space.call(call.id), call.service, cells, tuple(outline), is_failed)
+        url = space.call(call.id)
+        view = CallOutline(call.id, call.service, call.state.value, call.created_ns, call.answered_ns, call.words)
+        outline = CALL_OUTLINE.triples(NamedNode(url), view, space)
+        return ListedMember(url, call.service, cells, tuple(outline), is_failed)
 
     columns = ("outcome", "called", "answered", "words")
     return ListingResource(
@@ -152,9 +153,10 @@ def goals_listing(space: Space, goals: Goals, states: VersionCache[State]) -> Li
 
     def listed(goal: Goal) -> ListedMember:
         cells = (goal.status.value, time_cell(goal.created_ns), time_cell(goal.ended_ns), goal.words or "")
-        times = goal.created_ns, goal.ended_ns
-        outline = tuple(goal_outline(goal.id, goal.action, goal.status, times, goal.words, space))
-        return ListedMember(space.goal(goal.id), goal.action, cells, outline, goal.status in _FAILED_GOALS)
+        url = space.goal(goal.id)
+        view = GoalOutline(goal.id, goal.action, goal.status, goal.created_ns, goal.ended_ns, goal.words)
+        outline = GOAL_OUTLINE.triples(NamedNode(url), view, space)
+        return ListedMember(url, goal.action, cells, tuple(outline), goal.status in _FAILED_GOALS)
 
     columns = ("status", "sent", "ended", "words")
     return ListingResource(
@@ -172,18 +174,21 @@ def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> Li
     """`/holds/`: the holds that there are, and what became of those of a rosld that was killed."""
     known = holds
 
+    def member(view: HoldOutline, cells: tuple[Cell, ...]) -> ListedMember:
+        url = space.hold(view.id)
+        outline = HOLD_OUTLINE.triples(NamedNode(url), view, space)
+        return ListedMember(url, view.topic, cells, tuple(outline), view.last_error is not None)
+
     def interrupted(hold: InterruptedHold) -> ListedMember:
         note, words = hold
         cells = (note.holder, f"{note.rate:g} Hz", time_cell(note.created_ns), words)
-        outline = hold_outline(note.id, note.topic, note.holder, note.rate, note.created_ns, words, space)
-        return ListedMember(space.hold(note.id), note.topic, cells, tuple(outline), is_failed=True)
+        view = HoldOutline(note.id, note.topic, note.holder, note.rate, note.created_ns, words)
+        return member(view, cells)
 
     def listed(hold: Hold) -> ListedMember:
         cells = (hold.holder.name, f"{hold.rate:g} Hz", time_cell(hold.created_ns), hold.last_error or "")
-        outline = hold_outline(
-            hold.id, hold.topic, hold.holder.name, hold.rate, hold.created_ns, hold.last_error, space
-        )
-        return ListedMember(space.hold(hold.id), hold.topic, cells, tuple(outline), hold.last_error is not None)
+        view = HoldOutline(hold.id, hold.topic, hold.holder.name, hold.rate, hold.created_ns, hold.last_error)
+        return member(view, cells)
 
     columns = ("holder", "rate", "since", "trouble")
     return ListingResource(

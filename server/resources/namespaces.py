@@ -13,7 +13,7 @@ from pyoxigraph import NamedNode
 from rosld.adapters.base import Capabilities
 from rosld.adapters.model import Action, Graph, Node, Parameter, Service, Topic, freeze, names
 from rosld.ontology.describe_graph import namespace_document
-from rosld.ontology.describe_search import MemberOutline, member_triples
+from rosld.ontology.describe_views import MemberOutline, member_triples
 from rosld.ontology.document import Document
 from rosld.ontology.names import IdentityCache, Members, members_of
 from rosld.ontology.urls import Space, decode_segment, encode_segment

@@ -81,7 +81,7 @@ class ParameterResource(ParameterBase):
         return super().constrained_by
 
     async def accepted(self, url: str) -> Document | None:
-        return await parameter_shape(self.space, self.session.adapter, self.limit_checks, self.name, url)
+        return await parameter_shape(self.limit_checks, self.name, url)
 
     def deny_reason(self, method: str) -> str:
         words = parameter_denied_reason(self.session.graph, self.name, delete=method == "DELETE")

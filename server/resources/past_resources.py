@@ -15,6 +15,7 @@ from starlette.responses import Response
 
 from rosld.adapters.model import RosError
 from rosld.server.history.history import History
+from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
 from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource, source_url
@@ -92,17 +93,20 @@ class TimeGate(CommandResource):
         name: str,
     ) -> None:
         super().__init__(session.space, url_of(name, session.space))
-        self.title = self.name = name
+        self.name = name
+        self.title = name if name != "/" else "Resources"
         self.session = session
         self.affordances = affordances
         self.limit_checks = limit_checks
         self.things = things
         self.states = states
         self.history = history
-        self._gate = timegate_links(self.url) if history.is_kept else ()
-        self.links = (*self.links, *self._gate)
+        self.links = (*self._own_links(), *(timegate_links(self.url) if history.is_kept else ()))
         self._headers = {"vary": VARY} if history.is_kept else {}
         """Headers of the current state, against caching for requests of other times."""
+
+    def _own_links(self) -> tuple[Link, ...]:
+        return type(self).links
 
     async def past_state(self, readings: PastReadings) -> State:
         """Return the state that follows from former readings. Raises a 404 Problem if it has no past."""

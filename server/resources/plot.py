@@ -11,6 +11,7 @@ import orjson
 from starlette.responses import Response
 
 from rosld.adapters.model import Array, RosError, TypeRef
+from rosld.ontology.describe_types import definition_text
 from rosld.ontology.describe_views import PlottedNumber, plot_document
 from rosld.ontology.document import Document
 from rosld.ontology.fields import number_type
@@ -23,7 +24,6 @@ from rosld.server.events.sample_stream import FollowedTopic, SampleStream
 from rosld.server.history.history import History
 from rosld.server.html.forms import Form
 from rosld.server.html.graphics import plot_query
-from rosld.server.html.messages import type_name
 from rosld.server.html.page import Csrf, Notice, PlotPage
 from rosld.server.html.render import render_plot
 from rosld.server.html.site import Site
@@ -109,7 +109,7 @@ class NumberFinder:
             raise Problem(422, f"The type of {number.topic} is not known: {error.sentence}") from error
         has_series = not isinstance(kind, Array) and is_recorded(self._history, number.topic)
         series = f"{url}?series={quote(number.field, safe='.')}" if has_series else None
-        return PlottedNumber(url, number.field, type_name(kind), series)
+        return PlottedNumber(url, number.field, definition_text(kind), series)
 
 
 MAX_NUMBERS = 16

@@ -187,20 +187,15 @@ class MemberResource(TimeGate):
         action = tree.action(self.name) if tree is not None else None
         plan = tree.property(self.name) if tree is not None else None
         is_invoked = action is not None and action.request is not None
-        adapter, settings = self.session.adapter, self.session.settings
-        return is_invoked or (plan is not None and has_property_shape(adapter, settings, plan))
+        return is_invoked or (plan is not None and has_property_shape(self.session, plan))
 
     async def accepted(self, url: str) -> Document | None:
         tree = await self.affordances.tree()
         action, plan = tree.action(self.name), tree.property(self.name)
         if action is not None and action.request is not None:
             kind, node = (Kind.ACTION, "#goal") if action.sends_goals else (Kind.SERVICE, "#request")
-            return await message_shape(self.space, self.limit_checks, kind, action.service, action.request, url, node)
-        return (
-            None
-            if plan is None
-            else await property_shape(self.session, self.affordances, self.limit_checks, plan, self.url, url)
-        )
+            return await message_shape(self.limit_checks, kind, action.service, action.request, url, node)
+        return None if plan is None else await property_shape(self.limit_checks, plan, self.url, url)
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -350,9 +345,9 @@ class MemberResource(TimeGate):
         """Plan the write of a value, if it may be written now; nothing moves."""
         if plan.is_conditional or plan.member.field is not None:
             snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
-            require_writable(self.space, self.affordances, plan, snapshot)
+            require_writable(self.affordances, plan, snapshot)
             content = self._whole(plan, snapshot, content)
-        return await plan_property_write(self.session, self.limit_checks, plan.source, content, defaults=defaults)
+        return await plan_property_write(self.limit_checks, plan.source, content, defaults=defaults)
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Plan the write of the property by a graph; the caller holds the lock of `affected_names`.
@@ -383,9 +378,9 @@ class MemberResource(TimeGate):
         data = await exchange.body()
         async with self.affordances.lock(tree, self.name, modified=(plan.source.name,)):
             snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
-            require_writable(self.space, self.affordances, plan, snapshot)
+            require_writable(self.affordances, plan, snapshot)
             content = self._whole(plan, snapshot, await self._patch(exchange, plan, snapshot, data))
-            written = await plan_property_write(self.session, self.limit_checks, plan.source, content)
+            written = await plan_property_write(self.limit_checks, plan.source, content)
             return await self._answer(exchange, written)
 
     async def _property(self) -> tuple[ResourceTree, PropertyPlan]:
@@ -415,7 +410,7 @@ class MemberResource(TimeGate):
         home = NamedNode(url_of(plan.parent, self.space))
         if plan.mapped is not None and body.objects(home, plan.mapped.predicate):
             subject, predicate = home, plan.mapped.predicate
-        await require_property_text(self.session, self.affordances, self.limit_checks, plan, body, subject, predicate)
+        await require_property_text(self.limit_checks, plan, body, subject, predicate)
         return content_from_rdf(body, subject, predicate, plan.source, self.session.lifting)
 
     async def _patch(self, exchange: Exchange, plan: PropertyPlan, snapshot: Snapshot, data: bytes) -> object:
@@ -445,9 +440,7 @@ class MemberResource(TimeGate):
         service = ServiceResource(self.session, self.limit_checks, self.states, plan.service)
         request = await service.read_message(exchange, self.url, plan.schema)
         async with self.affordances.lock(tree, self.name):
-            require_offered(
-                self.space, self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads)
-            )
+            require_offered(self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads))
             expect_status(200)
             outcome = await service.call(exchange, plan.schema, request)
         problem = call_problem(self.space, outcome) or refusal_problem(self.space, outcome)
@@ -461,9 +454,7 @@ class MemberResource(TimeGate):
         schema = await action.schema()
         goal = await action.read_message(exchange, self.url, schema)
         async with self.affordances.lock(tree, self.name):
-            require_offered(
-                self.space, self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads)
-            )
+            require_offered(self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads))
             return await action.send(exchange, schema, goal)
 
     async def delete(self, exchange: Exchange) -> Answer:

@@ -55,21 +55,19 @@ async def read_fresh_state(
     return affordances.snapshot(tree, await affordances.read(reads, refresh=True))
 
 
-def require_writable(
-    space: Space, affordances: AffordanceService[State], plan: PropertyPlan, snapshot: Snapshot
-) -> None:
+def require_writable(affordances: AffordanceService[State], plan: PropertyPlan, snapshot: Snapshot) -> None:
     """Raise a 404 Problem where a property is not there now, a 409 with the report where it must not be written."""
     affordances.require_exists(plan.exists_when, snapshot.results, plan.source.name)
-    condition_conflict(space, plan.write_conditions, snapshot, f"{plan.source.name} must not be written now")
+    condition_conflict(plan.write_conditions, snapshot, f"{plan.source.name} must not be written now")
 
 
-def require_offered(space: Space, affordances: AffordanceService[State], plan: ActionPlan, snapshot: Snapshot) -> None:
+def require_offered(affordances: AffordanceService[State], plan: ActionPlan, snapshot: Snapshot) -> None:
     """Raise a 404 Problem where what an action belongs to is not there, a 409 with the report if it is not offered."""
     affordances.require_exists(plan.exists_when, snapshot.results, plan.parent)
-    condition_conflict(space, plan.conditions, snapshot, f"{plan.name} is not on offer now")
+    condition_conflict(plan.conditions, snapshot, f"{plan.name} is not on offer now")
 
 
-def condition_conflict(space: Space, conditions: Sequence[Condition], snapshot: Snapshot, sentence: str) -> None:
+def condition_conflict(conditions: Sequence[Condition], snapshot: Snapshot, sentence: str) -> None:
     """Raise a 409 Problem with the report of the conditions that do not hold."""
     note_conditions(condition.iri for condition in conditions)
     broken: tuple[Violation, ...] = snapshot.results.violations(conditions)
@@ -81,9 +79,10 @@ def condition_conflict(space: Space, conditions: Sequence[Condition], snapshot: 
 
 
 async def plan_property_write(
-    session: Session, limit_checks: LimitChecks, own: Property, content: object, *, defaults: bool = False
+    limit_checks: LimitChecks, own: Property, content: object, *, defaults: bool = False
 ) -> PlannedWrite:
     """Plan a write of a property within the limits. Raises as `plan_write` does."""
+    session = limit_checks.session
     plan = plan_write(session, own, content, defaults=defaults)
     name, value = plan.writer.name, plan.value
     if not isinstance(value, MessageValue):
@@ -202,7 +201,7 @@ def _present(member: Member) -> object:
 
 
 async def plan_changes(
-    session: Session, limit_checks: LimitChecks, plan: ComplexPlan, snapshot: Snapshot, changes: Sequence[MemberChange]
+    limit_checks: LimitChecks, plan: ComplexPlan, snapshot: Snapshot, changes: Sequence[MemberChange]
 ) -> tuple[tuple[str, PlannedWrite], ...]:
     """Return the writes that bring these changes about, with the names of the members that ask for them.
 
@@ -210,14 +209,12 @@ async def plan_changes(
     that does not fit or breaks a limit (LoweringError). Nothing moves.
     """
     for change in changes:
-        condition_conflict(
-            session.space, change.member.write_conditions, snapshot, f"{change.member.name} must not be written now"
-        )
+        condition_conflict(change.member.write_conditions, snapshot, f"{change.member.name} must not be written now")
     writes = []
     broken: list[Violation] = []
     for names, own, content in _by_property(changes, snapshot.readings):
         try:
-            writes.append((names, await plan_property_write(session, limit_checks, own, content)))
+            writes.append((names, await plan_property_write(limit_checks, own, content)))
         except LoweringError as error:
             broken += _within(names, error).violations
         except Problem as problem:

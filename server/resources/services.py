@@ -105,7 +105,7 @@ class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
 
     async def accepted(self, url: str) -> Document | None:
         schema = self.part(await self.schema())
-        return await message_shape(self.space, self.limit_checks, self.ros_kind, self.name, schema, url, self.node)
+        return await message_shape(self.limit_checks, self.ros_kind, self.name, schema, url, self.node)
 
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():
@@ -298,10 +298,10 @@ def _view(call: Call) -> CallView:
         call.service,
         call.state.value,
         call.created_ns,
-        (schema.request, call.request),
-        None if call.response is None else (schema.response, call.response),
         call.answered_ns,
         call.words,
+        (schema.request, call.request),
+        None if call.response is None else (schema.response, call.response),
         None if call.sender is None else call.sender.receipt,
     )
 

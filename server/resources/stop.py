@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Watch
 from rosld.ontology.body import parse_json
-from rosld.ontology.describe_holds import CONFIRM, StepView, stop_document
+from rosld.ontology.describe_holds import CONFIRM, StepView, StopView, stop_document
 from rosld.ontology.document import Document
 from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space
@@ -100,8 +100,7 @@ class StopResource(Resource):
         """Return the RDF of the stop."""
         stops = self.software_stop
         stop_state = stops.stop_state
-        return stop_document(
-            self.space,
+        view = StopView(
             [
                 StepView(step.description, ros.terms[step.status.value], step.words, step.affects, step.subscribers)
                 for step in stops.steps
@@ -110,8 +109,9 @@ class StopResource(Resource):
             since_ns=None if stop_state is None else stop_state.since_ns,
             reason=None if stop_state is None else stop_state.reason,
             warning=stops.warning,
-            usable=stops.unusable_reason is None,
+            is_usable=stops.unusable_reason is None,
         )
+        return stop_document(view, self.space)
 
     def _plain(self) -> bytes:
         return self._plain_for(ALLOW_ALL)

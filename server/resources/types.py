@@ -19,7 +19,6 @@ from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import dcterms, rdf
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.policies import active_limits
 from rosld.server.resources.accepted_shape import datatypes_of_limits, load_limited_types
@@ -117,24 +116,16 @@ class ShapesGraphResource(Resource):
     kind = "Shape"
     is_found_by_state = True
 
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        limit_checks: LimitChecks,
-        states: VersionCache[State],
-        name: str,
-    ) -> None:
-        super().__init__(session.space, session.space.shape(name))
-        self.session = session
-        self.affordances = affordances
+    def __init__(self, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
+        space = limit_checks.session.space
+        super().__init__(space, space.shape(name))
         self.limit_checks = limit_checks
         self.states = states
         self.title = name
         self.item = PathItem(_SUMMARIES[self.title])
 
     def deny_reason(self, method: str) -> str:
-        return _deny_reason(self.space, self.session.settings, self.url, method)
+        return _deny_reason(self.space, self.limit_checks.session.settings, self.url, method)
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -142,19 +133,17 @@ class ShapesGraphResource(Resource):
 
     async def state(self) -> State:
         if self.title == LIMITS:
-            await load_limited_types(self.session, self.affordances, self.limit_checks)
-        key, describe = shapes_graph(self.session, self.affordances, self.limit_checks, self.title)
+            await load_limited_types(self.limit_checks)
+        key, describe = shapes_graph(self.limit_checks, self.title)
         return self.states.get_or_make(self.url, key, lambda: State(describe))
 
 
-def shapes_graph(
-    session: Session, affordances: AffordanceService[State], limit_checks: LimitChecks, name: str
-) -> tuple[object, Callable[[], Document]]:
+def shapes_graph(limit_checks: LimitChecks, name: str) -> tuple[object, Callable[[], Document]]:
     """Return the version of one of SHAPES_GRAPHS, and a function that describes it."""
-    url = session.space.shape(name)
+    url = limit_checks.session.space.shape(name)
     if name != LIMITS:
         return name, partial(shapes_file, name, url)
-    datatypes, graph = datatypes_of_limits(session, affordances, limit_checks), limit_checks.limits.graph
+    datatypes, graph = datatypes_of_limits(limit_checks), limit_checks.limits.graph
     return (IdentityKey(limit_checks.limits), datatypes), lambda: Document(url, (*graph, *datatypes))
 
 
@@ -228,20 +217,15 @@ def type_route(session: Session, states: VersionCache[State], location: Location
     return TypeResource(session, states, "/".join(location.segments))
 
 
-def shape_route(
-    session: Session,
-    affordances: AffordanceService[State],
-    limit_checks: LimitChecks,
-    documents: Documents,
-    location: Location,
-) -> Resource:
+def shape_route(limit_checks: LimitChecks, documents: Documents, location: Location) -> Resource:
     """Return the resource at `/shapes/` or below: shapes of types, and stored limits."""
+    session = limit_checks.session
     if location.is_container and not location.segments:
         return LimitsContainer(session.adapter, documents, active_limits.ROUTE)
     if len(location.segments) == 1:
         name = location.segments[0]
         if name in SHAPES_GRAPHS and not location.is_container:
-            return ShapesGraphResource(session, affordances, limit_checks, documents.states, name)
+            return ShapesGraphResource(limit_checks, documents.states, name)
         if not location.is_container and name in _packages(session.adapter):
             return PackageRedirect(session.space, session.settings, name)
         if not location.is_container:

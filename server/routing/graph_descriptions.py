@@ -165,7 +165,7 @@ class GraphDescriptions:
         for name in SHAPES_GRAPHS:
             yield _described(
                 space.shape(name),
-                *shapes_graph(self._session, self._services.affordances, self._factory.limit_checks, name),
+                *shapes_graph(self._factory.limit_checks, name),
             )
         variants = known_types(self._session.adapter)
         for schema in self._session.schemas.all():

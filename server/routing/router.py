@@ -188,7 +188,7 @@ class Router:
             "holds": _flat(space, "A hold", factory.holds, factory.hold),
             "parameters": partial(_parameter_route, factory),
             "types": partial(type_route, session, states),
-            "shapes": partial(shape_route, session, affordances, factory.limit_checks, documents),
+            "shapes": partial(shape_route, factory.limit_checks, documents),
             "bags": partial(bag_route, factory.bags),
             "resources": partial(_resource_route, factory),
             "data": stored,

@@ -17,8 +17,8 @@ from msgspec.structs import replace
 from pyoxigraph import BlankNode, NamedNode, Triple
 
 from rosld.ontology.violations import Violation
-from rosld.shapes.compiled_shape import ShapeValidator
-from rosld.shapes.shapes_graph import Node, ShapesGraph
+from rosld.shapes.compiled_shape import Shape, ShapeValidator
+from rosld.shapes.shapes_graph import ShapesGraph
 from rosld.shapes.terms import TripleView, View
 from rosld.shapes.value import Bounds, is_exact, merge_bounds
 
@@ -32,7 +32,7 @@ class NodeShape(Struct, frozen=True, eq=False):
     `paths` are the predicates that its simple property shapes look at (None where a path is not a predicate);
     `bounds` what it demands of the one value of each, as far as bounds can say it, `within` the same by the predicates
     on the way (`(twist:linear, vector3:x)`). `is_bounds`: it demands nothing but what `within` says. `sources` are the
-    shapes as they were written, each in its shapes graph.
+    shapes that it was made from.
     """
 
     iri: str
@@ -40,7 +40,7 @@ class NodeShape(Struct, frozen=True, eq=False):
     within: Mapping[tuple[NamedNode, ...], Bounds]
     judges: tuple[ShapeValidator, ...]
     is_bounds: bool
-    sources: tuple[tuple[ShapesGraph, Node], ...] = ()
+    sources: tuple[Shape, ...] = ()
 
     @property
     def bounds(self) -> Mapping[NamedNode, Bounds]:
@@ -79,7 +79,7 @@ def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
     """
     shape = graph.shape(iri)
     judge: ShapeValidator = shape if shape.is_simple else graph.pyshacl_shape(iri)
-    return NodeShape(iri.value, shape.paths, shape.within, (judge,), shape.is_bounds, ((graph, iri),))
+    return NodeShape(iri.value, shape.paths, shape.within, (judge,), shape.is_bounds, (shape,))
 
 
 def conjunction(shapes: Sequence[NodeShape]) -> NodeShape:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeAlias
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -16,7 +16,7 @@ from rosld.ontology.triples import Statement, Value, text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import sh, xsd
 from rosld.shapes.accepted_values import PARAMETERS, AcceptedValues
-from rosld.shapes.shapes_graph import Node, ShapesGraph
+from rosld.shapes.compiled_shape import Constraint, Shape
 from rosld.shapes.terms import is_numeric
 from rosld.shapes.value import Bounds
 from rosld.shapes.writer import ShapesWriter
@@ -83,13 +83,6 @@ def _primitive(kind: Kind) -> Primitive | None:
     return kind if isinstance(kind, Primitive) else None
 
 
-_SILENT = frozenset(
-    {
-        *(sh.path, sh.severity, sh.name, sh.description, sh.order, sh.group, sh.defaultValue, sh.message),
-        *(sh.deactivated, sh.targetNode, sh.targetClass),
-    }
-)
-"""What demands nothing."""
 _LITERALS = (sh.Literal, sh.IRIOrLiteral, sh.BlankNodeOrLiteral)
 _NODES = (sh.IRI, sh.IRIOrLiteral, sh.BlankNodeOrIRI)
 
@@ -127,66 +120,38 @@ class LimitPart(Struct, frozen=True):
         return replace(self, parts=tuple(each.of_value() for each in self.parts), logic=logic)
 
 
-def limit_part(graph: ShapesGraph, node: Node, place: Place, space: Space) -> LimitPart:
+def limit_part(shape: Shape, place: Place, space: Space) -> LimitPart:
     """Return the part of a limit at a place. Raises InexpressibleError."""
-    said = graph.statements(node)
-    if any(isinstance(each, Literal) and each.value in ("true", "1") for each in said.get(sh.deactivated, ())):
+    if not shape.constraints:
         return LimitPart()
-    path = next(iter(said.get(sh.path, ())), None)
-    at = place if path is None else _step(place, path, space)
-    part = LimitPart(words=graph.shape(node).words)
-    if isinstance(path, NamedNode):
-        part = replace(part, path=path)
-    if isinstance(at, ValuePlace):
-        part = replace(part, kind=at.primitive, datatype=at.datatype)
-    for parameter, values in said.items():
-        if parameter.value.startswith(sh.iri) and parameter not in _SILENT:
-            for value in values:
-                part = _constrained(part, graph, parameter, value, _At(place, at, space))
-    return part
+    at = _step(place, shape.path, space) if shape.is_property else place
+    bounds, orders, parts, logic = [], [], [], []
+    for each in shape.constraints:
+        match each.parameter:
+            case sh.lessThan | sh.lessThanOrEquals:
+                orders.append((each.parameter, _number_beside(place, at, each.value, space)))
+            case sh.property | sh.node:
+                parts.append(limit_part(each.shapes[0], at, space))
+            case sh.not_ | sh.and_ | sh.or_ | sh.xone:
+                logic.append((each.parameter, tuple(limit_part(inner, at, space) for inner in each.shapes)))
+            case _ if not _is_always_so(each, at, space):
+                bounds.append(_bounds(each, at))
+    kind, datatype = (at.primitive, at.datatype) if isinstance(at, ValuePlace) else (None, None)
+    return LimitPart(shape.path, kind, datatype, tuple(bounds), tuple(orders), tuple(parts), tuple(logic), shape.words)
 
 
-class _At(NamedTuple):
-    """Position of a constraint: the focus node and the value."""
-
-    focus: Place
-    value: Place
-    space: Space
-
-
-def _step(place: Place, path: Term, space: Space) -> ValuePlace:
+def _step(place: Place, path: NamedNode | None, space: Space) -> ValuePlace:
     """Return the field that a path leads to."""
-    found = place.follow(path, space) if isinstance(path, NamedNode) else None
+    found = None if path is None else place.follow(path, space)
     if found is None or (found.primitive is None and not isinstance(found.kind, Nested)):
         raise InexpressibleError(f"{path} is no field, or that of an array")
     return found
 
 
-def _constrained(part: LimitPart, graph: ShapesGraph, parameter: NamedNode, value: Term, at: _At) -> LimitPart:
-    """Return the part with one constraint more."""
-    if parameter in (sh.lessThan, sh.lessThanOrEquals):
-        return replace(part, orders=(*part.orders, (parameter, _number_beside(at, value))))
-    if parameter in (sh.property, sh.node):
-        return replace(part, parts=(*part.parts, limit_part(graph, _shape(value), at.value, at.space)))
-    if parameter in (sh.not_, sh.and_, sh.or_, sh.xone):
-        shapes = [value] if parameter == sh.not_ else graph.members(value)
-        members = tuple(limit_part(graph, _shape(each), at.value, at.space) for each in shapes)
-        return replace(part, logic=(*part.logic, (parameter, members)))
-    if _is_always_so(parameter, value, at):
-        return part
-    return replace(part, bounds=(*part.bounds, _bounds(graph, parameter, value, at.value)))
-
-
-def _shape(value: Term) -> Node:
-    if not isinstance(value, NamedNode | BlankNode):
-        raise InexpressibleError("it is no shape")
-    return value
-
-
-def _number_beside(at: _At, predicate: Term) -> NamedNode:
+def _number_beside(place: Place, at: Place, predicate: Term, space: Space) -> NamedNode:
     """Return the field that a number is compared with."""
-    other = at.focus.follow(predicate, at.space) if isinstance(predicate, NamedNode) else None
-    if other is None or not (_is_number(at.value) and _is_number(other)) or not isinstance(predicate, NamedNode):
+    other = place.follow(predicate, space) if isinstance(predicate, NamedNode) else None
+    if other is None or not (_is_number(at) and _is_number(other)) or not isinstance(predicate, NamedNode):
         raise InexpressibleError("only numbers of one message are compared")
     return predicate
 
@@ -196,18 +161,18 @@ def _is_number(place: Place) -> bool:
     return kind is not None and kind.name != "bool" and kind.name not in STRINGS
 
 
-def _is_always_so(parameter: NamedNode, value: Term, at: _At) -> bool:
+def _is_always_so(constraint: Constraint, place: Place, space: Space) -> bool:
     """Whether every value of the type fulfils a constraint."""
-    place = at.value
+    value = constraint.value
     if not isinstance(place, ValuePlace):
         return False
-    match parameter:
+    match constraint.parameter:
         case sh.datatype:
             return value == place.datatype
         case sh.nodeKind:
             return value in (_NODES if place.primitive is None else _LITERALS)
         case sh.class_:
-            return isinstance(place.kind, Nested) and value == NamedNode(at.space.class_of(place.kind.name))
+            return isinstance(place.kind, Nested) and value == NamedNode(space.class_of(place.kind.name))
         case sh.minCount:
             return isinstance(value, Literal) and value.value in ("0", "1")
         case sh.maxCount:
@@ -215,34 +180,19 @@ def _is_always_so(parameter: NamedNode, value: Term, at: _At) -> bool:
     return False
 
 
-def _bounds(graph: ShapesGraph, parameter: NamedNode, value: Term, place: Place) -> Bounds:
+def _bounds(constraint: Constraint, place: Place) -> Bounds:
     """Return a constraint on a scalar that looks at its value."""
     kind = place.primitive if isinstance(place, ValuePlace) else None
     if kind is None:
         raise InexpressibleError("it is about no scalar")
-    if parameter in (sh.in_, sh.hasValue):
-        members = graph.members(value) if parameter == sh.in_ else [value]
-        choices = tuple(each for each in members if isinstance(each, Literal))
-        if choices:
-            return Bounds(choices=choices)
-    elif isinstance(value, Literal) and parameter in _RANGES and _is_number(place) and is_numeric(value.datatype):
-        return _RANGES[parameter](value)
-    elif isinstance(value, Literal) and parameter in _TEXTS and kind.name in STRINGS:
-        return _TEXTS[parameter](value.value)
-    raise InexpressibleError(f"{parameter} looks at how a value is written")
-
-
-_RANGES: Mapping[NamedNode, Callable[[Literal], Bounds]] = {
-    sh.minInclusive: lambda value: Bounds(minimum=value),
-    sh.maxInclusive: lambda value: Bounds(maximum=value),
-    sh.minExclusive: lambda value: Bounds(exclusive_minimum=value),
-    sh.maxExclusive: lambda value: Bounds(exclusive_maximum=value),
-}
-_TEXTS: Mapping[NamedNode, Callable[[str], Bounds]] = {
-    sh.pattern: lambda value: Bounds(pattern=value),
-    sh.minLength: lambda value: Bounds(min_length=int(value)),
-    sh.maxLength: lambda value: Bounds(max_length=int(value)),
-}
+    bounds, value = constraint.bounds, constraint.value
+    if bounds == bounds.range:
+        is_of_value = _is_number(place) and isinstance(value, Literal) and is_numeric(value.datatype)
+    else:
+        is_of_value = bool(bounds.choices) or kind.name in STRINGS
+    if not bounds or not is_of_value:
+        raise InexpressibleError(f"{constraint.parameter} looks at how a value is written")
+    return bounds
 
 
 def write_limit(writer: ShapesWriter, values: AcceptedValues, part: LimitPart) -> BlankNode:

@@ -192,7 +192,7 @@ class Limits(Struct, frozen=True, eq=False):
 def _parts(shape: NodeShape, place: Place, space: Space) -> list[LimitPart] | None:
     """The shapes that one is made of, as parts of a shape of what is written; None where one cannot be."""
     try:
-        parts = [limit_part(graph, node, place, space) for graph, node in shape.sources]
+        parts = [limit_part(each, place, space) for each in shape.sources]
     except InexpressibleError:
         return None
     return [each for each in parts if not each.is_empty]

@@ -1,6 +1,6 @@
 """Bounds of inputs: the texts of attributes, options, and a sentence for people. Pure.
 
-An input only helps those who type: what is sent is judged by the shape itself, whatever a browser let through.
+Bounds of inputs only help the user: the shape validates every submission, whatever the browser allowed.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from rosld.shapes.value import Bounds
 
 _MAX_DIGITS = 40
 _ONLY_IN_XPATH = re.compile(r"\\[A-Za-z]|\[[^\]]*\[|\(\?")
-"""What a pattern may hold that XPath and a browser read differently: classes by letter, subtraction, options."""
+"""Constructs that XPath and browsers interpret differently: class escapes, subtraction, options."""
 
 
 def parse_number(text: str) -> Decimal | None:
-    """The finite number that a text is, None for all others; endless ones count as none."""
+    """Return a text as a finite number, or None if it is not one or is too large."""
     try:
         found = Decimal(text.strip())
     except InvalidOperation:
@@ -35,9 +35,9 @@ def same_value(one: str, other: str) -> bool:
 
 
 def number_range(kind: Primitive, bounds: Bounds) -> tuple[str, str]:
-    """The least and the greatest number of a primitive that an input may take, as texts; empty where there is none.
+    """Return the minimum and maximum of an input as texts; empty where there is none.
 
-    Inputs know no exclusive bounds: of whole numbers the next one is taken, of others the bound itself.
+    Inputs have no exclusive bounds: for integers the next integer is used, for other numbers the bound itself.
     """
     least, greatest = RANGES.get(kind.name, (None, None))
     lower = [_decimal(least), _bound(bounds.minimum), _bound(bounds.exclusive_minimum)]
@@ -54,9 +54,9 @@ def number_range(kind: Primitive, bounds: Bounds) -> tuple[str, str]:
 
 
 def number_step(kind: Primitive, bounds: Bounds) -> str:
-    """Return the step of an input, which a browser counts from its least number, as bounds do.
+    """Return the step of an input.
 
-    Without any where it would refuse the greatest.
+    Browsers count steps from the minimum. The step is omitted if it would exclude the maximum.
     """
     plain = "1" if kind.name in RANGES else "any"
     step, least, greatest = (_bound(each) for each in (bounds.step, bounds.minimum, bounds.maximum))
@@ -75,7 +75,6 @@ def _bound(literal: Literal | None) -> Decimal | None:
 
 
 def _next(literal: Literal | None, rounded: Decimal | None, step: int) -> Decimal | None:
-    """Return the whole number next to an exclusive bound."""
     return rounded + step if rounded is not None and rounded == _bound(literal) else rounded
 
 
@@ -84,7 +83,7 @@ def _text(value: Decimal | None) -> str:
 
 
 def option_texts(kind: Primitive | None, bounds: Bounds) -> tuple[str, ...]:
-    """Return the texts of the choices, in their order; those of a whole number without a fraction."""
+    """Return the texts of the choices, in order; for integer types without a fraction."""
     return tuple(dict.fromkeys(_option(kind, choice) for choice in bounds.choices))
 
 
@@ -94,14 +93,14 @@ def _option(kind: Primitive | None, choice: Literal) -> str:
 
 
 def browser_pattern(bounds: Bounds) -> str:
-    """The pattern for an input, which a browser matches with the whole text; empty where it might read another one."""
+    """Return the `pattern` of an input, which browsers match against the whole text; empty if they may differ."""
     if bounds.pattern is None or _ONLY_IN_XPATH.search(bounds.pattern):
         return ""
     return f".*(?:{bounds.pattern}).*"
 
 
 def describe_bounds(bounds: Bounds) -> str:
-    """Return the constraints in a sentence; empty without any, or if the options show them."""
+    """Return the constraints as a sentence; empty without any, or if the options show them."""
     if bounds.choices:
         return ""
     found = ", ".join(_phrases(bounds))

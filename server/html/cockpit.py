@@ -1,4 +1,4 @@
-"""The page of a cockpit: its panels with what they show, and their places."""
+"""The page of a cockpit: its panels, their contents and their places."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from rosld.server.hypermedia.views import ComplexView, PropertyView
 from rosld.server.robot.diagnostic_states import DiagnosticState, Level
 
 MAX_STREAM = 16
-"""Numbers of one stream."""
+"""Maximum number of series in one stream."""
 STREAMS = 3
-"""Plots, views and moving pictures of a page that each keep a connection: browsers have six, two are for sending."""
+"""Maximum number of open connections of a page: browsers allow six per server, and two are left for requests."""
 MAX_STATES = 12
 LEVELS: Mapping[Level, tuple[str, str]] = {
     Level.ERROR: ("Error", "error"),
@@ -41,30 +41,30 @@ LEVELS: Mapping[Level, tuple[str, str]] = {
     Level.WARN: ("Warning", "warning"),
     Level.OK: ("OK", "good"),
 }
-"""The word of a level, and its tone."""
+"""The label and the tone of each diagnostic level."""
 
 
 class WordsContent(Struct, frozen=True):
-    """Why nothing is shown, in a sentence."""
+    """The reason why a panel shows nothing, as a sentence."""
 
     words: str
 
 
 class ValueContent(Struct, frozen=True):
-    """A resource: what it says, and where it is one of `/resources/` its view."""
+    """A resource: its document and, for a resource below `/resources/`, its view."""
 
     document: Document
     view: Offer | None
 
 
 class StatesContent(Struct, frozen=True):
-    """Diagnostics, the worst first."""
+    """Diagnostic states, the worst first."""
 
     states: tuple[DiagnosticState, ...]
 
 
 class PlotContent(Struct, frozen=True):
-    """Numbers over time, and the references (`y`) that name them."""
+    """Numbers over time, and the references (`y`) that identify them."""
 
     numbers: tuple[PlottedNumber, ...]
     references: tuple[str, ...]
@@ -78,13 +78,13 @@ class PictureContent(Struct, frozen=True):
 
 
 class FormsContent(Struct, frozen=True):
-    """Forms, each with the URL that it posts to."""
+    """Forms, each with its target URL."""
 
     forms: tuple[Form, ...]
 
 
 class DriveContent(Struct, frozen=True):
-    """The form of a topic that commands a velocity."""
+    """The form of a topic that takes velocity commands."""
 
     form: HoldForm
 
@@ -96,7 +96,7 @@ class TableContent(Struct, frozen=True):
 
 
 class SpaceContent(Struct, frozen=True):
-    """The view of space that a reference names, relative to the base."""
+    """The view of space at a reference relative to the base."""
 
     reference: str
 
@@ -115,7 +115,7 @@ PanelContent: TypeAlias = (
 
 
 class FilledPanel(Struct, frozen=True):
-    """A panel and what it shows now; another `version` whenever that is something else."""
+    """A panel and its current content; `version` changes with the content."""
 
     panel: Panel
     content: PanelContent
@@ -131,21 +131,21 @@ class ValueRow(Struct, frozen=True):
 
 
 class ValueBody(Struct, frozen=True):
-    """Named values, or without any the table of all that is said."""
+    """Named values or, without any, the table of all statements."""
 
     rows: tuple[ValueRow, ...]
     table: TableView | None = None
 
 
 class StatesBody(Struct, frozen=True):
-    """The first states; there are `more`."""
+    """The first diagnostic states; `more` is the number of the others."""
 
     states: tuple[DiagnosticState, ...]
     more: int
 
 
 class PlotBody(Struct, frozen=True):
-    """Configuration of the plot as JSON, and links to the plots of single numbers."""
+    """The configuration of the plot as JSON, and links to the plots of single numbers."""
 
     config: str
     numbers: tuple[Anchor, ...]
@@ -168,7 +168,7 @@ class PanelView(Struct, frozen=True):
 
 
 def panel_views(panels: Sequence[FilledPanel], site: Site, csrf: Csrf) -> tuple[PanelView, ...]:
-    """Return the panels as the template draws them."""
+    """Return the panels for the template."""
     streams = _streams(panels, site)
     left = STREAMS - len(set(map(_stream_of, streams.values())))
     left -= sum(isinstance(each.content, SpaceContent) for each in panels)
@@ -217,26 +217,26 @@ def _view(filled: FilledPanel, number: int, site: Site, csrf: Csrf, plot: str, *
 
 
 def _is_silent(document: Document) -> bool:
-    """Whether a document is that of a topic without a message: what else it says is no value of the robot."""
+    """Whether a document describes a topic without a message; its other statements are no values of the robot."""
     is_topic = ros.Topic in objects_of(document, rdf.type)
     return is_topic and not document.messages and not objects_of(document, ros.unreadable)
 
 
 def _default_title(panel: Panel, site: Site) -> str:
-    """Return the title of a panel without one: the name of its subject."""
+    """Return the default title of a panel: the name of its subject."""
     if panel.kind is PanelKind.PLOT and panel.fields:
         return f"{site.short_name(panel.shows[0])} {', '.join(panel.fields)}"
     return ", ".join(site.short_name(each) for each in panel.shows) or "A panel"
 
 
 def _aim_pad(form: HoldForm, site: Site) -> HoldForm:
-    """Return the form with a pad that knows where its topic is."""
+    """Return the form with a pad that contains the path of its topic."""
     path = site.href(form.action) or ""
     return form if form.pad is None else replace(form, pad=replace(form.pad, path=path))
 
 
 def _picture(view: PictureView, url: str, site: Site, sequence: int, *, moves: bool) -> PictureView:
-    """Return the picture with references that are valid on any page; a still picture changes its URL with it."""
+    """Return the picture with references valid on any page; the URL of a still picture changes with the picture."""
     path = site.href(url) or ""
     still = f"{path}{view.still}" + ("" if moves else f"&v={sequence}")
     return replace(view, still=still, motion=f"{path}{view.motion}" if moves and view.motion else "")
@@ -246,7 +246,7 @@ def _picture(view: PictureView, url: str, site: Site, sequence: int, *, moves: b
 
 
 def _values(content: ValueContent, fields: Sequence[str], site: Site) -> ValueBody:
-    """Return the rows of a resource, or else the table of all that it says."""
+    """Return the rows of a resource, or else the table of all its statements."""
     view, document = content.view, content.document
     match view:
         case PropertyView(affordance, reading):
@@ -296,7 +296,7 @@ def _message(message: LiftedMessage, document: Document, site: Site) -> TableVie
 
 
 def _field(message: LiftedMessage, document: Document, path: str, site: Site) -> PropertyValueView:
-    """One field of a message, by its path."""
+    """Return the field of a message at a path."""
     schema = message.lifter.schema
     try:
         kind, value = field_at(schema, message.message, path)
@@ -314,7 +314,7 @@ def _field(message: LiftedMessage, document: Document, path: str, site: Site) ->
 
 
 def _walk(table: TableView, path: Sequence[str]) -> View | None:
-    """Return the value in a table of tables at a path of labels."""
+    """Return the value in nested tables at a path of labels."""
     view: View = table
     for step in path:
         row = next((each for each in view.rows if each.label == step), None) if isinstance(view, TableView) else None
@@ -328,7 +328,7 @@ def _walk(table: TableView, path: Sequence[str]) -> View | None:
 
 
 def _streams(panels: Sequence[FilledPanel], site: Site) -> Mapping[int, str]:
-    """Return the configuration of each plot by the number of its panel; plots share streams up to their limit."""
+    """Return the configuration of each plot by panel number; plots share streams up to `MAX_STREAM` series."""
     found: dict[int, str] = {}
     group: list[tuple[int, PlotContent]] = []
     for number, filled in enumerate(panels):
@@ -342,7 +342,7 @@ def _streams(panels: Sequence[FilledPanel], site: Site) -> Mapping[int, str]:
 
 
 def _stream_of(config: str) -> str:
-    """Return the address of the stream that a plot is drawn from."""
+    """Return the URL of the stream of a plot."""
     return str(json.loads(config)["stream"])
 
 
@@ -354,7 +354,7 @@ def _stream(group: Iterable[tuple[int, PlotContent]], site: Site) -> Mapping[int
 
 
 def _lines(content: PlotContent, references: Sequence[str], site: Site) -> list[dict[str, str | int | None]]:
-    """Return the lines of a plot, each with its place among the numbers of the stream."""
+    """Return the lines of a plot, each with its index in the stream."""
     is_single = len({number.topic for number in content.numbers}) == 1
     return [
         {
@@ -368,13 +368,13 @@ def _lines(content: PlotContent, references: Sequence[str], site: Site) -> list[
 
 _ROWS = 99
 _WIDE = "(min-width: 48rem)"
-"""From which width on there is a grid: below it each panel has the whole width."""
+"""Media query for screens with a grid; on narrower ones every panel has the full width."""
 
 
 class CockpitPage(Struct, frozen=True):
-    """The page of a cockpit: its panels as far as the reader may know of them, `hidden` of them left out.
+    """The page of a cockpit: the panels that the reader may see; `hidden` is the number of the others.
 
-    `others` are the URLs of cockpits with what they are called. Without a form nothing of it is on offer.
+    `others` maps the URLs of cockpits to their titles. Without a `form` the cockpit cannot be edited.
     """
 
     site: Site
@@ -392,7 +392,7 @@ class CockpitPage(Struct, frozen=True):
 
 
 def cockpit_style() -> bytes:
-    """Return the style of cockpits: policies of pages allow none in attributes, so each place has a rule."""
+    """Return the style sheet of a cockpit: the policy forbids style attributes, so each place has a rule."""
     own = (files("rosld.server.html") / "cockpit.css").read_bytes()
     return own + "\n".join((f"@media {_WIDE} {{", *_places(), "}", "")).encode("ascii")
 

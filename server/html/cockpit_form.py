@@ -1,4 +1,4 @@
-"""The form that edits a cockpit, and the parts that all forms share: methods, and the pairs they send."""
+"""The form that edits a cockpit, and the parts that all forms share: methods and their pairs."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Pairs: TypeAlias = Sequence[tuple[str, str]]
 
 
 ADDED = 2
-"""Rows of the form for panels that are not there yet."""
+"""Number of empty rows for new panels."""
 _ROW = re.compile(r"panel\.([0-9]{1,3})\.(kind|type|shows|fields|title|column|row|width|height|remove)")
 _KINDS = tuple(kind.value for kind in PanelKind)
 _MOST = 99
 
 
 class PanelInputs(Struct, frozen=True):
-    """Values of the inputs of one panel. `number` is 0 for a new panel."""
+    """Inputs of one panel; `number` is 0 for a new panel."""
 
     prefix: str
     number: int
@@ -42,7 +42,7 @@ class PanelInputs(Struct, frozen=True):
 
 
 class EditForm(Struct, frozen=True):
-    """A form that writes a cockpit anew. `base` is what URLs of the robot begin with, `version` what is replaced."""
+    """A form that replaces a cockpit. `base` is the prefix of the robot's URLs, `version` the version to replace."""
 
     template: ClassVar[str] = "edit"
     cockpit: Cockpit
@@ -61,7 +61,7 @@ class EditForm(Struct, frozen=True):
 
     @property
     def panels(self) -> tuple[PanelInputs, ...]:
-        """The inputs of its panels, and of some that may be added."""
+        """The inputs of the panels, followed by empty ones."""
         if self.submitted is not None:
             return tuple(
                 _panel_inputs(number, number, texts) for number, texts in sorted(_rows(self.submitted).items())
@@ -72,7 +72,7 @@ class EditForm(Struct, frozen=True):
 
 
 class CopyForm(Struct, frozen=True):
-    """A form that makes a cockpit of a name as a copy of one at a URL."""
+    """A form that copies the cockpit at a URL under a new name."""
 
     template: ClassVar[str] = "copy"
     source: str
@@ -96,7 +96,7 @@ class CopyForm(Struct, frozen=True):
 
 
 def parse_copy(pairs: Pairs) -> dict[str, object]:
-    """Return the plain JSON of a form that makes a copy. Raises LoweringError."""
+    """Return the plain JSON of a form that copies a cockpit. Raises LoweringError."""
     given = dict(pairs)
     name, source = given.get("name", "").strip(), given.get("source", "").strip()
     if not name:
@@ -105,7 +105,7 @@ def parse_copy(pairs: Pairs) -> dict[str, object]:
 
 
 def parse_edit(pairs: Pairs) -> dict[str, object]:
-    """Return the plain JSON of a form that writes a cockpit. Raises LoweringError with what is no number."""
+    """Return the plain JSON of a form that replaces a cockpit. Raises LoweringError for an invalid number."""
     given, rows = dict(pairs), _rows(pairs)
     violations: list[Violation] = []
     panels = []
@@ -143,7 +143,7 @@ def _number(panel: int, name: str, text: str, most: int, violations: list[Violat
 
 
 def cockpit_of_form(value: Mapping[str, object], base: str) -> Cockpit:
-    """Return the cockpit that the plain JSON of a form describes; references are relative to the base of the server."""
+    """Return the cockpit in the plain JSON of a form; references are relative to the base of the server."""
     rows = value.get("panels")
     panels = [_panel(row, base) for row in (rows if isinstance(rows, list) else []) if isinstance(row, dict)]
     return Cockpit(str(value.get("title", "")), tuple(panels))
@@ -175,7 +175,7 @@ def _whole(value: object) -> int | None:
 
 
 def _absolute(reference: str, base: str) -> str:
-    """Return a reference as an IRI: one without a scheme is below the base."""
+    """Return a reference as an IRI, resolved against the base if it has no scheme."""
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", reference):
         return reference
     return base + reference.lstrip("/")
@@ -216,5 +216,5 @@ def _panel_inputs(row: int, number: int, texts: Mapping[str, str]) -> PanelInput
 
 
 def kinds_of_panels() -> Sequence[str]:
-    """Return the kinds of panels to choose from."""
+    """Return the kinds of panels that a form offers."""
     return _KINDS

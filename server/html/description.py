@@ -1,4 +1,4 @@
-"""The description of a document as sections of rows: its resource first, then all else it describes."""
+"""The description of a document as sections of rows, its main resource first."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _QUIET_TYPES = frozenset({ldp.Resource, ldp.RDFSource, ldp.Container})
 
 
 class Section(Struct, frozen=True):
-    """A subject of the document and what is said of it. `id` is its fragment on the page, `kind` its type in words."""
+    """A subject of the document and its statements. `id` is its fragment on the page, `kind` its type in words."""
 
     title: str
     body: TableView
@@ -39,10 +39,7 @@ class Section(Struct, frozen=True):
 
 
 class _Walk(Struct):
-    """One document being walked: `drawn` are the subjects that have their place already, `left` bounds the rows.
-
-    `parts` are what the IRIs of the parts of its subject begin with.
-    """
+    """State of a traversal of a document: `drawn` are the subjects placed, `left` is the number of rows left."""
 
     outline: Outline
     site: Site
@@ -57,8 +54,8 @@ def describe(
 ) -> tuple[Section, ...]:
     """Return the sections of a document.
 
-    `without` are predicates of the resource itself that are shown elsewhere, with the parts that they lead to; `apart`
-    are other subjects that are.
+    `without` are predicates of the main resource that the page shows elsewhere, along with their objects; `apart` are
+    other subjects that it shows elsewhere.
     """
     found = outline(document.triples)
     main = main_subject(document, found)
@@ -85,7 +82,7 @@ def main_subject(document: Document, found: Outline) -> Subject:
 
 
 def _shown_elsewhere(found: Outline, main: Subject, skipped: frozenset[NamedNode]) -> set[Subject]:
-    """Return the objects of these predicates, and their parts that are described here."""
+    """Return the objects of these predicates and the parts of those objects."""
     own = found.subjects.get(main, {})
     left = [term for predicate in skipped for term in own.get(predicate, ()) if isinstance(term, NamedNode | BlankNode)]
     hidden: set[Subject] = set()
@@ -100,7 +97,7 @@ def _shown_elsewhere(found: Outline, main: Subject, skipped: frozenset[NamedNode
 
 
 def _is_part(term: Subject) -> bool:
-    """Whether a term is a part of what refers to it: nothing with a URL of its own."""
+    """Whether a term is a part of another resource, without a URL of its own."""
     return isinstance(term, BlankNode) or "#" in term.value
 
 
@@ -132,7 +129,7 @@ def _title(walk: _Walk, subject: Subject) -> str:
 
 
 def fragment(subject: Subject, url: str) -> str:
-    """Return the id of a subject's section: its IRI's fragment where it is one of this page or of the vocabulary."""
+    """Return the id of a subject's section: the fragment of its IRI if that is on this page or in the vocabulary."""
     if isinstance(subject, BlankNode) or "#" not in subject.value:
         return ""
     if subject.value.startswith((f"{url}#", ros.iri, mapping.iri, av.iri)):
@@ -156,7 +153,7 @@ def _rank(predicate: NamedNode) -> tuple[int, str]:
 
 
 def _order_types(predicate: NamedNode, terms: list[Term]) -> list[Term]:
-    """Telling types before LDP's, everything else as it came."""
+    """Return types with the informative ones before those of LDP, and other terms unchanged."""
     if predicate != rdf.type:
         return terms
     return sorted(terms, key=lambda term: term in _QUIET_TYPES)
@@ -186,7 +183,7 @@ def _view(walk: _Walk, term: Term, depth: int) -> View:
 
 
 def _nests(walk: _Walk, term: Subject, depth: int) -> bool:
-    """Whether a subject is drawn in place: a blank node used once, or a part of the subject not drawn before."""
+    """Whether to nest a subject: a blank node used once, or a part of the main subject not drawn before."""
     if depth >= _DEEPEST or term in walk.drawn or term not in walk.outline.subjects:
         return False
     if isinstance(term, BlankNode):
@@ -206,19 +203,19 @@ def _list(walk: _Walk, terms: list[Term], depth: int) -> View:
 
 
 def objects_of(document: Document, predicate: NamedNode) -> list[Term]:
-    """Return the objects of `predicate` for the resource itself."""
+    """Return the objects of `predicate` for the resource at the document's URL."""
     own = NamedNode(document.url)
     return [triple.object for triple in document.triples if triple.subject == own and triple.predicate == predicate]
 
 
 def first_text(document: Document, predicate: NamedNode) -> str:
-    """Return the first literal of `predicate` for the resource itself, or an empty text."""
+    """Return the first literal of `predicate` for the resource at the document's URL, or an empty text."""
     found = (term.value for term in objects_of(document, predicate) if isinstance(term, Literal))
     return escape_controls(next(found, ""))
 
 
 MAX_SECTIONS = 40
-"""Sections that a page shows one below the other. More of them are folded, by kind."""
+"""Maximum number of sections in a plain list; more are folded by kind."""
 
 
 class SectionGroup(Struct, frozen=True):
@@ -229,7 +226,7 @@ class SectionGroup(Struct, frozen=True):
 
 
 def group_sections(sections: Sequence[Section]) -> tuple[SectionGroup, ...]:
-    """Return the sections by kind, in the order in which kinds first come; none where they are few."""
+    """Return the sections by kind, in order of first appearance; empty if there are few."""
     if len(sections) <= MAX_SECTIONS:
         return ()
     kinds: dict[str, list[Section]] = {}

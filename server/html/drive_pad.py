@@ -1,4 +1,4 @@
-"""The pad that drives a robot: what its script needs to know. Pure."""
+"""The pad that drives a robot: the configuration of its script. Pure."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from rosld.server.html.inputs import Json
 from rosld.shapes.value import UNBOUNDED, Bounds
 
 RATE = 20.0
-"""Hz: how often a command is published while the pad is pressed."""
+"""Rate in Hz at which commands are published while the pad is pressed."""
 LEASE = 0.6
-"""Seconds after which the robot stands where the page, or the way to it, is lost."""
+"""Seconds after which the robot stops if the page or the connection is lost."""
 _WITHIN = Decimal("0.999")
-"""What of an exclusive bound is driven at most."""
+"""Fraction of an exclusive bound that is used as the maximum."""
 
 
 class Axis(Struct, frozen=True):
-    """One direction of the pad: the path of the field that it sets, what that is, and its range."""
+    """One direction of the pad: the path of its field, its label, its unit and its range."""
 
     path: str
     label: str
@@ -38,7 +38,7 @@ class Axis(Struct, frozen=True):
 
 
 class DrivePad(Struct, frozen=True):
-    """A pad for a topic: forward and leftward speeds, the message of standstill, and the terms of its hold."""
+    """A pad for a topic: forward and leftward speeds, the message for standstill, and the terms of its hold."""
 
     topic: str
     ahead: Axis
@@ -47,11 +47,11 @@ class DrivePad(Struct, frozen=True):
     rate: float
     lease: float
     path: str = ""
-    """The path of the topic's URL; empty where that of the page is it."""
+    """The path of the topic's URL; empty for the URL of the page."""
 
     @property
     def json(self) -> str:
-        """All of it, for the script."""
+        """The configuration of the script, as JSON."""
         return json.dumps(asdict(self))
 
 
@@ -65,14 +65,14 @@ _AXES: Mapping[str, tuple[str, Axis, Axis]] = {
     "ackermann_msgs/msg/AckermannDrive": ("", _CAR_SPEED, _STEERING),
     "ackermann_msgs/msg/AckermannDriveStamped": ("drive.", _CAR_SPEED, _STEERING),
 }
-"""By type: what precedes the paths, and the axes with the range where no limit says another."""
+"""Prefix of the field paths, and the axes with their default ranges, by message type."""
 assert _AXES.keys() == COMMANDS
 
 
 def drive_pad(
     topic: str, schema: MessageSchema, bounds: Mapping[str, Bounds], zero: Json, max_rate: float
 ) -> DrivePad | None:
-    """Return the pad for a topic of a type, within the bounds of fields by their paths; None for other types."""
+    """Return the pad for a topic of a type, within the bounds of its fields; None for other types."""
     found = _AXES.get(schema.ref.name)
     if found is None:
         return None
@@ -107,7 +107,7 @@ def _within(bound: Literal | None) -> Decimal | None:
 
 
 def _inside(bound: Decimal, inward: float, *, is_single: bool) -> float:
-    """The number of the field's type that is next to a bound, within it: `0.1` is no number of either type."""
+    """Return the number of the field's type nearest to a bound and within it (`0.1` has no exact representation)."""
     kind = np.float32 if is_single else np.float64
     nearest = kind(bound)
     is_outside = Decimal(float(nearest)) < bound if inward > 0 else Decimal(float(nearest)) > bound

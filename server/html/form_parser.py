@@ -1,4 +1,4 @@
-"""Parser of submitted forms: from pairs of names and texts to the plain JSON that lowers to a message."""
+"""Parser of submitted forms: converts pairs of names and texts to the plain JSON of a message."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SPECIAL = {"nan": "NaN", "inf": "INF", "+inf": "INF", "-inf": "-INF", "infinity
 
 
 def split_hidden(pairs: Iterable[tuple[str, str]]) -> tuple[str | None, str | None, list[tuple[str, str]]]:
-    """Return the CSRF token, the method meant (either None where it is missing), and the form's own pairs."""
+    """Return the CSRF token, the intended method (each None if missing), and the other pairs."""
     hidden: dict[str, str] = {}
     rest: list[tuple[str, str]] = []
     for name, value in pairs:
@@ -39,7 +39,7 @@ def split_hidden(pairs: Iterable[tuple[str, str]]) -> tuple[str | None, str | No
 
 
 def split_query(pairs: Iterable[tuple[str, str]]) -> tuple[dict[str, str], list[tuple[str, str]]]:
-    """Return the pairs of a form for the query (`?rate`; no field's name begins so), and the others."""
+    """Return the pairs for the query (named `?rate`; no field name begins so), and the others."""
     query: dict[str, str] = {}
     rest: list[tuple[str, str]] = []
     for name, value in pairs:
@@ -51,12 +51,12 @@ def split_query(pairs: Iterable[tuple[str, str]]) -> tuple[dict[str, str], list[
 
 
 def parse_value(shape: ValueShape, pairs: Iterable[tuple[str, str]]) -> JsonValue:
-    """The plain JSON of the value that a `ValueForm` was filled with: the bare scalar, or an object of its fields.
+    """Return the plain JSON of a submitted `ValueForm`: the bare scalar, or an object of its fields.
 
-    `pairs` are names (paths of fields) and texts, the hidden ones taken out. An unchecked box sends nothing and is
-    false; anything else that is missing, that no input of the form has sent, or that is no value of its type is a
-    violation. Line ends are LF: browsers send CR LF whatever was typed. Bounds are not judged here: the shape does
-    that, whoever wrote the value. Raises LoweringError with all violations.
+    `pairs` are names (paths of fields) and texts, without the hidden fields. Browsers omit an unchecked box, which is
+    false; every other missing field, unknown field or value of the wrong type is a violation. Line ends become LF:
+    browsers send CR LF. Bounds are not checked here, as the shape validates every value. Raises LoweringError with all
+    violations.
     """
     reading = _Reading(pairs)
     match shape:
@@ -73,16 +73,16 @@ def parse_value(shape: ValueShape, pairs: Iterable[tuple[str, str]]) -> JsonValu
 
 
 def parse_choice(name: str, pairs: Iterable[tuple[str, str]]) -> JsonValue:
-    """The plain JSON of what a `ChoiceForm` was sent with, whether or not it is still on offer.
+    """Return the plain JSON of a submitted `ChoiceForm`, whether or not the choice is still available.
 
-    Raises LoweringError where it is missing, or where there are other fields.
+    Raises LoweringError if the choice is missing or if there are other fields.
     """
     reading = _Reading(pairs)
     return reading.end({name: reading.value(name, str)})
 
 
 def _read_choice(bounds: Bounds, text: str) -> JsonValue:
-    """Return a choice of a value without a type, as plain JSON by the choice's own datatype."""
+    """Return a choice for a value without a type, as plain JSON according to the choice's own datatype."""
     chosen = next((each for each in bounds.choices if each.value == text), None)
     if chosen is None:
         raise ValueError(f"must be one of {', '.join(each.value for each in bounds.choices)}")
@@ -92,7 +92,7 @@ def _read_choice(bounds: Bounds, text: str) -> JsonValue:
 
 
 class _Reading:
-    """A form being read: `texts` are those not yet taken."""
+    """State of parsing a form: `texts` are the pairs not yet consumed."""
 
     def __init__(self, pairs: Iterable[tuple[str, str]]) -> None:
         self.texts: dict[str, str] = {}
@@ -103,7 +103,7 @@ class _Reading:
             self.texts.setdefault(name, text)
 
     def message(self, schema: MessageSchema, fields: Iterable[Field], prefix: str) -> JsonValue:
-        """Return fields of a message: each is a fieldset, or the text of one input."""
+        """Return the fields of a message, each from a fieldset or from the text of one input."""
         found: dict[str, JsonValue] = {}
         for field in fields:
             path, kind = f"{prefix}{field.name}", field.type
@@ -115,7 +115,7 @@ class _Reading:
         return found
 
     def value(self, name: str, reader: _Reader, unsent: str | None = None) -> JsonValue:
-        """Return the value of one input; `unsent` is what a browser means that has sent none."""
+        """Return the value of one input; `unsent` is the meaning of a missing pair."""
         text = self.texts.pop(name, unsent)
         try:
             if text is None:
@@ -126,7 +126,7 @@ class _Reading:
             return None
 
     def end(self, value: JsonValue, form: str = "this form") -> JsonValue:
-        """Return the value. Raises LoweringError for violations, and for inputs that the form does not have."""
+        """Return the value. Raises LoweringError for violations and for unknown fields."""
         rest = (Violation(name, f"is no field of {form}", text) for name, text in self.texts.items())
         violations = (*self.violations, *rest)
         if violations:

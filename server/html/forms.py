@@ -1,8 +1,8 @@
-"""Forms: what a person may send to a resource, drawn from the shape of what it takes. `form_parser.py` reads them back.
+"""Forms for requests to a resource, built from the shape of its values. `form_parser.py` parses submissions.
 
-A form posts as `application/x-www-form-urlencoded` to the resource at `action`, or where that is empty to its page's
-own. Its first two fields are hidden: `csrf`, and `method`, the verb meant. All others are named by the path of their
-field (`linear.x`), so that a message may well have a field called `method`: only the first of that name is ours.
+A form posts as `application/x-www-form-urlencoded` to the resource at `action` or, if that is empty, to the URL of its
+page. Its first two fields are hidden: `csrf`, and `method`, the HTTP method. All others are named by the path of their
+field (`linear.x`). A message may have a field called `method`: only the first pair of that name is the HTTP method.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from rosld.shapes.value import Measure, MessageShape, OpenShape, ScalarShape, Va
 
 METHOD_FIELD = "method"
 CHOICE_FIELD = "?choice"
-"""What a ticked box of a list of names sends: no field of a message begins so."""
+"""Name of the pair for each ticked name; no field name begins so."""
 VALUE_FIELD = "value"
 TYPE_FIELD = "type"
 
 PARAMETER_TYPES = ("number", "string", "boolean", "JSON")
-"""What a parameter's form offers; whole numbers stay whole."""
+"""Types that the form of a parameter offers; integers stay integers."""
 
 
 class NameChoices(Struct, frozen=True):
-    """Names to be ticked, which are added to what is typed into the text `field`; `urls` are what they are about."""
+    """Names that the user can tick to add them to the text `field`; `urls` are their resources."""
 
     field: str
     title: str
@@ -54,21 +54,21 @@ class NameChoices(Struct, frozen=True):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names without their leading slash, which the pages show in groups."""
+        """The names without a leading slash, for grouping."""
         return tuple(name.removeprefix("/") for name in sorted(self.urls))
 
     @property
     def groups(self) -> tuple[NameGroup[str], ...]:
-        """The names in groups, none where they are few."""
+        """The names in groups; empty if they are few."""
         return group_names(self.names, lambda name: name)
 
 
 class ValueForm(Struct, frozen=True):
-    """A form for a value of a shape: a message to publish or to call a service with, a property's, a parameter's.
+    """A form for a value of a shape: a message to publish, a request of a service, a property or a parameter.
 
-    `value` (plain JSON, None for ROS's defaults) is what it is filled with at first, `submitted` what was typed into it
-    when it was sent and did not fit, `violations` why. `label` is what the input of a scalar is called. `choices` are
-    names that one of its texts may have; `folded` are the names of fields that few need.
+    `value` (plain JSON, None for the defaults of ROS) fills it initially. After an invalid submission, `submitted` has
+    the texts and `violations` the reasons. `label` is the label of a scalar input. `choices` are possible names for one
+    of the texts; `folded` are the names of rarely needed fields.
     """
 
     template: ClassVar[str] = "value"
@@ -86,7 +86,7 @@ class ValueForm(Struct, frozen=True):
     folded: frozenset[str] = frozenset()
 
     def with_choices_of(self, may_read: Callable[[str], bool]) -> ValueForm:
-        """The same form with no name of what its reader may not read."""
+        """Return the form with only the names that its reader may read."""
         if self.choices is None:
             return self
         urls = {name: url for name, url in self.choices.urls.items() if may_read(url)}
@@ -94,12 +94,12 @@ class ValueForm(Struct, frozen=True):
 
     @property
     def ticked(self) -> frozenset[str]:
-        """The names among its choices that were ticked."""
+        """The names that were ticked."""
         return frozenset(text for name, text in self.submitted or () if name == CHOICE_FIELD)
 
     @property
     def type(self) -> str:
-        """What is sent, as ROS calls it; empty where ROS has no type for it."""
+        """The ROS type of the value; empty where ROS has none."""
         match self.shape:
             case ScalarShape(kind):
                 return kind.name
@@ -110,7 +110,7 @@ class ValueForm(Struct, frozen=True):
 
     @property
     def controls(self) -> tuple[Control, ...]:
-        """Its inputs."""
+        """The inputs of the form."""
         shape, filling = self.shape, self._filling()
         if isinstance(shape, MessageShape):
             return controls(shape.schema, shape.fields, self.value, filling)
@@ -122,7 +122,7 @@ class ValueForm(Struct, frozen=True):
         return _open_controls(self.value, filling, unit)
 
     def _filling(self) -> InputValues:
-        """Return the values of its inputs: of a single one, whatever does not fit is about that."""
+        """Return the values of the inputs; every violation of a single input belongs to that input."""
         typed, shape = None if self.submitted is None else dict(self.submitted), self.shape
         if isinstance(shape, MessageShape):
             return InputValues(typed, _errors((each.path, each) for each in self.violations), shape.bounds)
@@ -141,12 +141,12 @@ def message_form(
     value: Json = None,
     about: str = "",
 ) -> ValueForm:
-    """Return the form for a message: publish it, or call a service with it."""
+    """Return the form that publishes a message or calls a service with it."""
     return ValueForm(MessageShape(schema, schema.type.fields), method, title, button, value, about=about)
 
 
 class HoldTerms(Struct, frozen=True):
-    """The defaults and maxima of a hold's rate (Hz) and time (s), and what is published at its end by default."""
+    """Defaults and maxima of a hold's rate (Hz) and duration (s), and its default final message."""
 
     rate: float
     max_rate: float
@@ -156,9 +156,9 @@ class HoldTerms(Struct, frozen=True):
 
 
 class HoldForm(ValueForm, frozen=True, kw_only=True):
-    """A form that holds a topic: the message, and in the query how often it is published and what becomes of that.
+    """A form that holds a topic: the message and, in the query, the terms of the hold.
 
-    `pad` is there where the topic commands a velocity.
+    A topic that takes velocity commands has a `pad`.
     """
 
     template: ClassVar[str] = "hold"
@@ -167,7 +167,7 @@ class HoldForm(ValueForm, frozen=True, kw_only=True):
 
     @property
     def controls(self) -> tuple[Control, ...]:
-        """Its inputs: the message's, and those of the query, whose names begin with a question mark."""
+        """The inputs for the message and for the query; the names of the latter begin with a question mark."""
         filling, terms = self._filling(), self.terms
         return (
             *super().controls,
@@ -184,7 +184,7 @@ def _query_number(name: str, label: str, value: float, most: float, unit: str, f
 
 
 class DeleteForm(Struct, frozen=True):
-    """A button that deletes the resource; `about` says what that does, `query` are parameters that it sends."""
+    """A button that deletes the resource; `about` explains the effect, `query` has the parameters to send."""
 
     template: ClassVar[str] = "delete"
     title: str = "Delete"
@@ -198,9 +198,9 @@ class DeleteForm(Struct, frozen=True):
 
 
 class ChoiceForm(Struct, frozen=True):
-    """A button for each of several things that may be asked for by its name, which is sent as the field `name`.
+    """A button for each of several named choices; the name is sent as the field `name`.
 
-    `labels` are what buttons say that do not say that name.
+    `labels` are the labels of buttons that differ from the name.
     """
 
     template: ClassVar[str] = "choice"
@@ -219,7 +219,7 @@ Form: TypeAlias = ValueForm | DeleteForm | ChoiceForm | EditForm | CopyForm
 
 
 def _errors(violations: Iterable[tuple[str, Violation]]) -> Mapping[str, str]:
-    """Return violations as sentences, by the names of their inputs."""
+    """Return violations as sentences, by input name."""
     errors: dict[str, str] = {}
     for path, violation in violations:
         known = errors.get(path)
@@ -232,7 +232,7 @@ def _symbol(measure: Measure) -> str:
 
 
 def _open_controls(value: Json, filling: InputValues, unit: str) -> tuple[Input, Input]:
-    """Return the type, and the value."""
+    """Return the inputs for the type and the value."""
     typed = filling.submitted
     kind = parameter_type_of(value) if typed is None else typed.get(TYPE_FIELD, "string")
     text = filling.text(VALUE_FIELD, _parameter_text(value))
@@ -255,7 +255,7 @@ def _open_controls(value: Json, filling: InputValues, unit: str) -> tuple[Input,
 
 
 def parameter_type_of(value: Json) -> str:
-    """Which of `PARAMETER_TYPES` a present value is typed as; a string where there is none."""
+    """Return the member of `PARAMETER_TYPES` for the type of a present value; a string if there is none."""
     if isinstance(value, bool):
         return "boolean"
     if isinstance(value, int | float):

@@ -1,4 +1,4 @@
-"""The frame of every page (title, notices, navigation), its assets, and the environment of its template."""
+"""The frame of every page (title, notices, navigation), its assets, and the template environment."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from rosld.server.html.view import escape_controls
 from rosld.server.http.origin import CSRF_FIELD
 
 MAX_RATE = 3
-"""At most so many times a second a page is brought up to date."""
+"""Maximum number of updates of a page per second."""
 
 _ROUTES = frozenset(
     {"", "resources", "nodes", "topics", "services", "actions", "goals", "parameters", "mappings", "calls", "data"}
 )
 _RECORDING = frozenset({"recording", "armed"})
-"""The states of a recording that changes by itself."""
+"""States in which a recording changes by itself."""
 _UNDERWAY = frozenset({ros.Accepted, ros.Executing, ros.Canceling})
 
 
 def is_refreshed(page: Page | EntryPage) -> bool:
-    """Whether a page follows its resource. One that answers a form stays as it is: its reader is in the midst of it."""
+    """Whether a page follows its resource. The response to a form does not, as its reader is still editing."""
     if not all(notice.is_lasting for notice in page.notices) or not page.document.url.startswith(page.site.base):
         return False
     route, _, name = page.document.url.removeprefix(page.site.base).partition("/")
@@ -72,7 +72,7 @@ _OWN = (
     "query_editor.js",
 )
 _VENDORED = ("three.js", "uplot.js", "uplot.css", "yasgui.js", "yasgui.css")
-"""What others wrote; the licence of each lies beside it in `vendor/`."""
+"""Third-party assets; their licences are in `vendor/`."""
 
 
 def _read_assets() -> dict[str, bytes]:
@@ -83,9 +83,9 @@ def _read_assets() -> dict[str, bytes]:
 
 
 ASSETS: Mapping[str, bytes] = _read_assets()
-"""The bytes of each file, by its name below the base, where it is served."""
+"""Contents of files by the path below the base that serves them."""
 ASSETS_VERSION = hashlib.blake2b(b"".join(ASSETS.values()), digest_size=4).hexdigest()
-"""Another one whenever a file changes: pages name it in the URLs of files, so that no browser keeps an old one."""
+"""Digest of all assets: part of their URLs, so that no browser uses an outdated copy."""
 
 
 _VIEWS = (("space", "Space"), ("graph", "Graph"), ("diagnostics", "Diagnostics"))
@@ -93,11 +93,11 @@ _LOUDEST_FIRST = (NoticeLevel.ERROR, NoticeLevel.WARNING, NoticeLevel.GOOD, Noti
 
 
 _CONTAINERS = {"bags": "recordings"}
-"""Containers at the top that are called otherwise than in URLs."""
+"""Containers whose labels differ from their URLs."""
 
 
 def breadcrumb(site: Site, url: str) -> tuple[Anchor, ...]:
-    """Return a link for each level above `url` and, last, one for itself; none for URLs that are not of this site."""
+    """Return a link for each level above `url` and one for `url` itself; empty for URLs outside this site."""
     path = url.partition("#")[0].partition("?")[0]
     if not path.startswith(site.base):
         return ()
@@ -131,12 +131,12 @@ class Frame(Struct, frozen=True):
     url: str
     notices: tuple[Notice, ...]
     live: bool = False
-    """Whether it follows its resource while it is looked at."""
+    """Whether the page follows its resource while it is open."""
     query: str = ""
-    """What stands in the box that searches."""
+    """Text in the search box."""
 
     def asset(self, name: str) -> str:
-        """Return the versioned reference to a file in `ASSETS`. Raises KeyError for other names."""
+        """Return the versioned reference to a file in `ASSETS`. Raises KeyError for unknown names."""
         if name not in ASSETS:
             raise KeyError(name)
         return f"{self.site.root}{name}?v={ASSETS_VERSION}"
@@ -148,7 +148,7 @@ class Frame(Struct, frozen=True):
 
     @property
     def navigation(self) -> tuple[tuple[Anchor, bool], ...]:
-        """The sections of the site, and whether the page lies in each."""
+        """The sections of the site, and whether the page is in each."""
         site = self.site
         sections = [(f"{name}/", SECTIONS[name]) for name in site.sections]
         places = (("cockpit/default", "Cockpit"), *_VIEWS, *sections, ("sparql", "SPARQL"))
@@ -156,7 +156,7 @@ class Frame(Struct, frozen=True):
         return tuple((each, self._lies_in(each.url)) for each in found if site.may("GET", each.url))
 
     def _lies_in(self, section: str) -> bool:
-        """Whether the page is this section or below it; every cockpit is in the section of the default one."""
+        """Whether the page is in this section; every cockpit belongs to the section of the default one."""
         path = self.url.partition("?")[0]
         return path == section or path.startswith(f"{section.removesuffix('default').removesuffix('/')}/")
 
@@ -164,7 +164,7 @@ class Frame(Struct, frozen=True):
 def page_frame(
     site: Site, title: str, url: str, notices: tuple[Notice, ...], live: bool = False, query: str = ""
 ) -> Frame:
-    """Return the frame of a page: its notices, the loudest first, with one where the robot cannot be seen."""
+    """Return the frame of a page with its notices, the most severe first, including one if the robot is unreachable."""
     stale = (Notice(f"The robot cannot be seen: {site.stale}", NoticeLevel.WARNING),) if site.stale else ()
     ordered = sorted(stale + notices, key=lambda notice: _LOUDEST_FIRST.index(notice.level))
     return Frame(site, escape_controls(title), breadcrumb(site, url), url, tuple(ordered), live, query)
@@ -172,7 +172,7 @@ def page_frame(
 
 _PARTS = re.compile(r"/?[^/_]+[/_]*|[/_]+")
 _LONGEST_WORD = 30
-"""Characters that fit into a line on a phone."""
+"""Number of characters that fit into a line on a phone."""
 
 
 @cache
@@ -195,16 +195,16 @@ def _environment() -> Environment:
 
 
 def prepare_pages() -> None:
-    """Compile the templates, which takes a quarter of a second, so that no page waits for it. From any thread."""
+    """Compile the templates (0.25 s) so that no request waits for that. Thread-safe."""
     environment = _environment()
     for name in environment.list_templates():
         environment.get_template(name)
 
 
 def render_template(template: str, frame: Frame, **values: object) -> bytes:
-    """Return the page that a template of `templates/` makes of a frame and values, in UTF-8.
+    """Return a template of `templates/` rendered with a frame and values, in UTF-8.
 
-    A value that the template names and that is not given is an error; half a surrogate pair becomes a question mark.
+    A missing value is an error; an unpaired surrogate becomes a question mark.
     """
     text = _environment().get_template(template).render(frame=frame, site=frame.site, **values)
     return text.encode("utf-8", "replace")
@@ -220,5 +220,5 @@ def _breakable(text: str) -> Markup:
 
 
 def _printable(value: object) -> object:
-    """Replace the characters of a printed string that HTML cannot hold."""
+    """Replace characters that HTML cannot represent."""
     return escape_controls(value) if type(value) is str else value

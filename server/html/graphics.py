@@ -20,7 +20,7 @@ from rosld.server.space.transform import Transform, heading
 
 
 class PlotRow(Struct, frozen=True):
-    """A number in the table: its topic, field and type, what is recorded of it, and the plot without it."""
+    """A number in the table: its topic, field and type, its recording, and the plot without it."""
 
     topic: Anchor | None
     field: str
@@ -48,7 +48,7 @@ def plot_config(page: PlotPage) -> str:
 
 
 def plot_prefix(topic: str, site: Site) -> str | None:
-    """Return the reference of the plots of a topic's fields, without the field's path; None if none is permitted."""
+    """Return the prefix of references to plots of a topic, to which a field's path is added; None if not permitted."""
     path = site.href(topic)
     if path is None or not topic.startswith(f"{site.base}topics/") or not site.may("GET", f"{site.base}plot"):
         return None
@@ -57,13 +57,13 @@ def plot_prefix(topic: str, site: Site) -> str | None:
 
 
 MAX_WIDTH, MAX_RATE = 960, 15
-"""Of the picture on a page: at most so many pixels wide, and so many times a second."""
+"""Query of pictures on pages: limits of the width in pixels and of the frame rate."""
 
 
 class PictureView(Struct, frozen=True):
-    """The picture of a message: its URL, that of its stream (or empty), and its caption.
+    """The picture of a message: its URL, the URL of its stream (or empty), and its caption.
 
-    `refused` is the reason why it is not drawn. `width` and `height` are 0 if unknown.
+    `refused` is the reason why it cannot be drawn. `width` and `height` are 0 if unknown.
     """
 
     still: str
@@ -75,7 +75,7 @@ class PictureView(Struct, frozen=True):
 
 
 def picture_view(schema: MessageSchema, message: Message, query: str, *, moves: bool) -> PictureView | None:
-    """Return the picture of a message, None where it is none. `query` is what the URL of its page ends in."""
+    """Return the picture of a message, or None. `query` is the query string of the page."""
     if not can_draw(schema.ref.name):
         return None
     from rosld.server.pictures.raw_image import ENCODINGS, read_raw_image  # Pillow, as in `PictureCache`
@@ -113,13 +113,13 @@ def _words(encoding: str) -> str:
 
 
 VIEW_3D = "3d"
-"""`?view=` of what is drawn in three dimensions."""
+"""Value of `?view=` for three dimensions."""
 _MAX_DEPTH = 12
-"""Of the indentation of frames."""
+"""Maximum depth of indentation of frames."""
 
 
 class SpaceRow(Struct, frozen=True):
-    """A topic of a view: how its messages are called, the frame they name, where that is, or why it is not known."""
+    """A topic of a view: the kind of its messages, their frame, and the position of that or why it is unknown."""
 
     topic: Anchor | None
     kind: str
@@ -129,7 +129,7 @@ class SpaceRow(Struct, frozen=True):
 
 
 class FrameRow(Struct, frozen=True):
-    """A frame in the table of frames: how deep it is, and what is said of it; `received` is None of a root."""
+    """A frame in the table of frames, with its depth and description; `received` is None for a root."""
 
     name: str
     depth: int
@@ -142,7 +142,6 @@ class FrameRow(Struct, frozen=True):
 
 
 def frame_row(node: FrameNode, site: Site, node_url: Callable[[str], str]) -> FrameRow:
-    """Return the row of a frame."""
     newest = node.newest
     anchors = (site.anchor(node_url(each)) for each in node.publishers if each)
     return FrameRow(
@@ -167,7 +166,7 @@ def space_query(frame: str, references: Sequence[str], *, is_3d: bool = False) -
 
 
 def topic_view(type_name: str, url: str, site: Site) -> str:
-    """Return the address of the view of one topic; empty where its messages are not drawn, or may not be looked at."""
+    """Return the URL of the view of one topic; empty if its messages cannot be drawn or the reader may not see them."""
     if not can_place(type_name) or not site.may("GET", f"{site.base}space") or not url.startswith(site.base):
         return ""
     return f"{site.root}space{space_query('', [url.removeprefix(site.base)])}"

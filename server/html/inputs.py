@@ -1,4 +1,4 @@
-"""Inputs: what a form asks for, one a field. Pure values; `forms.py` draws them up, the templates write them out."""
+"""Inputs of forms, one per field. Pure values: `forms.py` creates them, the templates render them."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ from rosld.server.html.view import escape_controls
 from rosld.shapes.value import UNBOUNDED, Bounds
 
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
-"""Plain JSON as parsed; whole numbers are ints of any size."""
+"""Parsed plain JSON; integers have any size."""
 
 FLOATS = frozenset({"float32", "float64"})
 MAX_LEAVES = 120
-"""A nested message with more fields than this (all levels counted) is one text of JSON, not a fieldset."""
+"""Maximum number of fields, at all levels, of a fieldset; a larger message is one text of JSON."""
 MAX_TEXT = 20_000
-"""Characters that an input is filled with; what is longer stays empty, to be sent by other means."""
+"""Maximum number of characters in an input; a longer value leaves it empty and must be sent by other means."""
 _DEEPEST = 64
 _FOLDED = frozenset({"stamp", "covariance"})
-"""Fields whose defaults nearly always do, wherever they are."""
+"""Fields whose defaults are nearly always right, in any message."""
 
 
 class Input(Struct, frozen=True):
     """One input. `type` is number, text, checkbox, textarea or select; `name` is the path of the field.
 
-    `value` is the text in it ("true" or "" for a checkbox), `hint` the ROS type, `unit` the symbol beside it, `note` a
-    quiet sentence below it, `error` what does not fit. A select whose value is no option asks for one. It is folded
-    where its default nearly always does.
+    `value` is the text in it ("true" or "" for a checkbox), `hint` the ROS type, `unit` the symbol next to it, `note`
+    an explanation below it, `error` the violation. A select without a valid value requires a choice. An input is folded
+    if its default is nearly always right.
     """
 
     kind: ClassVar[str] = "input"
@@ -74,7 +74,7 @@ class Input(Struct, frozen=True):
 
 
 class Fieldset(Struct, frozen=True):
-    """The inputs of a nested message, folded where their defaults nearly always do: of a header."""
+    """The inputs of a nested message; folded if their defaults are nearly always right, as in a header."""
 
     kind: ClassVar[str] = "fieldset"
     name: str
@@ -89,7 +89,7 @@ Control: TypeAlias = Input | Fieldset
 
 
 class InputValues(Struct, frozen=True):
-    """Values of a form: those `typed` before, else a value; `errors` and `bounds` by path."""
+    """Values of a form: those `typed` before, or else those of a value; `errors` and `bounds` by path."""
 
     submitted: Mapping[str, str] | None = None
     errors: Mapping[str, str] | None = None
@@ -104,7 +104,7 @@ class InputValues(Struct, frozen=True):
         return escape_controls((self.errors or {}).get(path, ""))
 
     def error_below(self, path: str) -> str:
-        """Return the error at `path` or below, for a field without inputs below."""
+        """Return the error at `path` or below, for a field without nested inputs."""
         found = (
             message if name == path else f"{name}: {message}"
             for name, message in (self.errors or {}).items()
@@ -116,7 +116,7 @@ class InputValues(Struct, frozen=True):
 def controls(
     schema: MessageSchema, fields: Iterable[Field], value: Json, filling: InputValues, prefix: str = ""
 ) -> tuple[Control, ...]:
-    """Return the inputs for fields of a message; `value` is plain JSON, and defaults stand where it has nothing."""
+    """Return the inputs for the fields of a message; `value` is plain JSON, completed by defaults."""
     values = value if isinstance(value, Mapping) else {}
     return tuple(_control(schema, each, f"{prefix}{each.name}", values.get(each.name), filling) for each in fields)
 
@@ -138,7 +138,7 @@ def _control(schema: MessageSchema, each: Field, path: str, value: Json, filling
 
 
 def is_fieldset(schema: MessageSchema, kind: FieldType) -> bool:
-    """Whether a field is drawn as inputs of its own: a nested message that is not too large."""
+    """Whether a field is a fieldset: a nested message that is not too large."""
     return isinstance(kind, Nested) and count_inputs(schema, kind.name) <= MAX_LEAVES
 
 
@@ -171,7 +171,7 @@ def scalar_input(kind: Primitive, label: str, path: str, value: Json, filling: I
 def choice_input(
     kind: Primitive | None, label: str, path: str, present: str, bounds: Bounds, filling: InputValues, unit: str = ""
 ) -> Input:
-    """A select of the values that a scalar may have; `kind` is None where ROS declares none."""
+    """Return a select for the allowed values of a scalar; `kind` is None if ROS declares no type."""
     options = option_texts(kind, bounds)
     text = filling.text(path, present)
     return Input(
@@ -215,7 +215,7 @@ def _text(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, f
 
 
 def is_editable_text(text: str) -> bool:
-    """Whether a browser sends a text back as it got it: not too long, and without control characters."""
+    """Whether a browser returns a text unchanged: it is short enough and has no control characters."""
     return len(text) <= MAX_TEXT and escape_controls(text) == text and "\r" not in text
 
 
@@ -240,14 +240,14 @@ def _number(
 
 
 def number_text(value: Json) -> str:
-    """Return a number of plain JSON as text of an input."""
+    """Return a number of plain JSON as the text of an input."""
     if isinstance(value, bool):
         return str(int(value))
     return value if isinstance(value, str) else repr(value) if isinstance(value, int | float) else "0"
 
 
 def _browser_reads(text: str) -> bool:
-    """Whether a number input can hold it: not NaN, INF or what was typed wrongly (it would be lost)."""
+    """Whether a number input can show a text; it would lose NaN, INF and invalid entries."""
     try:
         return text == "" or (isfinite(float(text)) and "_" not in text and text.strip("+ ") == text)
     except (ValueError, OverflowError):
@@ -277,12 +277,12 @@ def _how(kind: FieldType) -> str:
 
 
 def is_base64(kind: FieldType) -> bool:
-    """Whether a field's plain JSON is one string of base64."""
+    """Whether the plain JSON of a field is one string of base64."""
     return isinstance(kind, Array) and is_octets(kind)
 
 
 def json_text(kind: FieldType, value: Json) -> str | None:
-    """The text for a field that is edited as JSON (or base64); None where it is elided or too long for that."""
+    """Return the text of a field edited as JSON (or base64); None if the value is elided or too long."""
     if is_base64(kind):
         return value if isinstance(value, str) and len(value) <= MAX_TEXT else None
     if not isinstance(value, list if isinstance(kind, Array) else Mapping):
@@ -295,7 +295,7 @@ def json_text(kind: FieldType, value: Json) -> str | None:
 
 
 def editable_json(value: Json, indent: int | None = None) -> str:
-    """A value as JSON that a browser sends back as it is."""
+    """Return a value as JSON that a browser returns unchanged."""
     text = json.dumps(value, ensure_ascii=False, indent=indent)
     return text if escape_controls(text) == text else json.dumps(value, indent=indent)
 
@@ -305,7 +305,7 @@ def _is_of_messages(kind: FieldType) -> bool:
 
 
 def default(schema: MessageSchema, field: Field) -> Json:
-    """Return the default of a field, as plain JSON; None where it would be too large to be typed anyway."""
+    """Return the default of a field as plain JSON; None if it is too large to edit."""
     try:
         return _Defaults(schema).of(field, 0)
     except OverflowError:
@@ -313,19 +313,19 @@ def default(schema: MessageSchema, field: Field) -> Json:
 
 
 class _Defaults:
-    """Makes default values within a limit: nested arrays of a short definition can have more than fit in memory."""
+    """Generator of default values within a limit: nested arrays in a short definition can exceed memory."""
 
     def __init__(self, schema: MessageSchema) -> None:
         self._schema = schema
         self._left = MAX_TEXT // 2
 
     def of(self, field: Field, depth: int) -> Json:
-        """Return the default of a field; raises OverflowError where it is too large."""
+        """Return the default of a field. Raises OverflowError if it is too large."""
         stated = stated_default(field)
         return self._unstated(field.type, depth) if stated is None else stated
 
     def _unstated(self, kind: FieldType, depth: int) -> Json:
-        """Return the default of a field without one in its definition."""
+        """Return the default of a field whose definition has none."""
         self._left -= 1
         if self._left < 0 or depth > _DEEPEST:
             raise OverflowError

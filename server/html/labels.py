@@ -1,4 +1,4 @@
-"""Labels: the words for predicates and fields, the symbols of units, and the groups of many names."""
+"""Labels: words for predicates and fields, symbols of units, and groups of names."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WORDS = {
 
 
 def local_name(iri: str) -> str:
-    """Return the part of an IRI after the last `#`, `/` or `:`, trailing ones ignored."""
+    """Return the part of an IRI after the last `#`, `/` or `:`, ignoring trailing ones."""
     return re.split(r"[#/:]", iri.rstrip("#/:"))[-1] or iri
 
 
@@ -37,13 +37,13 @@ def label(iri: str) -> str:
 
 
 def split_words(name: str) -> str:
-    """Return `messageType` and `message_type` as "message type"; abbreviations in capitals stay as they are."""
+    """Return `messageType` and `message_type` as "message type"; capitalized abbreviations stay unchanged."""
     parts = _HUMP.sub(" ", name.replace("_", " ")).split()
     return " ".join(part if part.isupper() else part.lower() for part in parts) or name
 
 
 def capitalize(text: str) -> str:
-    """Return `text` with a capital at its beginning."""
+    """Return `text` with its first letter capitalized."""
     return text[:1].upper() + text[1:]
 
 
@@ -67,7 +67,7 @@ _POWERS = dict(zip("23456789", "²³⁴⁵⁶⁷⁸⁹", strict=True))
 
 
 def unit_symbol(iri: str) -> str:
-    """Return the symbol of a unit of QUDT; the last part of the IRI for one that is not known here."""
+    """Return the symbol of a QUDT unit; the local name of the IRI if the unit is unknown."""
     name = local_name(iri)
     if not iri.startswith(QUDT):
         return name
@@ -81,7 +81,7 @@ def unit_symbol(iri: str) -> str:
 
 
 def _product(text: str) -> str | None:
-    """Return the symbols of units multiplied; None where one is not known."""
+    """Return the symbol of a product of units; None if one is unknown."""
     found = [_symbol(each) for each in text.split("-")] if text else []
     return "·".join(each for each in found if each) if None not in found else None
 
@@ -94,16 +94,16 @@ def _symbol(text: str) -> str | None:
 
 
 MAX_ROWS = 40
-"""Rows of a table that a page shows one below the other. More of them are folded, by namespace."""
+"""Maximum number of rows in a plain table; more are folded by namespace."""
 MAX_OPEN = 16
-"""Rows of a group that is unfolded from the beginning."""
+"""Maximum number of rows in a group that is initially open."""
 _MAX_GROUPS = 40
 _T = TypeVar("_T")
 _V = TypeVar("_V")
 
 
 class NameGroup(Struct, Generic[_T], frozen=True):
-    """Items with names of one namespace, or a run of neighbours; `is_open`: unfolded at first."""
+    """Items with names in one namespace, or a run of adjacent items; `is_open`: initially unfolded."""
 
     title: str
     items: tuple[_T, ...]
@@ -111,9 +111,10 @@ class NameGroup(Struct, Generic[_T], frozen=True):
 
 
 def group_names(items: Sequence[_T], name: Callable[[_T], str]) -> tuple[NameGroup[_T], ...]:
-    """Return the items by the first part of their names, those in no namespace first; none where they are few.
+    """Return the items by the first segment of their names, those without a namespace first; empty if there are few.
 
-    A page has a bounded number of groups: of very many namespaces several are one, and so are very many names in none.
+    The number of groups is bounded: many namespaces share groups, and many names without a namespace are split into
+    runs.
     """
     if len(items) <= MAX_ROWS:
         return ()
@@ -138,7 +139,7 @@ def _groups_of_namespaces(namespaces: dict[str, list[_T]]) -> Iterator[NameGroup
 
 
 def _parts(items: Sequence[_V], limit: int) -> Iterator[Sequence[_V]]:
-    """Yield the items in at most `limit` parts of one size, in their order."""
+    """Yield the items in at most `limit` parts of equal size, in order."""
     size = max(1, ceil(len(items) / min(limit, _MAX_GROUPS)))
     for start in range(0, len(items), size):
         yield items[start : start + size]

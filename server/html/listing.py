@@ -1,4 +1,4 @@
-"""The table of a container: members by name, each followed by the namespace of the same name, if any."""
+"""The table of a container: members by name, each followed by the namespace of the same name."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NO_COLUMNS = frozenset({rdf.type, ros.name, rdfs.label, rdfs.comment, ros.names
 
 
 class ListingRow(Struct, frozen=True):
-    """A member of a container: its link, its cells, and the container of the same name, where there is one."""
+    """A member of a container: its link, its cells, and the container of the same name, if any."""
 
     anchor: Anchor
     cells: tuple[tuple[View, ...], ...]
@@ -28,9 +28,9 @@ class ListingRow(Struct, frozen=True):
 
 
 class ContainerTable(Struct, frozen=True):
-    """The table of a container: `members`, and `namespaces` that have no member of their name.
+    """The table of a container: `members`, and `namespaces` without a member of the same name.
 
-    Very many members are in `groups`, which a page folds.
+    `groups` contains the members if there are many; the page folds them.
     """
 
     columns: tuple[str, ...]
@@ -42,7 +42,7 @@ class ContainerTable(Struct, frozen=True):
 
 
 def container_table(document: Document, site: Site, listing: MemberColumns | None) -> ContainerTable | None:
-    """The table of a document that contains something (or is said to be a listing), else None."""
+    """Return the table of a document about a container or a listing, else None."""
     urls = [term.value for term in objects_of(document, ldp.contains) if isinstance(term, NamedNode)]
     if not urls and listing is None:
         return None
@@ -73,7 +73,7 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
 
 
 def parameters_below(document: Document) -> tuple[NamedNode, ...]:
-    """Return the parameters and trees of parameters in a document about such a tree."""
+    """Return the parameters and trees of parameters in a document about a tree of parameters."""
     told = {each.subject for each in document.triples if each.predicate == rdf.type and each.object == ros.Parameter}
     own = NamedNode(document.url)
     is_tree = own in told and ldp.Container in objects_of(document, rdf.type)
@@ -81,7 +81,7 @@ def parameters_below(document: Document) -> tuple[NamedNode, ...]:
 
 
 def parameter_columns(document: Document, listing: MemberColumns | None) -> MemberColumns | None:
-    """Return the values of all parameters of a tree, for its table; None of what is no tree of parameters."""
+    """Return the values of all parameters of a tree for its table; None for other resources."""
     below = set(parameters_below(document))
     if not below:
         return None
@@ -95,13 +95,13 @@ def parameter_columns(document: Document, listing: MemberColumns | None) -> Memb
 
 
 def _redact_cell(cell: Cell, site: Site) -> Cell:
-    """A cell without what the reader may not know of."""
+    """Return a cell without content that the reader may not see."""
     url = cell.value if isinstance(cell, NamedNode) else cell.url if isinstance(cell, Thumbnail) else None
     return cell if url is None or site.may("GET", url) else ""
 
 
 def _anchor(site: Site, url: str, container: str, name: str | None = None) -> Anchor:
-    """Return the link to a member under its name, by default that within the container."""
+    """Return the link to a member, labelled by default with its name within the container."""
     found = site.anchor(url) or Anchor("", escape_controls(url), url)
     if name:
         return Anchor(found.href, escape_controls(name), url, found.external)
@@ -115,7 +115,7 @@ def _cells(cells: tuple[Cell, ...], width: int, site: Site) -> tuple[tuple[View,
 
 
 def _columns(document: Document, urls: list[str]) -> tuple[tuple[str, ...], dict[str, tuple[Cell, ...]]]:
-    """Return the columns that the document has about its members."""
+    """Return the columns for the members of the container."""
     members = set(urls)
     found: dict[str, dict[NamedNode, Cell]] = {}
     predicates: dict[NamedNode, None] = {}

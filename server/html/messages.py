@@ -1,4 +1,4 @@
-"""A ROS message as a table: one row a field, nested messages as nested tables, long arrays shortened."""
+"""A ROS message as a table: one row per field, nested messages as nested tables, long arrays shortened."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ DURATION = "builtin_interfaces/msg/Duration"
 DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 
 _LEVELS = {0: ("OK", "good"), 1: ("WARN", "warning"), 2: ("ERROR", "error"), 3: ("STALE", "warning")}
-"""The words of diagnostic levels, as the definition of DiagnosticStatus names its constants, and their tones."""
+"""The label and the tone of each diagnostic level; labels are those of constants in DiagnosticStatus."""
 
 _INTEGERS = frozenset(
     {"byte", "char", "octet", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
@@ -52,7 +52,7 @@ _DEEPEST = 40
 
 
 class _Drawing(Struct):
-    """One message being drawn. `left` bounds the rows of all its tables: a robot may send any number."""
+    """State of drawing one message. `left` is the remaining number of rows: a robot may send any number."""
 
     types: Mapping[str, MessageType]
     simulated: bool
@@ -74,8 +74,9 @@ def message_view(
 ) -> TableView:
     """Return the table of a message, or of some of its `fields`.
 
-    `octets` is the reference of a field's bytes but for the field's path, `plots` that of a number's plot; None: there
-    are none. `has_heads`: of arrays of bytes the first are shown; they say nothing beside the picture that they are.
+    `octets` and `plots` are the prefixes of references to a field's bytes and to a number's plot, to which the field's
+    path is added; None if there are none. `has_heads`: whether to show the first bytes of byte arrays, which are
+    useless next to their picture.
     """
     drawing = _Drawing(schema.types, simulated_time, octets, plots, has_heads)
     kind = schema.type if fields is None else dataclasses.replace(schema.type, fields=fields)
@@ -105,10 +106,10 @@ def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _
 
 
 def constant_name(kind: MessageType, field: Field, value: object) -> str:
-    """What the definition of a message calls the value of an integer field; empty where it has no one word for it.
+    """Return the name of the constant for the value of an integer field; empty if there is none or several.
 
-    Its constants are of the field that their names begin with (`POWER_SUPPLY_STATUS_FULL`); where they begin with none,
-    two or more are of the only field of their type (`PENDING` in `actionlib_msgs/GoalStatus`).
+    A constant belongs to the field whose name is its prefix (`POWER_SUPPLY_STATUS_FULL`). Without such prefixes, two or
+    more constants belong to the only field of their type (`PENDING` in `actionlib_msgs/GoalStatus`).
     """
     if not isinstance(field.type, Primitive) or field.type.name not in _INTEGERS:
         return ""
@@ -124,7 +125,7 @@ def constant_name(kind: MessageType, field: Field, value: object) -> str:
 
 
 def _is_short(kind: MessageType) -> bool:
-    """Whether a nested message fits on one line: a vector, a quaternion, a colour."""
+    """Whether a nested message fits on one line, such as a vector, a quaternion or a colour."""
     return len(kind.fields) <= _SHORT and all(
         isinstance(each.type, Primitive) and each.type.name not in STRINGS for each in kind.fields
     )
@@ -139,14 +140,14 @@ def _value(each: Field, value: object, path: str, depth: int, drawing: _Drawing)
 
 
 def _with_plot_link(view: View, kind: Primitive, path: str, drawing: _Drawing) -> View:
-    """Return the view with a link to its plot, where it is a number that has one."""
+    """Return the view, for a number with a link to its plot."""
     if drawing.plots is None or kind.name in STRINGS or not isinstance(view, TextView):
         return view
     return replace(view, plot=f"{drawing.plots}{quote(path, safe='')}")
 
 
 def level_view(level: int) -> View:
-    """Return a diagnostic level as its word and number; an unknown one as its number."""
+    """Return a diagnostic level as its label and number; an unknown one as its number."""
     if level not in _LEVELS:
         return TextView(str(level), tone="number")
     word, tone = _LEVELS[level]
@@ -216,7 +217,7 @@ def _float(text: str) -> str:
 
 
 def series_view(kind: Primitive, values: Sequence[object]) -> ArrayView:
-    """Return an array of scalars: the first few, and up to 2,000 of the rest on request."""
+    """Return an array of scalars: the first few and, on request, up to 2,000 more."""
     if len(values) <= _HEAD:
         return ArrayView(len(values), _join(kind, values))
     head = _join(kind, values[:_HEAD], shorten_number)
@@ -231,6 +232,6 @@ def _join(kind: Primitive, values: Sequence[object], write: Callable[[str], str]
 
 
 def element_text(value: object) -> str:
-    """One string of an array, on one line and not too long."""
+    """Return one string of an array on one line, shortened if necessary."""
     view = text_view(str(value).replace("\n", "⏎"))
     return view.text if isinstance(view, TextView) else ""

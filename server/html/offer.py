@@ -1,6 +1,6 @@
 """Views of affordances: complex resources, properties and actions as values for the templates.
 
-The forms of a page are placed where they belong: beside the property that they set, as the button of the action.
+Each form is placed next to its subject: a property's form in its row, an action's form as its button.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from rosld.server.hypermedia.views import (
 from rosld.shapes.value import MessageShape, OpenShape, ScalarShape, ValueShape
 
 _MOST_ROWS = 4
-"""Rows of a message that a table of properties shows unfolded."""
+"""Maximum number of rows of a message that a table of properties shows unfolded."""
 _KINDS = {"topics": "topic", "services": "service", "parameters": "parameter"}
 
 
 class FormTarget(Struct, frozen=True):
-    """A form on a page: where it posts to (empty for the page's own URL), and the token that it proves itself with."""
+    """A form on a page: its target (empty for the page's own URL) and its CSRF token."""
 
     form: Form
     href: str
@@ -46,7 +46,7 @@ class FormTarget(Struct, frozen=True):
 
 
 class PropertyValueView(Struct, frozen=True):
-    """The value of a property; without a `view`, `words` say why, and `failed` whether that is an error."""
+    """The value of a property; without a `view`, `words` are the reason, and `failed` whether that is an error."""
 
     view: View | None
     unit: Anchor | None = None
@@ -54,11 +54,11 @@ class PropertyValueView(Struct, frozen=True):
     message: str = ""
     failed: bool = False
     brief: str = ""
-    """A large message in a line, under which a table folds it."""
+    """A one-line summary of a large message, which the table folds."""
 
 
 class PropertyRow(Struct, frozen=True):
-    """A property of a complex resource; `change` leads to its own page where it can be set there only."""
+    """A property of a complex resource; `change` links to its own page if it can only be set there."""
 
     anchor: Anchor
     relation: Anchor | None
@@ -76,7 +76,7 @@ class ActionRow(Struct, frozen=True):
 
 
 class LinkRow(Struct, frozen=True):
-    """A link of a complex resource: its relation in words, and where it leads."""
+    """A link of a complex resource: its relation in words and its target."""
 
     label: str
     anchor: Anchor
@@ -84,9 +84,9 @@ class LinkRow(Struct, frozen=True):
 
 
 class ComplexOffer(Struct, frozen=True):
-    """A complex resource. `children` are the complex resources in it that no link leads to.
+    """A complex resource. `children` are the nested complex resources without a link.
 
-    Very many properties, and very many actions, are in groups, which a page folds.
+    Many properties or actions are in groups, which a page folds.
     """
 
     kind: ClassVar[str] = "complex"
@@ -99,29 +99,29 @@ class ComplexOffer(Struct, frozen=True):
 
     @property
     def property_groups(self) -> tuple[NameGroup[PropertyRow], ...]:
-        """The properties in groups, none where they are few."""
+        """The properties in groups; empty if they are few."""
         return group_names(self.properties, lambda row: row.anchor.text)
 
     @property
     def action_groups(self) -> tuple[NameGroup[ActionRow], ...]:
-        """The actions in groups, none where they are few."""
+        """The actions in groups; empty if they are few."""
         return group_names(self.actions, lambda row: row.anchor.text)
 
     @property
     def is_folded(self) -> bool:
-        """Whether anything is in groups."""
+        """Whether there are groups."""
         return bool(self.property_groups or self.action_groups)
 
     @property
     def has_settable(self) -> bool:
-        """Whether a property can be set from here."""
+        """Whether a property can be set from this page."""
         return any(row.form or row.edit_link for row in self.properties)
 
 
 class PropertyOffer(Struct, frozen=True):
-    """A property by itself; `facts` are its type and what it measures, `sources` what it is read from and written to.
+    """A single property; `facts` are its type and quantity kind, `sources` the topics and parameters behind it.
 
-    `part_of` leads to the complex resource that it is in.
+    `part_of` links to its complex resource.
     """
 
     kind: ClassVar[str] = "property"
@@ -133,7 +133,7 @@ class PropertyOffer(Struct, frozen=True):
 
 
 class ActionOffer(Struct, frozen=True):
-    """An action by itself; `sources` is what it invokes."""
+    """A single action; `sources` is what it invokes."""
 
     kind: ClassVar[str] = "action"
     is_callable: bool
@@ -148,8 +148,7 @@ OfferView: TypeAlias = ComplexOffer | PropertyOffer | ActionOffer
 def form_targets(forms: Iterable[Form], allow: Iterable[str], csrf: Csrf, site: Site) -> tuple[FormTarget, ...]:
     """Return the forms of a page with their tokens.
 
-    Those to the page's own URL as far as `allow` permits their methods, those to others unless this server is
-    read-only.
+    Forms to the page's own URL need a method in `allow`; forms to other URLs are omitted if this server is read-only.
     """
     allowed = frozenset(allow)
     return tuple(_form_targets(forms, allowed, csrf, site))
@@ -205,7 +204,7 @@ def _complex(view: ComplexView, site: Site, posted: Mapping[str, FormTarget]) ->
 
 
 def _named_link(url: str, name: str, site: Site) -> Anchor:
-    """Return a link to a resource under a name of its own."""
+    """Return a link to a resource under a given name."""
     found = site.anchor(url) or Anchor("", "", url)
     return Anchor(found.href, escape_controls(name), url, found.external)
 
@@ -237,7 +236,7 @@ def _link_rows(links: Iterable[LinkAffordance], site: Site) -> Iterator[LinkRow]
 
 
 def value_of(affordance: PropertyAffordance, reading: Reading, field: str | None, site: Site) -> PropertyValueView:
-    """Return the value of a property, or one field of it, with its unit and when it was read."""
+    """Return the value of a property, or of one of its fields, with its unit and the time when it was read."""
     read = time_view(reading.read_ns) if reading.read_ns is not None else None
     if reading.value is not None:
         view = value_view(reading.value, site, field)
@@ -248,7 +247,7 @@ def value_of(affordance: PropertyAffordance, reading: Reading, field: str | None
 
 
 def _brief(value: Value, view: View) -> str:
-    """Return a message of many fields, or of nested ones, in a line; empty for all else."""
+    """Return a one-line summary of a message with many or nested fields; empty for other values."""
     if not isinstance(view, TableView) or not (len(view.rows) > _MOST_ROWS or any(row.nested for row in view.rows)):
         return ""
     try:
@@ -266,7 +265,7 @@ def _unit(affordance: PropertyAffordance, site: Site) -> Anchor | None:
 
 
 def _facts(shape: ValueShape, site: Site) -> Iterator[View]:
-    """Yield the type of a value, and its kind of quantity."""
+    """Yield the type of a value and its quantity kind."""
     match shape:
         case MessageShape(schema):
             yield iri_view(f"{site.types}{schema.ref.name}", site)
@@ -280,7 +279,7 @@ def _facts(shape: ValueShape, site: Site) -> Iterator[View]:
 
 
 def _behind(site: Site, *relations: tuple[NamedNode, Iterable[str]]) -> TableView:
-    """Return the topics, services and parameters behind something, by their relation to it."""
+    """Return the underlying topics, services and parameters by their relation."""
     rows = []
     for relation, urls in relations:
         views = tuple(_source(url, site) for url in urls)
@@ -301,13 +300,13 @@ def _source(url: str, site: Site) -> View:
 
 
 MAX_FORMS = 100
-"""Properties that can be set right on the page of their complex resource; the others have pages of their own."""
+"""Maximum number of properties that can be set on the page of their complex resource."""
 
 
 def forms_of(view: Offer) -> tuple[Form, ...]:
-    """Return the forms on the page of a view. Those that post elsewhere than to the page's own URL say so in `action`.
+    """Return the forms on the page of a view, with an `action` if they post to another URL.
 
-    On the page of a complex resource there is one for each action, and one for each property that is a single scalar.
+    The page of a complex resource has a form for each action and for each property that is a single scalar.
     """
     match view:
         case PropertyView(affordance, reading):
@@ -337,12 +336,12 @@ def _member_forms(view: ComplexView) -> Iterator[ValueForm]:
 
 
 def is_scalar_member(member: Member) -> bool:
-    """Whether a member can be set by one input: a scalar that is all of its property."""
+    """Whether one input can set a member: a scalar that is the whole of its property."""
     return member.affordance.write and member.field is None and isinstance(member.affordance.shape, ScalarShape)
 
 
 def action_form(affordance: ActionAffordance) -> ValueForm | None:
-    """Return the form that invokes an action (a bare button without a request), or None if it cannot be invoked."""
+    """Return the form that invokes an action (only a button without a request), or None if it cannot be invoked."""
     if affordance.request is None:
         return None
     button = affordance.title or capitalize(split_words(affordance.name))
@@ -350,7 +349,7 @@ def action_form(affordance: ActionAffordance) -> ValueForm | None:
 
 
 def cancel_forms(affordance: ActionAffordance) -> tuple[DeleteForm, ...]:
-    """Return the button that cancels the goals of an action, if they can be cancelled."""
+    """Return the button that cancels the goals of an action, if they can be canceled."""
     if affordance.goals is None or not affordance.goals.can_cancel:
         return ()
     return (DeleteForm("Cancel", "Cancel the goal", "Cancels every goal that was sent from here and has not ended."),)

@@ -1,4 +1,4 @@
-"""Pages as values: what the templates draw. One is made for each request."""
+"""Pages as values for the templates, created for each request."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
 
 
 class Thumbnail(Struct, frozen=True):
-    """A cell that shows a topic as a small picture: its URL, the query of that picture, and its value in words."""
+    """A cell with a small picture of a topic: its URL, the query of the picture, and its value in words."""
 
     url: str
     query: str
@@ -37,9 +37,9 @@ class Thumbnail(Struct, frozen=True):
 
 Cell: TypeAlias = str | NamedNode | Literal | Thumbnail
 Csrf: TypeAlias = Callable[[str], str]
-"""The token of a form by the URL it posts to; that of its page's own where that is empty."""
+"""Return the CSRF token of a form for its target URL; an empty text stands for the page's own URL."""
 Offer: TypeAlias = views.View
-"""What a page below `/resources/` is drawn from."""
+"""Content of a page below `/resources/`."""
 
 
 class NoticeLevel(Enum):
@@ -52,16 +52,16 @@ class NoticeLevel(Enum):
 
 
 class NoticeLink(Struct, frozen=True):
-    """A link of a notice: where it leads, relative to the page, and its words."""
+    """A link of a notice: its target, relative to the page, and its text."""
 
     href: str
     words: str
 
 
 class Notice(Struct, frozen=True):
-    """Something the reader should know before all else, in a sentence; `violations` name fields that did not fit.
+    """An important message at the top of a page, as a sentence; `violations` name invalid fields.
 
-    `link` leads to more of it. `is_lasting`: the page says it for as long as it is followed.
+    `link` leads to details. `is_lasting`: whether it remains when the page is updated.
     """
 
     text: str
@@ -78,11 +78,11 @@ class Alternate(Struct, frozen=True):
     media_type: str
     format: str
     query: str = ""
-    """The query that the page itself has."""
+    """Stands for the query string of the page itself."""
 
     @property
     def href(self) -> str:
-        """A reference relative to the page."""
+        """The reference relative to the page."""
         return f"?{self.query}&format={self.format}" if self.query else f"?format={self.format}"
 
 
@@ -93,17 +93,17 @@ ALTERNATES = (
     ),
     Alternate("JSON", "application/json", "json"),
 )
-"""What every resource can be read as beside HTML."""
+"""Formats of every resource in addition to HTML."""
 PICTURE_ALTERNATES = (Alternate("JPEG", "image/jpeg", "jpeg"), Alternate("PNG", "image/png", "png"))
-"""What a message that can be drawn is read as besides."""
+"""Further formats of a message that can be drawn."""
 CLOUD = Alternate("Points (PLY)", "application/octet-stream", "ply")
-"""What a point cloud is read as besides."""
+"""Further formats of a point cloud."""
 THING = Alternate("Thing Description", "application/td+json", "td")
-"""What a complex resource can be read as besides (WoT Thing Description 1.1)."""
+"""Further formats of a complex resource (WoT Thing Description 1.1)."""
 
 
 def no_csrf_token(action: str) -> str:
-    """Return the token of forms on pages that have none."""
+    """Return an empty token, for pages without forms."""
     return ""
 
 
@@ -131,11 +131,12 @@ class MemberColumns(Struct, frozen=True):
 
 
 class Page(Struct, frozen=True):
-    """The page of a resource. `forms` are shown as far as `allow` permits their methods, those with an `action` always.
+    """The page of a resource; it shows those `forms` whose methods `allow` permits, and all that have an `action`.
 
-    `title` is a ROS name as a rule, `kind` what it is ("Topic"); `csrf` makes the tokens of its forms. `summary` is one
+    `title` is usually a ROS name, `kind` its type ("Topic"); `csrf` creates the tokens of its forms. `summary` is one
     sentence for the reader. The response to an invalid form contains that form with its values. With an `offer` the
-    page shows it, and folds the document's triples. `query` is the query string of one page of several (`page=2`).
+    page shows that and folds the triples of the document. `query` is the query string of one page of several
+    (`page=2`).
     """
 
     site: Site
@@ -155,7 +156,7 @@ class Page(Struct, frozen=True):
 
 
 class EntryCount(Struct, frozen=True):
-    """A line of the entry page: how many there are of what, and where. `first`: it is where to begin."""
+    """A line of the entry page: the number of resources and their URL. `first`: whether it is where to begin."""
 
     label: str
     number: int | None
@@ -165,7 +166,7 @@ class EntryCount(Struct, frozen=True):
 
 
 class EntryPage(Struct, frozen=True):
-    """The page at `/`: what this robot is. `example` is a topic worth trying (its URL)."""
+    """The page at `/`, about this robot. `example` is the URL of a topic worth trying."""
 
     site: Site
     document: Document
@@ -176,7 +177,7 @@ class EntryPage(Struct, frozen=True):
 
 
 class StoredQueryLink(Struct, frozen=True):
-    """A stored query: where it is, its purpose in a sentence, its text."""
+    """A stored query: its URL, its purpose as a sentence, its text."""
 
     url: str
     name: str
@@ -185,7 +186,7 @@ class StoredQueryLink(Struct, frozen=True):
 
 
 class StoredQueryParameter(Struct, frozen=True):
-    """A parameter of a stored query and what it is for; `value` as given or by default."""
+    """A parameter of a stored query and its description; `value` is the given or the default one."""
 
     name: str
     about: str = ""
@@ -193,9 +194,9 @@ class StoredQueryParameter(Struct, frozen=True):
 
 
 class PageResults(Struct, frozen=True):
-    """The answer to a query: rows of a SELECT (or of a graph, as subject, predicate, object), or a boolean.
+    """Results of a query: rows of a SELECT (or of a graph, as subject, predicate, object), or a boolean.
 
-    `rows` is read as far as the page shows them: `limit` rows, and one more to know whether there are more.
+    `rows` is consumed only as far as the page shows it: `limit` rows, and one more to detect further rows.
     """
 
     variables: Sequence[str] = ()
@@ -206,7 +207,7 @@ class PageResults(Struct, frozen=True):
 
 
 class SparqlPage(Struct, frozen=True):
-    """The page at `/sparql`: the text in the editor, and whether it asks for a partial answer."""
+    """The page at `/sparql`: the text in the editor, and whether to request a partial answer."""
 
     site: Site
     query: str = ""
@@ -227,9 +228,9 @@ class QueryPage(Struct, frozen=True):
 
 
 class SearchPage(Struct, frozen=True):
-    """The page at `/find`: a box for words, and what was found, the best first; `total` are all that fit.
+    """The page at `/find`: a search box and the results, the best first; `total` is the number of all matches.
 
-    `pictures` are those of results by their URLs, in place of their values.
+    `pictures` replace the values of results, by URL.
     """
 
     site: Site
@@ -242,7 +243,7 @@ class SearchPage(Struct, frozen=True):
 
 
 class PlotPage(Struct, frozen=True):
-    """The page at `/plot`: numbers over time, and the references (`y`) that name them."""
+    """The page at `/plot`: numbers over time, and the references (`y`) that identify them."""
 
     site: Site
     url: str
@@ -252,9 +253,9 @@ class PlotPage(Struct, frozen=True):
 
 
 class SpacePage(Struct, frozen=True):
-    """The page at `/space`: a view of topics, in the order in which they are drawn, in the frame `fixed`.
+    """The page at `/space`: a view of topics, in drawing order, in the frame `fixed`.
 
-    `asked` is the requested frame. `references` (`show`) name the requested topics; `omitted` are those beyond the
+    `asked` is the requested frame. `references` (`show`) identify the requested topics; `omitted` are those beyond the
     limit. `is_3d`: drawn in three dimensions, with the robot's model at the URL `model`, or empty.
     """
 
@@ -272,7 +273,7 @@ class SpacePage(Struct, frozen=True):
 
 
 class SpaceTopic(Struct, frozen=True):
-    """A topic of a view: its URL, the kind and the frame of its messages, and where that is, or why it is not known."""
+    """A topic of a view: its URL, the kind and frame of its messages, and the position of that or why it is unknown."""
 
     url: str
     kind: str
@@ -282,7 +283,7 @@ class SpaceTopic(Struct, frozen=True):
 
 
 class FramesPage(Struct, frozen=True):
-    """The page at `/frames`: the frames, each before those below it; `node_url` is the URL of a node by its name."""
+    """The page at `/frames`: the frames, each before its descendants; `node_url` is the URL of a node by name."""
 
     site: Site
     url: str
@@ -292,9 +293,9 @@ class FramesPage(Struct, frozen=True):
 
 
 class DiagnosticsPage(Struct, frozen=True):
-    """The page at `/diagnostics`: the states of parts, the worst first, or of those called `name`.
+    """The page at `/diagnostics`: the states of components, the worst first, or only those called `name`.
 
-    `changes` is what that one said before, the newest first; `topics` are the URLs of where it is all said.
+    `changes` is the history of the named component, the newest first; `topics` are the URLs of the topics.
     """
 
     site: Site
@@ -307,9 +308,9 @@ class DiagnosticsPage(Struct, frozen=True):
 
 
 class GraphPage(Struct, frozen=True):
-    """The page at `/graph`: `svg` is its drawing, already escaped, of `shown` vertices that stand for `total` things.
+    """The page at `/graph`: `svg` is the drawing, already escaped, with `shown` vertices for `total` resources.
 
-    `below` is the name that limits it, `namespaces` are the choices, `problems` are sentences with the URL of the
+    `below` is the namespace that limits it, `namespaces` are the choices, `problems` are sentences with the URL of the
     resource that has the problem.
     """
 
@@ -326,9 +327,9 @@ class GraphPage(Struct, frozen=True):
 
 
 class ProblemPage(Struct, frozen=True):
-    """An error for people: RFC 9457's members, and the fields that did not fit. `url` is that of the request.
+    """An error page: the members of RFC 9457, and the invalid fields. `url` is that of the request.
 
-    `near` are URLs of resources with similar names, `quotes` words of others by speaker.
+    `near` are URLs of resources with similar names, `quotes` quoted texts by speaker.
     """
 
     site: Site
@@ -342,11 +343,11 @@ class ProblemPage(Struct, frozen=True):
 
 
 _STEPS = 3
-"""Steps that are told one by one."""
+"""Maximum number of steps that a notice lists."""
 
 
 def receipt_notice(receipt: Receipt, link: NoticeLink | None) -> Notice:
-    """Return the notice about a write: what was done, how many it reached, or why it was refused."""
+    """Return the notice about a write: what was done, how many subscribers it reached, or why it was refused."""
     if receipt.status >= 400:
         return Notice(f"Not done: {receipt.words or 'it was refused'}", NoticeLevel.ERROR, link=link, is_lasting=True)
     steps = "; ".join(receipt.plan[:_STEPS]) or f"{receipt.method} was carried out"

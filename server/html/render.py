@@ -1,4 +1,4 @@
-"""Rendering of pages: one function a kind of page, from its value to bytes by its template."""
+"""Rendering of pages: one function per kind of page, which fills a template with its values."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ _DRAWN = (
     *(ldp.contains, ros.hasEndpoint, ros.stopStep, ros.warning, td.hasActionAffordance, td.hasEventAffordance),
     ros.shape,
 )
-"""What a page shows as a table or a form, and keeps folded beside that."""
+"""Predicates that a page shows as a table or form, and folds in the list of statements."""
 _STEPS = {"first": "First", "prev": "Previous", "next": "Next", "last": "Last", "enclosure": "Download"}
 _FORMATS = (
     ("html", "a table on this page"),
@@ -95,7 +95,7 @@ ORDER BY DESC(?rate)"""
 def render_page(page: Page) -> bytes:
     """Return the page of a resource.
 
-    Notices, what is on offer or messages, contents, forms as far as allowed, and all that is said of it.
+    The page has notices, the offer or messages, contents, allowed forms, and all statements.
     """
     posted = form_targets(_fitting(page), page.allow, page.csrf, page.site)
     body = _body(page, posted)
@@ -121,13 +121,13 @@ def render_page(page: Page) -> bytes:
 
 
 def _commands_velocity(document: Document, site: Site) -> bool:
-    """Whether the resource is a topic that commands a velocity: its page may come to have a pad while it is open."""
+    """Whether the resource is a topic that takes velocity commands, whose page may get a pad while it is open."""
     types = (term.value for term in objects_of(document, ros.hasMessageType) if isinstance(term, NamedNode))
     return any(type.removeprefix(site.types) in COMMANDS for type in types)
 
 
 def _fitting(page: Page) -> Iterator[Form]:
-    """The forms without that for the value of a property that must not be written now, which its offer says."""
+    """Return the forms without that of a read-only property, whose offer explains why."""
     locked = isinstance(page.offer, PropertyView) and not page.offer.affordance.write
     return (form for form in page.forms if not (locked and form.method == "PUT"))
 
@@ -176,18 +176,18 @@ def _body(page: Page, posted: tuple[FormTarget, ...]) -> dict[str, object]:
 
 
 def _own_notices(page: Page) -> tuple[Notice, ...]:
-    """Return notices of problems in the description itself, except of offers."""
+    """Return notices of problems in the description itself, except those of offers."""
     if page.offer is not None:
         return ()
     outcome = (*_goal_notice(page.document), *_call_notice(page.document))
     found = ((words, first_text(page.document, predicate)) for predicate, words in _NOTICED)
     notices = tuple(Notice(f"{words}: {text}", NoticeLevel.WARNING) for words, text in found if text)
-    warning = "" if page.site.stop_warning else first_text(page.document, ros.warning)  # which every page shows
+    warning = "" if page.site.stop_warning else first_text(page.document, ros.warning)  # every page shows these
     return (Notice(warning, NoticeLevel.ERROR), *outcome, *notices) if warning else (*outcome, *notices)
 
 
 def _goal_notice(document: Document) -> tuple[Notice, ...]:
-    """Return a notice of the state of a goal; None for other documents."""
+    """Return a notice about the state of a goal; None for other documents."""
     word, about = first_text(document, ros.statusWord), first_text(document, ros.words)
     if not word or ros.Goal not in objects_of(document, rdf.type):
         return ()
@@ -199,7 +199,7 @@ def _goal_notice(document: Document) -> tuple[Notice, ...]:
 
 
 def _call_notice(document: Document) -> tuple[Notice, ...]:
-    """Return a notice of the state of a call; None for other documents."""
+    """Return a notice about the state of a call; None for other documents."""
     if ros.Call not in objects_of(document, rdf.type):
         return ()
     about = first_text(document, ros.words)
@@ -212,7 +212,7 @@ def _call_notice(document: Document) -> tuple[Notice, ...]:
 
 
 def _curl(url: str, accept: str) -> str:
-    """Return a command line that fetches `url`, safe to paste into a shell for any name."""
+    """Return a command line that fetches `url`, quoted safely for any name."""
     return f"curl -H 'Accept: {accept}' '{_shell(url)}'"
 
 
@@ -221,7 +221,7 @@ def _shell(url: str) -> str:
 
 
 def render_entry(page: EntryPage) -> bytes:
-    """Return the entry page: what this robot is, how much there is of it, and how to go on."""
+    """Return the entry page: the robot, the number of its resources, and where to continue."""
     example = page.example or f"{page.site.base}topics/"
     tries = (
         ("The robot's topics, as Turtle", _curl(f"{page.site.base}topics/", "text/turtle")),
@@ -243,7 +243,7 @@ def render_entry(page: EntryPage) -> bytes:
 
 
 def render_sparql(page: SparqlPage) -> bytes:
-    """Return the page of the SPARQL endpoint: a box for a query, its results, and stored queries to start from."""
+    """Return the page of the SPARQL endpoint: an editor, results, and stored queries as examples."""
     query = page.query or _FIRST_QUERY.format(vocabulary=page.site.vocabulary)
     return render_template(
         "sparql.html",
@@ -261,9 +261,9 @@ def render_sparql(page: SparqlPage) -> bytes:
 
 
 def _editor_config(page: SparqlPage) -> str:
-    """What the editor is made with, as JSON.
+    """Return the configuration of the editor as JSON.
 
-    `isAsked`: the query in the box is that of the page's address. `terms`: the prefixed names that each module of the
+    `isAsked`: whether the query is that of the page's URL. `terms`: the prefixed names that each module of the
     vocabulary describes, by its path below the root.
     """
     site = page.site
@@ -284,7 +284,7 @@ def _editor_config(page: SparqlPage) -> str:
 
 
 def render_query(page: QueryPage) -> bytes:
-    """Return the page of a stored query: its purpose, its parameters, its results, its text."""
+    """Return the page of a stored query with its purpose, parameters, results and text."""
     return render_template(
         "query.html",
         page_frame(page.site, page.query.name, page.query.url, page.notices),
@@ -297,7 +297,7 @@ def render_query(page: QueryPage) -> bytes:
 
 
 def render_search(page: SearchPage) -> bytes:
-    """Return the page of the search: the box, and what was found in a table."""
+    """Return the page of the search: the box and a table of results."""
     pictures = page.pictures
     found = (
         (result, page.site.anchor(result.member.url), [page.site.anchor(type) for type in _types(result, page.site)])
@@ -323,7 +323,7 @@ _GRAPH_FORMATS = (Alternate("SVG", "image/svg+xml", "svg"), Alternate("DOT", "te
 
 
 def render_graph(page: GraphPage) -> bytes:
-    """Return the page of the computation graph: its drawing, what is wrong in words, a choice of namespaces."""
+    """Return the page of the computation graph: its drawing, its problems in words, and a choice of namespaces."""
     query = page.url.partition("?")[2]
     return render_template(
         "graph.html",
@@ -351,7 +351,7 @@ def _found_by(result: SearchResult) -> str:
 
 
 def render_plot(page: PlotPage) -> bytes:
-    """Return the page of a plot: what its script draws from, and the numbers in a table."""
+    """Return the page of a plot: the configuration of its script, and the numbers in a table."""
     site = page.site
     rows = [
         PlotRow(
@@ -378,7 +378,7 @@ _MAX_FRAMES = 1000
 
 
 def render_frames(page: FramesPage) -> bytes:
-    """Return the page of the frames, as a table in which they are indented below their parents."""
+    """Return the page of the frames: a table, indented by depth."""
     return render_template(
         "frames.html",
         page_frame(page.site, "Frames", page.url, page.notices, live=True),
@@ -391,7 +391,7 @@ def render_frames(page: FramesPage) -> bytes:
 
 
 def render_space(page: SpacePage) -> bytes:
-    """Return the page of a view of space: what its script draws from, and the same in words."""
+    """Return the page of a view of space: the configuration of its script, and the same as text."""
     site = page.site
     rows = [
         SpaceRow(
@@ -422,11 +422,11 @@ _LEVEL_WORDS = {
     Level.WARN: ("Warning", "Warnings", "warning"),
     Level.OK: ("OK", "OK", "good"),
 }
-"""The words for one and for several of a level, and their tone."""
+"""Singular and plural labels of each level, and its tone."""
 
 
 def render_diagnostics(page: DiagnosticsPage) -> bytes:
-    """Return the page of diagnostics: sections by level, the worst first, and what one part said before."""
+    """Return the page of diagnostics: sections by level, the worst first, and the history of one component."""
     site, base = page.site, page.url.partition("?")[0]
     groups = [
         (words, [each for each in page.states if each.level is level])
@@ -472,7 +472,7 @@ def render_cockpit(page: CockpitPage) -> bytes:
 
 
 def render_problem(page: ProblemPage) -> bytes:
-    """Return an error (RFC 9457) for people: what is wrong, in which field, and where to go from here."""
+    """Return the page of an error (RFC 9457): the cause, the invalid field, and where to continue."""
     return render_template(
         "problem.html",
         page_frame(page.site, f"{page.status} {page.title}", page.url, ()),

@@ -22,12 +22,12 @@ from rosld.server.space.point_cloud import POINT_CLOUD
 
 _TITLES = {ros.latest: "Latest message", ros.recordedMessage: "Message", ros.heldMessage: "Message"}
 _DRAWN = frozenset({ros.latest, ros.recordedMessage})
-"""By what a message is linked from a resource that can be had as a picture."""
+"""Predicates that link a resource to a message which can be drawn as a picture."""
 NEWEST = "#message"
 
 
 class MessageSection(Struct, frozen=True):
-    """A message on a page: its fragment, what came with it, and its fields."""
+    """A message on a page: its fragment, its metadata, and its fields."""
 
     id: str
     title: str
@@ -39,7 +39,7 @@ class MessageSection(Struct, frozen=True):
     aside: bool = False
     picture: PictureView | None = None
     space: str = ""
-    """The address of its view in space, empty where it has none."""
+    """URL of its view in space, or empty."""
     is_cloud: bool = False
     """Whether it is a point cloud."""
 
@@ -56,7 +56,7 @@ def message_sections(document: Document, site: Site, query: str = "") -> tuple[M
 
 
 def _roles(document: Document) -> Mapping[str, NamedNode]:
-    """By which predicate each message is linked from its document."""
+    """Return the predicate that links each message to its document."""
     prefix = f"{document.url}#"
     return {
         triple.object.value[len(prefix) - 1 :]: triple.predicate
@@ -104,11 +104,11 @@ _COLUMNS = ("Role", "Reliability", "Durability", "History", "More")
 _TOLD = (ros.reliability, ros.durability)
 _TIMES = (ros.deadline, ros.lifespan, ros.lease)
 _PLAIN = "automatic"
-"""The liveliness that all have who say nothing of it."""
+"""Liveliness without a stated value."""
 
 
 class EndpointRow(Struct, frozen=True):
-    """An endpoint: the other thing that it belongs to, and its cells; `wrong` says in words what is wrong with it."""
+    """An endpoint: the node or topic at its other end, and its cells; `wrong` is its problem in words."""
 
     anchor: Anchor
     cells: tuple[str, ...]
@@ -116,7 +116,7 @@ class EndpointRow(Struct, frozen=True):
 
 
 class EndpointTable(Struct, frozen=True):
-    """The endpoints of a topic, by node, or those of a node, by topic; `omitted` more are not shown."""
+    """The endpoints of a topic by node, or those of a node by topic; `omitted` is the number of those not shown."""
 
     heading: str
     columns: tuple[str, ...]
@@ -184,7 +184,7 @@ def _more(said: Statements, qos: Statements) -> Iterable[str]:
 
 
 def _first(statements: Statements, predicate: NamedNode) -> str:
-    """Return the first literal of a predicate; empty where there is none."""
+    """Return the first literal of a predicate, or an empty text."""
     return escape_controls(
         next((each.value for each in statements.get(predicate, ()) if isinstance(each, Literal)), "")
     )
@@ -212,7 +212,7 @@ class StepRow(Struct, frozen=True):
 
 
 class StopSteps(Struct, frozen=True):
-    """The table: what was done, or before a stop what would be."""
+    """The steps of a stop that was done, or those of a possible one."""
 
     title: str
     rows: tuple[StepRow, ...]

@@ -1,4 +1,4 @@
-"""The site a page belongs to: where it lives, and how a URL is shown and linked on it."""
+"""The site that contains the pages: its base URL, and how pages show and link URLs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SECTIONS = (
     "data",
     "queries",
 )
-"""The containers among what the navigation of every page offers."""
+"""The containers in the navigation of every page."""
 
 _NAMED = frozenset({"nodes", "topics", "services", "actions", "parameters", "resources"})
 _UNSAFE = re.compile(r"[\x00-\x20\x7f-\xa0\\\u2028\u2029\u202a-\u202e\u2066-\u2069]")
@@ -36,7 +36,7 @@ def _anything(method: str, url: str) -> bool:
 
 
 class Anchor(Struct, frozen=True):
-    """A link as it is shown: where it goes, its short text, its full URL, and whether it leaves this server."""
+    """A link as shown: its target, its short text, its full URL, and whether it leaves this server."""
 
     href: str
     text: str
@@ -46,9 +46,9 @@ class Anchor(Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A rosld server: its canonical base URL (ending in a slash), what it serves, and in what state that is.
+    """A rosld server: its canonical base URL (ending in a slash), its containers, and its state.
 
-    `stale` says in words since when and why the robot cannot be seen; None while it can.
+    `stale` says since when and why the robot is unreachable; None if it is reachable.
     """
 
     base: str
@@ -60,17 +60,17 @@ class Site:
     types: str = TYPES
     vocabulary: str = ros.iri
     stop_token: str = ""
-    """The token of the form that stops the robot; empty where it cannot be stopped from here."""
+    """CSRF token of the form that stops the robot; empty if the reader cannot stop it."""
     stopped: str = ""
-    """Who stopped the robot, when and why, in a sentence; empty while it is not stopped."""
+    """Who stopped the robot, when and why, as a sentence; empty if it is not stopped."""
     stop_warning: str = ""
-    """Why it may go on moving although it is stopped, in a sentence; empty where nothing says so."""
+    """Why the robot may still move although it is stopped, as a sentence, or empty."""
     may: Callable[[str, str], bool] = field(default=_anything, compare=False)
-    """Whether the reader may use a method at a URL."""
+    """Return whether the reader may use a method at a URL."""
     may_subtree: Callable[[str, str], bool] = field(default=_anything, compare=False)
-    """The same of a URL and everything below it."""
+    """Return whether the reader may use a method at a URL and everything below it."""
     is_restricted: bool = False
-    """Whether there are things here that the reader may not know of."""
+    """Whether there are resources that the reader may not see."""
 
     def __post_init__(self) -> None:
         if not self.base.endswith("/") or urlsplit(self.base).scheme not in ("http", "https"):
@@ -82,7 +82,7 @@ class Site:
         return urlsplit(self.base).path
 
     def page_url(self, iri: str) -> str | None:
-        """Return the URL on this server that describes `iri`: itself, or that of a type or a term of the vocabulary."""
+        """Return the URL on this server that describes `iri`: `iri` itself, or that of its type or term."""
         if iri.startswith(self.base) or iri == self.base:
             return iri
         if iri.startswith(self.types) and iri != self.types:
@@ -106,7 +106,7 @@ class Site:
         return url if path.startswith("//") else path
 
     def anchor(self, iri: str, here: str = "") -> Anchor | None:
-        """Return the link to `iri` on the page at `here`, None for what must not be one."""
+        """Return the link to `iri` on the page at `here`, or None if it must not be a link."""
         href = self.href(iri)
         if href is None:
             return None
@@ -149,7 +149,7 @@ def _place(path: str) -> str:
 
 
 def readable_path(path: str) -> str:
-    """Return a path as people read it: percent-encoding undone, what is not UTF-8 replaced."""
+    """Return a path for people, with percent-encoding decoded and invalid UTF-8 replaced."""
     return unquote(path, errors="replace")
 
 
@@ -165,14 +165,14 @@ CONTENT_SECURITY_POLICY = "; ".join(
         "frame-ancestors 'none'",
     )
 )
-"""Nothing but our own files is loaded and run, nothing of a page itself is run, and all goes nowhere else."""
+"""Policy of pages: load and run only files of this server, no inline scripts, no requests elsewhere."""
 
 QUERY_EDITOR_POLICY = CONTENT_SECURITY_POLICY.replace("style-src 'self'", "style-src 'self' 'unsafe-inline'")
-"""The policy of the page at `/sparql` alone: its editor writes styles into what it draws."""
+"""Policy of the page at `/sparql`, whose editor sets inline styles."""
 
 HEADERS: Mapping[str, str] = {
     "content-security-policy": CONTENT_SECURITY_POLICY,
     "x-content-type-options": "nosniff",
     "referrer-policy": "same-origin",
 }
-"""What every page is sent with."""
+"""Headers of every page."""

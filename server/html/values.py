@@ -1,4 +1,4 @@
-"""Values as people read them: RDF terms, tables, brief values, and readings."""
+"""Values for people: RDF terms, tables, brief values, and readings."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def term_view(term: Term, site: Site, here: str = "") -> View:
 
 
 def cell_view(cell: Cell, site: Site) -> View:
-    """Return a cell of a listing: text as it is, a term as a term without its datatype."""
+    """Return the view of a table cell: a text unchanged, a term without its datatype."""
     if isinstance(cell, str):
         return text_view(cell)
     if isinstance(cell, Thumbnail):
@@ -68,7 +68,7 @@ def cell_view(cell: Cell, site: Site) -> View:
 
 
 def thumbnail_view(cell: Thumbnail, site: Site) -> View:
-    """Return the small picture of a topic, where the reader may see it; else its value in words."""
+    """Return the small picture of a topic if the reader may see it, else its value in words."""
     anchor = site.anchor(cell.url)
     if anchor is None:
         return text_view(cell.words)
@@ -76,7 +76,7 @@ def thumbnail_view(cell: Thumbnail, site: Site) -> View:
 
 
 def iri_view(iri: str, site: Site, here: str = "") -> View:
-    """Return an IRI as a link, or as text where it must not be one (`javascript:` and its like)."""
+    """Return an IRI as a link, or as text if it must not be a link (such as `javascript:`)."""
     anchor = site.anchor(iri, here)
     return TextView(escape_controls(iri), tone="iri") if anchor is None else LinkView(anchor)
 
@@ -130,7 +130,7 @@ class ResultsTable(Struct, frozen=True):
 
 
 def results_table(results: PageResults, site: Site) -> ResultsTable:
-    """Return the table of a query's results: at most `results.limit` rows are read and shown."""
+    """Return the table of a query's results, with at most `results.limit` rows."""
     columns = tuple(escape_controls(name) for name in results.variables)
     if results.boolean is not None:
         return ResultsTable(columns, (), boolean=results.boolean, note=results.note)
@@ -150,7 +150,7 @@ _MORE = "..."
 
 
 def brief_text(value: str) -> str:
-    """Return the line for a brief value, a part of it where that is too long."""
+    """Return the text of a brief value on one line, shortened if necessary."""
     parsed: object = json.loads(value)
     if isinstance(parsed, dict) and parsed.keys() == {"data"}:
         parsed = parsed["data"]
@@ -163,7 +163,7 @@ def brief_text(value: str) -> str:
 
 
 def _parts(value: object, path: str) -> Iterator[str]:
-    """Yield the scalars of a value, each after the path that leads to it."""
+    """Yield the scalars of a value, each with its path."""
     if isinstance(value, dict):
         for name, inner in value.items():
             if name == _MORE:
@@ -203,7 +203,7 @@ def value_view(value: Value, site: Site, field: str | None = None) -> View:
 
 
 def _with_plot_link(view: View, value: Value, field: str | None, site: Site) -> View:
-    """Return the view with a link to its plot, where it is a number of a topic."""
+    """Return the view, with a link to its plot for a number of a topic."""
     if not isinstance(value, MessageValue) or not isinstance(view, TextView) or view.tone != "number":
         return view
     plots, path = plot_prefix(value.origin, site), field or value.fields[0].name
@@ -211,9 +211,9 @@ def _with_plot_link(view: View, value: Value, field: str | None, site: Site) -> 
 
 
 def plain_value(value: Value | None) -> Json:
-    """Return the plain JSON that a form of the value is filled with: the bare scalar, or an object of its fields.
+    """Return the plain JSON that fills a form for the value: the bare scalar, or an object of its fields.
 
-    None where there is no value, or none that could be typed.
+    None if there is no value, or none that can be edited.
     """
     try:
         return None if value is None else cast(Json, parse_json(plain_json(value, _LIFTING)))

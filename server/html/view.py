@@ -1,4 +1,4 @@
-"""Views: values on a page (texts, numbers, times, tables), ready for the templates. All of it is plain text."""
+"""Views: values on a page (texts, numbers, times, tables) for the templates. All of it is plain text."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _UNASSIGNED = re.compile(r"[\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff\x80-\x9f]")
 
 
 class TextView(Struct, frozen=True):
-    """A value as text; `full` is all of a long one, `exact` all digits of a number, `hint` its type, `tone` a style.
+    """A value as text; `full` is a long one in full, `exact` all digits of a number, `hint` its type, `tone` a style.
 
-    `plot` refers to the plot of a number over time; empty without.
+    `plot` refers to the plot of a number over time, or is empty.
     """
 
     kind: ClassVar[str] = "text"
@@ -47,7 +47,7 @@ class LinkView(Struct, frozen=True):
 
 
 class TimeView(Struct, frozen=True):
-    """A time: for machines (`iso`), for people, and as it was given."""
+    """A time: for machines (`iso`), for people, and in its original form."""
 
     kind: ClassVar[str] = "moment"
     iso: str
@@ -56,7 +56,7 @@ class TimeView(Struct, frozen=True):
 
 
 class ArrayView(Struct, frozen=True):
-    """An array of scalars: its length, its beginning, and (where there is more) as much of the whole as is shown."""
+    """An array of scalars: its length, its beginning and, if it is longer, as much of the rest as is shown."""
 
     kind: ClassVar[str] = "series"
     count: int
@@ -66,7 +66,7 @@ class ArrayView(Struct, frozen=True):
 
 
 class BytesView(Struct, frozen=True):
-    """Bytes: how many, the first of them in hexadecimal, and where they are (None: nowhere by themselves)."""
+    """Bytes: their number, the first of them in hexadecimal, and their URL (None if they have none)."""
 
     kind: ClassVar[str] = "octets"
     count: int
@@ -76,7 +76,7 @@ class BytesView(Struct, frozen=True):
 
 
 class ThumbnailView(Struct, frozen=True):
-    """A small picture in a table: where it is, where it is to be seen in full, what it is, and its value in words."""
+    """A small picture in a table: its URL, the URL of the full one, its title, and its value in words."""
 
     kind: ClassVar[str] = "thumbnail"
     source: str
@@ -86,7 +86,7 @@ class ThumbnailView(Struct, frozen=True):
 
 
 class TableRow(Struct, frozen=True):
-    """A named value (or several); `hint` is quiet, `term` links to what the name means."""
+    """A named value (or several); `hint` is shown quietly, `term` links to the definition of the name."""
 
     label: str
     values: tuple[View, ...]
@@ -96,7 +96,7 @@ class TableRow(Struct, frozen=True):
 
     @property
     def nested(self) -> bool:
-        """Whether the values are tables of their own."""
+        """Whether the values are nested tables."""
         return any(
             value.kind in ("many", "block") or (isinstance(value, TableView) and not value.short)
             for value in self.values
@@ -104,7 +104,7 @@ class TableRow(Struct, frozen=True):
 
 
 class TableView(Struct, frozen=True):
-    """A table of named values. `id` is the fragment it has on the page; `short` ones (a few numbers) take one line."""
+    """A table of named values. `id` is its fragment on the page; `short` ones (a few numbers) take one line."""
 
     kind: ClassVar[str] = "rows"
     rows: tuple[TableRow, ...]
@@ -128,7 +128,7 @@ View: TypeAlias = (
 
 
 def escape_controls(text: str) -> str:
-    """Return `text` with control characters as their pictures, and characters that HTML cannot hold replaced."""
+    """Return `text` with control characters as visible symbols, and characters replaced that HTML cannot represent."""
     return _UNASSIGNED.sub("\ufffd", text.translate(_PICTURES))
 
 
@@ -146,7 +146,7 @@ def text_view(text: str, hint: str = "", tone: str = "") -> View:
 
 _DIGITS = 6
 _LONGEST = 9
-"""Characters of a number that is shown as it is."""
+"""Maximum number of characters of a number that is shown unchanged."""
 
 
 def number_view(text: str, hint: str = "") -> TextView:
@@ -156,7 +156,7 @@ def number_view(text: str, hint: str = "") -> TextView:
 
 
 def shorten_number(text: str) -> str:
-    """Return a number with six significant digits where it has more and is no integer; anything else as it is."""
+    """Return a number with at most six significant digits; integers and other texts are unchanged."""
     if len(text) <= _LONGEST or not ("." in text or "e" in text.lower()):
         return text
     try:
@@ -169,7 +169,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 def time_view(nanoseconds: int, hint: str = "") -> View:
-    """Return a wall-clock time given in nanoseconds since 1970: to the millisecond for people, exact for machines."""
+    """Return a wall-clock time in nanoseconds since 1970: to the millisecond for people, exact for machines."""
     seconds, rest = divmod(nanoseconds, 1_000_000_000)
     try:
         when = _EPOCH + timedelta(seconds=seconds)
@@ -180,7 +180,7 @@ def time_view(nanoseconds: int, hint: str = "") -> View:
 
 
 def time_view_of_text(text: str, hint: str = "") -> View:
-    """Return a time in the lexical form of xsd:dateTime; shown as it is where it cannot be read."""
+    """Return a time in the lexical form of xsd:dateTime; unchanged if it is invalid."""
     main, dot, rest = text.removesuffix("Z").partition(".")
     if text.endswith("Z") and len(main) == 19 and (not dot or rest.isdigit()):
         fraction = f".{rest[:3]:0<3}" if dot else ""
@@ -189,7 +189,7 @@ def time_view_of_text(text: str, hint: str = "") -> View:
 
 
 def duration_view(seconds: int, nanoseconds: int, hint: str = "") -> View:
-    """Return a duration of ROS: whole seconds and nanoseconds to be added to them."""
+    """Return a ROS duration: the sum of whole seconds and nanoseconds."""
     total = seconds * 1_000_000_000 + nanoseconds
     whole, rest = divmod(abs(total), 1_000_000_000)
     digits = f"{rest:09d}".rstrip("0")

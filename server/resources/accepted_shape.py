@@ -66,12 +66,11 @@ class AcceptedShape(Resource):
 
 
 async def message_shape(
-    limit_checks: LimitChecks, kind: Kind, name: str, schema: MessageSchema, shape: str, node: str
+    limit_checks: LimitChecks, kind: Kind, name: str, schema: MessageSchema, shape: str
 ) -> Document:
     """Return the shape of messages to a topic, a service or an action, as the shapes graph at the URL `shape`."""
     space = limit_checks.session.space
-    url = {Kind.TOPIC: space.topic, Kind.SERVICE: space.service, Kind.ACTION: space.action}[kind](name)
-    demand = await limit_checks.message_demand(kind, name, schema, url, node)
+    demand = await limit_checks.message_demand(kind, name, schema)
     return accepted_message_document(shape, schema, space, f"What may be sent to {_path(shape, space)}", demand)
 
 
@@ -149,19 +148,18 @@ async def _of_parameter(limit_checks: LimitChecks, name: str) -> list[tuple[Acce
 
 
 async def _of_writer(limit_checks: LimitChecks, plan: PropertyPlan, writer: Writer) -> list[tuple[Accepted, Demand]]:
-    space = limit_checks.session.space
     match writer:
         case ParameterSource():
             if plan.member.field is not None:
                 return []
             return await _of_parameter(limit_checks, writer.name)
         case Setter(schema=service):
-            schema, kind, url, node = service.request, Kind.SERVICE, space.service(writer.name), "#request"
+            schema, kind = service.request, Kind.SERVICE
         case TopicSource(schema=known) if known is not None:
-            schema, kind, url, node = known, Kind.TOPIC, space.topic(writer.name), "#message"
+            schema, kind = known, Kind.TOPIC
         case _:
             return []
-    demand = await limit_checks.message_demand(kind, writer.name, schema, url, node)
+    demand = await limit_checks.message_demand(kind, writer.name, schema)
     if plan.member.field is not None:
         return list(_of_field(limit_checks.affordances, plan, demand))
     return list(_of_message(plan.source, schema, demand))

@@ -58,7 +58,6 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
     ros_kind = Kind.ACTION
     url_of = Space.action
     operation = Operation.SEND_GOAL
-    node = "#goal"
     usage = "Goals are sent to an action"
     cannot = "No goal can be sent to {}"
     form = ("Send a goal", "Send")

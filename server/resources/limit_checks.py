@@ -14,6 +14,7 @@ from rosld.adapters.model import Descriptor, Kind, Message, MessageSchema, Param
 from rosld.ontology.body import RdfBody, Term
 from rosld.ontology.lexical import BINARIES
 from rosld.ontology.lift import lifter
+from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Path, Violation, brief_value
 from rosld.ontology.vocab import rdf, ros, sh
 from rosld.server.http.problem import Problem
@@ -61,7 +62,14 @@ def is_strict(exchange: Exchange) -> bool:
     return not exchange.query_flag("defaults")
 
 
-_LINKS = {"#message": ros.latest, "#request": ros.request, "#goal": ros.goalMessage}
+NODES: Mapping[Kind, str] = {Kind.TOPIC: "#message", Kind.SERVICE: "#request", Kind.ACTION: "#goal"}
+"""Fragments of the nodes in RDF bodies that are the message to a topic, a service or an action."""
+_LINKS = {Kind.TOPIC: ros.latest, Kind.SERVICE: ros.request, Kind.ACTION: ros.goalMessage}
+
+
+def target_url(space: Space, kind: Kind, name: str) -> str:
+    """Return the URL of a topic, a service or an action."""
+    return {Kind.TOPIC: space.topic, Kind.SERVICE: space.service, Kind.ACTION: space.action}[kind](name)
 
 
 class LimitChecks:
@@ -78,9 +86,7 @@ class LimitChecks:
         """The limits in force now."""
         return self._active.current
 
-    async def require_message(
-        self, kind: Kind, name: str, schema: MessageSchema, message: Message, url: str, node: str
-    ) -> None:
+    async def require_message(self, kind: Kind, name: str, schema: MessageSchema, message: Message) -> None:
         """Raise LoweringError where a message breaks a limit; it is about to be sent to what is called `name`."""
         try:
             require_finite_message(schema, message, any_number_hint(name))
@@ -90,6 +96,7 @@ class LimitChecks:
         limits = self.limits
         if not limits:
             return
+        url, node = target_url(self._space, kind, name), NODES[kind]
         check = limits.message(schema)
         if check is not None:
             note_limits(self._space.class_of(schema.ref.name))
@@ -97,7 +104,7 @@ class LimitChecks:
         shape = limits.resource(url)
         if shape is not None:
             note_limits(url)
-            said = Triple(NamedNode(url), _LINKS[node], NamedNode(url + node))
+            said = Triple(NamedNode(url), _LINKS[kind], NamedNode(url + node))
             broken += shape.violations(
                 NamedNode(url), [said, *lifter(schema, self.session.lifting).triples(message, url, node)]
             )
@@ -106,24 +113,22 @@ class LimitChecks:
         if broken:
             raise LoweringError(*broken)
 
-    async def require_text(
-        self, kind: Kind, name: str, schema: MessageSchema, body: RdfBody, url: str, node: str
-    ) -> None:
+    async def require_text(self, kind: Kind, name: str, schema: MessageSchema, body: RdfBody) -> None:
         """Raise LoweringError where a body writes a text that limits are about as octets."""
         if not any(each.datatype in BINARIES for each in body.literals()) or not self.limits:
             return
-        require_no_octets(
-            body, limited_texts(await self.message_demand(kind, name, schema, url, node), schema, self._space)
-        )
+        require_no_octets(body, limited_texts(await self.message_demand(kind, name, schema), schema, self._space))
 
-    async def message_demand(self, kind: Kind, name: str, schema: MessageSchema, url: str, node: str) -> Demand:
+    async def message_demand(self, kind: Kind, name: str, schema: MessageSchema) -> Demand:
         """Return the demand of all limits on a message that is sent to `name`, at a URL."""
         limits = self.limits
         demand = Demand(largest=largest_number(schema) if self._takes_finite(kind, name, schema.ref.name) else None)
         if not limits:
             return demand
         scalar = scalar_field(schema.type.fields)
-        demand &= limits.demand_of_message(schema) & limits.demand_of_value(url, _LINKS[node], schema)
+        demand &= limits.demand_of_message(schema) & limits.demand_of_value(
+            target_url(self._space, kind, name), _LINKS[kind], schema
+        )
         for shown, field in await self._property_names(kind, name):
             if field is None:
                 demand &= limits.demand_of_value(shown, rdf.value, schema, None if scalar is None else scalar.name)
@@ -153,7 +158,7 @@ class LimitChecks:
             return {}
         found = [
             limits.bounds_of_message(schema),
-            limits.bounds_of_value(self._space.topic(name), _LINKS["#message"], schema),
+            limits.bounds_of_value(self._space.topic(name), _LINKS[Kind.TOPIC], schema),
         ]
         tree = await self.affordances.tree()
         own = tree.catalogue.by_topic.get(name)

@@ -148,8 +148,7 @@ class NodeResource(NamedResource[Node]):
             schema = await self.session.schemas.service(ref or TypeRef("lifecycle_msgs/srv/ChangeState"))
             sent = {"transition": {"id": transition.id, "label": transition.label}}
             message = lowerer(schema.request, self.session.lifting).from_json(sent)
-            url = self.space.service(service)
-            await self.limit_checks.require_message(Kind.SERVICE, service, schema.request, message, url, "#request")
+            await self.limit_checks.require_message(Kind.SERVICE, service, schema.request, message)
 
     def _refusal(self, error: Refused) -> Problem:
         """409 with the state of the node, and the transitions that are legal in it."""

@@ -193,8 +193,8 @@ class MemberResource(TimeGate):
         tree = await self.affordances.tree()
         action, plan = tree.action(self.name), tree.property(self.name)
         if action is not None and action.request is not None:
-            kind, node = (Kind.ACTION, "#goal") if action.sends_goals else (Kind.SERVICE, "#request")
-            return await message_shape(self.limit_checks, kind, action.service, action.request, url, node)
+            kind = Kind.ACTION if action.sends_goals else Kind.SERVICE
+            return await message_shape(self.limit_checks, kind, action.service, action.request, url)
         return None if plan is None else await property_shape(self.limit_checks, plan, self.url, url)
 
     @property

@@ -82,17 +82,13 @@ async def plan_property_write(
     limit_checks: LimitChecks, own: Property, content: object, *, defaults: bool = False
 ) -> PlannedWrite:
     """Plan a write of a property within the limits. Raises as `plan_write` does."""
-    session = limit_checks.session
-    plan = plan_write(session, own, content, defaults=defaults)
+    plan = plan_write(limit_checks.session, own, content, defaults=defaults)
     name, value = plan.writer.name, plan.value
     if not isinstance(value, MessageValue):
         await limit_checks.require_parameter(name, value.value)
-    elif isinstance(plan.writer, Setter):
-        url = session.space.service(name)
-        await limit_checks.require_message(Kind.SERVICE, name, value.schema, value.message, url, "#request")
     else:
-        url = session.space.topic(name)
-        await limit_checks.require_message(Kind.TOPIC, name, value.schema, value.message, url, "#message")
+        kind = Kind.SERVICE if isinstance(plan.writer, Setter) else Kind.TOPIC
+        await limit_checks.require_message(kind, name, value.schema, value.message)
     return plan
 
 

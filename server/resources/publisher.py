@@ -87,7 +87,7 @@ class Publisher:
         if exchange.media_type == JSON:
             return self._from_json(exchange, schema, data)
         body = parse_body(data, exchange.media_type, url)
-        await self.limit_checks.require_text(Kind.TOPIC, self.name, schema, body, self.url, "#message")
+        await self.limit_checks.require_text(Kind.TOPIC, self.name, schema, body)
         return lowerer(schema, self.session.lifting).from_body(body, url)
 
     def _from_json(self, exchange: Exchange, schema: MessageSchema, data: bytes) -> Message:
@@ -96,7 +96,7 @@ class Publisher:
 
     async def require_within_limits(self, schema: MessageSchema, message: Message) -> None:
         """Raise a LoweringError where a message is outside the limits on what is published here."""
-        await self.limit_checks.require_message(Kind.TOPIC, self.name, schema, message, self.url, "#message")
+        await self.limit_checks.require_message(Kind.TOPIC, self.name, schema, message)
 
     async def plan_graph(self, triples: Sequence[Triple]) -> Publication:
         """What the graph of the topic asks to be published, if it is to say these triples.
@@ -140,7 +140,7 @@ class Publisher:
 
     async def _lower(self, topic: Topic | None, schema: MessageSchema, body: RdfBody) -> Message:
         self._check_stable(topic, body)
-        await self.limit_checks.require_text(Kind.TOPIC, self.name, schema, body, self.url, "#message")
+        await self.limit_checks.require_text(Kind.TOPIC, self.name, schema, body)
         return lowerer(schema, self.session.lifting).from_body(body, self.url)
 
     def _check_stable(self, topic: Topic | None, body: RdfBody) -> None:

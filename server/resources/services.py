@@ -38,7 +38,7 @@ from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema,
 from rosld.server.hypermedia.value import refusal_text
 from rosld.server.receipts.audit_context import Sender
 from rosld.server.resources.accepted_shape import message_shape, shape_query
-from rosld.server.resources.limit_checks import STRICTNESS, is_strict
+from rosld.server.resources.limit_checks import NODES, STRICTNESS, is_strict
 from rosld.server.resources.named_resource import KeptResource, NamedResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
@@ -69,8 +69,6 @@ class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
 
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
     operation: Operation
-    node: str
-    """The fragment of the node in RDF bodies that is the message."""
     usage: str
     """What POST does, for a 405 to another method."""
     cannot: str
@@ -105,7 +103,7 @@ class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
 
     async def accepted(self, url: str) -> Document | None:
         schema = self.part(await self.schema())
-        return await message_shape(self.limit_checks, self.ros_kind, self.name, schema, url, self.node)
+        return await message_shape(self.limit_checks, self.ros_kind, self.name, schema, url)
 
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():
@@ -131,7 +129,7 @@ class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
         No body is a message without fields: for one that has some, `{}` asks for its defaults, and a body that got lost
         does not move the robot. Raises BodyError, LoweringError, and Problems.
         """
-        data, sent, node = await exchange.body(), self.part(schema), self.node
+        data, sent = await exchange.body(), self.part(schema)
         lowering = lowerer(sent, self.session.lifting)
         if not data.strip():
             message = lowering.from_json({}, defaults=exchange.query_flag("defaults"))
@@ -139,9 +137,9 @@ class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
             message = lowering.from_json(parse_json(data), defaults=not is_strict(exchange))
         else:
             body = parse_body(data, exchange.media_type, url)
-            await self.limit_checks.require_text(self.ros_kind, self.name, sent, body, self.url, node)
-            message = lowering.from_body(body, url, node)
-        await self.limit_checks.require_message(self.ros_kind, self.name, sent, message, self.url, node)
+            await self.limit_checks.require_text(self.ros_kind, self.name, sent, body)
+            message = lowering.from_body(body, url, NODES[self.ros_kind])
+        await self.limit_checks.require_message(self.ros_kind, self.name, sent, message)
         return message
 
 
@@ -152,7 +150,6 @@ class ServiceResource(InvocableResource[Service, ServiceSchema]):
     ros_kind = Kind.SERVICE
     url_of = Space.service
     operation = Operation.CALL
-    node = "#request"
     usage = "A service is called"
     cannot = "{} cannot be called"
     form = ("Call the service", "Call")

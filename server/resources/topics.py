@@ -283,7 +283,7 @@ class TopicResource(NamedResource[Topic]):
         if topic is None or topic.type is None:
             return None
         schema = await self.session.schemas.message(topic.type)
-        return await message_shape(self.limit_checks, Kind.TOPIC, self.name, schema, url, "#message")
+        return await message_shape(self.limit_checks, Kind.TOPIC, self.name, schema, url)
 
     async def forms(self) -> Sequence[Form]:
         methods, topic = self.methods(), self.found

@@ -38,13 +38,13 @@ from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.bag_routes import bag_route
 from rosld.server.resources.channels import Notifications, fixed_resources
 from rosld.server.resources.channels import routes as notification_routes
-from rosld.server.resources.finder import near_urls
+from rosld.server.resources.entry_point import StatusResource
+from rosld.server.resources.find import near_urls
 from rosld.server.resources.frames import FramesResource
 from rosld.server.resources.mirror import ReplicationResource, create_mirror
 from rosld.server.resources.plot import PlotResource
 from rosld.server.resources.recording_trigger import RecordingTriggers
 from rosld.server.resources.space import GoalTargets, SpaceResource
-from rosld.server.resources.status import StatusResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import PageRenderer
@@ -54,8 +54,7 @@ from rosld.server.robot.interrupted_holds import InterruptedHolds
 from rosld.server.robot.scene import Scene
 from rosld.server.robot.session import Session
 from rosld.server.routing.dispatcher import Dispatcher
-from rosld.server.routing.resource_factory import ResourceFactory
-from rosld.server.routing.router import Router, single_route
+from rosld.server.routing.router import ResourceFactory, Router, single_route
 from rosld.server.routing.services import Services
 from rosld.server.routing.sparql_services import SparqlServices
 from rosld.server.runtime.tasks import KeyedLock

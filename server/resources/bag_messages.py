@@ -31,15 +31,17 @@ from rosld.server.resources.bag_selection import (
     topics_of,
 )
 from rosld.server.resources.bags import BagBase, Bags
-from rosld.server.resources.messages import decode, field_response, lift_sample
-from rosld.server.resources.pictures import (
+from rosld.server.resources.memento import read_time
+from rosld.server.resources.messages import (
     cloud_is_preferred,
     cloud_response,
+    decode,
     explicit_picture_type,
+    field_response,
+    lift_sample,
     picture_response,
     require_picture,
 )
-from rosld.server.resources.series import read_time
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource

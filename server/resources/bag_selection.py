@@ -31,8 +31,8 @@ from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.resources.bags import BagBase, Bags
+from rosld.server.resources.memento import read_time
 from rosld.server.resources.messages import DecodedSample, decode, lift_sample
-from rosld.server.resources.series import read_time
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS
 from rosld.server.rest.path_item import QueryParameter

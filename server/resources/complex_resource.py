@@ -36,8 +36,7 @@ from rosld.server.hypermedia.value import shape_url
 from rosld.server.hypermedia.view_documents import complex_document, complex_json
 from rosld.server.hypermedia.views import ComplexView
 from rosld.server.patches.patch import apply_update
-from rosld.server.resources.memento import PAST
-from rosld.server.resources.past_resources import PastReadings, TimeGate
+from rosld.server.resources.memento import PAST, PastReadings, TimeGate
 from rosld.server.resources.property_writes import (
     MemberChange,
     carry_out_all,

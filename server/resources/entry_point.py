@@ -1,34 +1,43 @@
-"""The entry point `/`, and the guide for language models at `/llms.txt` (llmstxt.org)."""
+"""The server itself: the entry point `/`, `/status`, `/llms.txt` (llmstxt.org), and the files of pages."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 
+import orjson
+from pyoxigraph import NamedNode
 from starlette.responses import Response
 
-from rosld.adapters.model import Graph
-from rosld.ontology.describe_graph import SECTIONS, ServerProblems, entry_document
+from rosld.adapters.model import Graph, Stale
+from rosld.ontology.describe_graph import SECTIONS, ServerProblems, entry_document, graph_state, problem_statements
+from rosld.ontology.document import Document
+from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, text, triples_about
 from rosld.ontology.urls import Space
+from rosld.ontology.vocab import rdf, ros
 from rosld.server.history.recordings import Recordings
 from rosld.server.html.forms import Form
+from rosld.server.html.frame import ASSETS
 from rosld.server.html.page import Csrf, EntryCount, EntryPage, Notice, NoticeLevel
 from rosld.server.html.render import render_entry
 from rosld.server.html.site import Site
-from rosld.server.http.conditional import ETag, digest
+from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import OBJECT
+from rosld.server.hypermedia.json_schema import OBJECT, TEXT, JsonSchema, MessageSchemas, nullable
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.resource import BASIC_CONTAINER, LDP, RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.resource import BASIC_CONTAINER, LDP, RESOURCE, Resource
+from rosld.server.rest.resource import RDF_SOURCE as RDF_SOURCE_LINK
 from rosld.server.rest.responses import bytes_response, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.robot.diagnostic_states import DIAGNOSTIC_ARRAY
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import RESERVED
 from rosld.server.runtime.version_cache import VersionCache
+from rosld.server.runtime.watchdog import Pauses, Watchdog
 from rosld.server.space.drawing import can_place
 
 _COCKPIT = "What the robot is like and can do, on one page of panels."
@@ -66,7 +75,7 @@ class EntryResource(Resource):
         )  # RFC 8631
         search = Link(f"{session.space.base}find", "search")  # of the IANA registry: what is found by words
         guide = Link(f"{session.space.base}llms.txt", "help", type="text/plain")  # of the IANA registry
-        self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, described, search, guide)
+        self.links = (RESOURCE, RDF_SOURCE_LINK, BASIC_CONTAINER, described, search, guide)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         whole, space = self.session.graph, self.space
@@ -182,3 +191,163 @@ _WRITING = """Write a value with PUT, call a service or send a goal with POST, a
 their defaults. Read again after each write: what may be done has changed. A refusal says in `detail` why, and what to
 do next: 409 a condition does not hold, 422 a value does not fit (`violations`), 423 the robot is stopped, 428 send
 `If-Match`."""
+
+
+ROUTE = "status"
+
+
+class StatusResource(Resource):
+    """The pauses of the event loop, the state of the robot's graph, and the problems of storage."""
+
+    kind = "Server status"
+    shape = "ServerStatus"
+
+    def __init__(
+        self,
+        space: Space,
+        graph: Callable[[], Graph],
+        problems: Callable[[], ServerProblems],
+        watchdog: Watchdog,
+    ) -> None:
+        super().__init__(space, space.base + ROUTE)
+        self._graph = graph
+        self._problems = problems
+        self._watchdog = watchdog
+
+    def path_item(self, schemas: MessageSchemas) -> PathItem:
+        seconds: JsonSchema = {"type": "number", "minimum": 0}
+        told: JsonSchema = dict.fromkeys(("longestPause", "longestWork", "recentPause"), seconds)
+        told = {**told, **dict.fromkeys(("longestPauseEnd", "longestPauseCode", "longestWorkCode"), nullable(TEXT))}
+        told["robot"] = {
+            "type": "object",
+            "properties": {
+                "state": {"enum": ["Live", "Stale"]},
+                "staleSince": nullable(TEXT),
+                "reason": nullable(TEXT),
+            },
+        }
+        told["interruptedHold"] = {"type": "array", "items": TEXT}
+        summary = "How promptly the server itself answers, whether it sees the robot, what is wrong with its storage"
+        return PathItem(summary, plain={"type": "object", "properties": told})
+
+    async def state(self) -> State:
+        pauses, problems, graph = self._watchdog.pauses, self._problems(), self._graph()
+        return State(
+            lambda: status_document(self.space, pauses, graph, problems), lambda: _plain(pauses, graph, problems)
+        )
+
+
+def status_document(space: Space, pauses: Pauses, graph: Graph, problems: ServerProblems) -> Document:
+    """Return the RDF of a server's status; times are in seconds."""
+    longest, status = pauses.longest, NamedNode(space.base + ROUTE)
+    return Document(
+        status.value,
+        (
+            *triples_about(
+                status,
+                (rdf.type, ros.ServerStatus),
+                *RDF_SOURCE,
+                (ros.longestPause, double(round(longest.seconds, 4))),
+                (ros.longestPauseEnd, date_time_literal(longest.ended_ns)),
+                (ros.longestPauseCode, text(longest.code)),
+                (ros.longestWork, double(round(pauses.busiest.busy, 4))),
+                (ros.longestWorkCode, text(pauses.busiest.code)),
+                (ros.recentPause, double(round(pauses.recent, 4))),
+                *problem_statements(problems),
+            ),
+            *triples_about(NamedNode(space.base), (ros.hasServerStatus, status), *graph_state(graph)),
+        ),
+    )
+
+
+def _plain(pauses: Pauses, graph: Graph, problems: ServerProblems) -> bytes:
+    end, robot = date_time_literal(pauses.longest.ended_ns), graph.state
+    since = date_time_literal(robot.since_ns) if isinstance(robot, Stale) else None
+    return orjson.dumps(
+        {
+            "longestPause": round(pauses.longest.seconds, 4),
+            "longestPauseEnd": None if end is None else end.value,
+            "longestPauseCode": pauses.longest.code,
+            "longestWork": round(pauses.busiest.busy, 4),
+            "longestWorkCode": pauses.busiest.code,
+            "recentPause": round(pauses.recent, 4),
+            "storageProblem": [*problems.storage],
+            "interruptedHold": [*problems.interrupted_holds],
+            "robot": {
+                "state": type(robot).__name__,
+                "staleSince": None if since is None else since.value,
+                "reason": robot.why if isinstance(robot, Stale) else None,
+            },
+        }
+    )
+
+
+_DAY = 86400
+_SCRIPT, _STYLE, _ICON = "text/javascript; charset=utf-8", "text/css; charset=utf-8", "image/svg+xml"
+
+
+class FileResource(Resource):
+    """A file that never changes in one version of rosld."""
+
+    kind = "File"
+    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # browsers add some to bypass caches
+    links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
+
+    def __init__(self, space: Space, name: str, data: bytes, media_type: str, summary: str) -> None:
+        super().__init__(space, space.base + name)
+        self._data = data
+        self._media_type = media_type
+        self.item = PathItem(summary, (media_type.partition(";")[0],), OBJECT, (), streams=False)
+
+    async def custom_get(self, exchange: Exchange) -> Response | None:
+        etag = ETag(digest(self._data), "bin")
+        headers = {
+            **resource_headers(self),
+            "etag": str(etag),
+            "cache-control": f"max-age={_DAY}",
+            "x-content-type-options": "nosniff",
+        }
+        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
+        if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+            return Response(status_code=304, headers=headers)
+        return Response(self._data, media_type=self._media_type, headers=headers)
+
+
+_FILES: Mapping[str, tuple[str, str]] = {
+    "style.css": (_STYLE, "The style of pages"),
+    "live.js": (_SCRIPT, "The script that keeps pages up to date"),
+    "ages.js": (_SCRIPT, "The script that says how long ago times were"),
+    "filter.js": (_SCRIPT, "The script that finds things on long pages"),
+    "find.js": (_SCRIPT, "The script that shows what is found while words are typed"),
+    "drive.js": (_SCRIPT, "The script of the pad that drives"),
+    "picture.js": (_SCRIPT, "The script of pictures that move while they are looked at"),
+    "chart.js": (_SCRIPT, "The script that says what plots look like"),
+    "plot.js": (_SCRIPT, "The script that draws plots"),
+    "spark.js": (_SCRIPT, "The script that draws beside numbers how they were lately"),
+    "space_view.js": (_SCRIPT, "The script of what views of space have alike"),
+    "space.js": (_SCRIPT, "The script that draws views of space"),
+    "space3d.js": (_SCRIPT, "The script that draws space in three dimensions"),
+    "three.js": (_SCRIPT, "three.js, which draws three dimensions"),
+    "uplot.js": (_SCRIPT, "uPlot, which draws"),
+    "uplot.css": (_STYLE, "The style of uPlot"),
+    "query_terms.js": (_SCRIPT, "The script that completes terms in queries"),
+    "query_parameters.js": (_SCRIPT, "The script of the fields of a query's parameters"),
+    "query_views.js": (_SCRIPT, "The script that draws results of queries"),
+    "query_editor.js": (_SCRIPT, "The script of the editor of queries"),
+    "query_editor.css": (_STYLE, "The style of the editor of queries"),
+    "yasgui.js": (_SCRIPT, "YASGUI, in which queries are edited"),
+    "yasgui.css": (_STYLE, "The style of YASGUI"),
+    "cockpit.css": (_STYLE, "The style of cockpits"),
+    "icon.svg": (_ICON, "The icon of pages"),
+    "favicon.ico": (_ICON, "The icon of pages, where browsers look for it"),
+}
+"""Of each file, by its name below the base: its media type, and what it is."""
+
+
+def _file_resource(name: str, space: Space) -> FileResource:
+    """Return the file of a name in `FILES`."""
+    return FileResource(space, name, ASSETS["icon.svg" if name == "favicon.ico" else name], *_FILES[name])
+
+
+FILES: Mapping[str, Callable[[Space], FileResource]] = {name: partial(_file_resource, name) for name in _FILES}
+"""What makes each, by its name."""

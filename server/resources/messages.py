@@ -1,17 +1,43 @@
-"""Messages in resources: decoded, lifted, or a single field of one."""
+"""Messages in resources: decoded, lifted, a single field of one, and pictures and files of points."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from msgspec import Struct
 from starlette.responses import Response
 
-from rosld.adapters.model import Message, MessageSchema, RosError, Sample
+from rosld.adapters.base import Watch
+from rosld.adapters.model import Message, MessageSchema, RosError, Sample, TypeRef
 from rosld.ontology.document import Envelope, LiftedMessage
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.urls import Space
-from rosld.server.http.problem import Problem
+from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.negotiation import choose_offer
+from rosld.server.http.problem import ROBOT_SAID, Problem
+from rosld.server.pictures.form import (
+    DEFAULT_RANGE,
+    DRAWN_TYPES,
+    JPEG,
+    PNG,
+    CannotDraw,
+    DepthRange,
+    PictureForm,
+    UnknownPicture,
+    can_draw,
+)
+from rosld.server.pictures.picture_cache import PictureCache
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import FORMATS, OFFERS
+from rosld.server.rest.path_item import BYTES, QueryParameter
+from rosld.server.rest.resource import Motion, Resource
+from rosld.server.rest.responses import RawResponse, bytes_response, resource_headers
 from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.session import Session
+from rosld.server.space.point_cloud import DEFAULT_POINTS, MAX_POINTS, POINT_CLOUD, draw_cloud
 
 
 class DecodedSample(Struct, frozen=True, eq=False):
@@ -51,3 +77,236 @@ async def field_response(schemas: Schemas, sample: Sample, path: str) -> Respons
     except ValueError as error:
         raise Problem(404, str(error)) from error
     return Response(data, media_type=media_type, headers={"Cache-Control": "no-cache"})
+
+
+MOTION = "multipart/x-mixed-replace"
+PICTURES = (JPEG, PNG, MOTION)
+"""What a topic of images is read as besides, the default first."""
+PICTURE_FORMATS = {"jpeg": JPEG, "png": PNG, "mjpeg": MOTION}
+MAX_WIDTH = 8192
+_MAX_NAME = 20
+PICTURE_FORMAT = QueryParameter(
+    "format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS, *PICTURE_FORMATS]}
+)
+VERSION = QueryParameter("v", "Passed over: pages add it, to have another address for another message.")
+PICTURE_PARAMETERS = (
+    VERSION,
+    QueryParameter(
+        "width", "The most pixels a row of the picture.", {"type": "integer", "minimum": 1, "maximum": MAX_WIDTH}
+    ),
+    QueryParameter("range", "The distances in metres from the nearest to the farthest colour, such as `0.5,4`."),
+)
+_NAMES = {JPEG: "jpeg", PNG: "png"}
+
+
+def picture_type(exchange: Exchange, *, is_picture: bool) -> str | None:
+    """Return the media type of the picture that a request prefers to all else; None for what is no picture.
+
+    Raises a 406 Problem where none that is offered is acceptable, images included.
+    """
+    if not is_picture:
+        return explicit_picture_type(exchange)
+    if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
+        return PICTURE_FORMATS.get(exchange.query["format"])
+    accept = exchange.accept
+    if accept is None or ("image/" not in accept and "multipart/" not in accept):
+        return None
+    found = choose_offer(accept, (*OFFERS, *PICTURES))
+    if found is None:
+        raise Problem(406, f"None of {accept!r} is offered; there are {', '.join((*OFFERS, *PICTURES))}.")
+    return found if found in PICTURES else None
+
+
+def explicit_picture_type(exchange: Exchange) -> str | None:
+    """Return the media type of a picture that nothing but a picture satisfies."""
+    if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
+        return PICTURE_FORMATS.get(exchange.query["format"])
+    accept = exchange.accept
+    if accept is None or "image/" not in accept or choose_offer(accept, OFFERS) is not None:
+        return None
+    return choose_offer(accept, (JPEG, PNG))
+
+
+def require_picture(name: str, types: Sequence[TypeRef]) -> None:
+    """Raise a 406 Problem where messages of these types are not drawn."""
+    if not any(can_draw(ref.name) for ref in types):
+        said = ", ".join(ref.name for ref in types) or "an unknown type"
+        words = f"{name} has messages of {said}: only {', '.join(DRAWN_TYPES)} are drawn as pictures."
+        raise Problem(406, f"{words} There are {', '.join(OFFERS)}.")
+
+
+async def picture_response(
+    resource: Resource,
+    schemas: Schemas,
+    pictures: PictureCache,
+    name: str,
+    sample: Sample,
+    exchange: Exchange,
+    media_type: str,
+) -> Response:
+    """Return the picture of a sample, 304 where it is known. Raises Problems."""
+    if media_type not in _NAMES:
+        raise Problem(406, "This picture does not move: ask for image/jpeg or image/png.")
+    form = _form(exchange, media_type)
+    schema = await _schema(schemas, sample)
+    etag = ETag(f"{pictures.instance_id}-{sample_identity(sample)}", _variant(form))
+    fixed_headers = {**resource_headers(resource), "x-content-type-options": "nosniff"}
+    if check_preconditions(
+        "GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")
+    ):
+        told = {**fixed_headers, "etag": str(etag), "vary": "Accept", "cache-control": "no-cache"}
+        return RawResponse(304, b"", [(key.encode("latin-1"), value.encode("latin-1")) for key, value in told.items()])
+    data = await _draw(pictures, name, schema, sample, form)
+    return bytes_response(exchange, data, media_type, etag, fixed_headers.items())
+
+
+async def picture_motion(
+    session: Session, pictures: PictureCache, name: str, first: Sample | None, exchange: Exchange
+) -> Motion:
+    """Return the pictures of a topic from now on; the first is drawn at once, for what it refuses. Raises Problems."""
+    form = _form(exchange, JPEG)
+    if first is not None:
+        await _draw(pictures, name, await _schema(session.schemas, first), first, form)
+    last: Sample | None = None
+
+    async def newest() -> bytes | None:
+        nonlocal last
+        view = session.topics.find_view(name)
+        sample = None if view is None else view.newest
+        if sample is None or sample is last:
+            return None
+        last = sample
+        try:
+            return await _draw(pictures, name, await _schema(session.schemas, sample), sample, form)
+        except Problem:
+            return None  # the next one may be drawn again
+
+    async def watch(wake: Callable[[], None]) -> Watch:
+        return await session.topics.watch(name, wake)
+
+    return Motion(JPEG, watch, newest)
+
+
+async def _schema(schemas: Schemas, sample: Sample) -> MessageSchema:
+    require_picture("This", (sample.schema,))
+    try:
+        return await schemas.message(sample.schema)
+    except RosError as error:
+        raise Problem(406, f"The message cannot be read: {error}.") from error
+
+
+async def _draw(pictures: PictureCache, name: str, schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
+    try:
+        return await pictures.picture(name, schema, sample, form)
+    except UnknownPicture as error:
+        raise Problem(406, f"{error}.", extra={ROBOT_SAID: error.words}) from error
+    except CannotDraw as error:
+        raise Problem(422, f"{error}.", extra={ROBOT_SAID: error.words}) from error
+    except ValueError as error:
+        raise Problem(406, f"The message cannot be read: {error}.") from error
+
+
+def _form(exchange: Exchange, media_type: str) -> PictureForm:
+    """Return the form of a requested picture. Raises 400 Problems."""
+    query = exchange.query
+    return PictureForm(media_type, _width(query.get("width")), _range(query.get("range")))
+
+
+def _width(text: str | None) -> int | None:
+    if text is None:
+        return None
+    if not (text.isascii() and text.isdecimal() and 1 <= int(text[:9]) <= MAX_WIDTH):
+        raise Problem(400, f"?width={text[:_MAX_NAME]}: a whole number of pixels from 1 to {MAX_WIDTH}.")
+    return int(text)
+
+
+def _range(text: str | None) -> DepthRange:
+    if text is None:
+        return DEFAULT_RANGE
+    nearest, _, farthest = text.partition(",")
+    try:
+        found = DepthRange(float(nearest), float(farthest))
+    except ValueError:
+        found = DepthRange(math.nan, math.nan)
+    if not (-1e9 < found.nearest < found.farthest < 1e9):
+        raise Problem(400, f"?range={text[:_MAX_NAME]}: two distances in metres, the nearer first, such as 0.5,4.")
+    return found
+
+
+def sample_identity(sample: Sample) -> str:
+    """Return a short text that identifies a sample within its topic."""
+    said = f"{sample.publisher}\0{sample.epoch}\0{sample.sequence}\0{sample.received_ns}"
+    return digest(said.encode("utf-8", "replace"))
+
+
+def _variant(form: PictureForm) -> str:
+    width = "" if form.width is None else f"-{form.width}"
+    shown = "" if form.shown == DEFAULT_RANGE else f"-{digest(repr(form.shown).encode())}"
+    return f"{_NAMES[form.media_type]}{width}{shown}"
+
+
+PLY = BYTES
+"""IANA has registered no media type for PLY."""
+CLOUD_PARAMETERS = (
+    VERSION,
+    QueryParameter(
+        "format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS, "ply"]}
+    ),
+    QueryParameter("points", "The most points of the file.", {"type": "integer", "minimum": 1, "maximum": MAX_POINTS}),
+)
+
+
+def is_cloud(type_name: str) -> bool:
+    """Whether messages of a type are point clouds."""
+    return type_name == POINT_CLOUD
+
+
+def cloud_is_preferred(exchange: Exchange, *, is_cloud: bool) -> bool:
+    """Whether a request prefers a file of points (or demands it by `?format=ply`)."""
+    if b"field=" in exchange.request.scope["query_string"]:
+        return False
+    if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
+        return exchange.query["format"] == "ply"
+    accept = exchange.accept
+    if not is_cloud or accept is None or "application/octet-stream" not in accept.lower():
+        return False
+    return choose_offer(accept, (*OFFERS, PLY)) == PLY
+
+
+def require_cloud(name: str, types: Sequence[TypeRef]) -> None:
+    """Raise a 406 Problem where messages of these types are no point clouds."""
+    if not any(is_cloud(ref.name) for ref in types):
+        said = ", ".join(ref.name for ref in types) or "an unknown type"
+        words = f"{name} has messages of {said}: only {POINT_CLOUD} is read as a file of points."
+        raise Problem(406, f"{words} There are {', '.join(OFFERS)}.")
+
+
+async def cloud_response(
+    resource: Resource, schemas: Schemas, files: PictureCache, name: str, sample: Sample, exchange: Exchange
+) -> Response:
+    """Return the file of a sample's points, 304 where it is known. Raises Problems."""
+    require_cloud(name, (sample.schema,))
+    most = _points(exchange.query.get("points"))
+    etag = ETag(f"{files.instance_id}-{sample_identity(sample)}", f"ply-{most}")
+    try:
+        schema = await schemas.message(sample.schema)
+        draw = partial(draw_cloud, most=most)
+        data = await files.file(name, schema, sample, ("ply", most), draw)
+    except CannotDraw as error:
+        raise Problem(422, f"{error}.", extra={ROBOT_SAID: error.words}) from error
+    except (RosError, ValueError) as error:
+        raise Problem(406, f"The message cannot be read: {error}.") from error
+    headers = {
+        **resource_headers(resource),
+        "x-content-type-options": "nosniff",
+        "content-disposition": 'attachment; filename="points.ply"',
+    }
+    return bytes_response(exchange, data, PLY, etag, headers.items())
+
+
+def _points(text: str | None) -> int:
+    if text is None:
+        return DEFAULT_POINTS
+    if not (text.isascii() and text.isdecimal() and 1 <= int(text[:9]) <= MAX_POINTS):
+        raise Problem(400, f"?points={text[:_MAX_NAME]}: a whole number of points from 1 to {MAX_POINTS}.")
+    return int(text)

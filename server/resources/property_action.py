@@ -54,8 +54,7 @@ from rosld.server.resources.accepted_shape import (
 from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.limit_checks import STRICTNESS, is_strict
-from rosld.server.resources.memento import PAST
-from rosld.server.resources.past_resources import PastReadings, TimeGate
+from rosld.server.resources.memento import PAST, PastReadings, TimeGate
 from rosld.server.resources.property_writes import (
     plan_property_write,
     read_fresh_state,

@@ -39,10 +39,9 @@ from rosld.server.policies.stored_queries import ROUTE, StoredQueries, query_tri
 from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
-from rosld.server.resources.ldp.rdf_sources import DescriptionResource
+from rosld.server.resources.ldp.rdf_sources import DescriptionResource, StoredFile
 from rosld.server.resources.ldp.representation import all_members, page_at, state_of
 from rosld.server.resources.ldp.routes import AbsentResource, stored_route
-from rosld.server.resources.ldp.stored_files import StoredFile
 from rosld.server.resources.sparql_endpoint import (
     FORMATS,
     GRAPH_FORMS,

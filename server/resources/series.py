@@ -12,18 +12,16 @@ from urllib.parse import quote
 import orjson
 from starlette.responses import Response
 
-from rosld.adapters.base import FOR_EVER
 from rosld.adapters.model import Array, MessageSchema, Primitive, Sample, TypeRef, UnknownType
 from rosld.ontology.describe_views import series_document
 from rosld.ontology.fields import field_at, number_type
-from rosld.ontology.literals import date_time_nanoseconds
 from rosld.ontology.urls import Space
 from rosld.server.history.history import History
 from rosld.server.history.message_block import MessageBlock, columns_of, number_paths
 from rosld.server.history.series import Point, Series, SeriesRange, SeriesTooLong, read_series
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.resources.memento import is_recorded
+from rosld.server.resources.memento import is_recorded, read_time
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.path_item import QueryParameter
@@ -199,29 +197,6 @@ def require_history(history: History, topic: str) -> None:
             raise Problem(404, f"Nothing is recorded of {topic} yet: its first message will be.")
         words = f"start rosld with --history {topic}, or --history '*' for all topics"
         raise Problem(404, f"Nothing is recorded of {topic}: {words}.")
-
-
-def read_time(text: str, now_ns: int) -> int:
-    """Return a time in ns: an xsd:dateTime, or seconds before now with a minus. Raises a 400 Problem.
-
-    What is earlier or later than any message can be is the first or the last time that a message can have.
-    """
-    return max(-FOR_EVER, min(_nanoseconds(text, now_ns), FOR_EVER))
-
-
-def _nanoseconds(text: str, now_ns: int) -> int:
-    try:
-        if text.startswith("-") and text.count("-") == 1:
-            return now_ns + round(float(text) * 1e9)
-        exact = date_time_nanoseconds(text.replace("z", "Z"))
-        if exact is not None:
-            return exact
-        found = datetime.fromisoformat(f"{text[:-1]}+00:00" if text.endswith(("Z", "z")) else text.replace(" ", "+"))
-        aware = found if found.tzinfo is not None else found.replace(tzinfo=timezone.utc)
-        return int(aware.replace(microsecond=0).timestamp()) * 10**9 + aware.microsecond * 1000
-    except (ValueError, OverflowError) as error:
-        words = f"{text[:60]!r} is no time such as 2030-01-31T12:00:00Z, nor seconds before now such as -60."
-        raise Problem(400, words) from error
 
 
 def _utc_text(time_ns: int) -> str:

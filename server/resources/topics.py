@@ -41,28 +41,32 @@ from rosld.server.resources.memento import (
     memento_datetime,
     negotiate_topic,
     read_history,
+    read_time,
     time_map_of,
     timegate_links,
 )
-from rosld.server.resources.messages import DecodedSample, decode, field_response, lift_sample
-from rosld.server.resources.named_resource import NamedResource
-from rosld.server.resources.pictures import (
+from rosld.server.resources.messages import (
     CLOUD_PARAMETERS,
     MOTION,
     PICTURE_FORMAT,
     PICTURE_PARAMETERS,
     PICTURES,
+    DecodedSample,
     cloud_is_preferred,
     cloud_response,
+    decode,
+    field_response,
     is_cloud,
+    lift_sample,
     picture_motion,
     picture_response,
     picture_type,
     require_cloud,
     require_picture,
 )
+from rosld.server.resources.named_resource import NamedResource
 from rosld.server.resources.publisher import Publisher
-from rosld.server.resources.series import PARAMETERS, read_time, require_history, series_of
+from rosld.server.resources.series import PARAMETERS, require_history, series_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod

@@ -1,4 +1,4 @@
-"""Types and their shapes: `/types/PKG/msg/NAME` and `/shapes/PKG/msg/NAME`, within containers of packages.
+"""Types, their shapes, and the ontology: `/types/PKG/msg/NAME` and `/shapes/PKG/msg/NAME`, within containers.
 
 Beside the packages of `/shapes/` lie `/shapes/mapping` and the like, and the limits that clients keep.
 """
@@ -15,6 +15,7 @@ from rosld.adapters.model import Schema, TypeRef, halves_of
 from rosld.ontology.describe_graph import type_container_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
+from rosld.ontology.modules import CORE, MODULES, module_url, served_triples
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import dcterms, rdf
 from rosld.server.http.conditional import digest
@@ -329,3 +330,40 @@ def _container(
         url = space.container(route, location.segments)
         raise permanent_redirect(url)
     return TypeContainer(space, adapter, states, route, location.segments)
+
+
+class OntologyResource(Resource):
+    """A module of the ontology."""
+
+    kind = "Ontology"
+    shape = "Ontology"
+
+    def __init__(self, space: Space, states: VersionCache[State], name: str = CORE) -> None:
+        super().__init__(space, module_url(name, space.base))
+        self.title = "Ontology" if name == CORE else f"Ontology: {name}"
+        self.states = states
+        self.name = name
+        self.item = PathItem(
+            "The core of the ontology" if self.name == CORE else f"A module of the ontology: {self.name}"
+        )
+
+    async def state(self) -> State:
+        return self.states.get_or_make(self.url, 0, lambda: State(self.document))
+
+    def document(self) -> Document:
+        """Return the module; it says nothing of its URL here, so that it is the same ontology everywhere."""
+        return Document(self.url, served_triples(self.name))
+
+
+def ontology_route(space: Space, states: VersionCache[State], location: Location) -> Resource:
+    """Return the module of the vocabulary at `/ontology` or below. Raises a 404 Problem where there is none."""
+    if location.is_container:
+        raise permanent_redirect(space.url("ontology", location.segments))
+    name = "/".join(location.segments)
+    if name == CORE:
+        raise permanent_redirect(module_url(CORE, space.base))
+    if not name:
+        return OntologyResource(space, states)
+    if name in MODULES:
+        return OntologyResource(space, states, name)
+    raise Problem(404, f"The ontology has no {name}: its modules are {', '.join(MODULES)}.")

@@ -27,16 +27,19 @@ from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.routing.observation import Observation
 from rosld.server.routing.representations import CONTENT_FIELDS, Representations, is_not_modified, negotiate
-from rosld.server.routing.verbs import (
+from rosld.server.routing.write_answers import (
     VERBS,
+    FormAnswers,
     KnownParameters,
+    WriteAnswers,
+    answer_dry_run,
     check_media_type,
+    is_form,
     problem_of_error,
     refuse_partial_put,
     with_constraint_link,
     with_type_links,
 )
-from rosld.server.routing.write_answers import FormAnswers, WriteAnswers, answer_dry_run, is_form
 from rosld.server.runtime.tasks import KeyedLock
 
 

@@ -32,12 +32,11 @@ from rosld.server.resources.bags import bag_urls, describe_armed, describe_bag, 
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.namespaces import listed_graph, namespaces
 from rosld.server.resources.nodes import NodeResource
-from rosld.server.resources.ontology import OntologyResource
 from rosld.server.resources.parameters import ParameterTree
 from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.queries import queries_document, shipped_document
-from rosld.server.resources.types import SHAPES_GRAPHS, child_names, known_types, shapes_graph
-from rosld.server.routing.resource_factory import ResourceFactory
+from rosld.server.resources.types import SHAPES_GRAPHS, OntologyResource, child_names, known_types, shapes_graph
+from rosld.server.routing.router import ResourceFactory
 from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.sparql.materializer import GraphEntry
 from rosld.shapes.message import shape_document

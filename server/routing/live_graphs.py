@@ -35,7 +35,7 @@ from rosld.server.resources.types import TypeResource
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.routing.graph_descriptions import GraphDescriptions, document_ntriples
-from rosld.server.routing.resource_factory import ResourceFactory
+from rosld.server.routing.router import ResourceFactory
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.sparql.materializer import GraphEntry, LiveDocument, LiveGraphs

@@ -17,9 +17,9 @@ from rosld.server.policies import active_limits, stored_cockpits, stored_queries
 from rosld.server.policies.active_limits import ActiveLimits, initial_limits
 from rosld.server.policies.stored_mappings import ROUTE, initial_mappings, load_stored_mappings
 from rosld.server.receipts.journal import Journal
-from rosld.server.resources.ldp.base import Documents
-from rosld.server.resources.ldp.validation import (
+from rosld.server.resources.ldp.base import (
     CockpitValidator,
+    Documents,
     LimitsValidator,
     MappingValidator,
     QueryValidator,

@@ -9,7 +9,7 @@ from rosld.server.resources.past_messages import RecordedPast
 from rosld.server.resources.sparql_update.service import UpdateService
 from rosld.server.rest.resource import Resource
 from rosld.server.routing.live_graphs import OTHER_ROUTES, RobotGraphs
-from rosld.server.routing.resource_factory import ResourceFactory
+from rosld.server.routing.router import ResourceFactory
 from rosld.server.routing.services import Services
 from rosld.server.runtime.tasks import KeyedLock
 from rosld.server.runtime.version_cache import IdentityKey

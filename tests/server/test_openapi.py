@@ -15,7 +15,7 @@ from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
 from rosld.server.openapi.description import description
 from rosld.server.openapi.path_collector import DescribedPath
-from rosld.server.resources.static_assets import FILES
+from rosld.server.resources.entry_point import FILES
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import READ
 from rosld.server.settings import Settings

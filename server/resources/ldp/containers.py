@@ -30,7 +30,7 @@ from rosld.server.resources.ldp.bodies import (
     receive_blob,
     require_classes,
 )
-from rosld.server.resources.ldp.rdf_sources import RdfSourceResource
+from rosld.server.resources.ldp.rdf_sources import RdfSourceResource, StoredFile
 from rosld.server.resources.ldp.representation import page_at, page_state, state_of
 from rosld.server.resources.ldp.statements import (
     N3_PATCH,
@@ -40,7 +40,6 @@ from rosld.server.resources.ldp.statements import (
     contained_members,
     member_uri,
 )
-from rosld.server.resources.ldp.stored_files import StoredFile
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.interaction import choose_name, model_links, parse_membership

@@ -25,10 +25,9 @@ from rosld.server.resources.ldp.base import (
 )
 from rosld.server.resources.ldp.bodies import merge_parts, model_of_request, receive_blob, require_model
 from rosld.server.resources.ldp.containers import create_resource, creation_writes, require_free, resource_of
-from rosld.server.resources.ldp.rdf_sources import DescriptionResource
+from rosld.server.resources.ldp.rdf_sources import DescriptionResource, StoredFile
 from rosld.server.resources.ldp.representation import state_of
 from rosld.server.resources.ldp.statements import N3_PATCH, is_small, patch_statements
-from rosld.server.resources.ldp.stored_files import StoredFile
 from rosld.server.resources.ldp.versions import former_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE

@@ -19,10 +19,10 @@ from rosld.server.resources.memento import (
     memento_datetime,
     memento_url,
     parse_accept_datetime,
+    read_time,
     time_map_response,
     timegate_links,
 )
-from rosld.server.resources.series import read_time
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State

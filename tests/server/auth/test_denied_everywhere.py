@@ -47,7 +47,7 @@ from rosld.adapters.model import (
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import lowerer
 from rosld.server.app import Application, create_app
-from rosld.server.resources.static_assets import FILES
+from rosld.server.resources.entry_point import FILES
 from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings
 from tests.server.auth.conftest import token, tokens

@@ -6,7 +6,7 @@ import re
 from importlib.resources import files
 
 from rosld.server.html.frame import ASSETS
-from rosld.server.resources.static_assets import FILES
+from rosld.server.resources.entry_point import FILES
 
 TEXT = ASSETS["style.css"].decode()
 LIGHT, DARK = (

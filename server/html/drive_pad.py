@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from decimal import Decimal
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import asdict
+from msgspec import Struct, to_builtins
 from pyoxigraph import Literal
 
 from rosld.adapters.model import MessageSchema, Primitive
@@ -52,7 +51,7 @@ class DrivePad(Struct, frozen=True):
     @property
     def json(self) -> str:
         """The configuration of the script, as JSON."""
-        return json.dumps(asdict(self))
+        return json.dumps(to_builtins(self))
 
 
 _SPEED = Axis("linear.x", "Speed", "m/s", -1.0, 1.0)

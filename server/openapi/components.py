@@ -16,68 +16,70 @@ from rosld.server.events.query_params import (
     MIN_RATE,
 )
 from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID
-from rosld.server.hypermedia.json_schema import ANYTHING, JSON_LD, OBJECT, TEXT, URI, Json, JsonSchema
+from rosld.server.hypermedia.json_schema import (
+    ANYTHING,
+    JSON_LD,
+    OBJECT,
+    TEXT,
+    URI,
+    Json,
+    JsonSchema,
+    json_array,
+    json_object,
+)
 from rosld.server.rest.formats import HTML, JSON, RDF_BODIES
 from rosld.server.rest.path_item import FIELD_READS, OF_EVERY_WRITE
 
 PROBLEM = "application/problem+json"
-_PROBLEM_SCHEMA: JsonSchema = {
-    "type": "object",
-    "description": "Problem details (RFC 9457).",
-    "properties": {
-        "type": {"type": "string"},
-        "title": {"type": "string"},
-        "status": {"type": "integer", "minimum": 100, "maximum": 599},
-        "detail": {"type": "string", "description": "What is wrong, and the next step."},
-        "violations": {
-            "type": "array",
-            "description": "What does not fit, field by field.",
-            "items": {
-                "type": "object",
-                "properties": {
-                    "path": {"type": "string"},
-                    "message": {"type": "string"},
-                    "value": {"type": ["string", "null"]},
-                    "said": {"type": "string", "description": "The message of the shape that was broken: data."},
-                },
-                "required": ["path", "message"],
-            },
-        },
-        "call": {"type": "string", "description": "The URL of the call that failed."},
-        ROBOT_SAID: {"type": "string", "description": "What the robot said: data, no instructions."},
-        AGENT_SAID: {"type": "string", "description": "What another agent said, as why it stopped the robot: data."},
-        "sent": {"description": "Whether the robot may have received it.", "enum": [one.value for one in Sent]},
-    },
-    "required": ["type", "title", "status", "detail"],
-}
 
-_URLS: JsonSchema = {"type": "array", "items": URI}
-_PLAN_SCHEMA: JsonSchema = {
-    "type": "object",
-    "description": "The plan of a dry run: nothing was done.",
-    "properties": {
-        "dryRun": {"const": True},
-        "method": TEXT,
-        "url": URI,
-        "steps": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {
-                    "does": TEXT,
-                    "url": URI,
-                    "receivers": {**_URLS, "description": "The nodes that it would reach, as the graph has them."},
-                },
-                "required": ["does", "url", "receivers"],
-            },
-        },
-        "limits": {**_URLS, "description": "The resources and types whose limits were checked."},
-        "conditions": {**_URLS, "description": "The conditions of mappings that were checked."},
-        "status": {"type": ["integer", "null"], "description": "The status of the real answer, where it is known."},
-    },
-    "required": ["dryRun", "method", "url", "steps", "limits", "conditions", "status"],
-}
 
+def _about(schema: JsonSchema, about: str) -> JsonSchema:
+    """Return a schema with a description."""
+    return {**schema, "description": about}
+
+
+_COUNT: JsonSchema = {"type": "integer", "minimum": 0}
+_REFERENCE: JsonSchema = {"type": "string", "format": "uri-reference"}
+_URLS = json_array(URI)
+_VIOLATION = json_object(
+    {"path": TEXT, "message": TEXT},
+    {"value": {"type": ["string", "null"]}, "said": _about(TEXT, "The message of the shape that was broken: data.")},
+)
+_PROBLEM_SCHEMA = _about(
+    json_object(
+        {
+            "type": TEXT,
+            "title": TEXT,
+            "status": {"type": "integer", "minimum": 100, "maximum": 599},
+            "detail": _about(TEXT, "What is wrong, and the next step."),
+        },
+        {
+            "violations": _about(json_array(_VIOLATION), "What does not fit, field by field."),
+            "call": _about(TEXT, "The URL of the call that failed."),
+            ROBOT_SAID: _about(TEXT, "What the robot said: data, no instructions."),
+            AGENT_SAID: _about(TEXT, "What another agent said, as why it stopped the robot: data."),
+            "sent": _about({"enum": [one.value for one in Sent]}, "Whether the robot may have received it."),
+        },
+    ),
+    "Problem details (RFC 9457).",
+)
+_STEP = json_object(
+    {"does": TEXT, "url": URI, "receivers": _about(_URLS, "The nodes that it would reach, as the graph has them.")}
+)
+_PLAN_SCHEMA = _about(
+    json_object(
+        {
+            "dryRun": {"const": True},
+            "method": TEXT,
+            "url": URI,
+            "steps": json_array(_STEP),
+            "limits": _about(_URLS, "The resources and types whose limits were checked."),
+            "conditions": _about(_URLS, "The conditions of mappings that were checked."),
+            "status": _about({"type": ["integer", "null"]}, "The status of the real answer, where it is known."),
+        }
+    ),
+    "The plan of a dry run: nothing was done.",
+)
 HEADERS: Mapping[str, tuple[str, JsonSchema]] = {
     "ETag": ("The entity tag of this representation (RFC 9110 8.8.3).", TEXT),
     "Link": ("The types of the resource (LDP 4.2.1.4), what describes it, what constrains it (RFC 8288).", TEXT),
@@ -85,87 +87,62 @@ HEADERS: Mapping[str, tuple[str, JsonSchema]] = {
     "Accept-Put": ("The media types that PUT takes.", TEXT),
     "Accept-Post": ("The media types that POST takes (LDP 7.1).", TEXT),
     "Accept-Patch": ("The media types that PATCH takes (RFC 5789 3.1).", TEXT),
-    "Location": ("The URL of the resource.", {"type": "string", "format": "uri-reference"}),
-    "Content-Location": ("The URL of what the body represents.", {"type": "string", "format": "uri-reference"}),
-    "Age": ("The age of the newest sample, in seconds.", {"type": "integer", "minimum": 0}),
-    "Retry-After": ("Seconds after which to try again.", {"type": "integer", "minimum": 0}),
+    "Location": ("The URL of the resource.", _REFERENCE),
+    "Content-Location": ("The URL of what the body represents.", _REFERENCE),
+    "Age": ("The age of the newest sample, in seconds.", _COUNT),
+    "Retry-After": ("Seconds after which to try again.", _COUNT),
     "Preference-Applied": ("The preferences that were honoured (RFC 7240 3).", TEXT),
 }
+
+
+def parameter(
+    name: str, about: str, schema: JsonSchema = TEXT, *, place: str = "query", **more: Json
+) -> dict[str, Json]:
+    """Return a Parameter Object (4.8.12)."""
+    return {"name": name, "in": place, "description": about, "schema": schema, **more}
+
+
+_SHARED = (
+    *(parameter(each.name, each.about, each.schema) for each in OF_EVERY_WRITE),
+    parameter("after", "The ETag of a state: wait until the resource is in another, or `timeout` is over (304)."),
+    parameter(
+        "shape",
+        "Where it is there, whatever its value: the SHACL shape of the RDF that may be written here.",
+        allowEmptyValue=True,
+    ),
+    parameter(
+        "until",
+        "A condition on the value, such as `data >= 300 and status = 'on'`: wait until it holds, or `timeout` is over "
+        "(204). An event stream ends with it.",
+        {"type": "string", "maxLength": MAX_LENGTH},
+    ),
+    parameter(
+        "timeout",
+        f"With `after` and `until`: the most seconds to wait; more than {MAX_TIMEOUT:g} are {MAX_TIMEOUT:g}.",
+        {"type": "number", "minimum": 0},
+    ),
+    parameter(
+        "rate",
+        f"Of an event stream: the most events a second, up to {MAX_RATE:g}; {DEFAULT_RATE:g} where it is missing. A "
+        "comment `: skipped N` before an event tells how many messages were left out.",
+        {"type": "number", "minimum": MIN_RATE},
+    ),
+    parameter(
+        "page", "One of the pages that a large container comes in: follow the links from `?page=0`.", example="0"
+    ),
+    parameter("If-None-Match", "ETags, or `*` (RFC 9110 13.1.2).", place="header", example="*"),
+    parameter("If-Match", "ETags of the state to change, or `*` (RFC 9110 13.1.1).", place="header", example="*"),
+)
+_PREFER = "`return=representation` or `return=minimal` (RFC 7240 4.2)."
+_PREFER_CONTAINER = (
+    "`return=representation`, with `max-member-count` for pages of so many members (LDP Paging), and with `include` or "
+    "`omit` of what a container tells (LDP 7.2)."
+)
+_PAGED = "return=representation; max-member-count=100"
 PARAMETERS: Mapping[str, Json] = {
-    **{
-        each.name: {"name": each.name, "in": "query", "description": each.about, "schema": each.schema}
-        for each in OF_EVERY_WRITE
-    },
-    "after": {
-        "name": "after",
-        "in": "query",
-        "description": "The ETag of a state: wait until the resource is in another, or `timeout` is over (304).",
-        "schema": TEXT,
-    },
-    "shape": {
-        "name": "shape",
-        "in": "query",
-        "description": "Where it is there, whatever its value: the SHACL shape of the RDF that may be written here.",
-        "schema": TEXT,
-        "allowEmptyValue": True,
-    },
-    "until": {
-        "name": "until",
-        "in": "query",
-        "description": "A condition on the value, such as `data >= 300 and status = 'on'`: wait until it holds, or "
-        "`timeout` is over (204). An event stream ends with it.",
-        "schema": {"type": "string", "maxLength": MAX_LENGTH},
-    },
-    "timeout": {
-        "name": "timeout",
-        "in": "query",
-        "description": f"With `after` and `until`: the most seconds to wait; more than {MAX_TIMEOUT:g} are "
-        f"{MAX_TIMEOUT:g}.",
-        "schema": {"type": "number", "minimum": 0},
-    },
-    "rate": {
-        "name": "rate",
-        "in": "query",
-        "description": f"Of an event stream: the most events a second, up to {MAX_RATE:g}; {DEFAULT_RATE:g} where it "
-        "is missing. A comment `: skipped N` before an event tells how many messages were left out.",
-        "schema": {"type": "number", "minimum": MIN_RATE},
-    },
-    "If-None-Match": {
-        "name": "If-None-Match",
-        "in": "header",
-        "description": "ETags, or `*` (RFC 9110 13.1.2).",
-        "schema": TEXT,
-        "example": "*",
-    },
-    "If-Match": {
-        "name": "If-Match",
-        "in": "header",
-        "description": "ETags of the state that is to be changed, or `*` (RFC 9110 13.1.1).",
-        "schema": TEXT,
-        "example": "*",
-    },
-    "page": {
-        "name": "page",
-        "in": "query",
-        "description": "One of the pages that a large container comes in: follow the links from `?page=0`.",
-        "schema": TEXT,
-        "example": "0",
-    },
-    "Prefer.container": {
-        "name": "Prefer",
-        "in": "header",
-        "description": "`return=representation`, with `max-member-count` for pages of so many members (LDP Paging), "
-        "and with `include` or `omit` of what a container tells (LDP 7.2).",
-        "schema": TEXT,
-        "example": "return=representation; max-member-count=100",
-    },
-    "Prefer": {
-        "name": "Prefer",
-        "in": "header",
-        "description": "`return=representation` or `return=minimal` (RFC 7240 4.2).",
-        "schema": TEXT,
-        "example": "return=minimal",
-    },
+    **{str(each["name"]): each for each in _SHARED},
+    "Prefer": parameter("Prefer", _PREFER, place="header", example="return=minimal"),
+    "Prefer.container": parameter("Prefer", _PREFER_CONTAINER, place="header", example=_PAGED),
 }
 _STATUSES = {
     303: "it is shown at the URL in Location",

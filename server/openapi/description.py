@@ -10,8 +10,8 @@ from itertools import chain, count
 import orjson
 
 from rosld.server.events.query_params import EVENT_STREAM
-from rosld.server.hypermedia.json_schema import Json, JsonSchema
-from rosld.server.openapi.components import Components, body_content, content, headers, or_plan, reference
+from rosld.server.hypermedia.json_schema import TEXT, Json, JsonSchema
+from rosld.server.openapi.components import Components, body_content, content, headers, or_plan, parameter, reference
 from rosld.server.openapi.description_parts import sections
 from rosld.server.openapi.path_collector import DescribedPath
 from rosld.server.rest.path_item import FIELD_READS, OF_EVERY_WRITE, QueryParameter
@@ -70,7 +70,10 @@ class _Writer:
 
     def path_item(self, path: DescribedPath) -> dict[str, Json]:
         """Return the Path Item Object (4.8.9): an operation for each method."""
-        segments: list[Json] = [_segment(name, path.segments[name]) for name in _TEMPLATE.findall(path.template)]
+        segments: list[Json] = [
+            parameter(name, path.segments[name], {**TEXT, "minLength": 1}, place="path", required=True)
+            for name in _TEMPLATE.findall(path.template)
+        ]
         item: dict[str, Json] = {"parameters": segments} if segments else {}
         for method in _ORDER:
             if method in path.methods:
@@ -153,18 +156,8 @@ class _Writer:
             yield str(status), self._components.share("responses", f"{_referred(shown)}.{status}", answer)
 
 
-def _segment(name: str, about: str) -> Json:
-    return {
-        "name": name,
-        "in": "path",
-        "required": True,
-        "description": about,
-        "schema": {"type": "string", "minLength": 1},
-    }
-
-
 def _query(one: QueryParameter) -> dict[str, Json]:
-    found: dict[str, Json] = {"name": one.name, "in": "query", "description": one.about, "schema": one.schema}
+    found = parameter(one.name, one.about, one.schema)
     return {**found, "required": True} if one.required else found
 
 

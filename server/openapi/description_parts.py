@@ -6,12 +6,11 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from typing import TypeAlias
 
 import orjson
-from msgspec import Struct, field
 from msgspec.structs import replace
 
 from rosld.server.hypermedia.json_schema import JsonSchema
 from rosld.server.openapi.path_collector import DescribedPath
-from rosld.server.rest.path_item import MAX_PART, part_url
+from rosld.server.rest.path_item import MAX_PART, PUNCTUATION, cut_parts, part_url
 
 Components: TypeAlias = "Mapping[str, Mapping[str, object]]"
 """Components by their kinds and names."""
@@ -67,59 +66,40 @@ def description_parts(data: bytes, url: str, below: str) -> tuple[bytes, ...]:
     said.pop("x-parts")
     always = {("securitySchemes", name) for name in components.get("securitySchemes", ())}
     weights = {
-        (kind, name): len(orjson.dumps(each)) + len(name) + _PUNCTUATION
+        (kind, name): len(orjson.dumps(each)) + len(name) + PUNCTUATION
         for kind, named in components.items()
         for name, each in named.items()
     }
     room = MAX_PART - len(orjson.dumps({**said, "tags": tags})) - len(part_url(url, below)) - _FRAME
-    found: list[_Part] = []
-    for path, item in paths.items():
-        if not path.startswith(below):
-            continue
-        needed = references(item, components) | always
-        own = len(orjson.dumps(item)) + len(path) + _PUNCTUATION
-        if not found or found[-1].size + own + sum(weights[key] for key in needed - found[-1].keys) > room:
-            found.append(_Part())
-        found[-1].add(path, item, needed, own + sum(weights[key] for key in needed - found[-1].keys))
+    members = []
+    for path in (path for path in paths if path.startswith(below)):
+        needed = references(paths[path], components) | always
+        size = len(orjson.dumps(paths[path])) + len(path) + PUNCTUATION
+        members.append(((path, needed), size, {key: weights[key] for key in needed}))
+    parts = tuple(cut_parts(members, room))
     return tuple(
         orjson.dumps(
             {
                 **said,
-                **({"x-next": part_url(url, below, number)} if number < len(found) else {}),
-                "tags": [tag for tag in tags if tag["name"] in part.tags],
-                "paths": part.paths,
-                "components": chosen(components, part.keys),
+                **({"x-next": part_url(url, below, number)} if number < len(parts) else {}),
+                "tags": [tag for tag in tags if tag["name"] in used],
+                "paths": {path: paths[path] for path, _ in part},
+                "components": chosen(components, {key for _, needed in part for key in needed}),
             }
         )
-        for number, part in enumerate(found, 1)
+        for number, part in enumerate(parts, 1)
+        for used in [_tags(paths[path] for path, _ in part)]
     )
 
 
-_PUNCTUATION = 6
-"""Bytes between the members of an object."""
 _FRAME = 300
 """Bytes of what holds paths and components together."""
 
 
-class _Part(Struct):
-    """Paths, what they need, and how large that is."""
-
-    paths: dict[str, object] = field(default_factory=dict)
-    keys: set[Key] = field(default_factory=set)
-    size: int = 0
-
-    def add(self, path: str, item: object, needed: set[Key], size: int) -> None:
-        """Add a path, whose item and whatever else it needs have this size."""
-        self.paths[path] = item
-        self.keys |= needed
-        self.size += size
-
-    @property
-    def tags(self) -> set[object]:
-        """The tags of the operations of its paths."""
-        items = [item for item in self.paths.values() if isinstance(item, dict)]
-        operations = [one for item in items for one in item.values() if isinstance(one, dict)]
-        return {tag for one in operations for tag in one.get("tags", ())}
+def _tags(items: Iterable[object]) -> set[object]:
+    """Return the tags of the operations of path items."""
+    operations = (one for item in items if isinstance(item, dict) for one in item.values() if isinstance(one, dict))
+    return {tag for one in operations for tag in one.get("tags", ())}
 
 
 _Json: TypeAlias = "dict[str, object]"

@@ -27,7 +27,7 @@ from rosld.server.hypermedia.thing_graph import thing_document
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, VARIANTS
-from rosld.server.rest.path_item import MAX_PART, PART_QUERY, PathItem, parse_part, part_url
+from rosld.server.rest.path_item import MAX_PART, PART_QUERY, PUNCTUATION, PathItem, cut_parts, parse_part, part_url
 from rosld.server.rest.resource import RESOURCE, Resource
 from rosld.server.rest.responses import bytes_response
 from rosld.server.rest.state import State
@@ -36,10 +36,11 @@ from rosld.server.robot.software_stop import SoftwareStop
 
 _Affordance: TypeAlias = "Mapping[str, object]"
 _KINDS = ("properties", "actions")
-_PUNCTUATION = 6
-"""Bytes between the members of an object."""
 _FRAME = 600
 """Bytes for links to the whole and to the next part."""
+
+
+_NOTHING: Mapping[str, int] = {}
 
 
 class _Named(Struct, frozen=True):
@@ -72,7 +73,8 @@ def thing_parts(data: bytes, base: str, url: str, below: str) -> tuple[bytes, ..
     ]
     head = {**{name: each for name, each in thing.items() if name not in _KINDS}, "links": [_link("collection", url)]}
     room = MAX_PART - len(orjson.dumps(head)) - 2 * len(url) - 3 * len(below) - _FRAME
-    parts = tuple(_cut(affordances, room))
+    sizes = (len(orjson.dumps(one.affordance)) + len(orjson.dumps(one.name)) + PUNCTUATION for one in affordances)
+    parts = tuple(cut_parts(((one, size, _NOTHING) for one, size in zip(affordances, sizes, strict=True)), room))
     return tuple(
         orjson.dumps(
             {
@@ -86,21 +88,6 @@ def thing_parts(data: bytes, base: str, url: str, below: str) -> tuple[bytes, ..
         )
         for number, part in enumerate(parts, 1)
     )
-
-
-def _cut(affordances: list[_Named], room: int) -> Iterator[list[_Named]]:
-    """Split affordances into parts that fit, each with at least one."""
-    part: list[_Named] = []
-    size = 0
-    for one in affordances:
-        own = len(orjson.dumps(one.affordance)) + len(orjson.dumps(one.name)) + _PUNCTUATION
-        if part and size + own > room:
-            yield part
-            part, size = [], 0
-        part.append(one)
-        size += own
-    if part:
-        yield part
 
 
 def _is_below(affordance: _Affordance, own: str, base: str, below: str) -> bool:

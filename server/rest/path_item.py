@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from typing import TypeVar
 from urllib.parse import quote
 
 from msgspec import Struct, field
@@ -130,7 +131,31 @@ PART_QUERY = (
     ),
     QueryParameter("part", "The number of a part, from 0.", {"type": "integer", "minimum": 0}),
 )
+PUNCTUATION = 6
+"""Bytes between the members of an object."""
 _MAX_DIGITS = 6
+_T = TypeVar("_T")
+_K = TypeVar("_K", bound=Hashable)
+
+
+def cut_parts(members: Iterable[tuple[_T, int, Mapping[_K, int]]], room: int) -> Iterator[list[_T]]:
+    """Split members into parts that fit, each with at least one.
+
+    With each member come its size and the sizes of what it needs, which is in a part once.
+    """
+    part: list[_T] = []
+    shared: set[_K] = set()
+    size = 0
+    for one, own, needed in members:
+        more = own + sum(each for key, each in needed.items() if key not in shared)
+        if part and size + more > room:
+            yield part
+            part, shared, size, more = [], set(), 0, own + sum(needed.values())
+        part.append(one)
+        shared.update(needed)
+        size += more
+    if part:
+        yield part
 
 
 class PartRequest(Struct, frozen=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol, TypeAlias
 from urllib.parse import unquote
 
@@ -32,8 +32,8 @@ class Constraint(Struct, frozen=True, eq=False):
     """A constraint: its parameter and value as written, the sentence about a violation, and its test.
 
     `test` looks at each value node, `test_all` at all of them together; where both are missing, pyshacl judges.
-    `bounds` narrow the value nodes, `shapes` are those that the value refers to. `max_length` is that of the texts
-    that a pattern is tried on.
+    `strangers` returns the values that a closed shape does not allow. `bounds` narrow the value nodes, `shapes` are
+    those that the value refers to. `max_length` is that of the texts that a pattern is tried on.
     """
 
     parameter: NamedNode
@@ -41,6 +41,7 @@ class Constraint(Struct, frozen=True, eq=False):
     words: str = ""
     test: ValueTest | None = None
     test_all: SetTest | None = None
+    strangers: Callable[[Term, View], Iterable[tuple[NamedNode, Term]]] | None = None
     bounds: Bounds = UNBOUNDED
     shapes: tuple[Shape, ...] = ()
     max_length: int = sys.maxsize
@@ -117,12 +118,19 @@ class Shape(Struct, frozen=True, eq=False):
                 yield self._violation(focus, path, each, None)
         for value in values:
             for each in self.constraints:
+                if each.test is None or each.test(value, view):
+                    continue
                 if each.parameter == sh.property:
                     yield from each.shapes[0].find_violations(value, view, path)
-                elif each.test is not None and not each.test(value, view):
+                elif each.strangers is not None:
+                    for predicate, term in each.strangers(value, view):
+                        yield self._violation(focus, join_path(path, predicate), each, term, predicate)
+                else:
                     yield self._violation(focus, path, each, value)
 
-    def _violation(self, focus: Term, path: str, constraint: Constraint, value: Term | None) -> Violation:
+    def _violation(
+        self, focus: Term, path: str, constraint: Constraint, value: Term | None, predicate: NamedNode | None = None
+    ) -> Violation:
         """Return a violation of one constraint, with the shape's own message where it has any (SHACL 2.1.5)."""
         return Violation(
             path,
@@ -131,7 +139,7 @@ class Shape(Struct, frozen=True, eq=False):
             component=constraint.component,
             shape=self.node if isinstance(self.node, NamedNode) else None,
             focus=focus if isinstance(focus, NamedNode | BlankNode) else None,
-            predicate=self.path,
+            predicate=predicate or self.path,
             term=value if isinstance(value, NamedNode | BlankNode | Literal) else None,
             severity=self.severity,
             said=self.words,

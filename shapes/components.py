@@ -8,7 +8,7 @@ of the text.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import isnan
 from typing import NamedTuple, TypeAlias
 
@@ -64,6 +64,7 @@ def compile_pattern(text: str, flags: str = "") -> SafePattern:
 
 _DATATYPE = NamedNode(rdfs.iri + "Datatype")
 _ANY_LITERAL = NamedNode(rdfs.iri + "Literal")
+_RESOURCE = NamedNode(rdfs.iri + "Resource")
 
 
 def term(name: str) -> NamedNode:
@@ -384,6 +385,31 @@ def _membership(terms: Iterable[Term]) -> Callable[[Term], bool]:
     return contains
 
 
+def _closed(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    """No properties but those of the shape's property shapes and the ignored ones."""
+    is_closed = checked_truth(value)
+    allowed: set[Term | None] = {source.shape(each).path for each in source.said.get(sh.property, ())}
+    allowed |= {each for head in source.said.get(sh.ignoredProperties, ()) for each in source.members(head)}
+
+    def strangers(value: Term, view: View) -> Iterator[tuple[NamedNode, Term]]:
+        for predicate, terms in view.properties(value).items() if is_closed else ():
+            if predicate not in allowed:
+                yield from ((predicate, each) for each in terms if (predicate, each) != (rdf.type, _RESOURCE))
+
+    def test(value: Term, view: View) -> bool:
+        return next(strangers(value, view), None) is None
+
+    return Constraint(parameter, value, "must not be there", test, strangers=strangers)
+
+
+def _ignored(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    if sh.closed not in source.said:
+        raise ParameterFault("is for closed shapes only: this shape has no sh:closed")
+    for each in source.members(value):
+        checked_iri(each)
+    return Constraint(parameter, value, test=lambda *_: True)
+
+
 # Left to pyshacl, which would fail on wrong values later
 
 
@@ -427,8 +453,8 @@ CONSTRAINTS: Mapping[NamedNode, Build] = {
     term("qualifiedValueShapesDisjoint"): _left(checked_truth),
     term("languageIn"): _left(checked_text, is_list=True),
     term("uniqueLang"): _left(checked_truth),
-    sh.closed: _left(checked_truth),
-    sh.ignoredProperties: _left(checked_iri, is_list=True),
+    sh.closed: _closed,
+    sh.ignoredProperties: _ignored,
     **dict.fromkeys(PAIRS, _left(checked_iri)),
 }
 """The parameters of SHACL Core by the functions that read their values."""

@@ -387,6 +387,10 @@ class MessageView:
                 return (inner,)
         return self._whole().objects(node, predicate)
 
+    def properties(self, node: Term) -> Mapping[NamedNode, Sequence[Term]]:
+        """Return the objects of all predicates of a node."""
+        return self._whole().properties(node)
+
     def triples(self) -> Sequence[Triple]:
         """All of it."""
         return self._whole().triples()

@@ -7,7 +7,7 @@ over NaN alone: rdflib takes it for less than everything, so that it passes ever
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import datetime, time
 from decimal import Decimal, InvalidOperation
 from math import isnan
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from rosld.ontology.body import Subject, Term
+from rosld.ontology.body import Term
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.literals import DATATYPES
 from rosld.ontology.vocab import rdf, xsd
@@ -177,6 +177,10 @@ class View(Protocol):
         """Return the value nodes of a predicate (SHACL 2.3.1), each once."""
         ...
 
+    def properties(self, node: Term) -> Mapping[NamedNode, Sequence[Term]]:
+        """Return the objects of all predicates of a node."""
+        ...
+
     def triples(self) -> Sequence[Triple]:
         """Return all of the graph."""
         ...
@@ -187,13 +191,18 @@ class TripleView:
 
     def __init__(self, triples: Iterable[Triple]) -> None:
         self._triples = tuple(triples)
-        self._objects: dict[tuple[Subject, NamedNode], list[Term]] = {}
+        self._properties: dict[Term, dict[NamedNode, list[Term]]] = {}
         for triple in self._triples:
-            self._objects.setdefault((triple.subject, triple.predicate), []).append(triple.object)
+            self._properties.setdefault(triple.subject, {}).setdefault(triple.predicate, []).append(triple.object)
 
     def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
         """Return the value nodes of a predicate."""
-        return () if not (found := self._objects.get((node, predicate))) else distinct(found)  # type: ignore[arg-type]
+        found = self.properties(node).get(predicate)
+        return () if found is None else distinct(found)
+
+    def properties(self, node: Term) -> Mapping[NamedNode, Sequence[Term]]:
+        """Return the objects of all predicates."""
+        return self._properties.get(node, {})
 
     def triples(self) -> Sequence[Triple]:
         """Return the triples."""

@@ -35,6 +35,7 @@ from rosld.server.hypermedia.mapping import (
 from rosld.server.robot.software_stop import StopCommand
 from rosld.shapes.constraints import compile_shape
 from rosld.shapes.shapes_graph import ShapesGraph
+from rosld.shapes.validation import validate
 from rosld.shapes.value import Measure
 
 Node: TypeAlias = NamedNode | BlankNode
@@ -151,9 +152,6 @@ class _Reader:
 
     def permissions(self) -> None:
         """Judge the document by the shape of mappings. Raises InvalidMapping."""
-        # pyshacl and rdflib, which many servers never need, take longer to import than all of the SPARQL service.
-        from rosld.shapes.validation import validate
-
         for misfit in validate(self.triples, "mapping"):
             self.wrong(misfit.focus, misfit.message, misfit.value, misfit.predicate, misfit.component)
         self.refuse()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import TYPE_CHECKING
 
 from pyoxigraph import NamedNode, RdfFormat, Triple, parse
 
@@ -14,9 +13,7 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.storage.record_documents import unpack_triples
 from rosld.server.storage.sqlite import Records
 from rosld.shapes.documents import MAX_PANELS
-
-if TYPE_CHECKING:
-    from rosld.shapes.validation import ValidationResult
+from rosld.shapes.validation import ValidationResult, validate
 
 ROUTE = "cockpit/"
 DEFAULT = "default"
@@ -42,8 +39,6 @@ def cockpit_titles(records: Records, space: Space, limit: int) -> list[tuple[str
 
 def check_cockpit(data: bytes, url: str) -> None:
     """Validate the N-Triples of a cockpit to be stored at a URL. Raises InvalidCockpit with the errors."""
-    from rosld.shapes.validation import validate  # pyshacl loads slowly, and few servers store cockpits
-
     # A document that is far too long is not parsed completely just to count its triples.
     triples = [quad.triple for quad in islice(parse(data, RdfFormat.N_TRIPLES), _MAX_TRIPLES + 1)]
     if len(triples) > _MAX_TRIPLES:

@@ -1,1 +1,1 @@
-"""The paper's levels two and three: resources by convention, arranged by mappings, offered by their state."""
+"""Levels two and three of the paper: resources by convention, arranged by mappings, with affordances by state."""

@@ -1,7 +1,7 @@
 """Affordances: the current state of the resources below `/resources/`, and the operations on offer.
 
-The resource tree says what there is, the readings what state it is in, the results of conditions what is on offer. All
-three are values; here they are kept in step with the robot.
+The resource tree describes which resources exist, the readings their state, and the results of conditions what is on
+offer. All three are values, which this service keeps in sync with the robot.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ from rosld.shapes.value import NO_MEASURE
 T = TypeVar("T")
 
 _MIN_SECONDS = 0.1
-"""How often a getter is asked at most for somebody who follows its value."""
+"""Minimum interval in seconds between calls of a getter whose value is observed."""
 _MANY_NAMES = 200
-"""Names in a graph from which its resources are found on a thread: 10,000 take it most of a second."""
+"""Number of names in a graph from which a thread computes the resources (10,000 names take most of a second)."""
 _TYPES_SECONDS = 3.0
-"""How long a layout waits for types that must be asked for; those that come later make another layout."""
+"""Seconds that a tree waits for missing types; those that arrive later lead to another tree."""
 
 
 class Snapshot(Struct, frozen=True):
@@ -87,10 +87,10 @@ class AffordanceService(Generic[T]):
         self._turns: dict[str, asyncio.Lock] = {}
         self._changes = Signal()
 
-    # The layout
+    # The tree
 
     def cached_tree(self) -> ResourceTree | None:
-        """The layout if it is of the graph, the types and the mappings of now: at once."""
+        """Return the tree if it matches the current graph, types and mappings, without waiting."""
         kept, session = self._kept, self._session
         if kept is None or kept[0] is not session.graph or kept[2] is not self._mappings.mapping_set:
             return None
@@ -98,11 +98,11 @@ class AffordanceService(Generic[T]):
 
     @property
     def last_tree(self) -> ResourceTree | None:
-        """The layout that was made last, which may be of before a change."""
+        """Return the most recent tree, which may be outdated."""
         return None if self._kept is None else self._kept[3]
 
     async def tree(self) -> ResourceTree:
-        """Return the layout of now; the types of services that are new are learnt before."""
+        """Return the current tree, after fetching the types of new services."""
         found = self.cached_tree()
         if found is not None:
             return found
@@ -143,7 +143,7 @@ class AffordanceService(Generic[T]):
             await asyncio.wait_for(asyncio.gather(*map(find, unknown)), _TYPES_SECONDS)
 
     def _schema_at_hand(self, ref: TypeRef) -> Schema | None:
-        """Return the schema of a type, if it was learnt before; by its name alone where no hash is known of it."""
+        """Return the schema of a type if it is known; by name alone where its hash is unknown."""
         schemas = self._session.schemas
         return schemas.find_cached(ref) or (schemas.find_cached_by_name(ref.name) if ref.hash is None else None)
 
@@ -156,10 +156,10 @@ class AffordanceService(Generic[T]):
         plans = (tree.complex(resource.path) for resource in document.resources)
         return tuple(words for plan in plans if plan is not None for words in plan.warnings)
 
-    # Looking
+    # Reading
 
     def cached_readings(self, reads: Sequence[Property]) -> tuple[Reading, ...] | None:
-        """The readings of these properties if all are still good: at once."""
+        """Return the readings of these properties if all are still valid, without waiting."""
         known = self._readings.cached
         found = []
         for one in reads:
@@ -170,7 +170,7 @@ class AffordanceService(Generic[T]):
         return tuple(found)
 
     async def read(self, reads: Sequence[Property], *, refresh: bool = False) -> tuple[Reading, ...]:
-        """The readings of these properties, read together under one deadline; `refresh`: none from before this call."""
+        """Return the readings of these properties, read together under one deadline; `refresh`: read them all again."""
         session = self._session
         deadline = loop_time() + session.settings.read_deadline
         found = await self._readings.read(reads, deadline=deadline, refresh=refresh)
@@ -179,7 +179,7 @@ class AffordanceService(Generic[T]):
     async def cached_state(
         self, url: str, tree: ResourceTree, reads: Sequence[Property], make: Callable[[Snapshot], T]
     ) -> T:
-        """The state of the resource at `url` that follows from some properties: kept while their readings are good."""
+        """Return the state of the resource at `url`, cached while the readings of these properties are valid."""
         states = self._states
         readings = self.cached_readings(reads) or await self.read(reads)
         version = (tree, readings, self._is_open)
@@ -191,18 +191,18 @@ class AffordanceService(Generic[T]):
         return self.snapshot(tree, (_unread(one.name) for one in reads))
 
     def snapshot(self, tree: ResourceTree, readings: Iterable[Reading]) -> Snapshot:
-        """What follows from readings."""
+        """Return the snapshot with these readings."""
         by_name = {reading.name: reading for reading in readings}
         return Snapshot(by_name, ConditionResults(tree, by_name, self._session.space, self._session.lifting))
 
     def max_age(self, readings: Sequence[Reading]) -> int:
-        """For how many seconds these readings may be shown by others: 0 where one can change at any moment."""
+        """Return for how many seconds these readings may be cached: 0 if one can change at any moment."""
         if not readings or any(one.fresh_until is None for one in readings):
             return 0
         return int(self._session.settings.freshness)
 
     async def watch(self, reads: Sequence[Property], wake: Callable[[], None]) -> Watch:
-        """Call `wake` when one of these properties may have another value, or anything else has changed."""
+        """Call `wake` when one of these properties may have changed, or the graph, types or mappings have."""
         session, names = self._session, {one.name for one in reads}
         watches = [session.changes.watch(wake), self._changes.watch(wake, lambda name: name in names)]
         watches += [await self._watch_source(one.readers[0], wake) for one in reads if is_observable(one)]
@@ -217,10 +217,10 @@ class AffordanceService(Generic[T]):
             return session.goals.watch(source.name, wake)
         return await session.topics.watch(source.name, wake)
 
-    # What is seen
+    # Views
 
     def complex_view(self, plan: ComplexPlan, snapshot: Snapshot) -> ComplexView:
-        """Return a complex resource with all that it offers now. Raises a 404 Problem where it is not there."""
+        """Return a complex resource with everything on offer now. Raises a 404 Problem if it does not exist."""
         results = snapshot.results
         self.require_exists(plan.exists_when, results, plan.path)
         space = self._session.space
@@ -254,7 +254,7 @@ class AffordanceService(Generic[T]):
         )  # fmt: skip
 
     def property_view(self, plan: PropertyPlan, snapshot: Snapshot) -> PropertyView:
-        """Return a property by itself. Raises a 404 Problem where it is not there."""
+        """Return a single property. Raises a 404 Problem if it does not exist."""
         self.require_exists(plan.exists_when, snapshot.results, plan.source.name)
         own, space = plan.source, self._session.space
         affordance = self.member_affordance(plan.member, self._is_open and snapshot.results.hold(plan.write_conditions))
@@ -269,7 +269,7 @@ class AffordanceService(Generic[T]):
         )
 
     def action_view(self, plan: ActionPlan, snapshot: Snapshot) -> ActionView:
-        """Return an action by itself. Raises a 404 Problem where it is not on offer."""
+        """Return a single action. Raises a 404 Problem if it is not on offer."""
         self.require_exists((*plan.exists_when, *plan.conditions), snapshot.results, plan.name)
         space = self._session.space
         invokes = space.action(plan.service) if plan.sends_goals else space.service(plan.service)
@@ -279,11 +279,11 @@ class AffordanceService(Generic[T]):
 
     @property
     def _is_open(self) -> bool:
-        """Whether anything is on offer now: nothing is while the robot is stopped."""
+        """Whether the robot accepts operations; it does not while it is stopped."""
         return not self._session.is_stopped
 
     def require_exists(self, conditions: Iterable[Condition], results: ConditionResults, name: str) -> None:
-        """Raise a 404 Problem with the reason where a condition of something's being there does not hold."""
+        """Raise a 404 Problem with the reason if a condition for the existence of a resource does not hold."""
         broken = results.violations(conditions)
         if broken:
             raise Problem(
@@ -293,19 +293,19 @@ class AffordanceService(Generic[T]):
                 violations=broken,
             )
 
-    # What can be done
+    # Affordances
 
     async def conditions_hold(
         self, tree: ResourceTree, reads: Sequence[Property], *conditions: Sequence[Condition]
     ) -> Sequence[bool]:
-        """Whether all of each group of conditions hold now. Raises RosError where that cannot be read."""
+        """Whether all of each group of conditions hold now. Raises RosError if the state cannot be read."""
         if not any(conditions):
             return [True] * len(conditions)
         results = self.snapshot(tree, self.cached_readings(reads) or await self.read(reads)).results
         return [results.hold(each) for each in conditions]
 
     def member_affordance(self, plan: MemberPlan, write: bool) -> PropertyAffordance:
-        """A property as it can be used; `write`: its conditions hold. What has no URL of its own affords nothing."""
+        """Return the affordance of a property, empty without a URL; `write`: whether its conditions hold."""
         own, mapped, session = plan.source, plan.mapped, self._session
         url = url_of(plan.url_name or own.name, session.space)
         measure = mapped.measure if mapped else NO_MEASURE
@@ -328,7 +328,7 @@ class AffordanceService(Generic[T]):
         )
 
     def _held_at(self, own: Property) -> str | None:
-        """The URL at which the topic is held that a property is written to, where that commands a velocity."""
+        """Return the URL for holding the topic that a property is written to, if that takes velocity commands."""
         match current_writer(self._session.adapter, self._session.settings, own):
             case TopicSource(name=name, schema=schema) if schema is not None and schema.ref.name in COMMANDS:
                 return self._session.space.topic(name)
@@ -341,7 +341,7 @@ class AffordanceService(Generic[T]):
         return None if parameter is None else parameter.descriptor
 
     def action_affordance(self, plan: ActionPlan) -> ActionAffordance:
-        """An action as it can be used."""
+        """Return the affordance of an action."""
         request = plan.request if self.is_callable(plan) else None
         url = url_of(plan.name, self._session.space)
         name = plan.name.rpartition("/")[2]
@@ -376,10 +376,10 @@ class AffordanceService(Generic[T]):
 
     @asynccontextmanager
     async def lock(self, tree: ResourceTree, *names: str, modified: Iterable[str] = ()) -> AsyncIterator[None]:
-        """Lock these names and all that conditions relate to them: nobody else writes those through rosld meanwhile.
+        """Lock these names and all names related to them by conditions, so that no other request writes them meanwhile.
 
-        The same holds for the properties `modified`, whose new values are made of their old ones. Raises a 503 Problem
-        where the others take too long.
+        This includes the properties `modified`, whose new values depend on their old ones. Raises a 503 Problem if
+        other writers hold a lock for too long.
         """
         keys = sorted({*tree.lock_names(names), *modified})
         locks = [self._turns.setdefault(key, asyncio.Lock()) for key in keys]
@@ -395,7 +395,7 @@ class AffordanceService(Generic[T]):
             yield
 
     def _on_write(self, kind: Kind, name: str) -> None:
-        """Something was written to a topic, service or parameter: values that may have changed are no longer fresh."""
+        """Invalidate values that a write to a topic, service or parameter may have changed."""
         if self._kept is not None:
             affected = self._kept[3].affected_by(kind, name)
             self._readings.invalidate(affected)
@@ -404,7 +404,7 @@ class AffordanceService(Generic[T]):
 
 
 def conventions_of(settings: Settings) -> Conventions:
-    """The conventions with what the settings add. Raises ValueError for a template or a glob that makes no sense."""
+    """Return the conventions extended by the settings. Raises ValueError for an invalid template or glob."""
     return CONVENTIONS.extend(getters=settings.getter, setters=settings.setter, excluded=settings.exclude_service)
 
 
@@ -414,15 +414,15 @@ async def _take(held: contextlib.AsyncExitStack, locks: Iterable[asyncio.Lock]) 
 
 
 def is_observable(found: Property) -> bool:
-    """Whether the changes of a property are noticed as they happen: those of a topic are, and of an action's goal."""
+    """Whether changes of a property are pushed: those of topics and of goals are."""
     return bool(found.readers) and isinstance(found.readers[0], TopicSource | GoalSource)
 
 
 def _unread(name: str) -> Reading:
-    """Return the reading of a property that was not read: the same each time, as readings are compared by identity."""
+    """Return the same reading each time, as readings are compared by identity."""
     return Reading(name, None)
 
 
 def _member_of(part: Property) -> MemberPlan:
-    """Return an action's goal as a member of the complex resource below the action's name."""
+    """Return a property of an action's goal as a member of the complex resource below the action's name."""
     return MemberPlan(part.name.rpartition("/")[2], part, part.name, ())

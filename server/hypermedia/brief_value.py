@@ -1,7 +1,7 @@
-"""Brief values: values shortened to a line for long lists, and the latest of topics and properties.
+"""Brief values: values shortened to a line for long lists, and the latest values of topics and properties.
 
-Omissions are visible: `"...": "more"` in an object, `"..."` at the end of an array or a string. The header of a
-message is always omitted.
+Omissions are visible: `"...": "more"` in an object, `"..."` at the end of an array or a string. The header of a message
+is always omitted.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import TopicView
 
 MAX_CHARACTERS = 200
-"""Characters of a brief value."""
+"""Maximum number of characters of a brief value."""
 MORE = "..."
 _MARK = f'"{MORE}":"more"'
 _MAX_STRING = 60
 _MAX_ELEMENTS = 8
-"""Elements of an array of scalars that is told; longer ones are covariances, scans and images."""
+"""Maximum number of elements of an array of scalars that is shown; longer ones are covariances, scans and images."""
 _HEADERS = frozenset({"std_msgs/msg/Header", "roslib/msg/Header"})
 
 
 def brief_json(value: Value, limit: int = MAX_CHARACTERS) -> str:
-    """Return the value as plain JSON of about `limit` characters. Raises ValueError for one nested too deep."""
+    """Return the value as plain JSON of about `limit` characters. Raises ValueError for a value nested too deeply."""
     if isinstance(value, StoredValue):
         return _parameter_text(value.value, limit)
     return _members(value.schema, value.fields, value.message, limit) or f"{{{_MARK}}}"
 
 
 def _members(schema: MessageSchema, fields: tuple[Field, ...], message: Message, room: int) -> str | None:
-    """Return the object of those fields that fit, in their order; None where none does."""
+    """Return the object of the leading fields that fit; None if none does."""
     told = [field for field in fields if not _is_header(field.type)] or list(fields)
     parts: list[str] = []
     left = room - len(_MARK) - 2
@@ -67,7 +67,7 @@ def _is_header(kind: FieldType) -> bool:
 
 
 def _of(schema: MessageSchema, kind: FieldType, value: object, room: int) -> str | None:
-    """Return a field's value; None where it does not fit."""
+    """Return a field's value; None if it does not fit."""
     if isinstance(kind, Nested):
         return _members(schema, schema.types[kind.name].fields, cast(Message, value), room)
     if isinstance(kind, Primitive):
@@ -78,7 +78,7 @@ def _of(schema: MessageSchema, kind: FieldType, value: object, room: int) -> str
 
 
 def _messages(schema: MessageSchema, kind: Nested, values: list[Message], room: int) -> str | None:
-    """As many elements as fit; None where not even the first does."""
+    """Return as many elements as fit; None if not even the first does."""
     parts: list[str] = []
     left = room - 8
     for value in values:
@@ -93,7 +93,7 @@ def _messages(schema: MessageSchema, kind: Nested, values: list[Message], room: 
 
 
 def _scalars(kind: Array, values: list[object], room: int) -> str | None:
-    """Return all elements, or None: octets and what is long are no line to be read."""
+    """Return all elements, or None for octets and for arrays that are too long."""
     element = cast(Primitive, kind.element)
     if element.name in OCTETS or len(values) > _MAX_ELEMENTS:
         return None
@@ -113,22 +113,22 @@ def _fitting(text: str, room: int) -> str | None:
 
 
 def _parameter_text(value: ParameterValue, room: int) -> str:
-    """Return the value of a parameter where it fits, of a long string its beginning."""
+    """Return the value of a parameter if it fits; a long string is shortened."""
     text = _string(value) if isinstance(value, str) else parameter_json(value).decode()
     return text if len(text) <= room else f'"{MORE}"'
 
 
 class LatestPicture(NamedTuple):
-    """A message that can be drawn: the type of messages, and the number of this one."""
+    """The latest message of a type that can be drawn, and its number."""
 
     type_name: str
     sequence: int
 
 
 class LatestValue(NamedTuple):
-    """A value as brief plain JSON (None: there is none that can be read), and the rate of a topic once it is known.
+    """A value as brief plain JSON (None if it cannot be read), and the rate of a topic once that is known.
 
-    `picture` is what there is to be seen of it; None of what is no picture, or none that is drawn.
+    `picture` is the message that can be drawn, or None.
     """
 
     json: str | None
@@ -137,7 +137,7 @@ class LatestValue(NamedTuple):
 
 
 class LatestValues:
-    """The values of the topics of one robot that are subscribed to, written once a message."""
+    """The latest values of a robot's subscribed topics, computed once per message."""
 
     def __init__(self, topics: LiveTopics, schemas: Schemas) -> None:
         self._topics = topics
@@ -145,7 +145,7 @@ class LatestValues:
         self._written: dict[str, tuple[TopicView, LatestValue]] = {}
 
     def of_topic(self, name: str) -> LatestValue | None:
-        """Return the latest value of a topic that is subscribed to; None of all others."""
+        """Return the latest value of a subscribed topic; None for all others."""
         view = self._topics.peek(name)
         if view is None:
             self._written.pop(name, None)

@@ -1,8 +1,8 @@
 """The catalogue of resources that follow from a robot's names by convention (paper, section 4.2; Listings 1 and 2).
 
-A `Property` is what has a value: `NS/get_X`, `NS/set_X`, the topic `NS/X` and the parameter `NS/X` are one. An `Action`
-is a service that is neither a getter nor a setter, or an action of ROS, below whose name is how its goal stands.
-`conventions.py` finds both, `type_inference.py` judges their types.
+A `Property` has a value: `NS/get_X`, `NS/set_X`, the topic `NS/X` and the parameter `NS/X` form one property. An
+`Action` is a service that is neither a getter nor a setter, or a ROS action, which has properties for the state of its
+goal below its name. `conventions.py` proposes both, `type_inference.py` checks their types.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rosld.shapes.value import ValueShape
 
 
 class TopicSource(Struct, frozen=True):
-    """A topic: read as its latest message, written by publishing. `schema` is None while its type is not known."""
+    """A topic: read as its latest message, written by publishing. `schema` is None if its type is unknown."""
 
     name: str
     schema: MessageSchema | None
@@ -48,7 +48,7 @@ class ParameterSource(Struct, frozen=True):
 
 
 class GoalPart(Enum):
-    """Part of the state of an action's current or last goal; the value is its name below that of the action."""
+    """Part of the state of an action's current or last goal; the value is the last segment of the property's name."""
 
     STATUS = "status"
     GOAL = "goal"
@@ -57,11 +57,11 @@ class GoalPart(Enum):
 
 
 IDLE = "idle"
-"""The status of an action of which no goal is known."""
+"""Status of an action without a known goal."""
 
 
 class GoalSource(Struct, frozen=True):
-    """An action of ROS, of whose goal a part is read. `schema` is that of the part, None for the status, a word."""
+    """Part of the goal of a ROS action. `schema` is that of the part; None for the status, which is a word."""
 
     name: str
     part: GoalPart
@@ -89,8 +89,8 @@ class Property(Struct, frozen=True):
     """A resource with a value, by its full name (`/aircraft/engine/speed`).
 
     `shape` is that of the first reader, else of the first writer. `readers` and `writers` are in the order in which
-    they are tried: topic, getter, parameter, goal; setter, parameter, topic. A writer is what could write by its kind;
-    whether it may now is asked when it comes to that.
+    they are tried: topic, getter, parameter, goal; setter, parameter, topic. A writer is able to write by its kind; its
+    permission is checked at the time of the write.
     """
 
     name: str
@@ -100,9 +100,9 @@ class Property(Struct, frozen=True):
 
 
 class Action(Struct, frozen=True):
-    """A resource that does something, by its full name, which is that of the service or (`sends_goals`) of the action.
+    """A resource that performs an operation, named after its service or (`sends_goals`) its ROS action.
 
-    `schema` is None where the type of that is not known, so that it cannot be invoked.
+    `schema` is None if its type is unknown, so that it cannot be invoked.
     """
 
     name: str
@@ -112,10 +112,10 @@ class Action(Struct, frozen=True):
 
 
 class Catalogue(Struct, frozen=True):
-    """Everything found by convention, by full name; a name may be both a property and an action.
+    """All resources found by convention, by full name; a name may be both a property and an action.
 
-    `namespaces` are those of both. The `by_` mappings lead from the name of a topic, service or parameter to the full
-    name of the property that it reads or writes. A service that is in none of them is an action or in no resource.
+    `namespaces` are those of both. The `by_` mappings map the name of a topic, service or parameter to the full name of
+    the property that it reads or writes. A service in none of them is an action or excluded.
     """
 
     properties: Mapping[str, Property] = field(default_factory=dict)

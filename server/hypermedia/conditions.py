@@ -1,4 +1,4 @@
-"""Conditions of mappings, evaluated on the state of a resource as it was read. Pure."""
+"""Conditions of mappings, evaluated on the readings of a resource. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rosld.server.hypermedia.value import MessageValue, Reading, lift_value, val
 
 
 class ConditionResults:
-    """The results of the conditions of one resource tree for one set of readings, each evaluated once."""
+    """Results of the conditions of one resource tree for one set of readings, each evaluated once."""
 
     def __init__(
         self, tree: ResourceTree, readings: Mapping[str, Reading], space: Space, lifting: LiftSettings
@@ -29,21 +29,21 @@ class ConditionResults:
         self._broken: dict[str, tuple[Violation, ...]] = {}
 
     def hold(self, conditions: Iterable[Condition]) -> bool:
-        """Whether all of them hold."""
+        """Whether all of these conditions hold."""
         return not any(self.violations_of(condition) for condition in conditions)
 
     def violations(self, conditions: Iterable[Condition]) -> tuple[Violation, ...]:
-        """Everything that keeps them from holding."""
+        """Return the violations of these conditions."""
         return tuple(violation for condition in conditions for violation in self.violations_of(condition))
 
     def about(self, conditions: Iterable[Condition]) -> list[str]:
-        """The URLs of what conditions are about, and of what their states are read from where that fails."""
+        """Return the URLs of the subjects of conditions, and of the sources of those that could not be read."""
         about = [condition.about for condition in conditions]
         readings = [reading for each in about for reading, _ in self._parts(each).values() if reading is not None]
         return [*(url_of(each, self._space) for each in about), *(url for each in readings for url in each.about)]
 
     def violations_of(self, condition: Condition) -> tuple[Violation, ...]:
-        """Return the violations of a condition, none if it holds. An unreadable state fulfils nothing."""
+        """Return the violations of a condition; empty if it holds. An unreadable state never conforms."""
         known = self._broken.get(condition.iri)
         if known is None:
             known = self._broken[condition.iri] = self._permissions(condition)
@@ -67,7 +67,7 @@ class ConditionResults:
         return condition.shape.violations(focus, triples)
 
     def _parts(self, about: str) -> dict[NamedNode, tuple[Reading | None, str | None]]:
-        """The state of what a condition is about: by predicate the reading, and the field that is picked of it."""
+        """Return the state that a condition is about: by predicate, the reading and the selected field."""
         if not about.endswith("/"):
             return {rdf.value: (self._readings.get(about), None)}
         mapped = self._tree.mapping_set.resources.get(about)
@@ -86,7 +86,7 @@ def url_of(name: str, space: Space) -> str:
 def value_triples(
     subject: NamedNode, predicate: NamedNode, reading: Reading, field: str | None, lifting: LiftSettings
 ) -> list[Triple]:
-    """`subject` `predicate` the value that was read, with the nodes of a message."""
+    """Yield the triples that state a value as `subject` `predicate`, including the nodes of a message."""
     value = reading.value
     if value is None:
         return []

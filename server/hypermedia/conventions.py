@@ -6,8 +6,8 @@
     /aircraft/fly (an action of ROS)                      an action      /aircraft/fly, with the properties
                                                                          /aircraft/fly/status, goal, feedback, result
 
-A template such as `get_{name}` only proposes; the types decide (`type_inference.py`). Whatever is not found to be a
-getter or a setter stays what it is: an action under its own name.
+A template such as `get_{name}` only proposes; the types decide (`type_inference.py`). A service that is neither a
+getter nor a setter is an action under its own name.
 """
 
 from __future__ import annotations
@@ -68,17 +68,17 @@ _ACTIONLIB = {
     "feedback": "ActionFeedback",
     "result": "ActionResult",
 }
-"""The topics that an action of ROS 1 is made of, and how their types end."""
+"""The topics of a ROS 1 action, and the suffixes of their types."""
 _OF_ROS_2 = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*", re.DOTALL)
 
 
 class Conventions(Struct, frozen=True):
-    """Which services read and write a property of which name, and which are in no resource at all.
+    """Rules for which services read and write which property, and which are in no resource.
 
     A template fits the last segments of a service's name: `{name}/get` makes `/arm/joint/get` read `/arm/joint`.
-    `{Name}` is the name with a capital, as JavaBeans have it: `getPower` reads `power`, `getURL` reads `URL`.
-    `excluded` are globs of whole names, in which `*` is also a slash. The first template that fits is the one.
-    Raises ValueError with a sentence for the user.
+    `{Name}` is the capitalized name, as in JavaBeans: `getPower` reads `power`, `getURL` reads `URL`. `excluded` are
+    globs of whole names, in which `*` also matches slashes. The first template that fits wins. Raises ValueError with a
+    sentence for the user.
     """
 
     getters: tuple[str, ...]
@@ -94,7 +94,7 @@ class Conventions(Struct, frozen=True):
     def extend(
         self, getters: Iterable[str] = (), setters: Iterable[str] = (), excluded: Iterable[str] = ()
     ) -> Conventions:
-        """These and more; the templates given here come first. Raises ValueError with a sentence for the user."""
+        """Return the conventions with more, which take precedence. Raises ValueError with a sentence for the user."""
         return Conventions(
             tuple(dict.fromkeys((*getters, *self.getters))),
             tuple(dict.fromkeys((*setters, *self.setters))),
@@ -145,11 +145,11 @@ CONVENTIONS = Conventions(
         "*/_*",
     ),
 )
-"""What is shipped: how getters and setters are called in the wild, and the services that ROS gives every node."""
+"""Default conventions: common names of getters and setters, and the services that ROS gives every node."""
 
 
 def _every_node_has(parameter: Parameter) -> bool:
-    """Whether a parameter is one that ROS 2 gives its nodes."""
+    """Whether a parameter is one that ROS 2 gives every node."""
     owner = parameter.node
     return owner is not None and _OF_ROS_2.fullmatch(parameter.name.removeprefix(f"{owner}/")) is not None
 
@@ -171,7 +171,7 @@ def _patterns(templates: tuple[str, ...]) -> tuple[tuple[re.Pattern[str], bool],
 
 
 def _propose_name(templates: tuple[str, ...], service: str) -> tuple[str, int] | None:
-    """Return the property that the first template to fit proposes for a service, and which template that is."""
+    """Return the property that the first matching template proposes for a service, and the index of that template."""
     for rank, (pattern, capital) in enumerate(_patterns(templates)):
         fit = pattern.fullmatch(service)
         if fit is None:
@@ -185,12 +185,12 @@ def _propose_name(templates: tuple[str, ...], service: str) -> tuple[str, int] |
 
 
 def _decapitalize(name: str) -> str:
-    """JavaBeans 8.8: the first letter small, unless the second is a capital too."""
+    """Return the text with a small first letter, unless the second is a capital too (JavaBeans 8.8)."""
     return name if name[1:2].isupper() else name[0].lower() + name[1:]
 
 
 def needed_types(graph: Graph, conventions: Conventions = CONVENTIONS) -> tuple[TypeRef, ...]:
-    """Return the types whose schemas `catalogue` would know of this graph, each once."""
+    """Return the types whose schemas `catalogue` needs for this graph, without duplicates."""
     topics = (ref for topic in _topics(graph) for ref in topic.types)
     services = (service.type for service in graph.services.values() if not conventions.excludes(service.name))
     actions = (action.type for action in graph.actions.values() if not conventions.excludes(action.name))
@@ -198,10 +198,10 @@ def needed_types(graph: Graph, conventions: Conventions = CONVENTIONS) -> tuple[
 
 
 def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONVENTIONS) -> Catalogue:
-    """Return the properties and actions of a graph. `schema_of` gives the schema of a type, None while it is not known.
+    """Return the properties and actions of a graph. `schema_of` returns the schema of a type, or None if it is unknown.
 
-    Of several services that would read one property the first that can is its getter, in the order of the templates;
-    all others are actions; and so with setters.
+    If several services could read one property, the getter is the first suitable one in the order of the templates; all
+    others are actions. The same applies to setters.
     """
     services = _schemas(graph.services.values(), ServiceSchema, schema_of, conventions)
     topics = {topic.name: TopicSource(topic.name, _message_schema(topic.type, schema_of)) for topic in _topics(graph)}
@@ -237,16 +237,16 @@ def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONV
 
 
 def _topics(graph: Graph) -> Iterator[Topic]:
-    """The topics that are in resources: all but those that an action is made of, in ROS 2 and by actionlib."""
+    """Return the topics in resources: all except those of actions of ROS 2 and of actionlib."""
     return (
         topic for topic in graph.topics.values() if action_of(topic.name) is None and not _is_of_actionlib(topic, graph)
     )
 
 
 def _is_of_actionlib(topic: Topic, graph: Graph) -> bool:
-    """Whether a topic is one of the five that an action of ROS 1 is made of."""
-    # By types as well, unlike Graph.is_of_action, which guards writing and rather takes too many. What is taken here
-    # has no resource: a topic of another type that lies beside an action, or has such a name, keeps its own.
+    """Whether a topic is one of the five of a ROS 1 action."""
+    # This also checks types, unlike Graph.is_of_action, which guards writes and may match too many. A match here
+    # has no resource: a topic of another type next to an action, or with such a name, keeps its own.
     action, _, part = topic.name.rpartition("/")
     ending = _ACTIONLIB.get(part)
     return ending is not None and action in graph.actions and all(ref.name.endswith(ending) for ref in topic.types)
@@ -256,7 +256,7 @@ _STATUSES = tuple(map(Literal, (IDLE, *(status.value for status in GoalStatus)))
 
 
 def _parts(action: str, schema: ActionSchema | None) -> Iterator[Property]:
-    """The properties below an action's name: how its goal stands and, where its type is known, what is told of it."""
+    """Return the properties below an action's name: the status of its goal and, if its type is known, the messages."""
     yield Property(
         f"{action}/{GoalPart.STATUS.value}",
         ScalarShape(Primitive("string"), Bounds(choices=_STATUSES)),
@@ -291,7 +291,7 @@ def _by_property(
     templates: tuple[str, ...],
     made: Callable[[str, ServiceSchema], _S | None],
 ) -> Mapping[str, tuple[_S, ...]]:
-    """Return the candidates for reading (or writing) each property, the first choice first."""
+    """Return the candidates for reading (or writing) each property, in order of preference."""
     found: dict[str, list[tuple[int, str, _S]]] = {}
     for service, schema in services.items():
         proposed = _propose_name(templates, service)
@@ -319,10 +319,11 @@ def _property(
     setters: Iterable[Setter],
     parameter: ParameterSource | None,
 ) -> Property:
-    """What reads and writes one property. Each must agree with what comes before it on what the value is.
+    """Return the readers and writers of one property. Each must agree with the previous ones on the type of the value.
 
-    A topic and a getter that differ are two things of one name (`/map`, an image, and `/get_map`, its file name): who
-    reads the property must know which of them the value is, so the topic keeps it. A parameter has no type to differ.
+    A topic and a getter of different types are two things with one name (`/map`, an image, and `/get_map`, its file
+    name). Readers of the property must know its type, so the topic keeps the name. A parameter has no type that could
+    differ.
     """
     shape: ValueShape = OpenShape()
     if topic is not None and topic.schema is not None:

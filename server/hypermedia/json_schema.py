@@ -1,9 +1,9 @@
 """JSON Schemas of values and messages, for Thing Descriptions (data schemas: WoT TD 1.1, 5.3.2) and OpenAPI 3.1. Pure.
 
-They describe JSON as rosld writes it: integers that a double might not hold are strings of digits; NaN, INF and -INF
-are strings; octets are base64; an array that may be too large to be written is an object with the URL of its bytes
-then. Of a string that is too large, or not UTF-8, and of a value that is not there (null) they say nothing, so that
-plain values keep plain schemas. What is sent is a command: its floats are numbers, those of a velocity have a range.
+They describe the JSON of rosld: integers that a double may not represent are strings of digits; NaN, INF and -INF are
+strings; octets are base64; an array that is too large is an object with the URL of its bytes. To keep plain values
+simple, the schemas ignore strings that are too large or not UTF-8, and missing values (null). Values to send are
+commands: their floats are numbers, and those of velocities have a range.
 """
 
 from __future__ import annotations
@@ -74,9 +74,9 @@ _SETTINGS = LiftSettings()
 def value_schema(
     shape: ValueShape, lifting: LiftSettings = _SETTINGS, *, read: bool = True, sent: bool = False, unit: str = "unit"
 ) -> JsonSchema:
-    """Return the schema of a property's value that is read, sent, or both.
+    """Return the schema of a property's value when read, when sent, or both.
 
-    Of a value that may be sent, fields have defaults and may be left out. `unit` is the keyword for the unit.
+    In a value to send, fields have defaults and are optional. `unit` is the keyword for the unit.
     """
     if isinstance(shape, MessageShape):
         return _Schemas(shape.schema, shape.bounds, lifting, read, sent).fields(shape.fields)
@@ -90,25 +90,25 @@ def value_schema(
 def message_schema(
     schema: MessageSchema, lifting: LiftSettings = _SETTINGS, *, read: bool = True, sent: bool = False
 ) -> JsonSchema:
-    """Return the schema of a message, the object of its fields; of one that may be sent, these may be left out."""
+    """Return the schema of a message, the object of its fields, which are optional when the message is sent."""
     return _Schemas(schema, {}, lifting, read, sent).fields(schema.type.fields)
 
 
 def patch_schema(schema: JsonSchema) -> JsonSchema:
-    """Return the schema of a JSON merge patch of a value (RFC 7396): any members of an object, else the whole value."""
+    """Return the schema of a JSON merge patch (RFC 7396): any members of an object, else the whole value."""
     members = schema.get("properties")
     if not isinstance(members, dict):
-        return {name: each for name, each in schema.items() if name != "default"}  # what is left out stays as it is
+        return {name: each for name, each in schema.items() if name != "default"}  # omitted members stay unchanged
     return json_object(optional={name: patch_schema(cast(JsonSchema, each)) for name, each in members.items()})
 
 
 def nullable(schema: JsonSchema) -> JsonSchema:
-    """Return the schema of a value that may not be there."""
+    """Return the schema of a value that may be missing."""
     return {"anyOf": [schema, NOTHING]} if schema else schema
 
 
 class _Schemas:
-    """The schemas of one message type. Types come from robots, so what is written of one is bounded."""
+    """Schemas within one message type, limited in number because types are provided by robots."""
 
     def __init__(
         self, schema: MessageSchema, bounds: Mapping[str, Bounds], lifting: LiftSettings, read: bool, sent: bool
@@ -133,9 +133,9 @@ class _Schemas:
         return {"type": "object", "properties": properties, **({} if self._sent else {"required": list(properties)})}
 
     def _default(self, field: Field, path: tuple[str, ...]) -> JsonSchema:
-        """What a field is that is left out: told of scalars, of arrays without a length and of what a type states.
+        """Return the default of a field: of scalars, of arrays without a fixed length, and of fields that state one.
 
-        What its bounds might refuse is not told.
+        Defaults that bounds may reject are omitted.
         """
         stated, kind = stated_default(field), field.type
         if self._bounds.get(".".join(path), UNBOUNDED) != UNBOUNDED:
@@ -178,7 +178,7 @@ class _Schemas:
         return _scalar(kind, UNBOUNDED)
 
     def _may_be_elided(self, kind: Array) -> bool:
-        """Whether it may take more bytes than are written; eight an element is the most of a number."""
+        """Whether a field may exceed the size limit of arrays, at eight bytes per element, the largest of a number."""
         is_plain = isinstance(kind.element, Primitive) and kind.element.name not in STRINGS
         return not is_plain or kind.most is None or kind.most * 8 > self._limit
 
@@ -187,7 +187,7 @@ class _Schemas:
 
 
 def _scalar(kind: Primitive | None, bounds: Bounds, *, is_finite: bool = False) -> JsonSchema:
-    """One scalar: of a primitive or, without one, of any type, within bounds; a float may have to be finite."""
+    """Return the schema of a scalar of a primitive (or of any type) within bounds; a float may have to be finite."""
     if bounds.choices:
         choices = {(type(value), value): value for value in map(_choice, bounds.choices)}
         return {**_type(kind), "enum": list(choices.values())}
@@ -212,7 +212,7 @@ def _scalar(kind: Primitive | None, bounds: Bounds, *, is_finite: bool = False) 
 
 
 def _parameter_schema(kind: Primitive, bounds: Bounds) -> JsonSchema:
-    """Return the scalar of a parameter, whose numbers are JSON's."""
+    """Return the schema of a scalar parameter, whose numbers are those of JSON."""
     if bounds.choices or kind.name in STRINGS or kind.name == "bool":
         return _scalar(kind, bounds)
     limits, step = _limits(bounds), _number(bounds.step)
@@ -223,14 +223,14 @@ def _parameter_schema(kind: Primitive, bounds: Bounds) -> JsonSchema:
 
 
 def _type(kind: Primitive | None) -> JsonSchema:
-    """The type of what is one of several values; floats and wide integers may be strings too."""
+    """Return the type of a choice; floats and wide integers may be strings too."""
     if kind is None or kind.name.startswith("float") or kind.name.endswith("64"):
         return {}
     return {"type": "string" if kind.name in STRINGS else "boolean" if kind.name == "bool" else "integer"}
 
 
 def _integer(kind: Primitive, limits: JsonSchema) -> JsonSchema:
-    """Return an integer of a primitive's range; beyond what a double holds it is its digits."""
+    """Return the schema of an integer in a primitive's range; a string of digits beyond the precision of a double."""
     least, greatest = RANGES[kind.name]
     if not limits.keys() & {"minimum", "exclusiveMinimum"}:
         limits = {**limits, "minimum": max(least, -SAFE_INTEGER)}
@@ -242,7 +242,7 @@ def _integer(kind: Primitive, limits: JsonSchema) -> JsonSchema:
 
 
 def _limits(bounds: Bounds) -> JsonSchema:
-    """Return the ends of a range of numbers."""
+    """Return the limits of a range of numbers."""
     return _without_none(
         minimum=_number(bounds.minimum),
         maximum=_number(bounds.maximum),
@@ -252,7 +252,7 @@ def _limits(bounds: Bounds) -> JsonSchema:
 
 
 def _number(literal: Literal | None) -> int | float | None:
-    """Return a bound as JSON's number; None for what is no number, or none that JSON has."""
+    """Return a bound as a JSON number; None for other literals and for numbers that JSON cannot represent."""
     value = None if literal is None else number(literal)
     if value is None or isinstance(value, int):
         return None if value is None or abs(value) > SAFE_INTEGER else value
@@ -270,7 +270,7 @@ def _choice(literal: Literal) -> bool | int | float | str:
 
 
 def _without_none(**keywords: int | float | str | None) -> JsonSchema:
-    """The keywords that have a value."""
+    """Return the keywords that have a value."""
     return {name: value for name, value in keywords.items() if value is not None}
 
 
@@ -279,9 +279,9 @@ _OF_ECMA = re.compile(rf"(?:[^\\(\[\]{{]|{_ESCAPE}|\((?!\?[^:])|\{{(?!,)|\[(?:[^
 
 
 def _ecma(pattern: str) -> str | None:
-    """Return the pattern (XPath's) if it means the same in ECMAScript (ECMA-262 22.2), else None.
+    """Return an XPath pattern if it means the same in ECMAScript (ECMA-262 22.2), else None.
 
-    Subtraction, flags, and the escapes of names, blocks and common letters are not ECMAScript's.
+    ECMAScript lacks subtraction, flags, and the escapes of names, blocks and common letters.
     """
     return pattern if _OF_ECMA.fullmatch(pattern) else None
 
@@ -290,7 +290,7 @@ _NOT_IN_A_KEY = re.compile(r"[^A-Za-z0-9._-]")
 
 
 class MessageSchemas:
-    """Collector of the schemas that were referred to. `find` returns a type, or None if it is not known.
+    """Collector of referenced schemas. `find` returns a type, or None if it is unknown.
 
     Messages of an unknown type are objects without further constraints.
     """
@@ -298,7 +298,7 @@ class MessageSchemas:
     def __init__(self, find: Callable[[TypeRef], Schema | None], lifting: LiftSettings) -> None:
         self.lifting = lifting
         self.by_key: dict[str, JsonSchema] = {}
-        """The schemas that `#/components/schemas/KEY` refers to."""
+        """Schemas that `#/components/schemas/KEY` references."""
         self._find = find
         self._keys: dict[TypeRef, str] = {}
 
@@ -341,7 +341,7 @@ class MessageSchemas:
         return {"$ref": f"#/components/schemas/{key}"}
 
     def _key(self, ref: TypeRef) -> str:
-        """Return the name of the schema of a type; variants of one type have their hash in it."""
+        """Return the name of the schema of a type; variants of a type include its hash."""
         key = self._keys.get(ref)
         if key is None:
             key = _NOT_IN_A_KEY.sub(".", ref.name)

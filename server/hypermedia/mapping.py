@@ -1,4 +1,4 @@
-"""Mappings as values: how documents of `map:` arrange resources, name relations and give conditions. Pure.
+"""Mappings as values: documents of `map:` that arrange resources, name relations and define conditions. Pure.
 
 `mapping_parser.py` reads them from RDF. Paths and names are those of resources without `/resources`: a path
 (`/aircraft/`) ends in a slash and is a complex resource, a name (`/aircraft/power`) does not and is a property or an
@@ -18,10 +18,10 @@ from rosld.shapes.value import NO_MEASURE, Measure
 
 
 class Condition(Struct, frozen=True):
-    """A SHACL node shape about the state of one resource: of the complex resource, or of the property, `about`.
+    """A SHACL node shape for the state of one resource: the complex resource or the property `about`.
 
-    The focus node is that resource's URL. Of a complex resource the state is its properties by their predicates, of a
-    property it is its rdf:value. `iri` names the condition in reports.
+    The focus node is the URL of that resource. The state of a complex resource is its properties by predicate, that of
+    a property is its rdf:value. `iri` identifies the condition in reports.
     """
 
     iri: str
@@ -30,9 +30,9 @@ class Condition(Struct, frozen=True):
 
 
 class MappedProperty(Struct, frozen=True):
-    """A member's value (or, with `field`, one scalar of it: `pose.position.x`) as a property of a complex resource.
+    """A value (or, with `field`, one scalar of it: `pose.position.x`) as a property of a complex resource.
 
-    `name` is its key in plain JSON and in Thing Descriptions. It may be written only while all of `writable_when` hold.
+    `name` is its key in plain JSON and in Thing Descriptions. It is writable only while all of `writable_when` hold.
     """
 
     predicate: NamedNode
@@ -44,7 +44,7 @@ class MappedProperty(Struct, frozen=True):
 
 
 class MappedAction(Struct, frozen=True):
-    """A service offered as `name` under a complex resource, led to by `relation`, while all conditions hold."""
+    """A service offered as `name` under a complex resource, linked by `relation`, while all conditions hold."""
 
     relation: NamedNode
     name: str
@@ -68,7 +68,7 @@ class MappedStop(Struct, frozen=True):
 
 
 class ComplexResource(Struct, frozen=True):
-    """A complex resource as a mapping has it: what it lists is what there is at `path`."""
+    """A complex resource defined by a mapping; it adds to the resources found at `path`."""
 
     iri: str
     path: str
@@ -80,7 +80,7 @@ class ComplexResource(Struct, frozen=True):
     stops: tuple[MappedStop, ...] = ()
 
     def conditions(self) -> Iterator[Condition]:
-        """Yield every condition of it, of its properties, actions and links."""
+        """Yield every condition of the resource, its properties, actions and links."""
         yield from self.exists_when
         for one in self.properties:
             yield from one.writable_when
@@ -90,25 +90,25 @@ class ComplexResource(Struct, frozen=True):
             yield from link.available_when
 
     def all_conditions(self) -> Iterator[Condition]:
-        """These, and those of what stops the robot, which nothing that is offered depends on."""
+        """Yield these conditions and those of stop commands, which do not affect what is on offer."""
         yield from self.conditions()
         for stop in self.stops:
             yield from stop.at_rest_when
 
 
 class MappingSet(Struct, frozen=True):
-    """All mappings in force together, by path. `revision` differs whenever anything in it does."""
+    """All mappings in force together, by path. `revision` changes with any of them."""
 
     revision: int = 0
     resources: Mapping[str, ComplexResource] = field(default_factory=dict)
 
     def stop_commands(self) -> Iterator[tuple[StopCommand, str]]:
-        """Yield the steps that stop the robot, each with the IRI of the complex resource that asks for it."""
+        """Yield the stop commands, each with the IRI of the complex resource that defines it."""
         for resource in self.resources.values():
             yield from ((each.command, resource.iri) for each in resource.stops)
 
     def at_rest_when(self, command: StopCommand) -> tuple[Condition, ...]:
-        """The conditions under which it is no failure that a command is refused; none where it always is."""
+        """Return the conditions under which the refusal of a command is no failure; empty if it always is one."""
         found = [each for resource in self.resources.values() for each in resource.stops if each.command == command]
         conditional = all(each.at_rest_when for each in found)
         return tuple(condition for each in found for condition in each.at_rest_when) if conditional else ()

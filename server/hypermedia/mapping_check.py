@@ -1,6 +1,6 @@
 """Shapes of property values by type and limits, and the parts of mappings that are missing or unavailable. Pure.
 
-A missing part is no error: it appears once the robot has it. But a misspelt name never does.
+A missing part is no error, as the robot may provide it later; a misspelt name is the common exception.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def limited_shape(shape: ValueShape, limits: Limits, url: str, measure: Measure)
 
 
 def with_descriptor(shape: ValueShape, descriptor: Descriptor) -> ValueShape:
-    """Return the shape of a value that is a parameter's, with what the node declares of that."""
+    """Return the shape of a parameter's value with the constraints that the node declares."""
     if isinstance(shape, MessageShape):
         return shape
     declared = declared_shape(descriptor, shape.measure)
@@ -40,7 +40,7 @@ def with_descriptor(shape: ValueShape, descriptor: Descriptor) -> ValueShape:
 
 
 def has_scalar(shape: ValueShape, path: str) -> bool:
-    """Whether a value may have a scalar at a dotted path; where its type is not known it may have any."""
+    """Whether a value may have a scalar at a dotted path; a value of unknown type may have any."""
     match shape:
         case ScalarShape():
             return "." not in path
@@ -63,7 +63,7 @@ def field_shape(shape: ValueShape, path: str, bounds: Bounds, measure: Measure) 
 
 
 def _primitive(schema: MessageSchema, path: str) -> Primitive | None:
-    """Return the primitive at a dotted path; numbers are places in an array."""
+    """Return the primitive at a dotted path; numbers are indexes of arrays."""
     try:
         kind = type_at(schema, path)
     except ValueError:
@@ -72,7 +72,7 @@ def _primitive(schema: MessageSchema, path: str) -> Primitive | None:
 
 
 _MAX_NAMES = 5_000
-"""Names among which one that is much like another is looked for."""
+"""Maximum number of names that are searched for a similar one."""
 
 
 def warnings_of(resource: ComplexResource, tree: ResourceTree) -> tuple[str, ...]:
@@ -124,7 +124,7 @@ def _of_stops(resource: ComplexResource, tree: ResourceTree) -> Iterator[str]:
 
 
 def _near(name: str, names: Iterable[str]) -> str:
-    """Return the name that is most like one that is not there, in words; nothing where none is."""
+    """Return a phrase with the name most similar to a missing one, or an empty text."""
     known = list(names)
     close = get_close_matches(name, known, 1, 0.75) if len(known) <= _MAX_NAMES else ()
     return f" (there is {close[0]})" if close else ""

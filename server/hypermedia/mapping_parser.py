@@ -1,7 +1,7 @@
-"""Mapping documents: parsed from RDF, validated by their shape, and by rules that SHACL cannot express.
+"""Mapping documents: parsed from RDF, validated against their shape, and by rules that SHACL cannot express.
 
-Pure but for `load_mapping`. What is refused is refused whole, with every reason at its place. Nothing here looks at the
-robot: a document may name what is not there yet.
+Pure except for `load_mapping`. An invalid document is rejected as a whole, with every reason and its place. The parser
+does not look at the robot: a document may name resources that do not exist yet.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ Statements: TypeAlias = Mapping[NamedNode, Sequence[Term]]
 _T = TypeVar("_T")
 
 MAX_TRIPLES = 5_000
-"""The triples a document may have. To validate so many takes a second or two, seven where all of them are wrong."""
+"""Maximum number of triples of a document. Their validation takes one or two seconds, or seven if all are invalid."""
 _MAX_VIOLATIONS = 20
 LONGEST_READING = 5.0
-"""Seconds that the conditions of a document may take to be read."""
+"""Maximum time in seconds to parse the conditions of a document."""
 _WHEN = (mapping.writableWhen, mapping.availableWhen, mapping.existsWhen, mapping.atRestWhen)
 _TELLING = (mapping.name, mapping.member, mapping.service, mapping.target, mapping.call, mapping.publish)
 _TERMS = frozenset(mapping.terms.values())
@@ -57,11 +57,11 @@ _NEUTRAL = frozenset(
         "deactivated", "flags", "ignoredProperties", "targetNode", "targetClass", "targetSubjectsOf", "targetObjectsOf",
     )
 )  # fmt: skip
-"""What may be said of a shape without demanding anything."""
+"""Predicates of shapes that constrain nothing."""
 
 
 class MappingDocument(Struct, frozen=True, eq=False):
-    """A mapping document that was found good: its triples exactly as they were sent, and what they mean."""
+    """A valid mapping document: its triples exactly as received, and the mapping that they describe."""
 
     url: str
     triples: tuple[Triple, ...]
@@ -73,18 +73,19 @@ class InvalidMapping(LoweringError):
 
 
 def read_mapping(data: bytes, media_type: str, url: str, *, is_valid: bool = False) -> MappingDocument:
-    """The mapping that `data` describes, its relative IRIs resolved against `url`; `is_valid` as in `mapping_of`.
+    """Return the mapping in `data`, with relative IRIs resolved against `url`; `is_valid` as in `mapping_of`.
 
-    Raises BodyError for what cannot be parsed, InvalidMapping for what is no mapping, ValueError for a media type that
-    is no RDF syntax. Takes seconds for the largest documents: call it off the loop.
+    Raises BodyError for invalid syntax, InvalidMapping for an invalid mapping, ValueError for a media type that is no
+    RDF syntax. Takes seconds for the largest documents: call it off the event loop.
     """
     return mapping_of(parse_body(data, media_type, url), url, is_valid=is_valid)
 
 
 def load_mapping(path: Path, space: Space, name: str | None = None, *, is_valid: bool = False) -> MappingDocument:
-    """The mapping in a file, by its `name` (the file's by default) under `/mappings/`; `is_valid` as in `mapping_of`.
+    """Return the mapping in a file, with its `name` below `/mappings/` (by default that of the file).
 
-    Raises OSError where there is no such file, and ValueError for one that is no mapping: each with the file's name.
+    `is_valid` as in `mapping_of`. Raises OSError if the file cannot be read, and ValueError for an invalid mapping,
+    each with the name of the file.
     """
     syntax = next((each for each in Syntax if f".{each.extension}" == path.suffix.lower()), None)
     if syntax is None:
@@ -101,8 +102,8 @@ def load_mapping(path: Path, space: Space, name: str | None = None, *, is_valid:
 def mapping_of(body: RdfBody, url: str, *, is_valid: bool = False) -> MappingDocument:
     """Return the mapping that the triples of a body describe. Raises InvalidMapping.
 
-    Of one that `is_valid`, because it was read before, neither the shape of mappings nor its terms are looked at again:
-    that takes its time, and rdflib.
+    `is_valid` skips validation against the shape of mappings and the check of terms, for documents that passed it
+    before: both are slow and need rdflib.
     """
     triples = tuple(_triples(body))
     if len(triples) > MAX_TRIPLES:
@@ -126,7 +127,7 @@ def _triples(body: RdfBody) -> Iterator[Triple]:
 
 
 def _conditions_named(triples: Sequence[Triple], url: str) -> list[Triple]:
-    """Give every blank condition an IRI, so that reports can name it."""
+    """Give every blank condition an IRI that identifies it in reports."""
     taken = {node for triple in triples for node in (triple.subject, triple.object)}
     free = (node for number in count(1) if (node := NamedNode(f"{url}#condition.{number}")) not in taken)
     blank = {triple.object: None for triple in triples if triple.predicate in _WHEN}
@@ -138,7 +139,7 @@ def _conditions_named(triples: Sequence[Triple], url: str) -> list[Triple]:
 
 
 class _Reader:
-    """Reads one document, whose conditions all have names; `found` is what is wrong with it."""
+    """Reader of one document, whose conditions all have IRIs; `found` are its violations."""
 
     def __init__(self, url: str, triples: Sequence[Triple]) -> None:
         self.url = url
@@ -151,7 +152,7 @@ class _Reader:
         self.conditions: dict[Term, Condition] = {}
 
     def permissions(self) -> None:
-        """Judge the document by the shape of mappings. Raises InvalidMapping."""
+        """Validate the document against the shape of mappings. Raises InvalidMapping."""
         for misfit in validate(self.triples, "mapping"):
             self.wrong(misfit.focus, misfit.message, misfit.value, misfit.predicate, misfit.component)
         self.refuse()
@@ -171,7 +172,7 @@ class _Reader:
         self.refuse()
         return tuple(resources)
 
-    # What is there
+    # Resources
 
     def resource(self, node: Term) -> ComplexResource:
         """One complex resource."""
@@ -195,7 +196,7 @@ class _Reader:
         return found
 
     def property(self, node: Term, path: str) -> MappedProperty:
-        """One property; its member's name is made a full one."""
+        """Return a property, with the full name of its member."""
         member = _full(self.text(node, mapping.member), path)
         field = self.text(node, mapping.field) or None
         name = self.text(node, mapping.name) or (field or member).replace("." if field else "/", "/").rpartition("/")[2]
@@ -209,7 +210,7 @@ class _Reader:
         )
 
     def action(self, node: Term, path: str) -> MappedAction:
-        """One action; its service's name is made a full one."""
+        """Return an action, with the full name of its service."""
         service = _full(self.text(node, mapping.service), path)
         return MappedAction(
             self.relation(node, mapping.relation),
@@ -227,7 +228,7 @@ class _Reader:
         )
 
     def stop(self, node: Term, path: str) -> MappedStop:
-        """One thing that stops the robot; the names in it are made full ones."""
+        """Return a stop command, with full names."""
         service, topic = self.text(node, mapping.call), self.text(node, mapping.publish)
         if bool(service) == bool(topic):
             self.wrong(node, "a map:stop either calls (map:call) or publishes (map:publish): say one of the two")
@@ -242,19 +243,19 @@ class _Reader:
         return MappedStop(command, self.when(node, mapping.atRestWhen))
 
     def when(self, node: Term, predicate: NamedNode) -> tuple[Condition, ...]:
-        """Return the conditions that a node names."""
+        """Return the conditions of a node."""
         found = (self.conditions[each] for each in self.objects(node, predicate))
         return tuple(sorted(found, key=lambda condition: condition.iri))
 
     def title(self, node: Term) -> str | None:
-        """Return the rdfs:label, in English or no language where there are several."""
+        """Return the rdfs:label, in English or without a language if there are several."""
         labels = [each for each in self.objects(node, rdfs.label) if isinstance(each, Literal)]
         rank = {None: 0, "en": 1}
         return min(
             ((rank.get(one.language, 2), one.language or "", one.value) for one in labels), default=(0, "", None)
         )[2]
 
-    # What is wrong
+    # Violations
 
     def wrong(
         self,
@@ -264,26 +265,26 @@ class _Reader:
         predicate: NamedNode | None = None,
         component: NamedNode | None = None,
     ) -> None:
-        """Note what is wrong with a predicate of a node, with the node itself, or (None) with the whole document."""
+        """Add a violation for a predicate of a node, for the node itself, or (None) for the whole document."""
         place = "" if node is None else self.places.of(node, predicate)
         focus = node if isinstance(node, Node) else NamedNode(self.url)
         self.found[Violation(place, message, brief(value), component, None, focus, predicate)] = None
 
     def refuse(self) -> None:
-        """Raise what was noted, if anything was."""
+        """Raise InvalidMapping if there are violations."""
         if self.found:
             violations = sorted(self.found, key=lambda one: (one.path, one.message, one.value or ""))
             raise InvalidMapping(*violations[:_MAX_VIOLATIONS])
 
     def check_terms(self) -> None:
-        """No term of `map:` or of SHACL is misspelt: an unknown one would silently mean nothing."""
+        """Check that no term of `map:` or SHACL is misspelt: an unknown term would be ignored silently."""
         for subject, predicate, object in self.triples:
             for term in (predicate, object):
                 if isinstance(term, NamedNode) and _unknown(term):
                     self.wrong(subject, _no_term(term), None, predicate)
 
     def check_demands(self) -> None:
-        """Every condition demands something, and so does each of its property shapes: else it would always hold."""
+        """Check that every condition and each of its property shapes has a constraint, as otherwise it always holds."""
         waiting = [node for node, said in self.said.items() if mapping.about in said]
         seen = set(waiting)
         while waiting:
@@ -297,7 +298,7 @@ class _Reader:
             seen.update(inner)
 
     def check_conditions(self) -> None:
-        """Every condition can be judged; all of them are read in good time."""
+        """Check that every condition can be evaluated, and parsed in time."""
         graph = ShapesGraph(self.triples)
         deadline = monotonic() + LONGEST_READING
         for node, said in self.said.items():
@@ -315,7 +316,7 @@ class _Reader:
             self.conditions[node] = Condition(node.value, self.text(node, mapping.about), shape)
 
     def check_names(self, resource: ComplexResource) -> None:
-        """No two things in a complex resource have one name, no two values one predicate."""
+        """Check that names and predicates are unique within a complex resource."""
         node = NamedNode(resource.iri)
         names = [one.name for one in resource.properties] + [one.name for one in resource.actions]
         for name in _twice(names):
@@ -325,7 +326,7 @@ class _Reader:
             self.wrong(node, words, None, mapping.property)
 
     def check_paths(self, resources: Sequence[ComplexResource]) -> None:
-        """No two complex resources have one path."""
+        """Check that the paths of complex resources are unique."""
         for path in _twice([one.path for one in resources]):
             first, *others = [NamedNode(one.iri) for one in resources if one.path == path]
             for other in others:
@@ -333,7 +334,7 @@ class _Reader:
                 self.wrong(other, words, path, mapping.path)
 
     def check_sights(self, resources: Sequence[ComplexResource]) -> None:
-        """Every condition looks at what there is, as far as this document says: one that does not would never hold."""
+        """Check that every condition is about a resource of this document: otherwise it would never hold."""
         states = {one.path: {each.predicate for each in one.properties} for one in resources}
         for node, condition in self.conditions.items():
             about = condition.about
@@ -347,29 +348,29 @@ class _Reader:
                     + (", ".join(sorted(prefixed_name(each.value)[0] for each in there)) or "no properties"),
                 )
 
-    # What is said
+    # Statements
 
     def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
         """Return the objects of a predicate."""
         return self.said.get(node, {}).get(predicate, ())
 
     def text(self, node: Term, predicate: NamedNode) -> str:
-        """Return the one string, "" where there is none."""
+        """Return the single string, or ""."""
         return next((each.value for each in self.objects(node, predicate) if isinstance(each, Literal)), "")
 
     def iri(self, node: Term, predicate: NamedNode) -> NamedNode | None:
-        """Return the one IRI, None where there is none."""
+        """Return the single IRI, or None."""
         return next((each for each in self.objects(node, predicate) if isinstance(each, NamedNode)), None)
 
     def relation(self, node: Term, predicate: NamedNode) -> NamedNode:
-        """The one IRI where there is one."""
+        """Return the single IRI of a relation, if there is one."""
         found = self.iri(node, predicate)
         assert found is not None
         return found
 
 
 class _Places:
-    """Places in a document, in words: `<#aircraft> map:action "start" map:service`."""
+    """Descriptions of places in a document: `<#aircraft> map:action "start" map:service`."""
 
     def __init__(self, url: str, triples: Iterable[Triple], said: Mapping[Term, Statements]) -> None:
         self._url = url
@@ -380,7 +381,7 @@ class _Places:
                 self._above.setdefault(object, (subject, predicate))
 
     def of(self, node: Term | str, predicate: NamedNode | None = None) -> str:
-        """Return the place of a predicate of a node, or of the node itself."""
+        """Return the description of a predicate of a node, or of the node itself."""
         steps = [] if predicate is None else [prefixed_name(predicate.value)[0]]
         passed: set[Term] = set()
         while isinstance(node, BlankNode) and node in self._above and node not in passed:
@@ -421,7 +422,7 @@ def _twice(values: Collection[_T]) -> list[_T]:
 
 
 def _unknown(term: NamedNode) -> bool:
-    """Whether a term is of `map:` or SHACL and does not exist there."""
+    """Whether a term has the namespace of `map:` or SHACL but does not exist there."""
     if term.value.startswith(mapping.iri):
         return term not in _TERMS
     from rdflib.namespace import SH  # imported with pyshacl
@@ -430,7 +431,7 @@ def _unknown(term: NamedNode) -> bool:
 
 
 def _no_term(term: NamedNode) -> str:
-    """Return the sentence about an unknown term."""
+    """Return the message about an unknown term."""
     from rdflib.namespace import SH
 
     known = [each.value for each in _TERMS] if term.value.startswith(mapping.iri) else [str(each) for each in dir(SH)]

@@ -1,4 +1,4 @@
-"""The mappings in force: documents by URL, and the mapping set that they make; lookups are pure."""
+"""The mappings in force: documents by URL, and the mapping set that they form; lookups are pure."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from rosld.server.hypermedia.mapping_parser import InvalidMapping, MappingDocume
 
 
 class Mappings:
-    """The documents in force. Every change is whole or none, and what was handed out before it never changes.
+    """The documents in force. Changes are atomic, and values returned earlier never change.
 
-    `given` are those to begin with. Who changes what is kept of them holds their `lock`.
+    `given` are the initial ones. Changes of stored documents require the `lock`.
     """
 
     def __init__(self, initial: Iterable[MappingDocument] = ()) -> None:
@@ -30,28 +30,28 @@ class Mappings:
 
     @property
     def documents(self) -> Mapping[str, MappingDocument]:
-        """The documents by URL, in the order in which they came into force."""
+        """Return the documents by URL, in the order in which they came into force."""
         return self._documents
 
     @property
     def mapping_set(self) -> MappingSet:
-        """The joint content of all documents."""
+        """Return the joint content of all documents."""
         return self._mapping_set
 
     def replace(self, document: MappingDocument) -> None:
-        """Put a document into force, in the place of the one of the same URL.
+        """Put a document into force, replacing the one with the same URL.
 
-        Raises InvalidMapping, and changes nothing, where it and another one speak of the same path or condition.
+        Raises InvalidMapping, and changes nothing, if another document defines the same path or condition.
         """
         self.check(document)
         self._become({**self._documents, document.url: document})
 
     def check(self, document: MappingDocument) -> None:
-        """Raise InvalidMapping where `replace` would."""
+        """Raise InvalidMapping if `replace` would."""
         _check(document, [each for url, each in self._documents.items() if url != document.url])
 
     def remove(self, url: str) -> None:
-        """Take the document of this URL out of force; nothing happens where there is none."""
+        """Remove the document with this URL, if it exists."""
         if url in self._documents:
             self._become({each: document for each, document in self._documents.items() if each != url})
 
@@ -62,7 +62,7 @@ class Mappings:
 
 
 def _check(document: MappingDocument, others: Iterable[MappingDocument]) -> None:
-    """Raise InvalidMapping where a document takes what is another's."""
+    """Raise InvalidMapping if a document defines a path or condition of another one."""
     paths, conditions = _claims(document)
     found: list[Violation] = []
     about: list[str] = []
@@ -78,7 +78,7 @@ def _check(document: MappingDocument, others: Iterable[MappingDocument]) -> None
 
 
 def _claims(document: MappingDocument) -> tuple[set[str], set[str]]:
-    """The paths and the IRIs of conditions that are a document's own."""
+    """Return the paths and the IRIs of conditions that a document defines."""
     resources = document.resources
     return {one.path for one in resources}, {each.iri for one in resources for each in one.all_conditions()}
 
@@ -95,7 +95,7 @@ class _Index(Struct, frozen=True):
 
 
 def relations(mapping_set: MappingSet) -> frozenset[str]:
-    """Return the IRIs of all predicates that mappings give complex resources: the same object for one arrangement."""
+    """Return the IRIs of all predicates in mappings: the same object until the mappings change."""
     return _index(mapping_set).relations
 
 
@@ -105,12 +105,12 @@ def related(mapping_set: MappingSet, relation: str) -> frozenset[str]:
 
 
 def write_conditions_of(mapping_set: MappingSet, name: str) -> tuple[Condition, ...]:
-    """All conditions under which a member may be written, of every mapping that maps it, by its full name."""
+    """Return all conditions for writing a member, from every mapping that maps it, by full name."""
     return _index(mapping_set).guards.get(name, ())
 
 
 def actions_by_service(mapping_set: MappingSet) -> Mapping[str, list[tuple[ComplexResource, MappedAction]]]:
-    """As what actions each service is offered, by its full name."""
+    """Return the actions that each service is offered as, by full name."""
     return _index(mapping_set).services
 
 
@@ -120,15 +120,15 @@ def members_of(resource: ComplexResource) -> frozenset[str]:
 
 
 def dependents(mapping_set: MappingSet, about: str) -> frozenset[str]:
-    """The paths of the complex resources that have a condition about this path, or this name."""
+    """Return the paths of the complex resources with a condition about this path or name."""
     return _index(mapping_set).dependents.get(about, frozenset())
 
 
 def connected_paths(mapping_set: MappingSet, path: str) -> frozenset[str]:
-    """Return the paths that hang together with this one, itself among them.
+    """Return the paths connected with this one by conditions, including itself.
 
-    From a complex resource to what its conditions are about, any number of steps in either direction. A condition about
-    a single property leads to the complex resources that show it, and to the one that it lies in.
+    Connections lead from a complex resource to the subjects of its conditions, in any number of steps and in both
+    directions. A condition about a property connects the complex resources that show it and the one that contains it.
     """
     return _index(mapping_set).components.get(path) or frozenset({path})
 
@@ -168,7 +168,7 @@ _index: Callable[[MappingSet], _Index] = IdentityCache(_make_index)
 
 
 def _components(mapping_set: MappingSet, concerned: Mapping[str, Iterable[str]]) -> Mapping[str, frozenset[str]]:
-    """The component of every path that a condition has to do with; `concerned`: who has conditions about what."""
+    """Return the component of every path involved in a condition; `concerned` are their subjects by path."""
     shown: dict[str, set[str]] = {}
     for resource in mapping_set.resources.values():
         for member in members_of(resource):
@@ -189,7 +189,7 @@ def _components(mapping_set: MappingSet, concerned: Mapping[str, Iterable[str]])
 
 
 def _home(name: str) -> str:
-    """Return the path of the complex resource that a name lies in."""
+    """Return the path of the complex resource that contains a name."""
     return name.rpartition("/")[0] + "/"
 
 

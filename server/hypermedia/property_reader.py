@@ -35,13 +35,13 @@ from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import TopicView
 
 _CALLS = 2
-"""The most calls of one getter at a time: the second is for who needs an answer newer than the first's."""
+"""Maximum number of concurrent calls of one getter: a second one serves requests that need a newer answer."""
 _PARAMETER_CALLS = 4
 _MAX_READINGS = 65536
 
 
 class _Attempt(NamedTuple):
-    """A read of some properties: its deadline, its timeout, and the turn that fetches must follow (0: any will do)."""
+    """A read of some properties: its deadline, its timeout, and the turn that fetches must follow (0 for any)."""
 
     deadline: float
     seconds: float
@@ -49,14 +49,14 @@ class _Attempt(NamedTuple):
 
 
 class _Result(NamedTuple):
-    """The result of reading one source, and until when (loop time) it is valid; 0.0: it is not to be cached."""
+    """The result of reading one source, and the loop time until which it is valid; 0.0 if it must not be cached."""
 
     found: ReadResult
     until: float
 
 
 class _Kept(Struct):
-    """A cached reading: valid until a loop time, for the view of its topic, or the part of its goal, that it is of."""
+    """A cached reading: valid until a loop time, and only for the view of its topic or the part of its goal."""
 
     property: Property
     view: TopicView | None
@@ -65,17 +65,17 @@ class _Kept(Struct):
     reading: Reading
 
     def source(self) -> TopicSource | GoalSource | None:
-        """The source that announces new values."""
+        """Return the source that pushes new values, if any."""
         first = self.property.readers[0] if self.property.readers else None
         return first if isinstance(first, TopicSource | GoalSource) else None
 
 
 class PropertyReader:
-    """The readings of one robot's properties.
+    """Reader of one robot's properties.
 
-    A topic's value is good until another message comes, that of an action until another is told of its goal; that of a
-    getter or a parameter, or its failure, for `freshness` seconds. A call is given `patience` seconds, whoever stops
-    waiting for it, and shared by all who wait.
+    The value of a topic is valid until the next message, that of an action until the next update of its goal; that of a
+    getter or a parameter, or a failure, for `freshness` seconds. A call has `patience` seconds, even if its callers
+    stop waiting, and is shared by all of them.
     """
 
     def __init__(
@@ -105,14 +105,14 @@ class PropertyReader:
         self._parameter_room = asyncio.Semaphore(_PARAMETER_CALLS)
 
     def cached(self, property: Property) -> Reading | None:
-        """The cached reading that is still valid, the same object as before, without I/O."""
+        """Return the cached reading if it is still valid, as the same object as before, without I/O."""
         kept = self._kept.get(property.name)
         if kept is None:
             return None
         if kept.property is not property:
             if kept.property != property:
                 return None
-            kept.property = property  # of another catalogue, but the same
+            kept.property = property  # equal, from another catalogue
         match kept.source():
             case TopicSource(name=topic) if self._topics.find_view(topic) is not kept.view:
                 return None
@@ -127,9 +127,9 @@ class PropertyReader:
     async def read(
         self, properties: Sequence[Property], *, deadline: float, refresh: bool = False
     ) -> dict[str, Reading]:
-        """The readings of these properties by name, read side by side. Never raises; returns by `deadline` (loop time).
+        """Return the readings of properties by name, read concurrently. Never raises; returns by `deadline` (loop).
 
-        `refresh`: getters and parameters are asked after this call began, whatever is known of them.
+        `refresh`: call getters and fetch parameters after the start of this call, even if cached values are valid.
         """
         seconds = deadline - asyncio.get_running_loop().time()
         attempt = _Attempt(deadline, seconds, next(self._turns) if refresh else 0)
@@ -142,7 +142,7 @@ class PropertyReader:
                 continue
             kept = self._kept.get(one.name)
             if kept is not None and kept.property != one:
-                self.invalidate((one.name,))  # what is known is of other sources
+                self.invalidate((one.name,))  # the cached reading has other sources
             if one.readers and isinstance(one.readers[0], ParameterSource):
                 stored.append(one)
             else:
@@ -154,24 +154,24 @@ class PropertyReader:
         return readings
 
     def invalidate(self, names: Iterable[str]) -> None:
-        """End the validity of readings of these properties: later reads fetch them again."""
+        """Invalidate the readings of these properties, so that later reads fetch them again."""
         for name in names:
             self._kept.pop(name, None)
             self._getters.invalidate(name)
             self._parameters.invalidate(name)
 
     async def stop(self) -> None:
-        """Cancel what runs."""
+        """Cancel all pending calls."""
         for answers in (self._looks, self._getters, self._parameters):
             await answers.stop()
 
     def _valid_reading(self, property: Property, since: int) -> Reading | None:
-        """Return the known reading if it is valid since `since`; values that arrive by themselves always are."""
+        """Return the cached reading if it is valid since `since`; pushed values always are."""
         reading = self.cached(property)
         return reading if reading is None or reading.fresh_until is None or not since else None
 
     async def _one(self, property: Property, attempt: _Attempt) -> Reading:
-        """Return a property read from its sources in turn, until one has a value."""
+        """Return the reading of a property, from the first of its sources that has a value."""
         view: TopicView | None = None
         part: object = None
         results: list[_Result] = []
@@ -185,14 +185,14 @@ class PropertyReader:
             else:
                 result = (await self._get({property.name: reader.name}, attempt))[property.name]
             if (found := self._valid_reading(property, attempt.since)) is not None:
-                return found  # somebody else was waiting for the same
+                return found  # another task waited for the same source
             results.append(result)
             if result.found.value is not None:
                 break
         return self._keep(property, view, results, part)
 
     async def _read_parameters(self, properties: Sequence[Property], attempt: _Attempt) -> dict[str, Reading]:
-        """Read the properties that are only parameters, in one request."""
+        """Read the properties that only have parameters, in one request."""
         results = await self._get({one.name: one.readers[0].name for one in properties}, attempt)
         return {
             one.name: self._valid_reading(one, attempt.since) or self._keep(one, None, [results[one.name]])
@@ -202,10 +202,10 @@ class PropertyReader:
     def _keep(
         self, property: Property, view: TopicView | None, results: Sequence[_Result], part: object = None
     ) -> Reading:
-        """Return the reading that sources come to: the value of the last, or the failures of all."""
+        """Return the reading from the results of sources: the value of the last, or the failures of all."""
         found = results[-1].found if results else NO_VALUE
         until = min((one.until for one in results), default=inf) if found.value is None else results[-1].until
-        pairs = zip(property.readers, results, strict=False)  # the first that has a value is the last that is read
+        pairs = zip(property.readers, results, strict=False)  # only the last source that is read can have a value
         failed = [(each, one.found) for each, one in pairs if one.found.failure is not None]
         failure, words, about = None, "", tuple[str, ...]()
         if failed and found.value is None:
@@ -224,10 +224,10 @@ class PropertyReader:
     # The sources
 
     async def _look(self, topic: str, attempt: _Attempt) -> tuple[TopicView | None, _Result]:
-        """Return the latest message of a topic, and the view that it is in (None where there is no message)."""
+        """Return the latest message of a topic, and its view (None if there is no message)."""
         view = self._topics.find_view(topic)
         if view is None and topic in self._silent and self._topics.last_view(topic) is not None:
-            return None, self._for_now(NO_VALUE)  # it was waited for once
+            return None, self._for_now(NO_VALUE)  # another read has waited for a first message
         schema = self._schemas.find_cached(view.newest.schema) if view is not None and view.newest is not None else None
         failure = None
         if not isinstance(schema, MessageSchema):
@@ -247,7 +247,7 @@ class PropertyReader:
         return view, _Result(found, inf) if found.value is not None else self._for_now(found)
 
     async def _read_goal(self, name: str, source: GoalSource, attempt: _Attempt) -> tuple[object, _Result]:
-        """Return the part of the state of an action's goal that the property is."""
+        """Return the part of the state of an action's goal that the property shows."""
         with suppress(asyncio.TimeoutError, TimeoutError):
             await asyncio.wait_for(self._goals.follow(source.name, deadline=attempt.deadline), attempt.seconds)
         goal = self._goals.current(source.name)
@@ -270,7 +270,7 @@ class PropertyReader:
         return (await self._fetch(self._getters, {name: getter.name}, ask, room, attempt))[name]
 
     async def _get(self, sources: Mapping[str, str], attempt: _Attempt) -> Mapping[str, _Result]:
-        """Return the values of parameters (the names of properties lead to theirs)."""
+        """Return the values of parameters, given by the names of their properties."""
 
         async def ask(keys: Sequence[str]) -> Mapping[str, ReadResult]:
             found = await self._sources.read_parameters([sources[key] for key in keys])
@@ -286,7 +286,7 @@ class PropertyReader:
         room: Slot,
         attempt: _Attempt,
     ) -> Mapping[str, _Result]:
-        """Return the answers of sources (properties' names lead to their names), as far as they come in time."""
+        """Return the results of sources, given by the names of their properties, as far as they arrive in time."""
         found: dict[str, ReadResult] = {}
         unknown = [key for key in sources if answers.find(key, attempt.since) is None]
         for question in answers.fetch(unknown, ask, room, attempt.since):

@@ -1,4 +1,4 @@
-"""Property writer: plans a write by the first of the property's writers that may write now, then carries it out."""
+"""Property writer: plans a write with the first available writer of the property, then carries it out."""
 
 from __future__ import annotations
 
@@ -50,10 +50,9 @@ from rosld.shapes.value import MessageShape, ScalarShape, ValueShape
 
 
 class PlannedWrite(Struct, frozen=True, eq=False):
-    """A write of the property `property` of which all that could be refused has been looked at.
+    """A write of the property `property` that has passed all checks.
 
-    `value` is what it was lowered to: the request, the message or the parameter's value; `data` are the bytes of the
-    first two.
+    `value` is the lowered request, message or parameter value; `data` are the bytes of a request or message.
     """
 
     property: str
@@ -67,14 +66,14 @@ class WriteOutcome(Enum):
 
     DONE = "done"
     UNHEARD = "unheard"
-    """It was published, but nobody was listening."""
+    """The message was published without subscribers."""
     GOES_ON = "goes on"
-    """It was published, and has set the robot in motion until something stops it."""
+    """The message was published and sets the robot in motion until it is stopped."""
     OTHERWISE = "otherwise"
-    """It was set, and its node made another value of it."""
+    """The parameter was set, but its node changed the value."""
 
 
-# Who writes
+# Writers
 
 
 def current_writer(adapter: AuditedAdapter, settings: Settings, property: Property) -> Writer | None:
@@ -83,7 +82,7 @@ def current_writer(adapter: AuditedAdapter, settings: Settings, property: Proper
 
 
 def not_writable_reason(adapter: AuditedAdapter, settings: Settings, property: Property) -> str:
-    """Why nothing writes the property now, in sentences."""
+    """Return sentences about why nothing can write the property now."""
     if settings.read_only:
         return "This server is read-only."
     reasons = [reason for one in property.writers if (reason := _refusal(adapter, settings, one)) is not None]
@@ -91,14 +90,14 @@ def not_writable_reason(adapter: AuditedAdapter, settings: Settings, property: P
 
 
 def not_writable_about(session: Session, property: Property) -> tuple[str, ...]:
-    """The URLs of what `not_writable_reason` may name: what writes the property, and who publishes on its topic."""
+    """Return the URLs that `not_writable_reason` may name: the property's writers and the publishers on its topic."""
     space, topics = session.space, map(session.graph.topics.get, (one.name for one in property.writers))
     nodes = [space.node(each.node) for topic in topics if topic is not None for each in topic.publishers]
     return (*(source_url(one, space) for one in property.writers), *nodes)
 
 
 def _refusal(adapter: AuditedAdapter, settings: Settings, writer: Writer) -> str | None:
-    """Why a writer must not be used now, in a sentence; None where it may be."""
+    """Return a sentence about why a writer must not be used now; None if it may."""
     if settings.read_only:
         return "This server is read-only."
     match writer:
@@ -146,11 +145,10 @@ def _topic_refusal(adapter: AuditedAdapter, permitted: tuple[str, ...], writer: 
 
 
 def plan_write(session: Session, property: Property, content: object, *, defaults: bool = False) -> PlannedWrite:
-    """How the property comes to be what `content` says (plain JSON, or a literal of RDF): nothing moves yet.
+    """Return the plan for setting a property to `content` (plain JSON or an RDF literal), without side effects.
 
-    Fields of a message that are missing have their `defaults`, or do not fit.
-    Raises a 405 Problem where nothing writes it now, and LoweringError for what does not fit; the `path` of a violation
-    is "" for a scalar.
+    Missing fields have their `defaults`, or are violations. Raises a 405 Problem if nothing can write the property now,
+    and LoweringError for an invalid content; the `path` of a violation is "" for a scalar.
     """
     writer = current_writer(session.adapter, session.settings, property)
     match writer:
@@ -169,7 +167,7 @@ def plan_write(session: Session, property: Property, content: object, *, default
 
 
 def _parameter_value(shape: ValueShape, content: object) -> ParameterValue:
-    """Return the value of a parameter. ROS declares no type for it, but what reads the property may have one."""
+    """Return the value of a parameter. ROS declares no type for it, but a reader of the property may have one."""
     value = lower_term(content) if isinstance(content, Literal) else lower_json(content)
     match shape:
         case ScalarShape(kind):
@@ -181,7 +179,7 @@ def _parameter_value(shape: ValueShape, content: object) -> ParameterValue:
 
 
 def _fit(kind: Primitive, content: object) -> object:
-    """Return a content as a primitive. Raises LoweringError where it does not fit."""
+    """Return a content as a primitive. Raises LoweringError if it is invalid."""
     try:
         return term_leaf(kind)(content) if isinstance(content, Literal) else json_leaf(kind)(content)
     except Misfit as misfit:
@@ -198,11 +196,9 @@ def _plan_message(
 
 
 def lower_content(schema: MessageSchema, content: object, lifting: LiftSettings, *, defaults: bool = False) -> Message:
-    """Return the message of `schema` that carries a content: in its one field if that is a scalar, else field by field.
+    """Return the message of `schema` with a content: in its one field if that is a scalar, else field by field.
 
-    Fields that are missing have their `defaults`, or do not fit.
-
-    Raises LoweringError for what does not fit.
+    Missing fields have their `defaults`, or are violations. Raises LoweringError for an invalid content.
     """
     field = scalar_field(schema.type.fields)
     if isinstance(content, Literal):
@@ -224,11 +220,11 @@ def _from_literal(schema: MessageSchema, field: Field | None, content: Literal, 
     return schema.codec.build(schema.ref.name, {field.attribute: value})
 
 
-# Carrying it out
+# Execution
 
 
 async def carry_out(session: Session, planned: PlannedWrite) -> WriteOutcome:
-    """Move the session. Raises RosError as the adapter does, Refused where the setter answers that it will not."""
+    """Carry out a planned write. Raises RosError as the adapter does, and Refused if the setter refuses."""
     writer, value = planned.writer, planned.value
     match writer:
         case Setter():

@@ -1,7 +1,7 @@
 """The resource tree: plans of all URLs below `/resources/`, from the catalogue and the mappings in force. Pure.
 
-A plan says what belongs to a resource and which properties must be read to tell what it is like; nothing in it depends
-on the state of the robot. Plans are made when first asked for and kept with the layout.
+A plan lists the parts of a resource and the properties to be read for its state; it does not depend on the state of the
+robot. Plans are created on first use and cached in the tree.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _MAX_AFFECTED = 10_000
 
 
 class MemberPlan(Struct, frozen=True):
-    """A property within a complex resource: its key, and how a mapping has it (None: as it is).
+    """A property within a complex resource: its key and its mapping (None if it has none).
 
-    `at` is the full name under which it answers by itself; None where that is already another's.
+    `at` is the full name of its own resource; None if another property has that name.
     """
 
     name: str
@@ -45,15 +45,15 @@ class MemberPlan(Struct, frozen=True):
 
     @property
     def field(self) -> str | None:
-        """The one scalar that is shown of the property's value."""
+        """The single scalar of the property's value that is shown."""
         return self.mapped.field if self.mapped is not None else None
 
 
 class ActionPlan(Struct, frozen=True):
     """An action by its full name; it is on offer while all of `exists_when` and `conditions` hold.
 
-    `service` is the service that it calls, or (`sends_goals`) the action of ROS that it sends goals to. `schema` is
-    None where the type of that is not known. `parts` are the properties that tell how its goal stands.
+    `service` is the service that it calls, or (`sends_goals`) the ROS action that it sends goals to. `schema` is None
+    if the type of that is unknown. `parts` are the properties for the state of its goal.
     """
 
     name: str
@@ -68,7 +68,6 @@ class ActionPlan(Struct, frozen=True):
 
     @property
     def request(self) -> MessageSchema | None:
-        """The schema of the request."""
         match self.schema:
             case ActionSchema(goal=goal):
                 return goal
@@ -78,7 +77,7 @@ class ActionPlan(Struct, frozen=True):
 
     @property
     def parent(self) -> str:
-        """The path of the complex resource that it lies in."""
+        """The path of the complex resource that contains it."""
         return parent_of_name(self.name)
 
 
@@ -98,9 +97,9 @@ class ChildPlan(Struct, frozen=True):
 
 
 class ComplexPlan(Struct, frozen=True):
-    """A complex resource. `reads` are all properties that tell its state and what it offers.
+    """A complex resource. `reads` are all properties that determine its state and its offers.
 
-    `warnings` say what its mapping names that is not there, or cannot be offered.
+    `warnings` are about parts of its mapping that are missing or cannot be offered.
     """
 
     path: str
@@ -121,7 +120,7 @@ class ComplexPlan(Struct, frozen=True):
 
 
 class PropertyPlan(Struct, frozen=True):
-    """A property by itself, or one field of it under a name of its own, as a mapping may have it."""
+    """A property, or one field of it under a name defined by a mapping."""
 
     name: str
     source: Property
@@ -132,22 +131,22 @@ class PropertyPlan(Struct, frozen=True):
 
     @property
     def parent(self) -> str:
-        """The path of the complex resource that it lies in."""
+        """The path of the complex resource that contains it."""
         return parent_of_name(self.name)
 
     @property
     def member(self) -> MemberPlan:
-        """The same as a part of its complex resource."""
+        """The property as a member of its complex resource."""
         return MemberPlan(self.name.rpartition("/")[2], self.source, self.name, self.write_conditions, self.mapped)
 
     @property
     def is_conditional(self) -> bool:
-        """Whether what it offers depends on conditions."""
+        """Whether its affordances depend on conditions."""
         return bool(self.exists_when or self.write_conditions)
 
 
 def path_of(namespace: tuple[str, ...]) -> str:
-    """Return the path of a namespace: `/aircraft/` of `("aircraft",)`, `/` of none."""
+    """Return the path of a namespace: `/aircraft/` for `("aircraft",)`, `/` for none."""
     return "/" + "".join(f"{segment}/" for segment in namespace)
 
 
@@ -157,12 +156,12 @@ def segments_of(path: str) -> tuple[str, ...]:
 
 
 def parent_of(path: str) -> str | None:
-    """Return the path of the complex resource above; None above `/`."""
+    """Return the path of the complex resource above; None for `/`."""
     return None if path == "/" else path[:-1].rpartition("/")[0] + "/"
 
 
 def parent_of_name(name: str) -> str:
-    """Return the path of the complex resource that a name lies in: `/aircraft/` of `/aircraft/power`."""
+    """Return the path of the complex resource that contains a name: `/aircraft/` for `/aircraft/power`."""
     return name.rpartition("/")[0] + "/"
 
 
@@ -195,34 +194,34 @@ class ResourceTree:
 
     @property
     def paths(self) -> Iterable[str]:
-        """The path of every complex resource there may be."""
+        """The paths of all complex resources that may exist."""
         return self._children
 
     @property
     def properties(self) -> Iterable[str]:
-        """The name of every property there may be."""
+        """The names of all properties that may exist."""
         return self.catalogue.properties.keys() | self._picked.keys()
 
     @property
     def actions(self) -> Iterable[str]:
-        """The name of every action there may be."""
+        """The names of all actions that may exist."""
         derived = (name for name, one in self.catalogue.actions.items() if one.service not in self._claimed)
         return self._named.keys() | derived
 
     def complex(self, path: str) -> ComplexPlan | None:
-        """Return the complex resource at a path, None where there is none."""
+        """Return the complex resource at a path, or None."""
         return _get_or_make(self._complexes, path, self._complex)
 
     def property(self, name: str) -> PropertyPlan | None:
-        """Return the property of a name, None where there is none."""
+        """Return the property with a name, or None."""
         return _get_or_make(self._properties, name, self._property)
 
     def action(self, name: str) -> ActionPlan | None:
-        """Return the action of a name, None where there is none."""
+        """Return the action with a name, or None."""
         return _get_or_make(self._actions, name, self._action)
 
     def replacement(self, service: str) -> str | None:
-        """Return the action that a mapping offers a service as, None where no mapping speaks of it."""
+        """Return the action that replaces a service according to a mapping, or None."""
         found = self._claimed.get(service)
         return found[0][0].path + found[0][1].name if found else None
 
@@ -231,7 +230,7 @@ class ResourceTree:
         return _once(each for resource in mapped_above(self.mapping_set, path) for each in resource.exists_when)
 
     def state_properties(self, about: str) -> tuple[Property, ...]:
-        """The properties that are the state of a complex resource (a path) or of a property (a name)."""
+        """Return the properties that are the state of a complex resource (a path) or of a property (a name)."""
         if not about.endswith("/"):
             found = self.catalogue.properties.get(about)
             return () if found is None else (found,)
@@ -247,23 +246,23 @@ class ResourceTree:
         )
 
     def properties_in(self, conditions: Iterable[Condition]) -> tuple[Property, ...]:
-        """The properties that must be read to evaluate these conditions."""
+        """Return the properties that must be read to evaluate these conditions."""
         return self._reads((), conditions)
 
     def lock_names(self, names: Iterable[str]) -> tuple[str, ...]:
-        """The names that a write to these names must lock, in an order that all writes share.
+        """Return the names that a write to these names must lock, in the order that all writes use.
 
-        Nothing where no condition hangs together with them.
+        Empty if no condition is connected with them.
         """
         paths = {path for name in names for path in self._affected_resources(name)}
         components = (connected_paths(self.mapping_set, path) for path in paths)
         return tuple(sorted({min(found) for found in components if len(found) > 1 or _has_conditions(self, found)}))
 
     def affected_by(self, kind: Kind, name: str) -> frozenset[str]:
-        """The properties whose values may be others after a write to a topic, service or parameter.
+        """Return the properties whose values a write to a topic, service or parameter may change.
 
-        Those of its complex resources, of every resource that has a condition about one of them, and what their
-        conditions are about: for what is guarded by a state is likely to change it.
+        These are the properties of its complex resources, of every resource with a condition about one of them, and the
+        subjects of their conditions: a write that depends on a state is likely to change it.
         """
         found = self._affected.get((kind, name))
         if found is None:
@@ -290,7 +289,7 @@ class ResourceTree:
             yield from mapped.conditions()
 
     def _affected_resources(self, name: str) -> frozenset[str]:
-        """Return the complex resources that a property or action belongs to, and those with conditions about it."""
+        """Return the complex resources that contain a property or action, and those with conditions about it."""
         mapping = {resource.path for resource in self.mapping_set.resources.values() if name in members_of(resource)}
         return frozenset({parent_of_name(name), *mapping, *dependents(self.mapping_set, name)})
 
@@ -371,19 +370,19 @@ class ResourceTree:
         )
 
     def _as_mapped(self, path: str, name: str) -> MappedProperty | None:
-        """Return the mapping of a path as a plan, with one of its own members."""
+        """Return the plan for the mapping of a path and one of its members."""
         resource = self.mapping_set.resources.get(path)
         properties = resource.properties if resource is not None else ()
         return next((one for one in properties if one.member == name and one.field is None), None)
 
     def remapped_property(self, name: str) -> str | None:
-        """Return the property that a mapping calls so in the complex resource it lies in, taking it from elsewhere."""
+        """Return the property elsewhere that a mapping gives this name within its complex resource."""
         home = self.mapping_set.resources.get(parent_of_name(name))
         called = () if home is None else (one for one in home.properties if home.path + one.name == name)
         return next((one.member for one in called if one.member != name and one.member in self.properties), None)
 
     def names_of(self, name: str) -> Iterator[tuple[str, str | None]]:
-        """Yield the names under which a property answers, each with the field that is shown there (None: all of it)."""
+        """Yield the names of the resources of a property, each with the field shown there (None for all of it)."""
         yield name, None
         for at, mapped in self._picked.items():
             if mapped.member == name:
@@ -408,18 +407,18 @@ class ResourceTree:
         )  # fmt: skip
 
     def _parts(self, action: str) -> tuple[Property, ...]:
-        """The properties that tell how the goal of an action of ROS stands, where no other thing has their names."""
+        """Return the properties for the goal of a ROS action whose names are not taken otherwise."""
         found = (self.catalogue.properties.get(f"{action}/{part.value}") for part in GoalPart)
         return tuple(one for one in found if one is not None and isinstance(one.readers[0], GoalSource))
 
     def _unclaimed(self, found: Property) -> Property:
-        """Return the property without those writers that a mapping offers as actions: they are guarded there."""
+        """Return the property without the writers that a mapping offers as actions, where conditions guard them."""
         writers = tuple(one for one in found.writers if one.name not in self._claimed)
         return found if len(writers) == len(found.writers) else replace(found, writers=writers)
 
 
 def _children(namespaces: Iterable[tuple[str, ...]], mapping_set: MappingSet) -> dict[str, set[str]]:
-    """Return the paths directly below each path, derived and mapped; `/` is always there."""
+    """Return the paths directly below each path, derived and mapped; `/` always exists."""
     found: dict[str, set[str]] = {"/": set()}
     for path in (*map(path_of, namespaces), *mapping_set.resources):
         while path not in found:
@@ -439,7 +438,7 @@ def _has_conditions(tree: ResourceTree, paths: Iterable[str]) -> bool:
 
 
 def _schemas(catalogue: Catalogue) -> dict[str, ServiceSchema | ActionSchema]:
-    """The type of every service and every action whose type is known, by its name."""
+    """Return the types of all services and actions with a known type, by name."""
     found = {action.service: action.schema for action in catalogue.actions.values() if action.schema is not None}
     for one in catalogue.properties.values():
         found |= {way.name: way.schema for way in (*one.readers, *one.writers) if isinstance(way, Getter | Setter)}
@@ -451,7 +450,7 @@ def _once(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
 
 
 def _get_or_make(kept: dict[str, _P | None], key: str, make: Callable[[str], _P | None]) -> _P | None:
-    """Return a cached value, or make it; None is not cached, because missing names are unlimited."""
+    """Return a cached value or create it; None is not cached, because the number of missing names is unlimited."""
     found = kept.get(key)
     if found is None:
         found = make(key)

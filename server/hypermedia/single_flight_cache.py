@@ -1,4 +1,4 @@
-"""Single-flight cache: an answer is cached for a while, and concurrent requests for it share one fetch."""
+"""Single-flight cache: a value is cached for a while, and concurrent requests for it share one fetch."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
 Fetch: TypeAlias = Callable[[Sequence[K]], Awaitable[Mapping[K, V]]]
-"""Answers all of the keys together; it never raises."""
+"""Return the values of all keys; never raises."""
 
 Slot: TypeAlias = "AbstractAsyncContextManager[None]"
-"""Where a fetch waits until it may begin, such as a semaphore."""
+"""Context manager in which a fetch runs, such as a semaphore."""
 
 _MAX_ENTRIES = 65536
 
 
 class CacheEntry(Struct, Generic[V], frozen=True):
-    """The answer to a fetch that began at turn `started`; valid until the loop time `until`."""
+    """The result of a fetch that began at turn `started`; valid until the loop time `until`."""
 
     value: V
     started: int
@@ -32,7 +32,7 @@ class CacheEntry(Struct, Generic[V], frozen=True):
 
 
 class PendingFetch(Generic[K, V]):
-    """A fetch under way, which goes on when its callers stop waiting; `started` is its turn, 0 while it is queued."""
+    """A fetch in progress, which continues if its callers stop waiting; `started` is its turn, or 0 if queued."""
 
     def __init__(self, keys: Sequence[K]) -> None:
         self.keys = keys
@@ -40,7 +40,7 @@ class PendingFetch(Generic[K, V]):
         self.task: asyncio.Task[Mapping[K, V]]
 
     async def wait(self, deadline: float) -> Mapping[K, V] | None:
-        """Return the answers, None where there are none by `deadline` (loop time)."""
+        """Return the values, or None if the fetch does not finish by `deadline` (loop time)."""
         if not self.task.done():
             left = deadline - asyncio.get_running_loop().time()
             await asyncio.wait({self.task}, timeout=max(0.0, left))
@@ -48,9 +48,9 @@ class PendingFetch(Generic[K, V]):
 
 
 class SingleFlightCache(Generic[K, V]):
-    """Answers by key, each fresh for `freshness` seconds.
+    """Values by key, each valid for `freshness` seconds.
 
-    Whenever a fetch begins it takes a number from `turns`, which orders fetches and callers.
+    Every fetch takes a number from `turns` at its start, which orders fetches and callers.
     """
 
     def __init__(self, freshness: float, turns: Iterator[int]) -> None:
@@ -61,16 +61,16 @@ class SingleFlightCache(Generic[K, V]):
         self._tasks: set[asyncio.Task[Mapping[K, V]]] = set()
 
     def find(self, key: K, since: int = 0) -> CacheEntry[V] | None:
-        """The answer if it is fresh and its fetch began after the turn `since`."""
+        """Return the value if it is valid and its fetch began after the turn `since`."""
         answer = self._kept.get(key)
         if answer is None or answer.started <= since or answer.until <= asyncio.get_running_loop().time():
             return None
         return answer
 
     def fetch(self, keys: Iterable[K], start: Fetch[K, V], slot: Slot, since: int = 0) -> Sequence[PendingFetch[K, V]]:
-        """The fetches that will answer all keys: those under way that begin after `since`, and one for the others.
+        """Return the fetches for all keys: pending ones that begin after `since`, and a new one for the other keys.
 
-        That one begins once there is a `slot`.
+        The new one begins once a `slot` is free.
         """
         shared: dict[PendingFetch[K, V], None] = {}
         others = []
@@ -85,7 +85,7 @@ class SingleFlightCache(Generic[K, V]):
         return tuple(shared)
 
     def invalidate(self, key: K) -> None:
-        """End the validity of a value, also of one being fetched: the next read fetches it again."""
+        """Invalidate a value, even while it is being fetched, so that the next read fetches it again."""
         self._kept.pop(key, None)
         pending = self._under_way.get(key)
         if pending is not None and pending.started:
@@ -114,7 +114,7 @@ class SingleFlightCache(Generic[K, V]):
             self._settle(pending, answers)
 
     def _settle(self, pending: PendingFetch[K, V], answers: Mapping[K, V]) -> None:
-        """Cache the answers, but for those that were invalidated meanwhile."""
+        """Cache the values, except those invalidated meanwhile."""
         until = asyncio.get_running_loop().time() + self._freshness
         for key in pending.keys:
             if self._under_way.get(key) is pending:

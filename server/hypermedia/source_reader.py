@@ -1,4 +1,4 @@
-"""Reads one source of a property: a topic, a getter service or a parameter."""
+"""Reader of the sources of properties: topics, getter services and parameters."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _log = logging.getLogger("rosld.hypermedia")
 
 
 class ReadResult(NamedTuple):
-    """The result of a read: a value, or why there is none; both None where there is none yet.
+    """The result of a read: a value, or the reason for its absence; both are None if there is no value yet.
 
-    `words` are what the robot said to that.
+    `words` are the robot's own words about a failure.
     """
 
     value: Value | None
@@ -37,7 +37,7 @@ NO_VALUE = ReadResult(None, None, None)
 
 
 class TopicLook(NamedTuple):
-    """The result of reading a topic: its view, and the schema of the newest message or why that is not known."""
+    """The result of reading a topic: its view, and the schema of the newest message or why that is unknown."""
 
     view: TopicView
     schema: MessageSchema | None = None
@@ -45,7 +45,7 @@ class TopicLook(NamedTuple):
 
 
 def timeout_message(name: str, seconds: float) -> str:
-    """The failure of what has not answered in time."""
+    """Return the failure of a source that did not answer in time."""
     return f"{name} has not answered within {round(seconds, 1):g} s"
 
 
@@ -59,7 +59,7 @@ def decode_value(topic: str, sample: Sample, schema: MessageSchema, origin: str)
 
 
 def part_of_goal(source: GoalSource, goal: Goal | None) -> object:
-    """The part of a goal that a source is about, to be compared by identity: it outlives the goal's next states."""
+    """Return the part of a goal that a source shows, an object that stays the same when other parts change."""
     if goal is None:
         return None
     parts = {
@@ -72,7 +72,7 @@ def part_of_goal(source: GoalSource, goal: Goal | None) -> object:
 
 
 def goal_value(source: GoalSource, goal: Goal | None, origin: str) -> ReadResult:
-    """Return the value of a goal's part; without a goal, its absence; None before the first message."""
+    """Return the value of a goal's part, or the status of no goal; None before the first message."""
     if source.part is GoalPart.STATUS:
         word, told_ns = (IDLE, None) if goal is None else (goal.status.value, goal.updated_ns)
         return ReadResult(StoredValue(word), None, told_ns)
@@ -91,7 +91,7 @@ def goal_value(source: GoalSource, goal: Goal | None, origin: str) -> ReadResult
 
 
 class SourceReader:
-    """Reads the sources of one robot. Nothing here raises: a failure is a result that names the ROS thing."""
+    """Reader of the sources of one robot. Its methods do not raise: a failure is a result that names the source."""
 
     def __init__(self, adapter: Adapter, topics: LiveTopics, schemas: Schemas, patience: float) -> None:
         self._adapter = adapter
@@ -100,7 +100,7 @@ class SourceReader:
         self._patience = patience
 
     async def read_topic(self, topic: str) -> TopicLook:
-        """Return a look at a topic: waits a moment for its first message."""
+        """Return the result of reading a topic, after a short wait for its first message."""
         view = TopicView()
         try:
             view = await self._topics.read(topic)
@@ -110,7 +110,7 @@ class SourceReader:
             return TopicLook(view, None, self._failure(topic, error)[0])
 
     async def call_getter(self, getter: Getter, origin: str) -> ReadResult:
-        """Return the answer of a getter, within the patience."""
+        """Return the result of calling a getter, within `patience` seconds."""
         response = getter.schema.response
         try:
             message = await self._answer(getter)
@@ -131,7 +131,7 @@ class SourceReader:
         return schema.response.codec.decode(await asyncio.wait_for(asked, self._patience), encoding)
 
     async def read_parameters(self, names: Sequence[str]) -> Mapping[str, ReadResult]:
-        """Return the values of parameters, within the patience, fetched together."""
+        """Return the values of parameters, fetched together within `patience` seconds."""
         deadline = asyncio.get_running_loop().time() + self._patience
         try:
             asked = self._adapter.get_parameters(names, deadline=deadline)
@@ -145,7 +145,7 @@ class SourceReader:
         }
 
     def _failure(self, name: str, error: Exception) -> tuple[str, str | None]:
-        """Why something cannot be read, and what the robot said to that."""
+        """Return the reason why a source cannot be read, and the robot's own words."""
         match error:
             case TimedOut() | asyncio.TimeoutError() | TimeoutError():
                 return timeout_message(name, self._patience), None
@@ -162,7 +162,7 @@ class SourceReader:
 def _parameter_result(name: str, value: ParameterValue) -> ReadResult:
     try:
         parameter_json(value)
-    except (ValueError, TypeError) as error:  # nested too deep, or a string that is no Unicode
+    except (ValueError, TypeError) as error:  # nested too deeply, or a string that is not valid Unicode
         return ReadResult(None, f"{name} cannot be shown: {error}", time.time_ns())
     return ReadResult(StoredValue(value), None, time.time_ns())
 

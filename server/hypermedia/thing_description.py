@@ -1,7 +1,7 @@
 """Thing Descriptions (WoT TD 1.1) of complex resources, or of the whole robot, for WoT clients. Pure.
 
-Clients keep them, so they list all affordances, also those that are not on offer now. What is offered now, the RDF of
-the resources says.
+Clients store them, so they list all affordances, including those not on offer now; the RDF of the resources has the
+current ones.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _CONTEXT = (
     {"ros": ros.iri, "map": mapping.iri, "qudt": qudt.iri},
 )
 _SECURITY: Members = {"nosec_sc": {"scheme": "nosec"}}
-"""The security schemes by name; each of them must be met (WoT TD 1.1, 5.3.3)."""
+"""Security schemes by name; a client needs all of them (WoT TD 1.1, 5.3.3)."""
 
 STOP = "stopRobot"
-"""What the action that stops the whole robot is called in every Thing Description."""
+"""Name of the action that stops the whole robot in every Thing Description."""
 
 _SETTINGS = LiftSettings()
 _POSITIVE: Members = {"type": "number", "exclusiveMinimum": 0}
@@ -66,10 +66,10 @@ def thing_description(
     stop: str | None = None,
     lifting: LiftSettings = _SETTINGS,
 ) -> bytes:
-    """The Thing Description of what is at `url`, in JSON-LD; its affordances go by their names.
+    """Return the Thing Description of the thing at `url` in JSON-LD, with affordances by name.
 
-    `whole`: GET of `url` reads all these properties at once. `stop` is the URL at which the whole robot is stopped. An
-    affordance that has no form, because nothing can ever be done with it, is left out.
+    `whole`: GET of `url` reads all these properties at once. `stop` is the URL that stops the whole robot. Affordances
+    without forms, which can never be used, are omitted.
     """
     thing: Members = {
         "@context": _CONTEXT,
@@ -99,7 +99,7 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
     forms = [
         *([_form(one.url, "readproperty", "GET")] if one.read else ()),
         *([_form(one.url, "writeproperty", "PUT")] if one.write else ()),
-        # The content type is that of what each event carries.
+        # The content type is that of the data in each event.
         *([_form(one.url, _OBSERVE, "GET", subprotocol="sse")] if observable else ()),
     ]
     return _fragment(
@@ -119,9 +119,9 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
 
 @lru_cache(maxsize=4096)
 def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
-    """Return an action (5.3.1.4): what to send, unless that is nothing.
+    """Return an action (5.3.1.4) with its input, if any.
 
-    Its answer is the state of its complex resource, of one that sends goals the goal, which is queried and canceled:
+    Its output is the state of its complex resource or, if it sends goals, the goal, which can be queried and canceled:
     feedback and result are properties.
     """
     assert one.request is not None
@@ -141,7 +141,7 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
 
 
 def _hold(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment:
-    """Return the action that holds the topic behind a property, for as long as the hold that it makes is renewed."""
+    """Return the action that holds the topic behind a property while the client renews the hold."""
     assert one.hold is not None
     return _fragment(
         {
@@ -159,7 +159,7 @@ def _hold(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment:
 
 
 def _goal_forms(one: ActionAffordance) -> Iterator[Members]:
-    """Return the forms that query the state of a goal, and cancel it."""
+    """Return the forms that query and cancel a goal."""
     if one.goals is not None and one.goals.status is not None:
         yield _form(one.goals.status, "queryaction", "GET")
     if one.goals is not None and one.goals.can_cancel:
@@ -167,7 +167,7 @@ def _goal_forms(one: ActionAffordance) -> Iterator[Members]:
 
 
 def _stop(url: str) -> orjson.Fragment:
-    """The action that stops the whole robot: invoked to stop, queried for how that stands, canceled to release."""
+    """Return the action that stops the whole robot; querying it returns the stop, canceling it releases the robot."""
     reason = {"type": "object", "properties": {"reason": {"type": "string", "maxLength": 500}}}
     return _fragment(
         {
@@ -198,12 +198,12 @@ def _link(link: ThingLink) -> Members:
 
 
 def _led_to(term: str, value: NamedNode | None) -> Members:
-    """Return a term of a vocabulary of the context, with an IRI; nothing where that is None."""
+    """Return a member with a term of a vocabulary of the context as an IRI; empty for None."""
     return {} if value is None else {term: {"@id": value.value}}
 
 
 def _without_none(**members: object) -> Members:
-    """The members that have a value."""
+    """Return the members that have a value."""
     return {name: value for name, value in members.items() if value is not None}
 
 

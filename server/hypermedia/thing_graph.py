@@ -1,6 +1,6 @@
-"""Thing Descriptions as RDF: the triples that W3C's JSON-LD context makes of them (WoT TD 1.1, 6.3). Pure.
+"""Thing Descriptions as RDF: the triples according to the JSON-LD context of W3C (WoT TD 1.1, 6.3). Pure.
 
-The context is large, and never fetched: this holds the part of it that `thing_description.py` has a use for.
+The context is large and never fetched: this module has the part that `thing_description.py` uses.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Type inference: the use of a service or topic as a property or action, by its type. Pure.
 
-A name only proposes a getter or a setter; these functions decide. A GET must be safe (RFC 9110 9.2.1), so nothing that
-could be a command is a getter: a response that is only a status is that of a command.
+A name only proposes a getter or a setter; these functions decide. A GET must be safe (RFC 9110 9.2.1), so a service
+that could be a command is no getter: a response with only a status is that of a command.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from rosld.ontology.literals import STRINGS
 from rosld.shapes.value import MessageShape, OpenShape, ScalarShape, ValueShape
 
 _OCTETS = frozenset({"byte", "char", "octet", "int8", "uint8", "int16", "uint16"})
-"""Numbers of which an array without a bound is a picture, a cloud, a map or a sound."""
+"""Types of numbers whose unbounded arrays are pictures, clouds, maps or sounds."""
 _MAX_NUMBERS = 1000
-"""The most numbers in an array of a light message."""
+"""Maximum number of numbers in an array of a light message."""
 _HEAVY = frozenset({"LaserScan", "MultiEchoLaserScan", "LaserEcho", "PointCloud", "PolygonMesh", "Mesh", "Marker"})
-"""Types of other numbers without a bound of which there are many; a battery's cells and a robot's joints are few."""
+"""Other types of numbers with large unbounded arrays; a battery's cells and a robot's joints are few."""
 
 _BULKY = frozenset({"PointCloud", "PolygonMesh", "Mesh"})
 
 
 @lru_cache(maxsize=1024)
 def is_light(schema: MessageSchema) -> bool:
-    """Whether messages of a type, with those within, are small as a rule."""
+    """Whether messages of a type are usually small, including nested messages."""
     kinds = schema.types.values()
     if any(kind.name.rpartition("/")[2] in _HEAVY for kind in kinds):
         return False
@@ -53,13 +53,13 @@ def _is_many(kind: object) -> bool:
 
 
 MAX_ELEMENTS = 64
-"""The most elements that an array of a light response may have, those of arrays within it multiplied."""
+"""Maximum number of elements of an array in a light response, with nested arrays multiplied."""
 
 _WORDS = frozenset({"message", "status_message"})
 
 
 def value_fields(schema: ServiceSchema) -> tuple[Field, ...]:
-    """Return the fields of the response that are a value; none where this type is no getter's.
+    """Return the fields of the response that form the value; empty if the type is not that of a getter.
 
     A getter's request is empty and its response is light and more than a status. The status is `bool success` and, with
     it, the string `message` or `status_message`.
@@ -82,14 +82,14 @@ def _is_words(field: Field) -> bool:
 
 
 def is_small(schema: MessageSchema) -> bool:
-    """Whether messages of this type are always small: every array in it is short, and none may grow as it likes."""
+    """Whether messages of this type are always small: every array in it is short and bounded."""
     return _widest(schema, schema.ref.name, {}) <= MAX_ELEMENTS
 
 
 def _widest(schema: MessageSchema, name: str, known: dict[str, float]) -> float:
-    """Return the most that one field of a type can be repeated; each type is looked at once."""
+    """Return the maximum number of repetitions of one field of a type; each type is visited once."""
     if name not in known:
-        known[name] = inf  # what a type that contains itself comes to
+        known[name] = inf  # the result for a type that contains itself
         known[name] = max((_repeated(schema, field, known) for field in schema.types[name].fields), default=1)
     return known[name]
 
@@ -134,7 +134,7 @@ def _tree(fields: tuple[Field, ...]) -> dict[str, object]:
 
 
 def _nested_types(shape: MessageShape) -> Iterator[str]:
-    """Yield the types that a value holds, outermost first, each once."""
+    """Yield the types within a value, outermost first, without duplicates."""
     seen: set[str] = set()
     waiting = list(shape.fields)
     while waiting:

@@ -39,15 +39,15 @@ from rosld.server.hypermedia.catalogue import Getter, Property, Setter, TopicSou
 from rosld.shapes.value import MessageShape
 
 WHOLE = LiftSettings().unelided
-"""Settings under which nothing is elided."""
+"""Lifting settings that elide nothing."""
 
 _WORDS = frozenset({"message", "status_message"})
 
 
 class MessageValue(Struct, frozen=True, eq=False):
-    """The `fields` of a message; `origin` is the URL that has the bytes of those that are elided (`?field=`).
+    """The `fields` of a message; `origin` is the URL with the bytes of elided fields (`?field=`).
 
-    That is the topic's URL; of what a getter answered it is the property's own.
+    That is the URL of the topic or, for the response of a getter, of the property.
     """
 
     schema: MessageSchema
@@ -66,13 +66,13 @@ Value: TypeAlias = MessageValue | StoredValue
 
 
 class Reading(Struct, frozen=True, eq=False):
-    """A property as it was read: its value, or why there is none.
+    """The result of reading a property: its value, or the reason for its absence.
 
-    `failure` says what happened without a full stop (a getter that hangs, refuses or has vanished; bytes that cannot be
-    read), None with a value and where there is simply none yet. `read_ns` (wall clock) is when the value was received
-    or answered. `fresh_until` is the loop time until which it may be shown without asking again; None for a topic's,
-    which is good until another message comes. `words` are what the robot said to a failure, `about` the URLs of what
-    failed. Readings are compared by identity: the same object means that nothing changed.
+    `failure` describes the problem without a full stop (a getter that times out, refuses or has vanished; invalid
+    bytes); it is None if there is a value or no value yet. `read_ns` (wall clock) is when the value was received.
+    `fresh_until` is the loop time until which it may be reused; None for a topic, whose value is valid until the next
+    message. `words` are the robot's own words about a failure, `about` the URLs of the sources that failed. Readings
+    are compared by identity: the same object means that nothing changed.
     """
 
     name: str
@@ -88,12 +88,12 @@ class Reading(Struct, frozen=True, eq=False):
 
 
 def scalar_field(fields: tuple[Field, ...]) -> Field | None:
-    """Return the one field that is a scalar value; None where the value is a message."""
+    """Return the single field that is a scalar value; None if the value is a message."""
     return fields[0] if len(fields) == 1 and isinstance(fields[0].type, Primitive) else None
 
 
 def select_fields(schema: MessageSchema, fields: tuple[Field, ...]) -> MessageSchema:
-    """Return the schema with only these of its fields; messages built by it have ROS's defaults in the others."""
+    """Return the schema with only these fields; the others have ROS's defaults in its messages."""
     return schema if fields == schema.type.fields else _part_of(schema, fields)
 
 
@@ -105,7 +105,7 @@ def _part_of(schema: MessageSchema, fields: tuple[Field, ...]) -> MessageSchema:
 
 
 class _PartCodec:
-    """The codec of a schema that builds whole messages from the values of some fields."""
+    """Codec that builds whole messages from the values of some fields."""
 
     def __init__(self, schema: MessageSchema) -> None:
         self._schema = schema
@@ -128,7 +128,7 @@ class _PartCodec:
 
 
 def refusal_text(schema: MessageSchema, response: Message, value: tuple[Field, ...] = ()) -> str | None:
-    """Return the words of a response with `bool success` false (or ""); None for other responses.
+    """Return the message of a response with `bool success` false (or ""); None for other responses.
 
     The fields of its `value` are no status.
     """
@@ -143,7 +143,7 @@ def refusal_text(schema: MessageSchema, response: Message, value: tuple[Field, .
 
 
 def shape_url(reading: Reading, field: str | None, space: Space) -> str | None:
-    """Return the URL of the shape that a reading conforms to where it is shown as a message with all of its fields."""
+    """Return the URL of the shape that a reading shown as a message with all of its fields conforms to."""
     value = reading.value
     if not isinstance(value, MessageValue) or field is not None or value.fields != value.schema.type.fields:
         return None
@@ -154,9 +154,9 @@ def shape_url(reading: Reading, field: str | None, space: Space) -> str | None:
 
 
 def plain_json(value: Value, lifting: LiftSettings) -> bytes:
-    """Return the value as plain JSON: a scalar as it is and never elided, a message as the object of its fields.
+    """Return the value as plain JSON: a scalar (never elided), or a message as the object of its fields.
 
-    Raises ValueError for a parameter's value that is nested too deep.
+    Raises ValueError for the value of a parameter that is nested too deeply.
     """
     if isinstance(value, StoredValue):
         return parameters.parameter_json(value.value)
@@ -167,9 +167,9 @@ def plain_json(value: Value, lifting: LiftSettings) -> bytes:
 
 
 def field_json(value: Value, field: str) -> bytes:
-    """One scalar of the value, by its path (`pose.position.x`), as plain JSON.
+    """Return one scalar of the value, by its path (`pose.position.x`), as plain JSON.
 
-    Raises ValueError, with a sentence, where there is no such scalar.
+    Raises ValueError, with a sentence, if there is no such scalar.
     """
     if isinstance(value, StoredValue):
         return parameters.parameter_json(_stored_at(value.value, field))
@@ -192,7 +192,7 @@ def scalar_json(kind: Primitive, value: object) -> bytes:
 def value_literal(value: Value, field: str | None = None) -> Literal | None:
     """Return the literal of a scalar, or of that at the path `field`; None for messages and trees of parameters.
 
-    Raises ValueError, with a sentence, where there is no scalar at `field`.
+    Raises ValueError, with a sentence, if there is no scalar at `field`.
     """
     if isinstance(value, StoredValue):
         stored = value.value if field is None else _stored_at(value.value, field)
@@ -210,7 +210,7 @@ def _literal(kind: Primitive, value: object) -> Literal:
     text = cast(str, value)
     try:
         return Literal(text)
-    except ValueError:  # bytes that are no UTF-8
+    except ValueError:  # invalid UTF-8
         return Literal(base64_text(wire_bytes(text)), datatype=NamedNode(BASE64))
 
 
@@ -248,7 +248,7 @@ def _stored_at(value: ParameterValue, path: str) -> ParameterValue:
 
 
 def version_key(reading: Reading) -> str:
-    """Return a short text that differs whenever the value or the failure does; when it was read does not matter."""
+    """Return a short text that changes with the value or the failure, but not with the time of reading."""
     value = reading.value
     if isinstance(value, MessageValue):
         ref = value.schema.ref
@@ -268,8 +268,8 @@ def content_from_rdf(
 ) -> object:
     """Return the content that `subject` `predicate` states for a property.
 
-    That is a literal, or a node whose type is that of messages which the property is read as or written with. Raises
-    LoweringError where there is nothing, more than one value, or a value of another kind.
+    The content is a literal, or a node typed as one of the messages that the property is read as or written with.
+    Raises LoweringError if there is no value, more than one, or a value of another kind.
     """
     term = _single_object(body, subject, predicate)
     if isinstance(term, Literal):
@@ -291,7 +291,7 @@ def _single_object(body: RdfBody, subject: NamedNode, predicate: NamedNode) -> T
 def _describe(
     body: RdfBody, node: NamedNode | BlankNode, property: Property, lifting: LiftSettings, document: str
 ) -> object:
-    """Return the plain JSON of the message that a node is."""
+    """Return the plain JSON of the message at a node."""
     kinds = body.objects(node, rdf.type)
     known = {NamedNode(lifting.types + each.schema.ref.name): each for each in layouts(property)}
     found = next((known[kind] for kind in kinds if isinstance(kind, NamedNode) and kind in known), None)

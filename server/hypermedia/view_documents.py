@@ -1,9 +1,9 @@
 """Documents of properties, actions and complex resources with the operations on offer, as RDF and as JSON.
 
-What may be done is said in the words of WoT's Thing Description ontology and its hypermedia controls: an affordance a
-property and action, a form an operation (method, target, media types), and the SHACL shape of what to send. Of this
-nothing changes with the values, so it is made once. In a complex resource the fragments of affordances hold a slash
-(`#properties/power`) and those of values never do (`#power`, `#power.x`), so that no two are ever the same.
+Operations are described by the ontologies of WoT Thing Descriptions and hypermedia controls: an affordance per property
+and action, a form per operation (method, target, media types), and the SHACL shape of the input. These do not depend on
+values, so they are created once. Within a complex resource, fragments of affordances contain a slash
+(`#properties/power`) and those of values do not (`#power`, `#power.x`), so that they never collide.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from rosld.shapes.affordance import value_shape_triples
 from rosld.shapes.value import MessageShape
 
 VALUE = "#value"
-"""The node of a property's value, where that is a message."""
+"""Fragment of the node of a property's value, if that is a message."""
 
 
 # Properties
@@ -49,7 +49,7 @@ VALUE = "#value"
 def property_document(
     view: PropertyView, space: Space, lifting: LiftSettings, *, simulated_time: bool = False
 ) -> Document:
-    """A property: its value as rdf:value, what it is read from and written to, and what may be done with it now."""
+    """Return a property: its value as rdf:value, its sources, and its current affordances."""
     subject = NamedNode(view.affordance.url)
     said = _said(view.reading, view.field, subject.value, VALUE, lifting)
     name = view.reading.name if view.field is None else _name(subject.value, space)
@@ -63,7 +63,7 @@ def property_document(
 
 
 def property_json(view: PropertyView, lifting: LiftSettings) -> bytes:
-    """Return the value of a property as plain JSON; null where there is none."""
+    """Return the value of a property as plain JSON; null if there is none."""
     return _json(view.reading, view.field, lifting)
 
 
@@ -93,7 +93,7 @@ def _property(
 
 
 def action_document(view: ActionView, space: Space, lifting: LiftSettings) -> Document:
-    """Return an action: the service or action of ROS behind it, how to invoke it, and how to see what becomes of it."""
+    """Return an action: its ROS service or action, how to invoke it, and how to follow its goal."""
     subject = NamedNode(view.affordance.url)
     triples = triples_about(
         subject,
@@ -110,7 +110,7 @@ def action_document(view: ActionView, space: Space, lifting: LiftSettings) -> Do
 
 
 def _name(url: str, space: Space) -> str | None:
-    """The full name of what is at a URL below `resources/`."""
+    """Return the full name of the resource at a URL below `resources/`."""
     location = space.location(url)
     return None if location is None else location.name
 
@@ -121,9 +121,9 @@ def _name(url: str, space: Space) -> str | None:
 def complex_document(
     view: ComplexView, space: Space, lifting: LiftSettings, *, simulated_time: bool = False
 ) -> Document:
-    """Return a complex resource: the values of its members, the links and actions on offer now, and how to use them.
+    """Return a complex resource: the values of its members, its current links and actions, and their forms.
 
-    A member with a relation of its own is a property of the complex resource, any other speaks for itself: rdf:value.
+    A member with a relation is a property of the complex resource; other members are resources with an rdf:value.
     """
     subject = NamedNode(view.url)
     triples = [*_complex(view.url, view.path, view.title, view.mapping, view.parent)]
@@ -154,7 +154,7 @@ def complex_document(
 
 
 def complex_json(view: ComplexView, lifting: LiftSettings) -> bytes:
-    """Return the values of the members as a JSON object by name; null for what cannot be read."""
+    """Return the values of the members as a JSON object by name; null for those that cannot be read."""
     pairs = [
         orjson.dumps(member.affordance.name) + b":" + _json(member.reading, member.field, lifting)
         for member in view.members
@@ -179,7 +179,7 @@ def _complex(url: str, path: str, title: str | None, arranged_by: str | None, pa
 
 
 def _contents(view: ComplexView) -> Iterable[str]:
-    """The members, actions and children that lie in it; a member that a mapping takes from elsewhere does not."""
+    """Return the members, actions and children inside a complex resource, without members mapped from elsewhere."""
     used = (*(member.affordance.url for member in view.members), *(action.url for action in view.actions))
     own = (url for url in used if url.startswith(view.url) and "/" not in url[len(view.url) :])
     return dict.fromkeys((*own, *view.children))
@@ -191,7 +191,7 @@ def _contents(view: ComplexView) -> Iterable[str]:
 class _Said(NamedTuple):
     """The statement of a value: its literal, or the node of its message and that message.
 
-    Or why it cannot be read, and what the robot said to that.
+    If the value cannot be read: the reason, and the robot's own words.
     """
 
     term: Literal | NamedNode | None = None
@@ -215,7 +215,7 @@ def _said(reading: Reading, field: str | None, document: str, node: str, lifting
 
 
 def _json(reading: Reading, field: str | None, lifting: LiftSettings) -> bytes:
-    """Return a reading, or one `field` of it, as plain JSON; null where it cannot be read."""
+    """Return a reading, or one `field` of it, as plain JSON; null if it cannot be read."""
     value = reading.value
     if value is None:
         return b"null"
@@ -226,7 +226,7 @@ def _json(reading: Reading, field: str | None, lifting: LiftSettings) -> bytes:
 
 
 def fragment_of(*parts: str) -> str:
-    """A fragment: its parts encoded and joined by slashes. Dots are escaped, for a dot leads to a nested message."""
+    """Return a fragment of encoded parts joined by slashes. Dots are escaped, as they lead to nested messages."""
     return "#" + "/".join(quote(part, safe="").replace(".", "%2E") for part in parts)
 
 
@@ -235,7 +235,7 @@ def fragment_of(*parts: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str, space: Space) -> tuple[Triple, ...]:
-    """A property affordance of the thing that `document` describes, with a form for each thing that may be done now."""
+    """Return a property affordance of the subject of `document`, with a form for each operation available now."""
     subject, shape = NamedNode(document.value + node), NamedNode(f"{document.value}{node}/shape")
     observable = one.read and one.observe
     triples = triples_about(
@@ -261,7 +261,7 @@ def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str
 
 
 def _hold_affordance(one: PropertyAffordance, space: Space) -> tuple[Triple, ...]:
-    """Return the affordance of holding the topic of a property: publishing while the hold is renewed."""
+    """Return the affordance of holding the topic of a property: publishing while the client renews the hold."""
     if one.hold is None:
         return ()
     shape = space.shape(one.shape.schema.ref.name) if isinstance(one.shape, MessageShape) else None
@@ -270,10 +270,9 @@ def _hold_affordance(one: PropertyAffordance, space: Space) -> tuple[Triple, ...
 
 @lru_cache(maxsize=4096)
 def _action_affordance(one: ActionAffordance, document: NamedNode, node: str, space: Space) -> tuple[Triple, ...]:
-    """Return an action affordance of the thing that `document` describes; without a shape, nothing has to be sent.
+    """Return an action affordance of the subject of `document`; without a shape, there is no input.
 
-    An action whose request is not known cannot be invoked. What cannot be invoked affords nothing, but that a goal can
-    be canceled.
+    An action whose request type is unknown cannot be invoked. It then has no form except that for canceling a goal.
     """
     goals, can_invoke = one.goals, one.request is not None and one.is_open
     if not can_invoke and not (goals is not None and goals.can_cancel):
@@ -300,5 +299,5 @@ def _action_affordance(one: ActionAffordance, document: NamedNode, node: str, sp
 
 
 def _shape(schema: MessageSchema | None, space: Space) -> NamedNode | None:
-    """Return the shape of a message; None where its type is not known."""
+    """Return the shape of a message; None if its type is unknown."""
     return None if schema is None else NamedNode(space.shape(schema.ref.name))

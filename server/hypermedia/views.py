@@ -1,8 +1,8 @@
-"""Views: what the resources of `/resources/` look like at one moment, as values.
+"""Views: the state of the resources of `/resources/` at one moment, as values.
 
-`affordance_service.py` makes them, `view_documents.py` writes them as RDF, `thing_description.py` as Thing
-Descriptions, the pages as HTML. URLs are absolute. `redact` returns a view without what an agent may not read, and
-without offers that it may not use.
+`affordance_service.py` creates them, `view_documents.py` writes them as RDF, `thing_description.py` as Thing
+Descriptions, the pages as HTML. URLs are absolute. `redact` returns a view without content that the agent may not read
+and operations that it may not use.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from rosld.shapes.value import ValueShape
 
 
 def _redact_reading(reading: Reading, permissions: Permissions) -> Reading:
-    """Return a reading without the failure of what the agent may not read."""
+    """Return a reading without its failure if the agent may not read the sources."""
     if reading.failure is None or all(map(permissions.may_read, reading.about)):
         return reading
     return replace(reading, failure=WITHHELD, words=None, about=())
 
 
 class PropertyAffordance(Struct, frozen=True):
-    """A property as it can be used: `shape` is what its value is and what may be sent.
+    """The affordance of a property: `shape` is the shape of values read and sent.
 
-    `name` is its key in plain JSON, `predicate` its relation in a complex resource (None where no mapping names one).
-    `write` and `read` are what may be done now (in a Thing Description: ever). `observe`: its changes can be streamed.
-    `hold` is the URL of the topic that can be held, which commands a velocity.
+    `name` is its key in plain JSON, `predicate` its relation in a complex resource (None without a mapping). `write`
+    and `read` are the operations available now (in a Thing Description: ever). `observe`: its changes can be streamed.
+    `hold` is the URL of the topic that can be held, if it takes velocity commands.
     """
 
     name: str
@@ -47,16 +47,16 @@ class PropertyAffordance(Struct, frozen=True):
     hold: str | None = None
 
     def redact(self, permissions: Permissions) -> PropertyAffordance:
-        """It without the interactions that an agent of these rights may not use."""
+        """Return the affordance without the interactions that the agent may not use."""
         read, write = self.read and permissions.may_read(self.url), self.write and permissions.may("PUT", self.url)
         hold = self.hold if self.hold is not None and permissions.may("POST", self.hold) else None
         return replace(self, read=read, observe=self.observe and read, write=write, hold=hold)
 
 
 class GoalAffordance(Struct, frozen=True):
-    """What can be done with the goals of an action of ROS: see at `status` how its goal stands, cancel it (DELETE).
+    """The operations on the goals of a ROS action: read the state of its goal at `status`, cancel it (DELETE).
 
-    `feedback` and `result` are what is told of it, None where the type is not known.
+    `feedback` and `result` are their types, None if unknown.
     """
 
     status: str | None
@@ -65,16 +65,16 @@ class GoalAffordance(Struct, frozen=True):
     result: MessageSchema | None
 
     def redact(self, permissions: Permissions, url: str) -> GoalAffordance:
-        """Return it without the status that the agent may not read or the cancellation it may not ask for at `url`."""
+        """Return it without the status that the agent may not read or the cancellation it may not request at `url`."""
         may_read = self.status is not None and permissions.may_read(self.status)
         can_cancel = self.can_cancel and permissions.may("DELETE", url)
         return replace(self, status=self.status if may_read else None, can_cancel=can_cancel)
 
 
 class ActionAffordance(Struct, frozen=True):
-    """An action: POST to `url`, with a message of `request` (None: its type is not known, so it cannot be called).
+    """The affordance of an action: POST to `url` with a message of `request` (None if its type is unknown).
 
-    `goals`: it takes its time, so that what comes of it is a goal. `is_open`: it may be invoked now.
+    `goals`: an invocation creates a goal. `is_open`: it may be invoked now.
     """
 
     name: str
@@ -86,21 +86,21 @@ class ActionAffordance(Struct, frozen=True):
     is_open: bool = True
 
     def redact(self, permissions: Permissions) -> ActionAffordance:
-        """It without the request and the goals that are not for an agent of these rights; the same where all are."""
+        """Return the affordance without the request and the goals that the agent may not use."""
         goals = None if self.goals is None else self.goals.redact(permissions, self.url)
         request = self.request if permissions.may("POST", self.url) else None
         return self if request is self.request and goals == self.goals else replace(self, request=request, goals=goals)
 
 
 class LinkAffordance(Struct, frozen=True):
-    """A link to follow: `target` is the URL of another resource."""
+    """A link: `target` is the URL of another resource."""
 
     relation: NamedNode
     target: str
 
 
 class Member(Struct, frozen=True):
-    """A property within a complex resource with its value as read; `field` picks one scalar of it."""
+    """A property within a complex resource with its reading; `field` selects one scalar of it."""
 
     affordance: PropertyAffordance
     reading: Reading
@@ -108,10 +108,10 @@ class Member(Struct, frozen=True):
 
 
 class PropertyView(Struct, frozen=True):
-    """A property by itself (`/resources/aircraft/power`).
+    """A single property (`/resources/aircraft/power`).
 
     `reads_from` and `writes_to`: the URLs of the ROS topics, services and parameters behind it; `part_of`: the URL of
-    its complex resource; `field`: the one scalar it shows.
+    its complex resource; `field`: the single scalar it shows.
     """
 
     affordance: PropertyAffordance
@@ -122,7 +122,7 @@ class PropertyView(Struct, frozen=True):
     field: str | None = None
 
     def redact(self, permissions: Permissions) -> PropertyView:
-        """It without the URLs that an agent of these rights may not read."""
+        """Return the view without the URLs that the agent may not read."""
         return replace(
             self,
             affordance=self.affordance.redact(permissions),
@@ -133,9 +133,9 @@ class PropertyView(Struct, frozen=True):
 
 
 class ActionView(Struct, frozen=True):
-    """An action by itself (`/resources/aircraft/start`); `invokes` is the URL of the service or action behind it.
+    """A single action (`/resources/aircraft/start`); `invokes` is the URL of its ROS service or action.
 
-    None for who may not read that. `parts` tell how the goal of an action of ROS stands.
+    `invokes` is None if the agent may not read it. `parts` are the state of the goal of a ROS action.
     """
 
     affordance: ActionAffordance
@@ -144,17 +144,17 @@ class ActionView(Struct, frozen=True):
     parts: tuple[PropertyAffordance, ...] = ()
 
     def redact(self, permissions: Permissions) -> ActionView:
-        """It without what an agent of these rights may not do, and the parts that must not be read."""
+        """Return the view without operations that the agent may not use and parts that it may not read."""
         parts = tuple(one.redact(permissions) for one in self.parts if permissions.may_read(one.url))
         invokes = self.invokes if self.invokes is not None and permissions.may_read(self.invokes) else None
         return replace(self, affordance=self.affordance.redact(permissions), invokes=invokes, parts=parts)
 
 
 class ComplexView(Struct, frozen=True):
-    """A complex resource (`/resources/aircraft/`): everything in it that is on offer now, and nothing else.
+    """A complex resource (`/resources/aircraft/`) with everything that is on offer now.
 
     `children`: the URLs of the complex resources directly below, `parent`: that of the one above; `mapping`: the IRI of
-    what arranges it, None where it is derived from names alone; `warnings`: what that names in vain.
+    the mapping that arranges it, None if it is derived from names alone; `warnings`: the missing parts of the mapping.
     """
 
     url: str
@@ -169,9 +169,9 @@ class ComplexView(Struct, frozen=True):
     warnings: tuple[str, ...] = ()
 
     def redact(self, permissions: Permissions) -> ComplexView:
-        """It without members, actions, links and children that are not for an agent of these rights.
+        """Return the view without members, actions, links and children that the agent may not use.
 
-        Warnings go as a whole: their words may name anything.
+        Warnings are omitted altogether: their text may name any resource.
         """
         return replace(
             self,

@@ -1,1 +1,1 @@
-"""OpenAPI 3.1: a description, for machines, of everything that the server answers, as pure functions of values."""
+"""OpenAPI 3.1 description of everything that the server answers, as pure functions of values."""

@@ -1,4 +1,4 @@
-"""What many operations share: parameters, headers, answers, the schema of problem details."""
+"""Components that many operations share: parameters, headers, responses, the schema of problem details."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ _OTHERWISE = ("Location", "Allow", "Retry-After", "ETag", "Link", "Accept-Put", 
 
 
 def _schema_of(media_type: str, plain: JsonSchema | None) -> JsonSchema | None:
-    """The schema of a body of JSON, or of text; None for other syntaxes."""
+    """Return the schema of a JSON or text body; None for other syntaxes."""
     if media_type == JSON:
         return JSON_LD if plain is None else plain
     if media_type in _BY_SCHEMA:
@@ -187,21 +187,21 @@ def _schema_of(media_type: str, plain: JsonSchema | None) -> JsonSchema | None:
 _BY_SCHEMA = frozenset(
     {"application/merge-patch+json", "application/sparql-results+json", "application/x-www-form-urlencoded"}
 )
-"""Media types of bodies that have the schema of JSON."""
+"""Media types whose bodies have the JSON schema."""
 
 
 def reference(kind: str, name: str) -> dict[str, Json]:
-    """A reference to a component."""
+    """Return a reference to a component."""
     return {"$ref": f"#/components/{kind}/{name}"}
 
 
 def headers(*names: str) -> dict[str, Json]:
-    """Header fields of an answer."""
+    """Return the header fields of a response."""
     return {name: reference("headers", name) for name in names}
 
 
 def content(media_types: Iterable[str], plain: JsonSchema | None = None) -> dict[str, Json]:
-    """The content of an answer; `plain` is the schema of JSON, which is JSON-LD where there is none."""
+    """Return the content of a response; `plain` is the schema of JSON, by default that of JSON-LD."""
     return {
         kind: {} if (schema := _schema_of(kind, plain)) is None else {"schema": schema}
         for kind in _json_first(media_types)
@@ -209,9 +209,9 @@ def content(media_types: Iterable[str], plain: JsonSchema | None = None) -> dict
 
 
 def body_content(media_types: Iterable[str], sent: JsonSchema | None) -> dict[str, Json]:
-    """The content of a request: generators of clients need a schema of each media type."""
+    """Return the content of a request: client generators need a schema for each media type."""
     text = ("text/", "application/n-", "application/trig", "application/rdf", "application/sparql")
-    json_ld = JSON_LD if sent is None else OBJECT  # beside a type of its own, generators take no list
+    json_ld = JSON_LD if sent is None else OBJECT  # generators reject a list next to a more specific type
     found: dict[str, Json] = {}
     for kind in _json_first(media_types):
         schema = json_ld if kind == "application/ld+json" else _schema_of(kind, ANYTHING if sent is None else sent)
@@ -220,7 +220,7 @@ def body_content(media_types: Iterable[str], sent: JsonSchema | None) -> dict[st
 
 
 def _json_first(media_types: Iterable[str]) -> list[str]:
-    """Return media types with JSON first: generators of clients make a type of the first that they know."""
+    """Return media types with JSON first: client generators use the first type that they know."""
     return sorted(media_types, key=lambda kind: kind != JSON)
 
 
@@ -228,7 +228,7 @@ _REFUSED: Json = content((*RDF_BODIES, HTML)) | {PROBLEM: {"schema": reference("
 
 
 class Components:
-    """The Components Object (OpenAPI 3.1.1, 4.8.7): each different object once, under a name of its kind."""
+    """The Components Object (OpenAPI 3.1.1, 4.8.7): each distinct object once, under a unique name of its kind."""
 
     def __init__(self, schemas: Mapping[str, JsonSchema]) -> None:
         words = "; ".join(f"{status}: {about}" for status, about in _STATUSES.items())
@@ -274,12 +274,11 @@ class Components:
             self._keep("schemas", name, self._fold(name, schema))
 
     def schema(self, name: str, schema: JsonSchema) -> JsonSchema:
-        """Return a schema in which each large object is a reference, to a component named by its property."""
+        """Return a schema in which each large object is a reference to a component named after its property."""
         folded = self._fold(name, schema)
         return self.share("schemas", name, {**folded}) if _is_large(folded) else folded
 
     def _fold(self, name: str, schema: JsonSchema) -> JsonSchema:
-        """Return a schema whose parts are folded."""
         found: dict[str, Json] = {**schema}
         for word, part in schema.items():
             if word == "properties" and isinstance(part, dict):
@@ -294,12 +293,12 @@ class Components:
         return dict(self.schema(name, part)) if isinstance(part, dict) else part
 
     def _keep(self, kind: str, name: str, shared: JsonSchema) -> None:
-        """Keep a component under its own name."""
+        """Store a component under its own name."""
         self.objects[kind][name] = {**shared}
         self._names.setdefault((kind, orjson.dumps(shared)), name)
 
     def share(self, kind: str, name: str, shared: dict[str, Json]) -> dict[str, Json]:
-        """Return a reference to an equal component of this kind; a new one is called `name`, or that and a number."""
+        """Return a reference to an equal component of this kind; a new one is called `name`, with a number if taken."""
         key = (kind, orjson.dumps(shared))
         found = self._names.get(key)
         if found is None:
@@ -311,7 +310,7 @@ class Components:
 
 
 def or_plan(content: dict[str, Json]) -> dict[str, Json]:
-    """The content of the answer to a write that is 200, or the plan of a dry run."""
+    """Return the content of the 200 response to a write, which is a plan for a dry run."""
     plan = reference("schemas", "DryRun")
     shown = content.get(JSON)
     either: Json = {"schema": {"anyOf": [shown["schema"], plan]} if isinstance(shown, dict) else plan}
@@ -319,7 +318,7 @@ def or_plan(content: dict[str, Json]) -> dict[str, Json]:
 
 
 _LARGE = 100
-"""Bytes of JSON from which the schema of an object is a component."""
+"""Minimum size, in bytes of JSON, of an object schema that becomes a component."""
 
 
 def _is_large(schema: JsonSchema) -> bool:

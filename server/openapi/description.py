@@ -1,4 +1,4 @@
-"""The description: an OpenAPI Object (OpenAPI 3.1.1, 4.8.1) of paths. The same paths give the same bytes."""
+"""The description: an OpenAPI Object (OpenAPI 3.1.1, 4.8.1) of paths. Equal paths give equal bytes."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def description(
     *,
     query: str = "",
 ) -> bytes:
-    """The description of a server at `base`, as JSON; `schemas` are those that places refer to by name.
+    """Return the description of a server at `base` as JSON; `schemas` are the components that paths reference by name.
 
-    `query` is that of its URL, which the URLs of its parts have too.
+    `query` is the query of its URL, which the URLs of its parts have as well.
     """
     ordered = sorted({path.template: path for path in described}.values(), key=lambda path: path.template)
     components = Components(schemas)
@@ -62,7 +62,7 @@ def description(
 
 
 class _Writer:
-    """Writes Path Items, and what they share into `components`."""
+    """Writer of Path Items, which stores shared objects in `components`."""
 
     def __init__(self, components: Components) -> None:
         self._components = components
@@ -101,7 +101,7 @@ class _Writer:
         return operation
 
     def _name(self, method: str, path: str) -> str:
-        """Return the name of an operation (`operationId`), such as `put_topics_cockpit_display`, which no other has."""
+        """Return a unique name of an operation (`operationId`), such as `put_topics_cockpit_display`."""
         wanted = f"{method.lower()}_{_NOT_IN_A_NAME.sub('_', path).strip('_') or 'entry'}"
         numbered = (f"{wanted}_{number}" for number in count(2))
         name = next(each for each in chain([wanted], numbered) if each not in self._names)
@@ -120,12 +120,12 @@ class _Writer:
         yield from (reference("parameters", name) for name in shared)
 
     def _shared(self, path: DescribedPath, schema: JsonSchema | None) -> JsonSchema | None:
-        """Return a schema of a path, or a reference to a large one, which several operations have."""
+        """Return a schema of a path, or a reference to it if it is large and several operations share it."""
         name = _NOT_IN_A_NAME.sub(".", path.template).strip(".") or "entry"
         return None if schema is None else self._components.schema(name, schema)
 
     def _answers(self, path: DescribedPath, method: str) -> Iterator[tuple[str, Json]]:
-        """Yield the successes by their status (4.8.16)."""
+        """Yield the successful responses by status (4.8.16)."""
         if method == "GET":
             plain = self._shared(path, path.item.plain)
             read = (*path.item.reads, EVENT_STREAM) if path.item.streams else path.item.reads
@@ -162,7 +162,7 @@ def _query(one: QueryParameter) -> dict[str, Json]:
 
 
 def _referred(schema: JsonSchema | None) -> str:
-    """Return the name of the component that a schema, or the first of its alternatives, refers to."""
+    """Return the name of the component that a schema, or the first of its alternatives, references."""
     found: Json = schema
     while isinstance(found, dict) and isinstance(alternatives := found.get("anyOf"), list):
         found = alternatives[0]

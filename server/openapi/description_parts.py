@@ -19,7 +19,7 @@ _PREFIX = "#/components/"
 
 
 def references(part: object, components: Components) -> set[Key]:
-    """The kinds and names of the components that something refers to, and that these refer to."""
+    """Return the kinds and names of the components that an object references, directly or indirectly."""
     found: set[Key] = set()
     wanted = [part]
     while wanted:
@@ -31,7 +31,7 @@ def references(part: object, components: Components) -> set[Key]:
 
 
 def chosen(components: Components, keys: Set[Key]) -> dict[str, object]:
-    """The components of these kinds and names, in their order."""
+    """Return the components of these kinds and names, in order."""
     kinds = {
         kind: {name: each for name, each in named.items() if (kind, name) in keys} for kind, named in components.items()
     }
@@ -52,13 +52,13 @@ def _direct(part: object) -> Iterator[Key]:
 
 
 def sections(url: str, paths: Collection[str]) -> list[dict[str, object]]:
-    """The parts of the description at `url`, by the first segments of its paths, each with the number of its paths."""
+    """Return the parts of the description at `url`, by first path segment, each with the number of its paths."""
     firsts = dict.fromkeys("/" + "".join(path[1:].partition("/")[:2]) for path in paths)
     return [{"url": part_url(url, first), "paths": sum(path.startswith(first) for path in paths)} for first in firsts]
 
 
 def description_parts(data: bytes, url: str, below: str) -> tuple[bytes, ...]:
-    """The parts of the description at `url` that tell of paths that begin with `below`; none where there are none."""
+    """Return the parts of the description at `url` for paths that begin with `below`; empty if there are none."""
     said = orjson.loads(data)
     components: Components = said.pop("components")
     paths: Mapping[str, object] = said.pop("paths")
@@ -93,7 +93,7 @@ def description_parts(data: bytes, url: str, below: str) -> tuple[bytes, ...]:
 
 
 _FRAME = 300
-"""Bytes of what holds paths and components together."""
+"""Bytes of the frame around paths and components."""
 
 
 def _tags(items: Iterable[object]) -> set[object]:
@@ -104,7 +104,7 @@ def _tags(items: Iterable[object]) -> set[object]:
 
 _Json: TypeAlias = "dict[str, object]"
 May: TypeAlias = Callable[[str, str], bool]
-"""Whether a method may be used at a path."""
+"""Return whether a method may be used at a path."""
 _METHODS = frozenset({"get", "put", "post", "patch", "delete"})
 _SCHEMES: _Json = {
     "bearer": {"type": "http", "scheme": "bearer", "description": "A token, as whoever runs this server gives it."},
@@ -116,7 +116,7 @@ _DEMANDED: list[_Json] = [{"bearer": []}, {"basic": []}]
 def permitted_paths(
     paths: Iterable[DescribedPath], may: May, may_read: Callable[[str], bool]
 ) -> Iterator[DescribedPath]:
-    """The paths that an agent may use, with those methods and those members of their JSON that it may know of."""
+    """Yield the paths that an agent may use, with the permitted methods and the readable members of their JSON."""
     for path in paths:
         methods = frozenset(method for method in path.methods if may(method, path.template))
         if methods - {"OPTIONS"}:
@@ -125,7 +125,7 @@ def permitted_paths(
 
 
 def _without_members(path: DescribedPath, may_read: Callable[[str], bool]) -> DescribedPath:
-    """The path without the members of its JSON that are values of what may not be read."""
+    """Return the path without the JSON members that contain values the agent may not read."""
     item = path.item
     hidden = {name for name, url in item.members.items() if not may_read(url)}
     if not hidden:
@@ -139,7 +139,7 @@ def _without_members(path: DescribedPath, may_read: Callable[[str], bool]) -> De
 
 
 def _left(schema: JsonSchema, hidden: Set[str]) -> JsonSchema:
-    """The schema of an object without these members."""
+    """Return the schema of an object without these members."""
     members = schema.get("properties")
     if not isinstance(members, dict):
         return schema
@@ -147,7 +147,7 @@ def _left(schema: JsonSchema, hidden: Set[str]) -> JsonSchema:
 
 
 def add_security(data: bytes, public: May, *, whole: bool) -> bytes:
-    """The description of what an agent may use, with how it says who it is: what the `public` may do takes no token."""
+    """Return the description with its security schemes; operations permitted to the `public` need no token."""
     said = orjson.loads(data)
     for path, item in said["paths"].items():
         for method in _METHODS & item.keys():
@@ -161,7 +161,7 @@ def add_security(data: bytes, public: May, *, whole: bool) -> bytes:
 
 
 def _referred_to(said: _Json) -> _Json:
-    """The components that something refers to, and what these refer to."""
+    """Return the components that an object references, directly or indirectly."""
     components = said["components"]
     assert isinstance(components, dict)
     found = references({name: part for name, part in said.items() if name != "components"}, components)

@@ -1,4 +1,4 @@
-"""`/openapi.json`: the description, in OpenAPI 3.1, of everything that is here now."""
+"""`/openapi.json`: the OpenAPI 3.1 description of all current resources."""
 
 from __future__ import annotations
 
@@ -48,24 +48,24 @@ _ABOUT = (
 
 
 MEDIA_TYPES = ("application/json", "application/openapi+json", "application/vnd.oai.openapi+json")
-"""What the description itself is called: its registered names come after the one that every tool knows."""
+"""Media types of the description; the registered ones follow the one that every tool knows."""
 _PATIENCE = 3.0
-"""How long to wait for types that must be asked for; those that come later are in the next description."""
+"""Seconds to wait for missing types; those that arrive later appear in the next description."""
 _MANY = 500
-"""Paths from which a description is written by a worker process: to write one holds the interpreter's lock."""
+"""Number of paths from which a worker process writes the description, as writing holds the interpreter's lock."""
 _HIDDEN = "?hidden=true"
-"""The query of the description that has hidden names, too."""
+"""Query of the description that includes hidden names."""
 _LARGE = 1_000_000
-"""Bytes from which a description is cut by a worker process."""
+"""Bytes from which a worker process splits the description into parts."""
 _AT_ONCE = 25
-"""Paths that are found before the loop has its turn: some milliseconds."""
+"""Number of paths collected before the event loop gets a turn, which takes some milliseconds."""
 _digest = lru_cache(maxsize=4)(digest)
 _MAX_VARIANTS = 8
-"""Sets of rights for which descriptions are kept."""
+"""Maximum number of cached descriptions, one per set of permissions."""
 
 
 class _Described(Struct, frozen=True, eq=False):
-    """A description, what it is made from, and of which version that is."""
+    """A description, its paths and schemas, and its version."""
 
     version: Hashable
     data: bytes
@@ -74,7 +74,7 @@ class _Described(Struct, frozen=True, eq=False):
 
 
 class OpenApiResource(Resource):
-    """The description, made once for each state of the graph, the types at hand and the mappings in force."""
+    """The description, created once for each state of the graph, the known types and the mappings in force."""
 
     kind = "Description"
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
@@ -128,7 +128,7 @@ class OpenApiResource(Resource):
         return bytes_response(exchange, data, media_type, etag, headers.items())
 
     async def _parts(self, data: bytes, url: str, below: str) -> tuple[bytes, ...]:
-        """The parts of a description, kept while others of them are likely to be asked for."""
+        """Return the parts of a description, cached because clients usually request several of them."""
         key = (_digest(data), url, below)
         found = self._part_sets.get(key)
         if found is None:
@@ -140,7 +140,7 @@ class OpenApiResource(Resource):
         return found
 
     async def _for_agent(self, kept: _Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
-        """The description as it is for an agent, kept for as long as it is the same."""
+        """Return the description for an agent, cached until it changes."""
         key = (hidden, permissions.rights_key, public.rights_key)
         known = self._of_agents.get(key)
         if known is None or known[0] is not kept:
@@ -151,7 +151,7 @@ class OpenApiResource(Resource):
         return known[1]
 
     def _made_for(self, kept: _Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
-        """What is described to an agent is described anew, so that not even a number tells of anything else."""
+        """Return the description for an agent, rewritten so that not even numbers in names reveal hidden resources."""
         data = kept.data
         if not permissions.is_unrestricted:
             data = self._write(
@@ -162,7 +162,7 @@ class OpenApiResource(Resource):
         return add_security(data, partial(self._may, public), whole=permissions.is_unrestricted)
 
     def _may(self, permissions: Permissions, method: str, path: str) -> bool:
-        """Whether a method may be used at a path below the base, or at some that a template stands for."""
+        """Whether a method may be used at a path below the base, or at some path that matches a template."""
         url = self.space.base.rstrip("/") + path
         place = permissions.locate(url)
         if permissions.is_unrestricted or "{" in path or place is None:
@@ -191,10 +191,10 @@ class OpenApiResource(Resource):
         )
 
     async def _made(self, hidden: bool) -> _Described:
-        """A version and its description: found on the loop, written on a thread, for a large one takes its time."""
+        """Return a new description: collected on the event loop and written on a thread, as a large one takes long."""
         await _learn_types(self.session.schemas, self.session.graph)
         tree = await self.affordances.tree()
-        # The graph is taken only now: while types were waited for it may have changed, and the tree is of a later one.
+        # Read the graph only now: it may have changed during the wait for types, and the tree is of a later one.
         graph, capabilities = self.session.graph, self.session.adapter.capabilities
         version = self._version(graph)
         hides = capabilities.hidden_names and not hidden
@@ -227,7 +227,7 @@ class OpenApiResource(Resource):
 
 
 async def _in_turns(paths: Iterable[DescribedPath]) -> tuple[DescribedPath, ...]:
-    """All paths; whatever else waits for the loop has its turn after every few."""
+    """Return all paths, yielding to the event loop after every few of them."""
     found: list[DescribedPath] = []
     for place in paths:
         found.append(place)
@@ -237,7 +237,7 @@ async def _in_turns(paths: Iterable[DescribedPath]) -> tuple[DescribedPath, ...]
 
 
 async def _learn_types(schemas: Schemas, graph: Graph) -> None:
-    """See to it that the types in use are at hand, as far as the robot tells them in time."""
+    """Fetch the types in use, as far as the robot sends them in time."""
     unknown = [ref for ref in used_types(graph) if _known_type(schemas, ref) is None]
     if not unknown:
         return

@@ -1,4 +1,4 @@
-"""The paths of the description: URLs and templates with their operations (OpenAPI 3.1.1, 4.8.8)."""
+"""Paths of the description: URLs and templates with their operations (OpenAPI 3.1.1, 4.8.8)."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from rosld.server.rest.resource import Resource
 
 
 class DescribedPath(Struct, frozen=True):
-    """What `template` answers. It lies below the base and begins with a slash, encoded as in the URL.
+    """The description of `template`, which is relative to the base, begins with a slash and is percent-encoded.
 
-    Names in braces stand for segments, each told of in `segments`. `accepts` are the media types that each of the
-    `methods` takes.
+    Names in braces stand for segments, which `segments` describes. `accepts` has the media types that each of the
+    `methods` accepts.
     """
 
     template: str
@@ -40,12 +40,12 @@ class DescribedPath(Struct, frozen=True):
     segments: Mapping[str, str] = field(default_factory=dict)
 
     def write(self, method: str) -> WriteMethod:
-        """What is told of a method that writes."""
+        """Return the description of a method that writes."""
         return self.item.write(method)
 
 
 MAX_SINGLE = 1000
-"""Parameters, and resources with their properties and actions, that are described one by one; a template has more."""
+"""Maximum number of parameters and of complex resources described individually; templates cover the rest."""
 _MAX_QUERIES = 1000
 _OR_ANOTHER = f", or one beyond the {MAX_SINGLE} that are described one by one"
 _TAGS = {
@@ -61,15 +61,15 @@ _TAGS = {
     "mirror": "queries",
     ".well-known/solid": "channels",
 }
-"""The tags of URLs that are not called by the first segment."""
+"""Tags of URLs that are not named after their first segment."""
 _ENTRY = ("ontology", ".well-known/", ".well-known/wot", "openapi.json", "llms.txt")
 _NAME = "A name; those of several parts have slashes, as in the URL."
 
 
 class PathCollector(Struct, frozen=True):
-    """Finds the paths. `resolve` gives the resource at a path; nothing is waited for.
+    """Collector of the paths. `resolve` returns the resource at a path without waiting.
 
-    `graph` is what is listed of the computation graph; `hidden`: whether hidden names of resources have paths too.
+    `graph` is the computation graph; `hidden`: whether to include hidden names of resources.
     """
 
     space: Space
@@ -82,7 +82,7 @@ class PathCollector(Struct, frozen=True):
     hidden: bool
 
     def all(self) -> Iterator[DescribedPath]:
-        """Yield every path but those of the scripts, styles and icons of pages."""
+        """Yield every path except those of the scripts, styles and icons of pages."""
         yield self._path("/")
         yield from self._graph()
         yield from self._parameters()
@@ -107,16 +107,16 @@ class PathCollector(Struct, frozen=True):
             *_ENTRY,
         ):
             yield self._path(f"/{path}")
-        with suppress(Problem):  # there is one only if it was asked for
+        with suppress(Problem):  # only exists if it is configured
             yield self._path("/mirror")
 
     def _path(self, path: str) -> DescribedPath:
-        """A path as its resource has it."""
+        """Return a path described by its resource."""
         resource = self.resolve(path)
         return self._describe(path, resource, resource.path_item(self.schemas))
 
     def _template(self, template: str, example: str, *, item: PathItem | None = None, **segments: str) -> DescribedPath:
-        """A template as the resource at a path has it for which it stands."""
+        """Return a template described by the resource at an example path."""
         resource = self.resolve(example)
         found = self._describe(template, resource, item or resource.path_item(self.schemas))
         return replace(found, segments=segments)
@@ -181,7 +181,7 @@ class PathCollector(Struct, frozen=True):
             yield self._other_resources(self._path(another))
 
     def _resource_paths(self) -> Iterator[str]:
-        """Complex resources, each followed by the properties and actions in it; then the actions that none lists."""
+        """Yield the complex resources, each followed by its properties and actions, then the other actions."""
         space = self.space
         unlisted = set(self.tree.actions)
         for path in self.tree.paths:
@@ -197,7 +197,7 @@ class PathCollector(Struct, frozen=True):
                 yield self._of(url_of(name, space))
 
     def _other_resources(self, one: DescribedPath) -> DescribedPath:
-        """What stands for all resources and properties that are not described one by one, as `one` of them is."""
+        """Yield templates for all resources and properties that are not described individually, based on an example."""
         summary = "One of the resources, properties and actions that are too many to be described one by one"
         accepts = dict.fromkeys(one.accepts, (ANY_TYPE,))
         segments = {"name": "A path, as in the URL: links lead to it."}
@@ -239,7 +239,7 @@ class PathCollector(Struct, frozen=True):
                 yield self._template(f"{path}{{index}}", f"{path}{first}", index=f"From {first} to {last}.")
 
     def _stored_paths(self) -> Iterator[DescribedPath]:
-        """What clients keep. What one URL answers depends on what is there: the template tells of all of it."""
+        """Yield the paths of stored resources. The template covers URLs whose methods depend on their existence."""
         yield self._path("/cockpit/default")
         for route in ("mappings", "data", "cockpit"):
             yield self._path(f"/{route}/")
@@ -247,14 +247,14 @@ class PathCollector(Struct, frozen=True):
             yield self._template(f"/{route}/{{path}}", f"/{route}/any", path=path)
 
     def _queries(self) -> Iterator[DescribedPath]:
-        """`/queries/` and what is below it now; the template tells of those that come and go."""
+        """Yield `/queries/` and the current paths below it; the template covers all others."""
         yield self._path("/queries/")
         for url, _ in self.queries.all(limit=_MAX_QUERIES):
             yield self._path(self._of(url))
         yield self._template("/queries/{name}", "/queries/any", name="One segment, as in the URL.")
 
     def _channels(self) -> Iterator[DescribedPath]:
-        """Notifications (Solid Notifications Protocol 2)."""
+        """Yield the paths of notifications (Solid Notifications Protocol 2)."""
         yield self._path("/.well-known/solid")
         yield self._path("/channels/")
         for kind in CHANNEL_TYPES:

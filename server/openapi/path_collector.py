@@ -18,7 +18,7 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ResourceTree
 from rosld.server.policies.stored_queries import StoredQueries
-from rosld.server.resources.channels import channel_item, source_item
+from rosld.server.resources.channels import ChannelResource, ChannelSourceResource
 from rosld.server.resources.namespaces import namespaces
 from rosld.server.resources.types import SHAPES_GRAPHS
 from rosld.server.rest.path_item import ANY_TYPE, FIELD_READS, FORMAT, PathItem, WriteMethod
@@ -261,6 +261,6 @@ class PathCollector(Struct, frozen=True):
             path = f"/channels/{kind}"
             yield self._path(path)
             token = "As in the URL of the channel."
-            yield replace(self._template(f"{path}/{{token}}", path, item=channel_item(), token=token), accepts={})
-            source = self._template(f"{path}/{{token}}/messages", path, item=source_item(), token=token)
+            yield replace(self._template(f"{path}/{{token}}", path, item=ChannelResource.item, token=token), accepts={})
+            source = self._template(f"{path}/{{token}}/messages", path, item=ChannelSourceResource.item, token=token)
             yield replace(source, accepts={})

@@ -319,6 +319,7 @@ class ChannelResource(DescribedResource):
     kind = "Notification channel"
     shape = "Channel"
     title = "Notification channel"
+    item = PathItem("A channel; without it nothing is told any more", plain=OBJECT, methods=READ | {"DELETE"})
     is_cacheable = False
 
     def __init__(self, notifications: Notifications, channel: Channel) -> None:
@@ -345,6 +346,13 @@ class ChannelSourceResource(DescribedResource):
     """`/channels/TYPE/TOKEN/messages`: where the notifications of a channel are received from."""
 
     kind = "Notification source"
+    item = PathItem(
+        "Where notifications are received from: by WebSocket, or a response that goes on",
+        (LINES, "text/turtle", "application/n-triples"),
+        query=(),
+        streams=False,
+        methods=READ,
+    )
     links = (RESOURCE,)
     is_cacheable = False
 
@@ -382,19 +390,6 @@ def channel_route(location: Location, *, notifications: Notifications) -> Resour
             case [token, name] if name == SOURCE:
                 return ChannelSourceResource(notifications, channel_of(notifications, kind, token))
     raise Problem(404, f"There is no subscription service there; {space.container(ROUTE)} lists them.")
-
-
-def channel_item() -> PathItem:
-    """Return the path item of a channel."""
-    summary = "A channel; without it nothing is told any more"
-    return PathItem(summary, plain=OBJECT, methods=READ | {"DELETE"})
-
-
-def source_item() -> PathItem:
-    """Return the path item of the URL that a channel receives from."""
-    summary = "Where notifications are received from: by WebSocket, or a response that goes on"
-    reads = (LINES, "text/turtle", "application/n-triples")
-    return PathItem(summary, reads, query=(), streams=False, methods=READ)
 
 
 def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:

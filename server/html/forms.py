@@ -24,16 +24,15 @@ from rosld.server.html.inputs import (
     Input,
     InputValues,
     Json,
-    choice_input,
     controls,
-    editable_json,
     is_editable_text,
-    number_text,
+    parameter_text,
     scalar_input,
+    unit_text,
 )
-from rosld.server.html.labels import NameGroup, group_names, unit_symbol
+from rosld.server.html.labels import NameGroup, group_names
 from rosld.server.html.view import escape_controls
-from rosld.shapes.value import Measure, MessageShape, OpenShape, ScalarShape, ValueShape
+from rosld.shapes.value import MessageShape, OpenShape, ScalarShape, ValueShape
 
 METHOD_FIELD = "method"
 CHOICE_FIELD = "?choice"
@@ -113,23 +112,19 @@ class ValueForm(Struct, frozen=True):
         """The inputs of the form."""
         shape, filling = self.shape, self._filling()
         if isinstance(shape, MessageShape):
-            return controls(shape.schema, shape.fields, self.value, filling)
-        label, unit = self.label or "value", _symbol(shape.measure)
-        if isinstance(shape, ScalarShape):
-            return (scalar_input(shape.kind, label, VALUE_FIELD, self.value, filling, unit),)
-        if shape.bounds.choices:
-            return (choice_input(None, label, VALUE_FIELD, _parameter_text(self.value), shape.bounds, filling, unit),)
-        return _open_controls(self.value, filling, unit)
+            return controls(shape, shape.fields, self.value, filling)
+        if isinstance(shape, ScalarShape) or shape.bounds.choices:
+            return (scalar_input(shape, self.label or "value", VALUE_FIELD, self.value, filling),)
+        return _open_controls(shape, self.value, filling)
 
     def _filling(self) -> InputValues:
         """Return the values of the inputs; every violation of a single input belongs to that input."""
         typed, shape = None if self.submitted is None else dict(self.submitted), self.shape
         if isinstance(shape, MessageShape):
-            return InputValues(typed, _errors((each.path, each) for each in self.violations), shape.bounds)
-        errors = _errors((VALUE_FIELD, each) for each in self.violations)
+            return InputValues(typed, _errors((each.path, each) for each in self.violations))
         if typed is None and self.value is None and (isinstance(shape, ScalarShape) or shape.bounds.choices):
             typed = {}
-        return InputValues(typed, errors, {VALUE_FIELD: shape.bounds})
+        return InputValues(typed, _errors((VALUE_FIELD, each) for each in self.violations))
 
 
 def message_form(
@@ -227,29 +222,24 @@ def _errors(violations: Iterable[tuple[str, Violation]]) -> Mapping[str, str]:
     return errors
 
 
-def _symbol(measure: Measure) -> str:
-    return "" if measure.unit is None else escape_controls(unit_symbol(measure.unit.value))
-
-
-def _open_controls(value: Json, filling: InputValues, unit: str) -> tuple[Input, Input]:
+def _open_controls(shape: OpenShape, value: Json, filling: InputValues) -> tuple[Input, Input]:
     """Return the inputs for the type and the value."""
     typed = filling.submitted
     kind = parameter_type_of(value) if typed is None else typed.get(TYPE_FIELD, "string")
-    text = filling.text(VALUE_FIELD, _parameter_text(value))
+    text = filling.text(VALUE_FIELD, parameter_text(value))
     is_too_long = len(text) > MAX_TEXT
-    too_long = "The present value is too long to be edited here." if is_too_long else ""
-    several = kind == "JSON" or "\n" in text or is_too_long
+    note = "The present value is too long to be edited here." if is_too_long else ""
     return (
         Input(TYPE_FIELD, "type", "select", kind, options=PARAMETER_TYPES),
         Input(
             VALUE_FIELD,
             "value",
-            "textarea" if several else "text",
+            "textarea" if kind == "JSON" or "\n" in text or is_too_long else "text",
             "" if is_too_long else escape_controls(text),
-            note=escape_controls(" ".join(filter(None, (too_long, describe_bounds(filling.bounds[VALUE_FIELD]))))),
+            note=escape_controls(" ".join(filter(None, (note, describe_bounds(shape.bounds))))),
             error=filling.error(VALUE_FIELD),
             required=is_too_long,
-            unit=unit,
+            unit=unit_text(shape.measure),
         ),
     )
 
@@ -263,13 +253,3 @@ def parameter_type_of(value: Json) -> str:
     if value is None or isinstance(value, str):
         return "string" if is_editable_text(value or "") else "JSON"
     return "JSON"
-
-
-def _parameter_text(value: Json) -> str:
-    if value is None or (isinstance(value, str) and is_editable_text(value)):
-        return value or ""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int | float):
-        return number_text(value)
-    return editable_json(value, indent=2)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from math import isfinite
 from typing import ClassVar, TypeAlias
 
-from msgspec import Struct, field
+from msgspec import Struct
 from msgspec.structs import replace
 
 from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
@@ -24,8 +25,9 @@ from rosld.server.html.bounds import (
     option_texts,
     same_value,
 )
+from rosld.server.html.labels import unit_symbol
 from rosld.server.html.view import escape_controls
-from rosld.shapes.value import UNBOUNDED, Bounds
+from rosld.shapes.value import UNBOUNDED, Measure, MessageShape, OpenShape, ScalarShape
 
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
 """Parsed plain JSON; integers have any size."""
@@ -89,11 +91,10 @@ Control: TypeAlias = Input | Fieldset
 
 
 class InputValues(Struct, frozen=True):
-    """Values of a form: those `typed` before, or else those of a value; `errors` and `bounds` by path."""
+    """Values of a form: those `typed` before, or else those of a value; `errors` by path."""
 
     submitted: Mapping[str, str] | None = None
     errors: Mapping[str, str] | None = None
-    bounds: Mapping[str, Bounds] = field(default_factory=dict)
 
     def text(self, path: str, otherwise: str) -> str:
         """Return the text in the input of `path`."""
@@ -114,17 +115,18 @@ class InputValues(Struct, frozen=True):
 
 
 def controls(
-    schema: MessageSchema, fields: Iterable[Field], value: Json, filling: InputValues, prefix: str = ""
+    shape: MessageShape, fields: Iterable[Field], value: Json, filling: InputValues, prefix: str = ""
 ) -> tuple[Control, ...]:
-    """Return the inputs for the fields of a message; `value` is plain JSON, completed by defaults."""
+    """Return the inputs for fields of a message or one in it; `value` is plain JSON, completed by defaults."""
     values = value if isinstance(value, Mapping) else {}
-    return tuple(_control(schema, each, f"{prefix}{each.name}", values.get(each.name), filling) for each in fields)
+    return tuple(_control(shape, each, f"{prefix}{each.name}", values.get(each.name), filling) for each in fields)
 
 
-def _control(schema: MessageSchema, each: Field, path: str, value: Json, filling: InputValues) -> Control:
+def _control(shape: MessageShape, each: Field, path: str, value: Json, filling: InputValues) -> Control:
+    schema = shape.schema
     if is_fieldset(schema, each.type):
         assert isinstance(each.type, Nested)
-        inner = controls(schema, schema.types[each.type.name].fields, value, filling, f"{path}.")
+        inner = controls(shape, schema.types[each.type.name].fields, value, filling, f"{path}.")
         is_folded = each.type.name == HEADER or each.name in _FOLDED
         return Fieldset(
             path, each.name, each.type.name, inner, filling.error(path), is_folded and not filling.error_below(path)
@@ -132,7 +134,8 @@ def _control(schema: MessageSchema, each: Field, path: str, value: Json, filling
     if value is None:
         value = default(schema, each)
     if isinstance(each.type, Primitive):
-        return scalar_input(each.type, each.name, path, value, filling)
+        scalar = ScalarShape(each.type, shape.bounds.get(path, UNBOUNDED))
+        return scalar_input(scalar, each.name, path, value, filling)
     made = _json(each.type, each.name, path, value, filling)
     return replace(made, is_folded=each.name in _FOLDED and not made.error)
 
@@ -154,36 +157,51 @@ def count_inputs(schema: MessageSchema, name: str) -> int:
     return count
 
 
-def scalar_input(kind: Primitive, label: str, path: str, value: Json, filling: InputValues, unit: str = "") -> Input:
-    """Return the input for one scalar, within its bounds; `value` is plain JSON."""
-    bounds = filling.bounds.get(path, UNBOUNDED)
-    if bounds.choices:
-        return choice_input(kind, label, path, _plain_text(kind, value), bounds, filling, unit)
+def scalar_input(shape: ScalarShape | OpenShape, label: str, path: str, value: Json, filling: InputValues) -> Input:
+    """Return the input for one scalar, or a select of its choices; `value` is plain JSON."""
+    kind, bounds = shape.kind, shape.bounds
+    note, unit = describe_bounds(bounds), unit_text(shape.measure)
+    scalar = partial(Input, path, label, error=filling.error_below(path))
+    if kind is None or bounds.choices:
+        options = option_texts(kind, bounds)
+        text = filling.text(path, parameter_text(value) if kind is None else _plain_text(kind, value))
+        chosen = escape_controls(next((option for option in options if same_value(option, text)), text))
+        hint = kind.name if kind else ""
+        return scalar("select", chosen, hint=hint, options=tuple(map(escape_controls, options)), unit=unit)
     if kind.name == "bool":
-        checked = filling.text(path, "true" if value is True else "")
-        error = filling.error_below(path)
-        return Input(path, label, "checkbox", checked and "true", hint="bool", error=error, required=False)
-    if kind.name in STRINGS:
-        return _text(kind, label, path, value, bounds, filling)
-    return _number(kind, label, path, value, bounds, filling, unit)
-
-
-def choice_input(
-    kind: Primitive | None, label: str, path: str, present: str, bounds: Bounds, filling: InputValues, unit: str = ""
-) -> Input:
-    """Return a select for the allowed values of a scalar; `kind` is None if ROS declares no type."""
-    options = option_texts(kind, bounds)
-    text = filling.text(path, present)
-    return Input(
-        path,
-        label,
-        "select",
-        escape_controls(next((option for option in options if same_value(option, text)), text)),
-        hint=kind.name if kind is not None else "",
-        error=filling.error_below(path),
-        options=tuple(map(escape_controls, options)),
-        unit=unit,
+        is_checked = bool(filling.text(path, "true" if value is True else ""))
+        return scalar("checkbox", "true" if is_checked else "", hint="bool", required=False)
+    if kind.name not in STRINGS:
+        text, (least, greatest) = filling.text(path, number_text(value)), number_range(kind, bounds)
+        return scalar(
+            "number" if _browser_reads(text) else "text",
+            escape_controls(text),
+            hint=kind.name,
+            note=escape_controls(note),
+            min=least,
+            max=greatest,
+            step=number_step(kind, bounds),
+            unit=unit,
+        )
+    present = value if isinstance(value, str) and is_editable_text(value) else None
+    text = filling.text(path, present or "")
+    fixed = "The present value cannot be edited here." if present is None and filling.submitted is None else ""
+    longest = min((each for each in (kind.bound, bounds.max_length) if each is not None), default="")
+    return scalar(
+        "textarea" if "\n" in text or "\r" in text else "text",
+        escape_controls(text),
+        hint=definition_text(kind),
+        note=escape_controls(" ".join(filter(None, (fixed, note)))),
+        required=bool(bounds.min_length),
+        pattern=escape_controls(browser_pattern(bounds)),
+        minlength=str(bounds.min_length or ""),
+        maxlength=str(longest),
     )
+
+
+def unit_text(measure: Measure) -> str:
+    """Return the symbol of a unit; empty where there is none."""
+    return "" if measure.unit is None else escape_controls(unit_symbol(measure.unit.value))
 
 
 def _plain_text(kind: Primitive, value: Json) -> str:
@@ -194,49 +212,18 @@ def _plain_text(kind: Primitive, value: Json) -> str:
     return number_text(value)
 
 
-def _text(kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, filling: InputValues) -> Input:
-    present = value if isinstance(value, str) and is_editable_text(value) else None
-    text = filling.text(path, present or "")
-    fixed = "The present value cannot be edited here." if present is None and filling.submitted is None else ""
-    longest = [each for each in (kind.bound, bounds.max_length) if each is not None]
-    return Input(
-        path,
-        label,
-        "textarea" if "\n" in text or "\r" in text else "text",
-        escape_controls(text),
-        hint=definition_text(kind),
-        note=escape_controls(" ".join(filter(None, (fixed, describe_bounds(bounds))))),
-        error=filling.error_below(path),
-        required=bool(bounds.min_length),
-        pattern=escape_controls(browser_pattern(bounds)),
-        minlength=str(bounds.min_length or ""),
-        maxlength=str(min(longest)) if longest else "",
-    )
+def parameter_text(value: Json) -> str:
+    """Return the value of a parameter as the text of an input."""
+    if value is None or (isinstance(value, str) and is_editable_text(value)):
+        return value or ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return number_text(value) if isinstance(value, int | float) else editable_json(value, indent=2)
 
 
 def is_editable_text(text: str) -> bool:
     """Whether a browser returns a text unchanged: it is short enough and has no control characters."""
     return len(text) <= MAX_TEXT and escape_controls(text) == text and "\r" not in text
-
-
-def _number(
-    kind: Primitive, label: str, path: str, value: Json, bounds: Bounds, filling: InputValues, unit: str
-) -> Input:
-    text = filling.text(path, number_text(value))
-    least, greatest = number_range(kind, bounds)
-    return Input(
-        path,
-        label,
-        "number" if _browser_reads(text) else "text",
-        escape_controls(text),
-        hint=kind.name,
-        note=escape_controls(describe_bounds(bounds)),
-        error=filling.error_below(path),
-        min=least,
-        max=greatest,
-        step=number_step(kind, bounds),
-        unit=unit,
-    )
 
 
 def number_text(value: Json) -> str:

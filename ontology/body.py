@@ -1,8 +1,7 @@
-"""Bodies: RDF as clients send it, parsed with care into an index.
+"""Bodies: RDF from clients, parsed safely into an index.
 
-A body is hostile until proved otherwise. Deep nesting overflows the parser's stack, which kills the whole process, so
-depth is measured here first; nothing is ever fetched, so JSON-LD must bring its context along; and whatever is wrong
-is a `BodyError` that says where.
+Bodies are untrusted. Deep nesting overflows the parser's stack, which kills the whole process, so depth is checked
+first. Nothing is ever fetched, so JSON-LD must contain its context. Every fault is a `BodyError` with its position.
 """
 
 from __future__ import annotations
@@ -25,15 +24,15 @@ Subject: TypeAlias = NamedNode | BlankNode | Triple
 Properties: TypeAlias = Mapping[NamedNode, list[Term]]
 
 MAX_DEPTH = 128
-"""The levels of nesting a body may have."""
+"""Maximum depth of nesting."""
 _LEAST_EXPANDED, _EXPANSION = 16 * 1024 * 1024, 150
-"""Bytes that the terms of a body may have when written out: at least, and for each byte of the body.
+"""Maximum size in bytes of the terms of a body when expanded: at least, and per byte of the body.
 
-Each use of a prefix of 100 kB stands for 100 kB. An RDF list of digits, the tersest legitimate body, comes to 132 for
-each byte.
+Each use of a prefix of 100 kB adds 100 kB. An RDF list of digits, the tersest legitimate body, expands to 132 bytes per
+byte.
 """
 _SHORT = 2000
-"""Bytes of a body that cannot have longer terms. To write its quads out takes half as long as to parse them."""
+"""Bytes of a body that cannot exceed the limit of expansion. Writing its quads takes half as long as parsing them."""
 
 _FORMATS = {
     "text/turtle": RdfFormat.TURTLE,
@@ -45,11 +44,11 @@ _FORMATS = {
     "application/trig": RdfFormat.TRIG,
 }
 MEDIA_TYPES = tuple(_FORMATS)
-"""The media types that `parse_body` takes."""
+"""Media types that `parse_body` accepts."""
 
 
 class BodyError(ValueError):
-    """A body that cannot be read; `line` and `column` count from 1 and are None where the place is not known."""
+    """An invalid body; `line` and `column` count from 1 and are None if the position is unknown."""
 
     def __init__(self, words: str, line: int | None = None, column: int | None = None) -> None:
         place = "" if line is None else f"line {line}, column {column}: "
@@ -59,16 +58,16 @@ class BodyError(ValueError):
         self.column = column
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Worker processes raise such errors, too."""
+        """Make the error picklable, for worker processes."""
         return BodyError, (self.words, self.line, self.column)
 
 
 class UnsupportedCharset(BodyError):
-    """A body in a character encoding that is not read here."""
+    """A body in an unsupported character encoding."""
 
 
 class ExpandedBodyError(BodyError):
-    """A body whose terms are too long, written out."""
+    """A body whose terms are too long when expanded."""
 
     def __reduce__(self) -> tuple[object, ...]:
         return ExpandedBodyError, (self.words,)
@@ -77,14 +76,14 @@ class ExpandedBodyError(BodyError):
 class RdfBody(Struct, frozen=True):
     """The triples of a body: `subjects` maps each subject to its predicates, and these to their objects.
 
-    `size` is how many there are. A triple said twice is there twice, except in what `objects` returns.
+    `size` is the number of triples. Duplicates are retained, except in the result of `objects`.
     """
 
     subjects: Mapping[Subject, Properties]
     size: int
 
     def properties(self, subject: Term) -> Properties:
-        """Return the properties of `subject`; none for a literal or an unknown node."""
+        """Return the properties of `subject`; empty for a literal or an unknown node."""
         return _NOTHING if isinstance(subject, Literal) else self.subjects.get(subject, _NOTHING)
 
     def objects(self, subject: Term, predicate: NamedNode) -> list[Term]:
@@ -102,7 +101,7 @@ class RdfBody(Struct, frozen=True):
                 yield from (each for each in objects if isinstance(each, Literal))
 
     def roots(self) -> list[Subject]:
-        """The subjects that are no object of a triple."""
+        """Return the subjects that are not objects of any triple."""
         inner = {each for properties in self.subjects.values() for objects in properties.values() for each in objects}
         return [subject for subject in self.subjects if subject not in inner]
 
@@ -112,12 +111,12 @@ _DEFAULT_GRAPHS_OF_JENA = tuple(NamedNode(f"urn:x-arq:{name}") for name in ("Def
 
 
 def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) -> RdfBody:
-    """Return the triples of `data`, its relative IRIs resolved against `base` (absolute).
+    """Return the triples of `data`, with relative IRIs resolved against `base` (absolute).
 
-    Of a dataset those of the default graph and of the graph named `base` are taken; other graphs are passed over, or
-    refused where these are to come `alone`. Raises BodyError for such a graph, for what is not UTF-8, nested deeper
-    than `MAX_DEPTH`, in need of something to be fetched, or no `media_type` at all; ValueError for a media type not in
-    `MEDIA_TYPES`. The caller checks the size.
+    Of a dataset, the default graph and the graph named `base` are used; other graphs are ignored, or rejected with
+    `alone`. Raises BodyError for such a graph, for invalid UTF-8, nesting deeper than `MAX_DEPTH`, a reference that
+    would have to be fetched, or a missing `media_type`; ValueError for a media type not in `MEDIA_TYPES`. The caller
+    checks the size.
     """
     form = _form(media_type)
     with _parser_errors():
@@ -125,7 +124,7 @@ def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) 
 
 
 def parse_dataset(data: bytes, media_type: str, base: str) -> dict[str, list[Triple]]:
-    """The graphs of `data` by their names. Raises as `parse_body`, and BodyError for a triple in no named graph."""
+    """Return the graphs of `data` by name. Raises as `parse_body`, and BodyError for a triple in the default graph."""
     graphs: dict[str, list[Triple]] = {}
     for quad in parse_quads(data, media_type, base):
         if not isinstance(quad.graph_name, NamedNode):
@@ -135,7 +134,7 @@ def parse_dataset(data: bytes, media_type: str, base: str) -> dict[str, list[Tri
 
 
 def parse_quads(data: bytes, media_type: str, base: str) -> list[Quad]:
-    """Return the quads of `data` with new labels of blank nodes; raises as `parse_body`."""
+    """Return the quads of `data` with new labels of blank nodes. Raises as `parse_body`."""
     form = _form(media_type)
     with _parser_errors():
         return list(_quads(data, form, base, relabelled=True))
@@ -147,9 +146,9 @@ def parse_triples(data: bytes, media_type: str, base: str) -> list[Triple]:
 
 
 def read_ntriples(data: bytes, media_type: str, base: str) -> bytes:
-    """Return the triples of `data` as they come, as N-Triples, of the graph named `base` alone; raises as `parse_body`.
+    """Return the triples of `data` in order, as N-Triples, of the graph named `base` alone. Raises as `parse_body`.
 
-    Blank nodes have new labels, which no other document has: labels mean nothing beyond their document (RDF 1.1, 3.4).
+    Blank nodes get globally unique labels, as labels are local to their document (RDF 1.1, 3.4).
     """
     form = _form(media_type)
     with _parser_errors():
@@ -160,7 +159,7 @@ def read_ntriples(data: bytes, media_type: str, base: str) -> bytes:
 
 @contextmanager
 def _parser_errors() -> Iterator[None]:
-    """Raise a BodyError for what the parser says is wrong."""
+    """Convert errors of the parser to BodyError."""
     try:
         yield
     except SyntaxError as error:
@@ -196,13 +195,13 @@ def _form(media_type: str) -> RdfFormat:
 
 
 def _quads(data: bytes, form: RdfFormat, base: str, *, relabelled: bool = False) -> Iterator[Quad]:
-    """The quads of a body that is fit to be parsed, as the parser finds them; or with blank nodes `relabelled`."""
+    """Return the quads of a body after the safety checks, in the parser's order; `relabelled`: with new blank nodes."""
     if form is RdfFormat.RDF_XML:
         data = _xml(data)
     data = data.removeprefix(b"\xef\xbb\xbf")
     _check_utf8(data)
     if form is RdfFormat.JSON_LD:
-        if data.lstrip(b" \t\r\n")[:1] not in (b"{", b"[", b""):  # which the parser takes for an empty document
+        if data.lstrip(b" \t\r\n")[:1] not in (b"{", b"[", b""):  # the parser accepts it as an empty document
             raise BodyError("a JSON-LD document must be an object or an array (JSON-LD 1.1, 9)")
         check_json_depth(data)
         _check_contexts(data, base)
@@ -215,7 +214,7 @@ def _quads(data: bytes, form: RdfFormat, base: str, *, relabelled: bool = False)
 
 
 def _limited(quads: Iterable[Quad], size: int) -> Iterator[Quad]:
-    """Yield the quads of a body of `size` bytes. Raises ExpandedBodyError once they are too long, written out."""
+    """Yield the quads of a body of `size` bytes. Raises ExpandedBodyError once their terms are too long."""
     left = expansion_limit(size)
     for quad in quads:
         left -= len(str(quad))
@@ -225,12 +224,12 @@ def _limited(quads: Iterable[Quad], size: int) -> Iterator[Quad]:
 
 
 def expansion_limit(size: int) -> int:
-    """Return the most bytes that the terms of a body of `size` bytes may have when written out."""
+    """Return the maximum size in bytes of the expanded terms of a body of `size` bytes."""
     return _LEAST_EXPANDED + _EXPANSION * size
 
 
 def expanded_body_error(size: int) -> ExpandedBodyError:
-    """Return the error for a body of `size` bytes with more than that."""
+    """Return the error for a body of `size` bytes that exceeds that maximum."""
     words = f"Written out, the IRIs of these {size} bytes take more than {expansion_limit(size)} bytes"
     return ExpandedBodyError(f"{words}: shorten the prefixes and bases, or send several parts.")
 
@@ -248,7 +247,7 @@ def index_triples(triples: Iterable[Triple]) -> RdfBody:
 def index_quads(quads: Iterable[Quad], base: str, *, alone: bool = False) -> RdfBody:
     """Return the triples of the default graph and of the graph named `base`, by subject and predicate.
 
-    Other graphs are passed over; with `alone` they raise BodyError.
+    Other graphs are ignored; with `alone` they raise BodyError.
     """
     graphs = _own_graphs(base)
     subjects: dict[Subject, dict[NamedNode, list[Term]]] = {}
@@ -264,7 +263,7 @@ def index_quads(quads: Iterable[Quad], base: str, *, alone: bool = False) -> Rdf
 
 
 def _syntax_error(error: SyntaxError) -> BodyError:
-    """Return the parser's words, without the place, which is told apart."""
+    """Return the message of the parser without the position, which the error has separately."""
     words = re.sub(r"^Parser error at [^:]*: ", "", str(error.msg))
     return BodyError(words, error.lineno, error.offset)
 
@@ -297,7 +296,7 @@ _TURTLE_TOKENS = re.compile(
     rb"|(?P<quote>[\"'])",
     re.DOTALL,
 )
-"""Strings, comments, escapes and IRIs are skipped. `<=` and `<-` are left alone: in N3 they are no IRIs."""
+"""Strings, comments, escapes and IRIs, which are skipped. `<=` and `<-` are not: in N3 they are no IRIs."""
 
 
 def check_json_depth(data: bytes) -> None:
@@ -306,13 +305,13 @@ def check_json_depth(data: bytes) -> None:
 
 
 def check_turtle_depth(data: bytes) -> None:
-    """Raise BodyError for what is not UTF-8, and for Turtle or N3 nested deeper than `MAX_DEPTH`."""
+    """Raise BodyError for invalid UTF-8, and for Turtle or N3 nested deeper than `MAX_DEPTH`."""
     _check_utf8(data)
     _check_depth(data, _TURTLE_TOKENS, b"[({<")
 
 
 def _check_depth(data: bytes, tokens: re.Pattern[bytes], openers: bytes) -> None:
-    """Raise BodyError for text nested too deep. With few enough brackets in all there is nothing to look at."""
+    """Raise BodyError for text nested too deeply. Text with few brackets in all needs no check."""
     if sum([data.count(opener) for opener in openers]) <= MAX_DEPTH:
         return
     depth = 0
@@ -356,7 +355,7 @@ def _check_contexts(data: bytes, base: str) -> None:
 
 
 def _contexts(data: bytes) -> Iterator[str | dict[str, object]]:
-    """Yield the contexts of a JSON-LD document: objects, and the URLs of remote ones."""
+    """Yield the contexts of a JSON-LD document: objects, and the URLs of remote contexts."""
     try:
         waiting: list[object] = [orjson.loads(data)]
     except orjson.JSONDecodeError as error:
@@ -418,7 +417,7 @@ def _xml(data: bytes) -> bytes:
 
 
 def _check_xml(data: bytes) -> None:
-    """Raise BodyError for declarations (which define entities), and for elements nested too deep."""
+    """Raise BodyError for declarations (which define entities), and for elements nested too deeply."""
     depth = 0
     for token in _XML_TOKENS.finditer(data):
         kind = token.lastgroup
@@ -438,10 +437,10 @@ def _check_xml(data: bytes) -> None:
 
 
 def parse_json(data: bytes) -> object:
-    """Return the value of a JSON text: integers exact, whatever their size.
+    """Return the value of a JSON text, with exact integers of any size.
 
-    Raises BodyError for what is not UTF-8, nested deeper than `MAX_DEPTH`, no JSON (NaN and Infinity are none), or says
-    one key of an object twice.
+    Raises BodyError for invalid UTF-8, nesting deeper than `MAX_DEPTH`, invalid JSON (including NaN and Infinity), and
+    duplicate keys in an object.
     """
     data = data.removeprefix(b"\xef\xbb\xbf")
     _check_utf8(data)

@@ -1,4 +1,4 @@
-"""Character encodings by their registered names: those that bodies are read in (RFC 2978, RFC 2781)."""
+"""Character encodings by registered name, for reading bodies (RFC 2978, RFC 2781)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 
 UTF_8 = "utf-8"
 CHARSETS = ("UTF-8", "US-ASCII", "ISO-8859-1", "windows-1252", "UTF-16")
-"""What bodies may be in."""
+"""Character encodings of bodies."""
 
 _UTF_16 = "utf-16"
 _CODECS = {
@@ -24,7 +24,7 @@ _DECLARATION = re.compile(_ENCODING)
 
 
 class UnknownCharset(ValueError):
-    """A character encoding that nothing here can read."""
+    """An unsupported character encoding."""
 
     def __init__(self, name: str) -> None:
         super().__init__(f"the charset {name[:100]!r} is not known here; there are {', '.join(CHARSETS)}")
@@ -49,9 +49,9 @@ def decode(data: bytes, codec: str) -> str:
 
 
 def decode_xml(data: bytes) -> bytes:
-    """An XML document in UTF-8 and without an encoding declaration, read as its beginning says (XML 1.0 F, RFC 7303 3).
+    """Return an XML document in UTF-8 without an encoding declaration (encoding detection: XML 1.0 F, RFC 7303 3).
 
-    Raises UnknownCharset, UnicodeDecodeError, and ValueError where it is not in what it declares.
+    Raises UnknownCharset, UnicodeDecodeError, and ValueError if the document contradicts its declaration.
     """
     found = next((each for mark, each in (*_BYTE_ORDER_MARKS, *_BEGINS_XML) if data.startswith(mark)), None)
     if found is None:
@@ -65,5 +65,5 @@ def decode_xml(data: bytes) -> bytes:
 
 
 def strip_encoding_declaration(text: str) -> str:
-    """An XML document that was decoded, without the encoding that it declares for its bytes."""
+    """Return a decoded XML document without its encoding declaration."""
     return _DECLARATION.sub(r"\1", text, count=1) if text.lstrip().startswith("<?xml") else text

@@ -15,7 +15,7 @@ from rosld.ontology.triples import integer, statements, text, triples_about
 from rosld.ontology.vocab import dcterms, rdf, ros
 
 COLUMNS = 12
-"""Columns of the grid."""
+"""Number of columns of the grid."""
 _LAST = 1 << 16
 _DIGITS = re.compile(r"([0-9]{1,9})")
 _OWN = frozenset({ros.hasPanel, dcterms.title})
@@ -51,7 +51,7 @@ _KINDS: Mapping[NamedNode, PanelKind] = {type: kind for kind, type in _TYPES.ite
 
 
 class GridArea(Struct, frozen=True):
-    """A place in the grid: its first column and row (None: the next that is free), and how many of them it takes."""
+    """A place in the grid: its first column and row (None for the next free one), and its width and height."""
 
     width: int = 4
     height: int = 3
@@ -60,9 +60,9 @@ class GridArea(Struct, frozen=True):
 
 
 class Panel(Struct, frozen=True):
-    """A panel of a cockpit: what it draws, of which resources, of which of their fields, and where.
+    """A panel of a cockpit: its kind, resources, fields, and place.
 
-    `kind` is None for a type that is not known here, which `type` names.
+    `kind` is None for an unknown type, which `type` names.
     """
 
     kind: PanelKind | None
@@ -74,18 +74,17 @@ class Panel(Struct, frozen=True):
 
 
 class Cockpit(Struct, frozen=True):
-    """A cockpit: its title, and its panels from the top to the bottom."""
+    """A cockpit: its title, and its panels from top to bottom."""
 
     title: str
     panels: tuple[Panel, ...] = ()
 
 
 NOTHING = Cockpit("")
-"""A cockpit without panels."""
 
 
 def read_cockpit(triples: Iterable[Triple], url: str) -> Cockpit:
-    """Return the cockpit that a document at a URL describes, as far as it does: nothing is demanded."""
+    """Return the cockpit that a document at a URL describes; everything in it is optional."""
     said: dict[object, dict[NamedNode, list[object]]] = defaultdict(lambda: defaultdict(list))
     for subject, predicate, value in triples:
         said[subject][predicate].append(value)
@@ -131,7 +130,7 @@ def _number(values: Iterable[object]) -> int | None:
 
 
 def cockpit_triples(url: str, cockpit: Cockpit) -> list[Triple]:
-    """Return a cockpit as the document at a URL says it."""
+    """Return a cockpit as triples of the document at a URL."""
     nodes = [NamedNode(f"{url}#panel.{number}") for number in range(1, len(cockpit.panels) + 1)]
     triples = triples_about(
         NamedNode(url),

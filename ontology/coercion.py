@@ -1,7 +1,7 @@
 """Coercion: fitting values to ROS primitives, exactly or, for floats, rounded to the nearest.
 
-A value has been read from some syntax already: it is an int, a float or, where its digits matter, a Decimal. What does
-not fit is a `Misfit` that says what was expected.
+Values are already parsed: an int, a float or, if its digits matter, a Decimal. A value that does not fit raises a
+`Misfit` with a description of the expected value.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ _Sized = TypeVar("_Sized", bound=Sized)
 RANGES = {
     name: (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max)) for name, dtype in DTYPES.items() if dtype.kind in "iu"
 }
-"""The least and the greatest value of each integer primitive."""
+"""Minimum and maximum of each integer primitive."""
 
 SPECIALS = {"NaN": float("nan"), "INF": float("inf"), "+INF": float("inf"), "-INF": float("-inf")}
-"""XSD's names for what is no finite number."""
+"""XSD's names of NaN and the infinities."""
 
 _FLOAT32, _FLOAT64, _INT64 = Struct("<f"), Struct("<d"), Struct("<Q")
 _BEYOND_ANY = 24
 
 
 class Misfit(ValueError):
-    """A value that does not fit: what was expected, what was found, and where below the field (`3.x`, or nothing)."""
+    """A value that does not fit: the expected and the actual value, and the path below the field (`3.x`, or empty)."""
 
     def __init__(self, words: str, value: object = None, path: str = "") -> None:
         super().__init__(words)
@@ -49,7 +49,7 @@ class Misfit(ValueError):
 
 
 def describe_kind(kind: FieldType) -> str:
-    """Return the expected kind of a field in words."""
+    """Return a description of the kind of value that a field expects."""
     if isinstance(kind, Nested):
         return f"a {kind.name}"
     if isinstance(kind, Array):
@@ -68,7 +68,7 @@ def _count(kind: Array) -> str:
 
 
 def integer_fit(kind: Primitive) -> Callable[[Number], int]:
-    """Return the function that gives a number as an integer of this primitive. It raises Misfit."""
+    """Return the function that converts a number to an integer of this primitive. It raises Misfit."""
     least, greatest = RANGES[kind.name]
 
     def fit(value: Number) -> int:
@@ -81,7 +81,7 @@ def integer_fit(kind: Primitive) -> Callable[[Number], int]:
 
 
 def _whole(value: Number) -> int | None:
-    """The integer a number is, None where it is none or beyond any integer of ROS."""
+    """Return the integer equal to a number; None if there is none, or none within the range of any ROS type."""
     if isinstance(value, float):
         return int(value) if value.is_integer() else None
     if isinstance(value, Decimal) and value.is_finite() and value.adjusted() <= _BEYOND_ANY:
@@ -91,9 +91,9 @@ def _whole(value: Number) -> int | None:
 
 
 def float_fit(kind: Primitive) -> Callable[[Number], float]:
-    """Return the function that gives a number rounded to the nearest float of this primitive. It raises Misfit.
+    """Return the function that rounds a number to the nearest float of this primitive. It raises Misfit.
 
-    What rounds to infinity without being it does not fit.
+    A finite number that rounds to infinity does not fit.
     """
     rounded = to_float32 if kind.name == "float32" else float
 
@@ -121,13 +121,13 @@ def to_float32(value: Number) -> float:
 
 
 def may_tie(double: float) -> bool:
-    """Whether a double may lie halfway between two float32s, where what it was rounded from decides."""
+    """Whether a double may lie halfway between two float32s, so that the unrounded value decides."""
     bits: int = _INT64.unpack(_FLOAT64.pack(double))[0]
     return not bits & 0x0FFFFFFF
 
 
 def string_fit(kind: Primitive) -> Callable[[str], str]:
-    """Return the function that checks a string against its bound, in bytes of UTF-8. It raises Misfit."""
+    """Return the function that checks a string against its maximum length in bytes of UTF-8. It raises Misfit."""
     bound = kind.bound
 
     def fit(value: str) -> str:
@@ -139,7 +139,7 @@ def string_fit(kind: Primitive) -> Callable[[str], str]:
 
 
 def base64_octets(text: str) -> bytes:
-    """Return the octets of xsd:base64Binary, which may hold white space. Raises Misfit."""
+    """Return the octets of xsd:base64Binary, which may contain white space. Raises Misfit."""
     try:
         return b64decode("".join(text.split()), validate=True)
     except (Base64Error, ValueError) as error:
@@ -152,7 +152,7 @@ def octet_array(kind: Array, octets: bytes) -> Numbers:
 
 
 def check_length(kind: Array, values: _Sized) -> _Sized:
-    """Return the values themselves, if there are as many as the field may hold. Raises Misfit."""
+    """Return the values unchanged, if the field may have as many. Raises Misfit."""
     count = len(values)
     if kind.length is not None and count != kind.length:
         raise Misfit(f"expected {describe_kind(kind)}, and this has {count}")
@@ -162,5 +162,5 @@ def check_length(kind: Array, values: _Sized) -> _Sized:
 
 
 def is_octets(kind: Array) -> bool:
-    """Whether an array is octets."""
+    """Whether an array consists of octets."""
     return kind.element.name in OCTETS

@@ -1,7 +1,7 @@
 """Lifting of many messages of one type at once, when only numbers are needed.
 
-A compiled lifter is run once, on a message that tells which fields it is asked for, and gives a mark for each. What
-comes is the text of any message with marks in it: what stands there for others is filled in by columns.
+A compiled lifter runs once on a probe message, which records the fields that the lifter reads and returns a unique mark
+for each. The result is a template: columns of numbers replace its marks for each message.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from rosld.ontology.vocab import rdf, ros
 _DOCUMENT = "urn:x-rosld-document"
 _SEQUENCE = 987654321987654321
 _SINGLE = 1 << 23
-"""The first mark of a float32, which has no room for words: whole numbers of that size are exact."""
+"""The first mark of a float32, a type that has no other distinct values: integers of that size are exact."""
 
 
 _NO_NUMBERS = frozenset(
     each.value for each in (ros.dateTime, ros.sentBy, ros.elidedLength, ros.bytes, rdf.first, rdf.rest)
 )
-"""Who asks for these asks for more than numbers."""
+"""Predicates that need more than numbers."""
 
 
 class _NotNumbers(Exception):
-    """Other values than numbers are needed."""
+    """Values other than numbers are needed."""
 
 
 class ColumnLifter:
-    """Writes messages as N-Triples, as a partial lifter does: `paths` are the numbers that it needs of each."""
+    """Writer of messages as N-Triples, as a partial lifter: `paths` are the numbers that it needs from each message."""
 
     def __init__(self, parts: Sequence[str], marks: Sequence[str], paths: Mapping[str, tuple[str, ...]]) -> None:
         self.paths = list(paths.values())
@@ -51,7 +51,7 @@ class ColumnLifter:
         sequences: Sequence[int],
         columns: Sequence[NDArray[Any]],
     ) -> str:
-        """The lines of messages: of each its document, when it was received, its sequence, and its numbers by path."""
+        """Return the lines of messages, each with its document, time of receipt, sequence number, and numbers."""
         values: dict[str, Sequence[object]] = {
             name: scalar_texts(cast("Any", column)) for name, column in zip(self._names, columns, strict=True)
         }
@@ -64,9 +64,9 @@ class ColumnLifter:
 
 
 def column_lifter(lifter: Lifter, only: frozenset[str], topic: str, node: str) -> ColumnLifter | None:
-    """The lifter of many messages at once, with the link from their topic; None where it writes more than numbers.
+    """Return the lifter of many messages, including the link from their topic; None if it needs more than numbers.
 
-    `lifter` writes what is said by the predicates `only`; `node` is the fragment of the message (`#message`).
+    `lifter` writes the statements with the predicates `only`; `node` is the fragment of the message (`#message`).
     """
     if not only.isdisjoint(_NO_NUMBERS):
         return None
@@ -94,12 +94,12 @@ def column_lifter(lifter: Lifter, only: frozenset[str], topic: str, node: str) -
 
 
 def _mark_text(mark: float | str) -> str:
-    """Return a mark as a lifter writes it: a string comes with the quotes of JSON."""
+    """Return a mark as a lifter writes it: a string includes the quotes of JSON."""
     return f'"{mark}"' if isinstance(mark, str) else scalar_texts(np.array([mark], np.float32))[0]
 
 
 class _Probe:
-    """A message that gives a mark for each number, and notes which. Raises _NotNumbers for anything else."""
+    """A message that returns and records a mark for each number. Raises _NotNumbers for other values."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""The compiler of lifters: message types to Python source, one function a type and notation.
+"""Compiler of lifters: message types to Python source, one function per type and notation.
 
 A generated function binds the fields it needs, formats all its numbers in one call, and returns one f-string. Nested
 messages are inlined while they are small; arrays of messages, and large nested ones, call the function of their type:
@@ -36,11 +36,11 @@ TIME = "builtin_interfaces/msg/Time"
 _MAX_INLINED = 96
 _TYPE, _DATE_TIME = rdf.type.value, ros.dateTime.value
 _OF_VALUES = frozenset(one.value for one in (rdf.first, rdf.rest, ros.elidedLength, ros.bytes))
-"""Said of what fields lead to: who asks for these is told all."""
+"""Predicates of field values; a query that uses one needs every field."""
 _ATTRIBUTE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 Lift = Callable[[object, str, str, Site, str], str]
-"""A generated function: (message, node, end of line, site, what to add to the node) to text."""
+"""A generated function: (message, node, end of line, site, addition to the node) to text."""
 
 
 def compile_lift(
@@ -52,16 +52,16 @@ def compile_lift(
     *,
     is_linked: bool = False,
 ) -> Lift:
-    """Return the function that writes messages of `schema`. Raises ValueError for a type with a bad name or no end.
+    """Return the function that writes messages of `schema`. Raises ValueError for an invalid or recursive type.
 
-    `only` (None: all) are the predicates that are of use: what is said by no other may be left out. `is_linked`: so may
-    what is said of nodes to which none of these lead.
+    `only` (None for all) are the needed predicates: statements with other predicates may be omitted. With `is_linked`,
+    so may statements about nodes that are not reachable by these.
     """
     return _Module(schema, notation, types, inline_limit, only, is_linked).lift()
 
 
 def minimum_size(kind: Nested | Primitive, types: Mapping[str, MessageType]) -> int:
-    """Return the least bytes an element of an array takes on the wire of ROS 1."""
+    """Return the minimum number of bytes of an array element on the wire of ROS 1."""
     if isinstance(kind, Primitive):
         return 4 if kind.name in STRINGS else DTYPES[kind.name].itemsize
     return max(1, sum(_field_size(field, types) for field in types[kind.name].fields))
@@ -74,7 +74,7 @@ def _field_size(field: Field, types: Mapping[str, MessageType]) -> int:
 
 
 class _Module:
-    """The functions of one schema in one notation: compiled as they are met, sharing one namespace."""
+    """Functions of one schema in one notation, compiled on first use and sharing one namespace."""
 
     def __init__(
         self,
@@ -115,7 +115,7 @@ class _Module:
         return cast(Lift, self.namespace[root])
 
     def function(self, name: str) -> str:
-        """Return the name of the function of a type, which will be compiled."""
+        """Return the name of the function of a type and schedule its compilation."""
         if name not in self._functions:
             self._functions[name] = f"lift_{len(self._functions)}"
             self._wanted.append(name)
@@ -135,11 +135,11 @@ class _Module:
         return 1 + self.leaves(field.type.name, above) if isinstance(field.type, Nested) else 1
 
     def is_wanted(self, predicate: str) -> bool:
-        """Whether what is said by a predicate is of use."""
+        """Whether statements with a predicate are needed."""
         return self._only is None or predicate in self._only
 
     def is_field_wanted(self, kind: TypeName, field: Field) -> bool:
-        """Whether a field, or anything within it, is of use."""
+        """Whether a field, or anything within it, is needed."""
         if self.is_wanted(kind.property(field.name)):
             return True
         return not self._is_linked and self._is_type_wanted(_nested_type(field))
@@ -157,7 +157,7 @@ class _Module:
 
 
 class _Function:
-    """One generated function in the making."""
+    """A generated function under construction."""
 
     def __init__(self, module: _Module, kind: MessageType) -> None:
         self._module = module
@@ -189,7 +189,7 @@ class _Function:
         return name
 
     def _block(self, kind: MessageType, message: str, subject: str, extra: str = "") -> str:
-        """The fragment of a whole message: its own statement and, where they come after, those of what it holds."""
+        """Return the fragment of a whole message: its own statement, and those of nested messages if they follow it."""
         notation, name = self._notation, self._module.names[kind.name]
         head = notation.head(subject, name)
         said = head if self._module.is_wanted(_TYPE) else ""
@@ -214,7 +214,7 @@ class _Function:
         return "{" + self._new(f"f'{text}' if t else ''") + "}"
 
     def _field(self, kind: TypeName, field: Field, value: str, subject: str) -> tuple[str, str]:
-        """A field's own fragment and what comes after its statement."""
+        """Return the fragment of a field and the text that follows its statement."""
         node = f"{subject}.{field.name}"
         if isinstance(field.type, Primitive):
             written, after = self._primitive(field.type, value, node)
@@ -251,7 +251,7 @@ class _Function:
         return (text, "") if self._notation.inside else (self._notation.node(node), text)
 
     def _array(self, element: Primitive, length: int | None, value: str, node: str) -> tuple[str, str]:
-        """Return an array of primitives: one literal."""
+        """Return an array of primitives, which is one literal."""
         values, limit = self._new(value), self._module.inline_limit
         if element.name in STRINGS:
             too_large = f"4 * len({values}) + sum(map(octet_count, {values})) > {limit}"
@@ -267,7 +267,7 @@ class _Function:
         return self._unless(too_large, values, node, f"f'{literal}', ''")
 
     def _messages(self, element: Nested, keys: tuple[str, str], value: str, node: str) -> tuple[str, str, str]:
-        """An array of messages, and its key: in JSON-LD an elided one is no list, so it stands under its full IRI."""
+        """Return an array of messages and its key: in JSON-LD an elided one is no list and has its full IRI as key."""
         values, function = self._new(value), self._module.function(element.name)
         too_large = f"len({values}) * {minimum_size(element, self._module.types)} > {self._module.inline_limit}"
         key = self._new(f"{keys[1]!r} if {too_large} else {keys[0]!r}", "k")
@@ -275,7 +275,7 @@ class _Function:
         return f"{{{key}}}", *self._unless(too_large, values, node, f"listing(f'{node}', {texts}, e)")
 
     def _unless(self, too_large: str, value: str, node: str, inline: str) -> tuple[str, str]:
-        """The value and what comes after it: `inline` gives both, unless the value is elided."""
+        """Return the value and the text that follows it: `inline` returns both unless the value is elided."""
         number = next(self._numbers)
         elided = f"elide(f'{node}', len({value}), e, s)"
         self._lines.append(f"o{number}, a{number} = {elided} if {too_large} else ({inline})")
@@ -283,7 +283,7 @@ class _Function:
 
 
 def _nested_type(field: Field) -> str | None:
-    """Return the type of the messages in a field, None where it holds none."""
+    """Return the type of the messages in a field, None if it has none."""
     kind = field.type.element if isinstance(field.type, Array) else field.type
     return kind.name if isinstance(kind, Nested) else None
 

@@ -92,12 +92,12 @@ class RecordingOrder(Protocol):
 
 
 class BagView(NamedTuple):
-    """A recording as it is described.
+    """A recording with all that its document describes.
 
-    `sha256` is the digest of its file in hexadecimal, where that is known. `dropped` are messages by topic that were
-    sent and are not in it, `problem` says why it does not go on. `size` are the bytes of its file, `status` is missing
-    of one that is complete, `order` says how it is being made: it has no messages that could be read yet. `triggered`
-    is how many recordings its trigger has begun, where it waits for that.
+    `sha256` is the digest of its file in hexadecimal, if known. `dropped` is the number of lost messages by topic,
+    `problem` the reason why recording stopped. `size` is the size of its file in bytes, `status` is None for a complete
+    recording, `order` has the parameters of one in progress, which has no readable messages yet. `triggered` is the
+    number of recordings that its trigger has started, if it waits for that.
     """
 
     bag: Bag
@@ -154,7 +154,7 @@ _TRACK = NodeShape[Track]("BagTopic", "a topic of a recording", ros.BagTopic).wi
 
 
 def bag_document(view: BagView, space: Space) -> Document:
-    """Return a recording: how it is stored, from when to when, its topics with their types and counts."""
+    """Return a recording: its storage, its time span, its topics with their types and counts."""
     bag = view.bag
     url, messages, stream = space.bag(bag.name), space.bag_messages(bag.name), space.bag_stream(bag.name)
     checksum = None if view.sha256 is None else NamedNode(f"{url}#checksum")
@@ -178,7 +178,7 @@ def bag_document(view: BagView, space: Space) -> Document:
 
 
 def _trigger(trigger: Trigger, space: Space) -> tuple[Statement, ...]:
-    """Return the condition: a shape, or a query's text and the resource that it is about."""
+    """Return the condition: a shape, or the text of a query and its subject."""
     limit = (ros.triggerLimit, integer(trigger.limit))
     if trigger.resource is None:
         return (ros.triggerShape, NamedNode(trigger.condition)), limit
@@ -212,7 +212,7 @@ def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size:
 
 
 def bag_selection_document(bag: Bag, space: Space, url: str, messages: Sequence[BagMessage]) -> Document:
-    """Some messages of a recording, as the page at `url` lists them: their numbers, topics and times."""
+    """Return some messages of a recording, as listed by the page at `url`: their numbers, topics and times."""
     records = {NamedNode(space.bag_message(bag.name, each.index)): each for each in messages}
     triples = [
         *_container(bag, space),
@@ -242,7 +242,7 @@ _MOMENT = NodeShape[tuple[Bag, int]]("Moment", "a moment of a recording", ros.Mo
 
 
 def bag_moment_document(bag: Bag, space: Space, url: str, at_ns: int, messages: Sequence[BagMessage]) -> Document:
-    """Return the messages of a recording that were the newest of their topics at a time."""
+    """Return the newest message of each topic of a recording at a time."""
     records = {NamedNode(space.bag_message(bag.name, each.index)): each for each in messages}
     triples = _MOMENT.triples(NamedNode(url), (bag, at_ns), space, *statements(ros.newestRecord, records))
     for node, message in records.items():
@@ -264,7 +264,7 @@ _RECORD = NodeShape[tuple[Bag, BagMessage]]("Record", "the record of a message",
 def bag_message_document(
     bag: Bag, message: BagMessage, space: Space, lifted: LiftedMessage | None, *, unreadable: str | None = None
 ) -> Document:
-    """One recorded message: when it was recorded, on which topic, and the message itself or why it cannot be read."""
+    """Return one recorded message: its time, its topic, and the message itself or the reason why it cannot be read."""
     url = space.bag_message(bag.name, message.index)
     more = (ros.recordedMessage, NamedNode(url + MESSAGE) if lifted else None), (ros.unreadable, text(unreadable))
     triples = _RECORD.triples(NamedNode(url), (bag, message), space, *more)
@@ -282,17 +282,17 @@ class StreamProfile(Enum):
 
     @property
     def time(self) -> NamedNode:
-        """The property that has the time of a member."""
+        """The property for the time of a member."""
         return ros.recordedAt if self is StreamProfile.RECORD else sosa.resultTime
 
     @property
     def version_of(self) -> NamedNode:
-        """The property that has what a member is a version of."""
+        """The property that links a member, as a version, to its subject."""
         return ros.onTopic if self is StreamProfile.RECORD else sosa.observedProperty
 
 
 class StreamLink(NamedTuple):
-    """A link of a page to another: all behind it lies from one time (ns) to another, as far as that is known."""
+    """A link of a page to another: all messages behind it lie between two times (ns), as far as they are known."""
 
     url: str
     from_ns: int | None = None
@@ -351,7 +351,7 @@ def _bounds(link: StreamLink) -> list[tuple[NamedNode, int | None]]:
 
 
 def observation_triples(url: str, message: BagMessage, space: Space, lifted: Sequence[Triple]) -> list[Triple]:
-    """Return a recorded message as an observation of its topic; `lifted` is what is said of the message itself."""
+    """Return a recorded message as an observation of its topic; `lifted` are the triples of the message itself."""
     sample, node = message.sample, NamedNode(url + MESSAGE)
     values = [each for each in lifted if each.subject == node and each.predicate.value.startswith(space.types)]
     simple = values[0].object if len(values) == 1 and isinstance(values[0].object, Literal) else None

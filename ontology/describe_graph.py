@@ -1,4 +1,4 @@
-"""Documents of the computation graph: the entry point, nodes, their life cycle, containers, and edges."""
+"""Documents of the computation graph: the entry point, nodes, their lifecycle, containers, and edges."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _STATES: Mapping[int, NamedNode] = {
 
 
 def transition_triples(node: str, lifecycle: Lifecycle, space: Space) -> list[Triple]:
-    """Return an affordance of the node at a URL for each transition that is legal now: what to send, and how."""
+    """Return an affordance of the node at a URL for each transition that is legal now, with its input and forms."""
     subject = NamedNode(node)
     triples: list[Triple] = []
     for transition in lifecycle.transitions:
@@ -102,7 +102,7 @@ SECTIONS: Mapping[str, str] = {
     "queries": "Queries",
     "cockpit": "Cockpits",
 }
-"""The containers at the top, with their titles."""
+"""The top-level containers with their titles."""
 
 
 class ServerProblems(NamedTuple):
@@ -121,7 +121,7 @@ _SERVICES: Mapping[str, str] = {
     "graph": "Who talks to whom",
     "ontology": "Ontology",
 }
-"""What there is one of beside the routes, by its name below the base, with its label."""
+"""Single resources among the routes, by name below the base, with their labels."""
 
 
 _GRAPH = NodeShape[Graph]("Graph", "a computation graph", ros.Graph, *CONTAINER_TYPES).with_properties(
@@ -194,7 +194,7 @@ def problem_statements(problems: ServerProblems) -> list[Statement]:
 
 
 def graph_state(graph: Graph) -> list[Statement]:
-    """Whether the robot is seen; if not since when and why."""
+    """Return statements about whether the robot is reachable and, if not, since when and why."""
     match graph.state:
         case Live():
             return [(ros.state, ros.Live)]
@@ -260,7 +260,7 @@ def _views(graph: Graph) -> dict[str, NodeView]:
 
 
 def _beside_actions(things: Mapping[str, _V]) -> Iterator[tuple[str, _V]]:
-    """Leave out the inner topics and services of ROS 2's actions, which are described as actions."""
+    """Omit the inner topics and services of ROS 2 actions, which are described as actions."""
     return ((name, thing) for name, thing in things.items() if names.action_of(name) is None)
 
 
@@ -277,11 +277,11 @@ def _view(node: Node, parts: _Parts, graph: Graph) -> NodeView:
 
 
 node_views: IdentityCache[Graph, dict[str, NodeView]] = IdentityCache(_views)
-"""The nodes of a graph with what each takes part in."""
+"""The nodes of a graph with everything that each takes part in."""
 
 
 def _uses(view: NodeView, space: Space) -> dict[NamedNode, Sequence[str]]:
-    """Return the URLs of what a node takes part in, by the property that leads there."""
+    """Return the URLs of the resources that a node takes part in, by the linking property."""
     return {
         ros.publishes: [space.topic(topic.name) for topic, _ in view.publishes],
         ros.subscribes: [space.topic(topic.name) for topic, _ in view.subscribes],
@@ -310,7 +310,7 @@ _NODE = NodeShape[NodeView]("Node", "a node", ros.Node, *SOURCE, is_listed=True)
 def node_document(view: NodeView, space: Space, *, simulated_time: bool = False) -> Document:
     """Return a node with its lifecycle, its endpoints, services, actions and parameters.
 
-    Topics include the quality of service, a node that does not answer the reason.
+    Topics include the quality of service; a node that does not answer has the reason.
     """
     url, lifecycle = space.node(view.node.name), view.node.lifecycle
     endpoints = [
@@ -335,7 +335,7 @@ def node_document(view: NodeView, space: Space, *, simulated_time: bool = False)
 
 
 def container_document(url: str, members: Iterable[str], title: str) -> Document:
-    """Return a container and the URLs of its members, those ending in a slash being containers themselves."""
+    """Return a container and the URLs of its members; a URL that ends in a slash is a container itself."""
     found = [NamedNode(member) for member in members]
     return Document(
         url,
@@ -378,7 +378,7 @@ def namespace_document(
 
 
 def type_container_document(route: str, namespace: tuple[str, ...], below: Sequence[str], space: Space) -> Document:
-    """Return a container of types or shapes: `below` are the type names (`pkg/msg/X`) that lie in this namespace."""
+    """Return a container of types or shapes: `below` are the type names (`pkg/msg/X`) in this namespace."""
     depth = len(namespace)
     members: dict[str, None] = {}
     for name in below:
@@ -400,7 +400,7 @@ def edges_document(
 ) -> Document:
     """Return the nodes among the URLs `shown`, each with the resources among these that it uses.
 
-    `problems` are URLs with what is wrong with the things there, in words.
+    `problems` maps URLs to descriptions of problems with their resources.
     """
     triples = triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Who talks to whom")))
     for name, view in views.items():

@@ -20,22 +20,22 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, js, prov, rdf, rdfs, ros, td
 
 MAX_RATE = 50.0
-"""Hz: how often a hold may publish."""
+"""Maximum publishing rate of a hold in Hz."""
 MAX_LEASE = 5.0
-"""Seconds that a hold may go on without being renewed."""
+"""Maximum number of seconds of a hold without renewal."""
 MIN_OF_HOLDS = 1e-6
-"""The least rate in Hz, and the least lease and time in seconds."""
+"""Minimum rate in Hz, and minimum lease and time in seconds."""
 RATE = 10.0
-"""Hz: how often a command of a velocity is published where nothing is said."""
+"""Default publishing rate in Hz for velocity commands."""
 LEASE = 1.0
-"""Seconds that a hold goes on without being renewed, where nothing is said."""
+"""Default number of seconds of a hold without renewal."""
 _NO_DEFAULTS: Mapping[str, float] = MappingProxyType({})
 HOLD = (
     "The message is published again and again until the lease ends, or for as many seconds as `for` says. PATCH of the "
     "hold that is made (Location) renews it, also with another message; DELETE ends it. Then what `then` says is "
     "published: zero for a velocity."
 )
-"""What it means to hold a topic."""
+"""Explanation of holding a topic."""
 MEANINGS = {
     "rate": "How many times a second the message is published.",
     "lease": "The seconds that the hold goes on unrenewed.",
@@ -44,14 +44,14 @@ MEANINGS = {
 }
 _SETTINGS = LiftSettings()
 PARAMETERS = "{?rate,lease,for,then}"
-"""Those of a hold, as in a URI template (RFC 6570)."""
+"""The parameters of a hold, as in a URI template (RFC 6570)."""
 CONFIRM = "The id of the stop, which its page shows: needed of those who have not said who they are."
 CONFIRM_PARAMETER = "{?confirm}"
 """The parameter of a release, as in a URI template."""
 
 
 class HoldOutline(Struct, frozen=True):
-    """What lists say of a hold, too. Times are wall-clock nanoseconds."""
+    """The part of a hold that lists include. Times are wall-clock nanoseconds."""
 
     id: str
     topic: str
@@ -62,10 +62,10 @@ class HoldOutline(Struct, frozen=True):
 
 
 class HoldView(HoldOutline, frozen=True, eq=False):
-    """A hold as it is described; messages come with their schema.
+    """A hold with all that its document describes; messages come with their schema.
 
-    `is_timed`: the lease is the time that `for` asked for. `is_changeable`: it can be changed and ended here now, and
-    forms say how.
+    `is_timed`: the lease is the time requested by `for`. `is_changeable`: it can be changed and ended here now, and
+    gets forms.
     """
 
     lease: float
@@ -104,7 +104,7 @@ _HOLD = NodeShape[HoldView](
 
 
 def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTINGS) -> Document:
-    """Return the document of a hold: topic, message, rate, holder, lease, and what is published at its end."""
+    """Return the document of a hold: topic, message, rate, holder, lease, and the message published at its end."""
     url = space.hold(hold.id)
     subject = NamedNode(url)
     parts = {"#message": hold.message, "#then": hold.release_message}
@@ -126,10 +126,10 @@ def hold_document(hold: HoldView, space: Space, settings: LiftSettings = _SETTIN
 def holdable(
     topic: str, shape: str | None = None, *, commands_velocity: bool = False, document: str | None = None
 ) -> list[Triple]:
-    """Return the statements that the topic at this URL can be held: an action, its message and parameters.
+    """Return the affordance of holding the topic at this URL: an action, its message and parameters.
 
-    `shape` is the URL of the shape of the message. Where it `commands_velocity` no parameter has to be given. It is
-    said of the topic, or of the resource that is described in another `document`.
+    `shape` is the URL of the shape of the message. If it `commands_velocity`, no parameter is required. The subject is
+    the topic, or the resource described in another `document`.
     """
     subject = NamedNode(document or topic)
     about_it = HOLD if commands_velocity else f"{HOLD} Say how often: rate."
@@ -157,9 +157,9 @@ def holdable(
 
 
 class StepView(Struct, frozen=True):
-    """A step of a stop: what it does in words, its state, why it failed, and the URLs of what it is about.
+    """A step of a stop: its description, its state, why it failed, and the URLs of its subjects.
 
-    `subscribers` is how many got the message that it published, None where it published none.
+    `subscribers` is the number of subscribers that received its message, None if it published none.
     """
 
     does: str
@@ -170,9 +170,10 @@ class StepView(Struct, frozen=True):
 
 
 class StopView(Struct, frozen=True):
-    """The stop: what is done to stop the robot, and, if it is stopped, by whom.
+    """The stop: the steps that stop the robot and, if it is stopped, by whom.
 
-    `warning` says why the robot may go on moving all the same. `is_usable`: it can be stopped here, and forms say how.
+    `warning` is the reason why the robot may move nevertheless. `is_usable`: the robot can be stopped here, and the
+    stop gets forms.
     """
 
     steps: Sequence[StepView]
@@ -207,7 +208,6 @@ def _fragment(step: StepView) -> str:
 
 
 def stop_document(stop: StopView, space: Space) -> Document:
-    """Return the document of the stop."""
     url = space.stop
     subject = NamedNode(url)
     triples = _STOP.triples(subject, stop, space)
@@ -237,7 +237,7 @@ _VARIABLE = NodeShape[tuple[str, str, float | None]](
 
 
 def _variables(subject: NamedNode, affordance: str, defaults: Mapping[str, float] = _NO_DEFAULTS) -> list[Triple]:
-    """The parameters of a hold: its rate in Hz, its lease or time in seconds, and what is published when it ends."""
+    """Return the parameters of a hold: its rate in Hz, its lease or time in seconds, and its final message."""
     action, positive = NamedNode(f"{subject.value}#{affordance}"), (js.exclusiveMinimum, double(0))
     kinds_of: Mapping[str, Sequence[Statement]] = {
         "rate": ((rdf.type, js.NumberSchema), positive, (js.maximum, double(MAX_RATE))),

@@ -43,7 +43,7 @@ def service_document(service: Service, space: Space, graph: Graph) -> Document:
 
 
 class CallOutline(Struct, frozen=True):
-    """What lists say of a call, too: `state` is a local name of the vocabulary (`Running`, `Succeeded`, ...).
+    """The part of a call that lists include: `state` is a local name of the vocabulary (`Running`, `Succeeded`, ...).
 
     Times are wall-clock nanoseconds.
     """
@@ -57,7 +57,10 @@ class CallOutline(Struct, frozen=True):
 
 
 class CallView(CallOutline, frozen=True, eq=False):
-    """A call as it is described; a message comes with its schema. `receipt` is the id of that of its request."""
+    """A call with all that its document describes; a message comes with its schema.
+
+    `receipt` is the id of the receipt of its request.
+    """
 
     request: tuple[MessageSchema, Message]
     response: tuple[MessageSchema, Message] | None = None
@@ -113,7 +116,7 @@ def action_document(
 ) -> Document:
     """Return the document of an action: its type, its servers and clients, the shapes of its messages, its goals.
 
-    `takes_goals`: a goal can be sent here now, and a form says how.
+    `takes_goals`: goals can be sent here now, and the action gets a form.
     """
     url = space.action(action.name)
     subject = NamedNode(url)
@@ -134,7 +137,7 @@ def action_document(
 
 
 class GoalOutline(Struct, frozen=True):
-    """What lists say of a goal, too. Times are wall-clock nanoseconds."""
+    """The part of a goal that lists include. Times are wall-clock nanoseconds."""
 
     id: str
     action: str
@@ -145,10 +148,10 @@ class GoalOutline(Struct, frozen=True):
 
 
 class GoalView(GoalOutline, frozen=True, eq=False):
-    """A goal as it is described; a message comes with its schema, feedback with when it came and its number.
+    """A goal with all that its document describes; messages come with their schema, feedback with its time and number.
 
-    `goal_id` is what its server knows it by. `cancelable`: it can be canceled here now, and a form says how. `receipt`
-    is the id of the receipt of the request that sent it.
+    `goal_id` is the id that its server uses. `cancelable`: it can be canceled here now, and gets a form. `receipt` is
+    the id of the receipt of the request that sent it.
     """
 
     goal_id: str | None

@@ -1,4 +1,4 @@
-"""Topics described: type, endpoints, rate, and the latest messages."""
+"""Documents of topics: type, endpoints, rate, and the latest messages."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def topic_document(
 ) -> Document:
     """Return a topic and its latest messages, the newest of each publisher in order of receipt (the newest last).
 
-    The newest of all is `#message`; where several publish, each publisher's is linked by ros:latestFrom. `unreadable`
-    says why messages cannot be decoded, and goes before what the topic says itself. `holdable`: the topic can be held
-    here, and a form says how; `hold` is the id of the one that is on it.
+    The newest of all is `#message`; with several publishers, ros:latestFrom links each one's. `unreadable` is the
+    reason why messages cannot be decoded, and precedes the topic's own. `holdable`: the topic can be held here, and
+    gets a form; `hold` is the id of the current hold.
     """
     url = space.topic(topic.name)
     subject = NamedNode(url)
@@ -71,7 +71,7 @@ def _described_hold(topic: Topic, space: Space) -> tuple[Triple, ...]:
 
 
 def _with_fragments(messages: Sequence[LiftedMessage], space: Space) -> tuple[LiftedMessage, ...]:
-    """The messages under fragments of their own: the newest is `#message`, the others are called by publisher."""
+    """Return the messages with fragments: the newest is `#message`, the others are named after their publishers."""
     if len(messages) < 2:
         return tuple(messages)
     nodes = space.container("nodes")
@@ -87,7 +87,7 @@ def _with_fragments(messages: Sequence[LiftedMessage], space: Space) -> tuple[Li
 
 
 def _fragment(message: LiftedMessage, nodes: str) -> str:
-    """`#from/talker`. Dots are escaped, because a dot leads to a nested message (`#message.linear`)."""
+    """Return a fragment such as `#from/talker`. Dots are escaped, as they lead to nested messages."""
     publisher = message.envelope.publisher if message.envelope else None
     return f"#from/{publisher.removeprefix(nodes).replace('.', '%2E')}" if publisher else "#from"
 
@@ -178,9 +178,9 @@ def type_url(ref: TypeRef, space: Space) -> list[Triple]:
 def endpoints_of(
     kind: NamedNode, endpoints: Iterable[Endpoint], topic: Topic, space: Space
 ) -> Iterator[tuple[NamedNode, list[Triple]]]:
-    """Yield those endpoints (ros:Publisher, ros:Subscriber) that have more to say than that they are there, described.
+    """Yield the descriptions of those endpoints (ros:Publisher, ros:Subscriber) that have any.
 
-    All of a topic, or all of one node on it.
+    These are all endpoints of a topic, or all those of one node on it.
     """
     url = space.topic(topic.name)
     role = "publisher" if kind == ros.Publisher else "subscriber"
@@ -197,10 +197,10 @@ def endpoints_of(
 
 
 def _conflict(endpoint: Endpoint, topic: Topic) -> TypeRef | None:
-    """Return the type of an endpoint of a topic with several."""
+    """Return the type of an endpoint of a topic with several types."""
     return endpoint.type if len(topic.types) > 1 else None
 
 
 def _numbered_fragment(fragment: str, ordinal: int) -> str:
-    """The fragment of a node's endpoint; where it has several of one role on a topic, they are counted from 2 on."""
+    """Return the fragment of a node's endpoint; several of one role on a topic are numbered from 2."""
     return f"{fragment};{ordinal}" if ordinal > 1 else fragment

@@ -1,4 +1,4 @@
-"""Message, service and action types described: classes, the properties of their fields, constants, definitions."""
+"""Documents of message, service and action types: classes, the properties of their fields, constants, definitions."""
 
 from __future__ import annotations
 
@@ -70,9 +70,9 @@ _ACTION_TYPE = NodeShape[_TypeView]("ActionType", "an action type", ros.ActionTy
 
 
 def type_document(schema: Schema, space: Space, variants: Sequence[TypeRef] = ()) -> Document:
-    """A type: its class with definition and hash, fields in order, constants; the other variants where there are any.
+    """Return a type: its class with definition and hash, its fields in order, its constants and other variants.
 
-    The class is the document's primary topic: it lies in the namespace of types, which all robots share.
+    The class is the document's primary topic: it is in the namespace of types, which all robots share.
     """
     others = [ref for ref in variants if ref.hash and ref.hash != schema.ref.hash]
     url = space.type(TypeRef(schema.ref.name, schema.ref.hash if others else None))
@@ -99,7 +99,7 @@ _HALVES: Mapping[type, tuple[NodeShape[_TypeView], Sequence[NamedNode]]] = {
 
 
 def _hash(ref: TypeRef, is_ros2: bool) -> str | None:
-    """Return the hash of a type if its kind of ROS made it."""
+    """Return the hash of a type if its kind of ROS defines it."""
     return ref.hash if ref.hash and ref.hash.startswith("RIHS") == is_ros2 else None
 
 
@@ -170,7 +170,7 @@ def _message_type(kind: MessageType, space: Space) -> list[Triple]:
 
 
 def _range(kind: FieldType, space: Space) -> list[Statement]:
-    """Return the class and the range of a field; one that may be elided has literals and nodes."""
+    """Return the class and the range of a field; a field that may be elided has literals and nodes."""
     values = value_type(kind, space)
     if isinstance(kind, Array) or (isinstance(kind, Primitive) and kind.name in STRINGS):
         return statements(schema_org.rangeIncludes, (values, ros.Elided))
@@ -195,7 +195,7 @@ def _nested_type(kind: FieldType) -> str | None:
 
 
 def definition_text(kind: FieldType) -> str:
-    """Return a field's type as ROS definitions write it: `float64`, `geometry_msgs/msg/Point[]`, `string<=10[<=3]`."""
+    """Return a field's type as in ROS definitions: `float64`, `geometry_msgs/msg/Point[]`, `string<=10[<=3]`."""
     if isinstance(kind, Nested):
         return kind.name
     if isinstance(kind, Primitive):

@@ -27,8 +27,8 @@ _TYPE_RELATIONS: Mapping[NamedNode, NamedNode] = {
 class MemberOutline(Struct, frozen=True):
     """A resource in a list: its URL, its class (or None), its name, and known values.
 
-    `types` are its ROS types; two or more contradict each other. `rate` is in messages a second, `value`
-    brief plain JSON; both are None if unknown.
+    `types` are its ROS types; two or more contradict each other. `rate` is in messages per second, `value` brief plain
+    JSON; both are None if unknown.
     """
 
     url: str
@@ -42,7 +42,7 @@ class MemberOutline(Struct, frozen=True):
 def member_triples(member: MemberOutline, space: Space) -> list[Triple]:
     """Return the triples of a member of a list."""
     relation = None if member.kind is None else _TYPE_RELATIONS.get(member.kind)
-    name = member.name and (member.name.rstrip("/") or "/")  # as a container says it of itself
+    name = member.name and (member.name.rstrip("/") or "/")  # as in its container
     return triples_about(
         NamedNode(member.url),
         (rdf.type, member.kind),
@@ -74,7 +74,7 @@ class SearchResult(Struct, frozen=True):
 
 
 def search_template(space: Space) -> str:
-    """Return the template of the URLs at which something is searched for (RFC 6570)."""
+    """Return the template of the URLs of searches (RFC 6570)."""
     return f"{space.base}find{{?q}}"
 
 
@@ -116,7 +116,7 @@ _RESULT = NodeShape[tuple[int, SearchResult]](
 
 
 def search_document(url: str, query: str, total: int, results: Sequence[SearchResult], space: Space) -> Document:
-    """Return the results, the best first, as a schema:ItemList with positions. `total` is the number of all matches."""
+    """Return the results, the best first, as a schema:ItemList with positions; `total` is the number of all matches."""
     items = {NamedNode(f"{url}#{number}"): (number, result) for number, result in enumerate(results, 1)}
     title, elements = (dcterms.title, text(f"Search: {query}")), statements(schema_org.itemListElement, items)
     triples = _RESULTS.triples(NamedNode(url), total, space, title, *elements)
@@ -130,16 +130,16 @@ def search_document(url: str, query: str, total: int, results: Sequence[SearchRe
 
 
 def unasked_document(url: str, space: Space) -> Document:
-    """Return the search itself, while nothing is searched for."""
+    """Return the document of the search without a query."""
     subject = NamedNode(url)
     triples = [*triples_about(subject, *RDF_SOURCE, (dcterms.title, text("Search"))), *search_triples(subject, space)]
     return Document(url, tuple(triples))
 
 
 class PlottedNumber(Struct, frozen=True):
-    """A number of a topic that is drawn: the topic's URL, the path of the field, its type in ROS.
+    """A plotted number of a topic: the topic's URL, the path of the field, its ROS type.
 
-    `series` is the URL of what is recorded of it, None where nothing is.
+    `series` is the URL of its recorded values, or None.
     """
 
     topic: str
@@ -217,7 +217,7 @@ _FRAME_TYPE = "geometry_msgs/msg/TransformStamped"
 
 
 class Frame(Struct, frozen=True):
-    """A frame: its parent and when that was said, None of a root; the URLs of the nodes that say it; what is odd."""
+    """A frame: its parent and the time of that transform (None for a root), its nodes' URLs, and its problems."""
 
     name: str
     parent: str | None
@@ -255,7 +255,7 @@ _DIAGNOSTIC_TYPE = "diagnostic_msgs/msg/DiagnosticStatus"
 
 
 class PartState(Struct, frozen=True):
-    """Latest state of a part: the URL of the topic, the time since it has this level; `number` is the level as sent."""
+    """Latest state of a part: the topic's URL, the time since it has this level; `number` is the level as sent."""
 
     topic: str
     name: str
@@ -307,7 +307,7 @@ _MEMENTO = NodeShape[int]("Memento", "a memento in a list of them", memento.Meme
 def time_map_document(
     url: str, original: str, mementos: Sequence[tuple[str, int]], after: str | None = None
 ) -> Document:
-    """Return the TimeMap at `url`: `mementos` are URLs and times (ns), `after` is the TimeMap of those that follow."""
+    """Return the TimeMap at `url`: `mementos` are URLs and times (ns), `after` is the TimeMap of later ones."""
     nodes = {NamedNode(each): time_ns for each, time_ns in mementos}
     triples = _TIME_MAP.triples(
         NamedNode(url),

@@ -1,8 +1,7 @@
-"""Documents: the statements of a resource, before a syntax is chosen.
+"""Documents: the statements of a resource, independent of a syntax.
 
-A `Document` is the RDF of one resource: triples of description and, for what carries ROS messages, the messages
-still as ROS has them, each with the compiled `Lifter` that writes it. Serialisation (`ontology/serialize.py`) joins
-both.
+A `Document` is the RDF of one resource: triples of its description, and ROS messages, each with the compiled `Lifter`
+that writes it. Serialization (`ontology/serialize.py`) joins both.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ class Envelope(NamedTuple):
 class LiftedMessage(Struct, frozen=True, eq=False):
     """A message within a document: `node` is its fragment (`#message`); the link to it is among the triples.
 
-    `source` is the URL that has its bytes (`?field=`), where that is not the document itself.
+    `source` is the URL of its bytes (`?field=`) if that is not the document itself.
     """
 
     node: str
@@ -51,14 +50,14 @@ class LiftedMessage(Struct, frozen=True, eq=False):
         )  # fmt: skip
 
     def ntriples(self, document: Document, end: str = " .\n") -> str:
-        """N-Triples lines; with a graph in `end`, N-Quads."""
+        """Return N-Triples lines; with a graph in `end`, N-Quads."""
         return self.lifter.ntriples(
             self.message, document.url, self.node, end=end, envelope=self.envelope,
             simulated_time=document.simulated_time, source=self.source,
         )  # fmt: skip
 
     def triples(self, document: Document) -> list[Triple]:
-        """The same as terms."""
+        """Return the triples as terms."""
         return self.lifter.triples(
             self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
             source=self.source,
@@ -66,10 +65,10 @@ class LiftedMessage(Struct, frozen=True, eq=False):
 
 
 class Document(Struct, frozen=True):
-    """The RDF of the resource at `url`: its description, and the messages it carries.
+    """The RDF of the resource at `url`: its description, and its messages.
 
-    `simulated_time`: stamps are no wall-clock times, so no xsd:dateTime is derived from them. `parts` are documents
-    that it quotes whole: syntaxes that have named graphs put each into the graph of its URL.
+    `simulated_time`: stamps are no wall-clock times, so no xsd:dateTime is derived from them. `parts` are complete
+    documents within it: syntaxes with named graphs put each into the graph of its URL.
     """
 
     url: str
@@ -84,5 +83,5 @@ class Document(Struct, frozen=True):
         return own + [triple for part in self.parts for triple in part.all_triples()]
 
     def joined(self) -> Document:
-        """The same as one graph."""
+        """Return the document with its messages and parts as triples of one graph."""
         return Document(self.url, tuple(self.all_triples())) if self.parts else self

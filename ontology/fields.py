@@ -1,4 +1,4 @@
-"""One field of a message by its path: what `?field=transforms.0.data` asks for."""
+"""One field of a message by its path, as in `?field=transforms.0.data`."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _WHOLE = LiftSettings(inline_limit=2**62)
 def field_bytes(schema: MessageSchema, message: Message, path: str) -> tuple[bytes, str]:
     """Return the bytes of the field at `path` (`transforms.0.data`) and their media type.
 
-    Octets and strings are as they are on the wire, anything else is JSON, whole however large. Raises ValueError
-    naming the path where there is no such field.
+    Octets and strings are as on the wire, everything else is JSON, complete at any size. Raises ValueError with the
+    path if there is no such field.
     """
     return _write(schema, *field_at(schema, message, path))
 
 
 def field_at(schema: MessageSchema, message: Message, path: str) -> tuple[FieldType, object]:
-    """The type and the value of the field at `path`. Raises ValueError naming the path where there is no such field."""
+    """Return the type and value of the field at `path`. Raises ValueError with the path if there is no such field."""
     kind: FieldType = Nested(schema.ref.name)
     value: object = message
     walked: list[str] = []
@@ -39,7 +39,7 @@ def field_at(schema: MessageSchema, message: Message, path: str) -> tuple[FieldT
 
 
 def type_at(schema: MessageSchema, path: str) -> FieldType:
-    """Return the type of the field at `path`. Raises ValueError naming the path where a message has no such field."""
+    """Return the type of the field at `path`. Raises ValueError with the path if there is no such field."""
     kind: FieldType = Nested(schema.ref.name)
     walked: list[str] = []
     for step in path.split("."):
@@ -54,7 +54,7 @@ def type_at(schema: MessageSchema, path: str) -> FieldType:
 def number_type(schema: MessageSchema, path: str) -> Primitive | Array:
     """Return the type of the number, or of the array of numbers, at `path` in every message of a type.
 
-    Raises ValueError naming the path where there is no such field, or it holds no numbers.
+    Raises ValueError with the path if there is no such field, or if it has no numbers.
     """
     kind = type_at(schema, path)
     element = kind.element if isinstance(kind, Array) else kind

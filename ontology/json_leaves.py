@@ -1,6 +1,6 @@
 """Leaves: JSON values as primitives and as arrays of them.
 
-A leaf takes a value, as `parse_json` gives it, and returns what belongs into the message or raises `Misfit`.
+A leaf takes a value from `parse_json` and returns the value for the message or raises `Misfit`.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _float(kind: Primitive) -> Leaf:
     fit = float_fit(kind)
 
     def read(value: object) -> float:
-        if type(value) is float and not isfinite(value):  # 1e400: JSON has no infinity, this was a number too large
+        if type(value) is float and not isfinite(value):  # 1e400: JSON has no infinity, the number is too large
             raise Misfit(f"expected a {kind.name}, and this is beyond its range", value)
         if type(value) is float or type(value) is int:
             return fit(value)
@@ -120,7 +120,7 @@ def _raw(value: object) -> str:
 
 
 def unexpected_value(kind: FieldType, value: object) -> Misfit:
-    """Return the misfit of a value of the wrong kind; one that was elided says so."""
+    """Return the misfit of a value of the wrong kind, which mentions if it was elided."""
     if isinstance(value, dict) and value.get("elided") is True:
         return Misfit("this was left out where it was read (elided): fetch it and send it whole", value)
     return Misfit(f"expected {describe_kind(kind)}", value)
@@ -172,7 +172,7 @@ def read_all(read: Leaf, values: Sequence[object]) -> list[object]:
     return found
 
 
-# These three read a whole array of what is plainly right, and return None to have it read one by one instead.
+# These three read a whole array of obviously valid values, or return None to have it read one by one instead.
 
 
 def _floats_at_once(values: list[Any], dtype: np.dtype[Any], limits: tuple[int, int]) -> Numbers | None:
@@ -201,7 +201,7 @@ def _bools_at_once(values: list[Any], dtype: np.dtype[Any], limits: tuple[int, i
 def array_of_json(kind: Array) -> Callable[[str], object]:
     """Return the reader of an rdf:JSON literal as an array of primitives. It raises Misfit.
 
-    Integers must have no fraction: a shape could not tell which other numbers are whole.
+    Integers must have no fraction: a shape could not distinguish which other numbers are integers.
     """
     read, is_integer = json_leaf(kind), kind.element.name in RANGES
 
@@ -252,7 +252,7 @@ def _default_array(kind: FieldType, values: tuple[Scalar, ...]) -> Plain:
 
 
 def _plain(value: Scalar) -> Scalar:
-    """Return a scalar as JSON has it: numbers that JSON has not are strings."""
+    """Return a scalar as JSON: numbers that JSON cannot represent are strings."""
     if isinstance(value, bool | str):
         return value
     if isinstance(value, int):

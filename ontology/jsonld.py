@@ -1,7 +1,7 @@
-"""Compact JSON-LD 1.1 with an inline context made for the one document: nothing has to be fetched to read it.
+"""Compact JSON-LD 1.1 with an inline context for the one document: reading it needs no further resource.
 
-Every number is a string with its datatype in the context, because JSON's own numbers lose digits. A term is in the
-context only if no IRI of the document could be mistaken for a compact IRI that begins with it (JSON-LD 1.1 5.2).
+Every number is a string with its datatype in the context, because JSON numbers lose digits. A term is in the context
+only if no IRI of the document could be mistaken for a compact IRI that begins with it (JSON-LD 1.1 5.2).
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _ID = "@id"
 
 
 def jsonld(document: Document) -> bytes:
-    """The document in compact JSON-LD: the node of its URL with all that hangs on it nested, the rest beside it."""
+    """Return the document in compact JSON-LD: the node of its URL with linked nodes nested, and the other nodes."""
     return _Writer(document).text()
 
 
 class _Writer:
-    """Writes one document."""
+    """Writer of one document."""
 
     def __init__(self, document: Document) -> None:
         self.document = document
@@ -45,7 +45,7 @@ class _Writer:
         self.written: set[Subject] = set()
 
     def text(self) -> bytes:
-        """All of it."""
+        """Return the complete text."""
         for predicate, objects in _by_predicate(self.shape).items():
             self.keys[predicate] = self._key(predicate, objects)
         nodes = list(self._nodes())
@@ -70,7 +70,7 @@ class _Writer:
     # The context
 
     def _prefix(self, iri: str) -> str | None:
-        """The compact form of `iri` where its namespace has a usable prefix, which then is in the context."""
+        """Return the compact form of `iri` if its namespace has a usable prefix, which is added to the context."""
         cut = max(iri.rfind("#"), iri.rfind("/")) + 1
         prefix = _NAMESPACES.get(iri[:cut])
         if prefix is None or not _LOCAL.fullmatch(iri, cut) or not self._define(prefix, iri[:cut]):
@@ -102,7 +102,7 @@ class _Writer:
         return iri, None
 
     def _kind(self, term: Term) -> str | None:
-        """`@id` for nodes, the datatype for literals, None for what is always written in full."""
+        """Return `@id` for nodes, the datatype for literals, None for terms that are always written in full."""
         if isinstance(term, NamedNode):
             return None if term == rdf.nil else _ID
         if isinstance(term, BlankNode):
@@ -114,7 +114,7 @@ class _Writer:
     # The nodes
 
     def _nodes(self) -> Iterator[Json]:
-        """The nodes that are not nested in another, the document itself first; rings of blank nodes come last."""
+        """Yield the nodes that are not nested in another, the document itself first, cycles of blank nodes last."""
         own = NamedNode(self.document.url)
         subjects = [own, *self.shape.subjects] if own in self.shape.subjects else list(self.shape.subjects)
         inner = self.shape.nested | self.shape.cells
@@ -143,7 +143,7 @@ class _Writer:
         return found
 
     def _value(self, term: Term, key: str, kind: str | None, depth: int) -> Json:
-        """One object, in the form that its key's coercion leaves to be said."""
+        """Return one object; its key's coercion determines the form."""
         if isinstance(term, Literal):
             return _literal(term, self._prefix(term.datatype.value)) if kind is None else term.value
         if isinstance(term, Triple):
@@ -180,7 +180,7 @@ class _Writer:
             (cell,) = self.shape.subjects[cell][rdf.rest]
 
     def _message(self, iri: str) -> Json:
-        """Return the node object of a message, with a context of its own where that of the document says otherwise."""
+        """Return the node object of a message, with its own context if it conflicts with that of the document."""
         message: LiftedMessage = self.messages.pop(iri)
         text = message.jsonld(self.document)
         if iri in self.embedded:
@@ -194,7 +194,7 @@ class _Writer:
 
 
 def _literal(literal: Literal, compact: str | None) -> Json:
-    """A literal where the context does not coerce: a string, or a value object."""
+    """Return a literal without coercion: a string, or a value object."""
     if literal.direction is not None:
         raise CannotCarry(f"JSON-LD cannot carry the base direction of {literal.value!r}; ask for Turtle")
     if literal.language is not None:

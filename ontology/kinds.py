@@ -1,4 +1,4 @@
-"""Kinds of values in descriptions: how a value is written as a term, and the SHACL constraints that the term meets."""
+"""Kinds of values in descriptions: the conversion of a value to a term, and the SHACL constraints of the term."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ V = TypeVar("V")
 
 
 class Kind(Struct, Generic[V], frozen=True):
-    """Kind of value: how its term is made, and the constraints in Turtle that the term meets.
+    """Kind of value: the conversion to a term, and the constraints of the term in Turtle.
 
-    `url` returns the URL that the term is. Without functions a value is the end of a URL that begins as its subject's.
+    `url` returns the URL that is the term. Without functions a value is a suffix of its subject's URL.
     """
 
     term: Callable[[V], Value | None] | None
@@ -65,7 +65,7 @@ DECIMAL: Kind[float] = Kind(
 )
 BOOLEAN: Kind[bool] = Kind(boolean, "sh:datatype xsd:boolean")
 FLAG: Kind[bool] = Kind(boolean, "sh:in ( true )")
-"""Written only where it is true: the value is True or None."""
+"""A boolean written only if it is true: the value is True or None."""
 DATE_TIME: Kind[int] = Kind(date_time_literal, "sh:datatype xsd:dateTime")
 """A time, given in nanoseconds after the epoch."""
 URI: Kind[str] = Kind(lambda value: Literal(value, datatype=xsd.anyURI), "sh:datatype xsd:anyURI")
@@ -74,7 +74,7 @@ TERM: Kind[Value] = Kind(_same, "sh:nodeKind sh:IRI")
 LITERAL: Kind[Value] = Kind(_same, "sh:nodeKind sh:Literal")
 STATE = node("State")
 FRAGMENT: Kind[str] = Kind(None, "sh:nodeKind sh:IRI")
-"""The end of a URL, such as `#request`."""
+"""A suffix of the subject's URL, such as `#request`."""
 MESSAGE = replace(FRAGMENT, shacl="sh:node <#Message>")
 NODE, TOPIC, SERVICE = link(Space.node, "/nodes/"), link(Space.topic, "/topics/"), link(Space.service, "/services/")
 ACTION, GOAL, HOLD = link(Space.action, "/actions/"), link(Space.goal, "/goals/"), link(Space.hold, "/holds/")

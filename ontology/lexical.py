@@ -1,7 +1,7 @@
 """Lexical forms: the values of XSD's literals (XSD 1.1 part 2), exactly.
 
-Each literal is read by the rules of its own datatype: "0.1"^^xsd:float is the float32 nearest to 0.1, whatever field it
-is put into, and "300"^^xsd:byte is no value at all.
+Each literal is read by the rules of its own datatype: "0.1"^^xsd:float is the float32 nearest to 0.1, in any field, and
+"300"^^xsd:byte is invalid.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ NUMBERS: dict[NamedNode, Callable[[str], Number]] = {
     NamedNode(xsd.iri + "negativeInteger"): _integer("negativeInteger", None, -1),
     **{NamedNode(xsd.iri + DATATYPES[name]): _integer(DATATYPES[name], *limits) for name, limits in RANGES.items()},
 }
-"""The readers of all numeric datatypes: each gives the value of a lexical form or raises Misfit."""
+"""Readers by numeric datatype: each returns the value of a lexical form or raises Misfit."""
 
 
 def parse_boolean(text: str) -> bool:
@@ -108,11 +108,11 @@ BINARIES: dict[NamedNode, Callable[[str], bytes]] = {
     xsd.base64Binary: base64_octets,
     xsd.hexBinary: parse_hex_binary,
 }
-"""The readers of octets."""
+"""Readers of octets by datatype."""
 
 
 def parse_date_time(text: str) -> int:
-    """Return the nanoseconds from the epoch to an xsd:dateTime, which must say its time zone. Raises Misfit."""
+    """Return the nanoseconds from the epoch to an xsd:dateTime, which must have a time zone. Raises Misfit."""
     match = _DATE_TIME.fullmatch(text.strip())
     if match is None or match[8] is None:
         raise Misfit("expected an xsd:dateTime with a time zone, such as 2026-01-31T12:00:00.5Z", text)

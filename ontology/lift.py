@@ -1,7 +1,6 @@
-"""Lifting: ROS messages to RDF, compiled once a schema into generated Python functions.
+"""Lifting: ROS messages to RDF, compiled once per schema into generated Python functions.
 
-`compile.py` writes the functions, `syntax_codegen.py` says how each syntax looks, `literals.py` writes
-values.
+`compile.py` writes the functions, `syntax_codegen.py` defines the syntaxes, `literals.py` writes values.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ TERMS: Mapping[str, object] = MappingProxyType(
         "ros:bytes": {"@id": ros.bytes.value, "@type": "@id"},
     }
 )
-"""The JSON-LD terms that every lifter's context holds: those of the envelope, of stamps and of what is elided."""
+"""JSON-LD terms of every lifter's context: those of the envelope, of stamps and of elided values."""
 
 
 class LiftSettings(Struct, frozen=True):
@@ -49,7 +48,7 @@ class LiftSettings(Struct, frozen=True):
 
     @property
     def unelided(self) -> LiftSettings:
-        """The same with everything written out, however long."""
+        """Return the settings without a limit, so that nothing is elided."""
         return replace(self, inline_limit=1 << 62)
 
 
@@ -68,9 +67,9 @@ class Lifter:
         *,
         is_linked: bool = False,
     ) -> None:
-        """`only` are the predicates that are of use, None for all: what others say may be left out of N-Triples.
+        """`only` are the needed predicates, None for all: N-Triples may omit statements with other predicates.
 
-        `is_linked`: so may what is said of nodes to which none of these lead.
+        With `is_linked`, they may also omit statements about nodes that are not reachable by these.
         """
         names = type_names(schema.types, settings.types)
         self.schema = schema
@@ -106,15 +105,15 @@ class Lifter:
         return self._jsonld(message, node, "", Site(source or document, len(node) + 1, simulated_time), extra)
 
     def json(self, message: Message, document: str) -> bytes:
-        """Return ROS's own JSON of the message (`document` is for the URLs of what is elided)."""
+        """Return ROS's own JSON of the message (`document` is for the URLs of elided values)."""
         return self._json(message, "", "", Site(document, 1, False), "").encode()
 
     def triples(
         self, message: Message, document: str, node: str, *,
         envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
     ) -> list[Triple]:  # fmt: skip
-        """Return the same as terms."""
-        # Parsing N-Triples costs less than making the terms one by one from Python.
+        """Return the triples as terms."""
+        # Parsing N-Triples costs less than creating the terms one by one from Python.
         text = self.ntriples(message, document, node, envelope=envelope, simulated_time=simulated_time, source=source)
         return [quad.triple for quad in parse(text, RdfFormat.N_TRIPLES)]
 
@@ -144,9 +143,9 @@ class Lifter:
 
 @lru_cache(maxsize=1024)
 def lifter(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> Lifter:  # noqa: B008
-    """Return the compiled lifter of a schema; compiled once a schema and settings.
+    """Return the lifter of a schema, compiled once per schema and settings.
 
-    Raises ValueError for a type that contains itself or whose name is none.
+    Raises ValueError for a recursive type or an invalid type name.
     """
     return Lifter(schema, settings)
 
@@ -155,9 +154,9 @@ def lifter(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> Li
 def partial_lifter(
     schema: MessageSchema, settings: LiftSettings, only: frozenset[str] | None, *, is_linked: bool = False
 ) -> Lifter:
-    """The lifter of what a schema's messages say by these predicates (None: all), in N-Triples. Raises as `lifter`.
+    """Return the lifter, in N-Triples, of a schema's statements with these predicates (None: all). Raises as `lifter`.
 
-    `is_linked`: nodes to which none of these lead are of no use.
+    `is_linked`: nodes that are not reachable by these predicates are not needed.
     """
     if only is None:
         return lifter(schema, settings)
@@ -202,7 +201,7 @@ def _prefixes(names: Iterable[TypeName]) -> dict[str, str]:
 
 
 def _terms(schema: MessageSchema, names: Mapping[str, TypeName]) -> dict[str, object]:
-    """Return a term a type, whose scoped context gives its fields' properties and datatypes."""
+    """Return a term per type, whose scoped context defines the properties and datatypes of its fields."""
     return {
         names[kind.name].term: {
             "@id": names[kind.name].iri,

@@ -1,8 +1,8 @@
-"""Literals: how the values of ROS's primitives are written in RDF and in JSON.
+"""Literals: values of ROS primitives in RDF and in JSON.
 
-Numbers have the shortest digits that read back the same; what JSON has no number for (NaN, INF, -INF) has XSD's
-name. The functions here run inside the generated lifters, so they take many values at a time and format with
-orjson, whose escapes in strings are exactly those that Turtle and N-Triples know too.
+Numbers have the shortest digits that read back the same; numbers that JSON lacks (NaN, INF, -INF) have XSD's names. The
+functions here run inside the generated lifters, so they take many values at a time and format with orjson, whose
+escapes in strings are exactly those that Turtle and N-Triples define too.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ DATATYPES = {
     "string": "string",
     "wstring": "string",
 }
-"""The local name, in XSD, of the datatype of each primitive (a byte is signed and a char is not, as on the wire)."""
+"""Local name, in XSD, of the datatype of each primitive (a byte is signed and a char is not, as on the wire)."""
 
 DTYPES: dict[str, np.dtype[Any]] = {
     "bool": np.dtype("?"),
@@ -47,18 +47,18 @@ DTYPES: dict[str, np.dtype[Any]] = {
     "char": np.dtype("u1"),
     **{name: np.dtype(name) for name in DATATYPES if name[-1].isdigit()},
 }
-"""The numpy type of the arrays of each primitive that is no string."""
+"""The numpy type of arrays of each primitive, except strings."""
 
 STRINGS = frozenset({"string", "wstring"})
 OCTETS = frozenset({"uint8", "byte", "char"})
-"""The primitives whose arrays are octets: xsd:base64Binary."""
+"""Primitives whose arrays are octets: xsd:base64Binary."""
 
 SAFE_INTEGER = 2**53
-"""Integers beyond this (either side of zero) are strings in JSON, whose readers keep numbers as doubles."""
+"""Maximum absolute value of JSON integers; larger ones are strings, as many readers convert numbers to doubles."""
 
 
 def special_float(value: float) -> str:
-    """XSD's name of a float that is not finite."""
+    """Return XSD's name of a float that is not finite."""
     if value != value:
         return "NaN"
     return "INF" if value > 0 else "-INF"
@@ -75,7 +75,7 @@ def scalar_texts(values: Iterable[bool | int | float]) -> list[str]:
 
 
 def json_scalars(values: Iterable[bool | int | float | str]) -> list[str]:
-    """Return the same as JSON: what is no JSON number is a string."""
+    """Return numbers and bools as JSON: values that are not JSON numbers are strings."""
     text = orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].decode()
     if "null" not in text:
         return text.split(",")
@@ -84,7 +84,7 @@ def json_scalars(values: Iterable[bool | int | float | str]) -> list[str]:
 
 
 def wide_integer_json(value: int) -> int | str:
-    """Return a 64-bit integer for JSON: as its digits where a double might lose some."""
+    """Return a 64-bit integer as JSON: as a string of digits if a double might lose some."""
     return value if -SAFE_INTEGER <= value <= SAFE_INTEGER else str(value)
 
 
@@ -104,22 +104,22 @@ def wire_length(value: str) -> int:
 
 
 def base64_length(octets: int | None) -> int | None:
-    """Return the number of characters of the base64 of octets: four for each three begun; None stays None."""
+    """Return the number of characters of the base64 of octets: four per started group of three; None stays None."""
     return None if octets is None else (octets + 2) // 3 * 4
 
 
 def base64_text(value: bytes) -> str:
-    """Return the base64 of octets (of anything that has a buffer)."""
+    """Return the base64 of octets (of any object with a buffer)."""
     return b64encode(value).decode("ascii")
 
 
 def quote(value: str) -> str:
-    """Return a string in quotes, as JSON, Turtle and N-Triples write it. Raises TypeError where it is not UTF-8."""
+    """Return a string in quotes, valid in JSON, Turtle and N-Triples. Raises TypeError if it is not UTF-8."""
     return orjson.dumps(value).decode()
 
 
 def json_string(value: str) -> str:
-    """Return a string as JSON and JSON-LD: one that is not UTF-8 is JSON-LD's value object of its base64."""
+    """Return a string as JSON and JSON-LD: invalid UTF-8 becomes JSON-LD's value object with its base64."""
     try:
         return orjson.dumps(value).decode()
     except TypeError:
@@ -164,7 +164,7 @@ def json_numbers(values: npt.NDArray[Any], quote: str = '"') -> str:
     """Return an array of numbers or bools as JSON; `quote` is the quotation mark (`\\"` within a literal)."""
     text = _dump(values)
     if values.dtype.kind == "f":
-        if "n" in text:  # only `null` has one, and one character is found much faster than four
+        if "n" in text:  # only `null` contains one, and one character is found much faster than four
             text = _with_specials(text, values, quote)
         if "-" in text and ("-0.0," in text or text.endswith("-0.0]")):
             text = _with_negative_zeros(text, quote)
@@ -174,7 +174,7 @@ def json_numbers(values: npt.NDArray[Any], quote: str = '"') -> str:
 
 
 def json_strings(values: Sequence[str]) -> str:
-    """Return an array of strings as JSON; those that are not UTF-8 are value objects of their base64."""
+    """Return an array of strings as JSON; those that are not UTF-8 are value objects with their base64."""
     try:
         return orjson.dumps(values).decode()
     except TypeError:

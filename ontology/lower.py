@@ -1,6 +1,6 @@
-"""Lowering: bodies in RDF or plain JSON to ROS messages, by tables of readers made once per schema.
+"""Lowering: bodies in RDF or plain JSON to ROS messages, by tables of readers created once per schema.
 
-A value that does not fit the type exactly is refused with the path of the field and the expected value; nothing is
+A value that does not fit the type exactly is rejected with the path of the field and the expected value; nothing is
 guessed, rounded (except floats to the nearest) or filled in. Every result can be encoded.
 
 A reader takes a value from `parse_json` and its path, and returns the value for the message or raises `Misfit`. The
@@ -30,14 +30,14 @@ Reader: TypeAlias = Callable[[object, Path, "JsonReading"], object]
 
 
 class JsonReading(NamedTuple):
-    """One lowering under way; `defaults`: fields that are missing have their defaults."""
+    """State of one lowering; `defaults`: missing fields have their defaults."""
 
     findings: Findings
     defaults: bool
 
 
 class _Field(NamedTuple):
-    """A field, the reader of its value, and what makes its default."""
+    """A field, the reader of its value, and the function that returns its default."""
 
     field: Field
     read: Reader
@@ -110,7 +110,7 @@ class JsonReaders:
     def _default(self, field: Field) -> Callable[[], object]:
         """Return the value of a missing field: the default in its definition, or else zero, recursively."""
         stated = stated_default(field)
-        if stated is None or isinstance(field.type, Nested):  # a message has no default but those of its fields
+        if stated is None or isinstance(field.type, Nested):  # a message has only the defaults of its fields
             return self._zero(field.type)
         leaf = json_leaf(field.type)
         return lambda: leaf(stated)
@@ -147,7 +147,7 @@ def _list(fields: Mapping[str, _Field]) -> str:
 
 
 class Lowerer:
-    """Reads messages of one schema."""
+    """Converter of bodies to messages of one schema."""
 
     def __init__(self, schema: MessageSchema, settings: LiftSettings) -> None:
         self.schema = schema
@@ -158,7 +158,7 @@ class Lowerer:
     def from_json(self, value: object, *, defaults: bool = False) -> Message:
         """Return the message in a JSON value from `parse_json`; missing fields have ROS's defaults if `defaults`.
 
-        Raises LoweringError with a violation for everything that does not fit (the first twenty of them).
+        Raises LoweringError with the violations (at most the first twenty).
         """
         reading = JsonReading(Findings(), defaults)
         message: object = None
@@ -169,7 +169,7 @@ class Lowerer:
         return _result(reading.findings, message)
 
     def from_body(self, body: RdfBody, document: str, node: str = "#message") -> Message:
-        """Return the message in what was sent to `document`; of a type without fields nothing needs to be said.
+        """Return the message in the body sent to `document`; the body may be empty for a type without fields.
 
         Raises LoweringError as `find_message` and `from_graph`.
         """
@@ -178,9 +178,9 @@ class Lowerer:
         return self.from_graph(body, find_message(body, document, self._type, node), document)
 
     def from_graph(self, body: RdfBody, root: Term, document: str) -> Message:
-        """Return the message whose node in `body` is `root`; `document` is the URL it was sent to.
+        """Return the message whose node in `body` is `root`; `document` is the URL of the request.
 
-        Raises LoweringError with a violation for everything that does not fit (the first twenty of them).
+        Raises LoweringError with the violations (at most the first twenty).
         """
         reading = GraphReading(body)
         message: object = None
@@ -199,15 +199,15 @@ def _result(findings: Findings, message: object) -> Message:
 
 @lru_cache(maxsize=1024)
 def lowerer(schema: MessageSchema, settings: LiftSettings = LiftSettings()) -> Lowerer:  # noqa: B008
-    """Return the lowerer of a schema; made once a schema and settings."""
+    """Return the lowerer of a schema, created once per schema and settings."""
     return Lowerer(schema, settings)
 
 
 def find_message(body: RdfBody, document: str, type_iri: str, node: str = "#message") -> Term:
-    """Return the node of the message in what was sent to `document`.
+    """Return the node of the message in the body sent to `document`.
 
-    That is a node of the type: `document` + `node`, else what `<document> ros:latest` points to, else the only one, or
-    the only one that is no part of another. Raises LoweringError where there is none, or more than one.
+    That is a node of the type: `document` + `node`, else the object of `<document> ros:latest`, else the only one, or
+    the only one that is no part of another. Raises LoweringError if there is none, or more than one.
     """
     typed = body.instances(NamedNode(type_iri))
     named = NamedNode(document + node)

@@ -1,7 +1,7 @@
-"""Lowering from RDF: tables of readers, made once a schema, that walk from the message's node.
+"""Lowering from RDF: tables of readers, created once per schema, that start at the message's node.
 
-A message is read by what is said about its node: each predicate names a field or is one that the server manages and
-readers ignore; anything else is a violation. Readers behave as those of `lower.py`.
+A message is read from the statements about its node: each predicate names a field or is managed by the server and
+ignored; anything else is a violation. Readers behave as those of `lower.py`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from rosld.ontology.violations import Findings, Path
 from rosld.ontology.vocab import rdf, ros, xsd
 
 IGNORED = frozenset({ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime, ros.rate})
-"""What the server says about messages: sent back to it, it means nothing."""
+"""Predicates that the server adds to messages and ignores when they are sent back."""
 
 Reader: TypeAlias = Callable[[Term, Path, "GraphReading"], object]
 TermLeaf: TypeAlias = Callable[[Term], object]
@@ -44,7 +44,7 @@ _FLOATS = (xsd.double, xsd.float)
 
 
 class GraphReading:
-    """One lowering under way: the body, what was found wrong, the nodes above, and how much may still be read."""
+    """State of one lowering: the body, the violations, the nodes above, and the remaining budget."""
 
     def __init__(self, body: RdfBody) -> None:
         self.body = body
@@ -53,7 +53,7 @@ class GraphReading:
         self._left = 1000 + 4 * body.size
 
     def spend(self) -> None:
-        """Count one node or element. Raises Misfit once a few triples are being read over and over."""
+        """Count one node or element. Raises Misfit when a few triples are read over and over."""
         self._left -= 1
         if self._left < 0:
             raise Misfit("the same nodes are used too often in this body")
@@ -67,7 +67,7 @@ def _unexpected(kind: FieldType, term: Term) -> Misfit:
 
 
 def _number(kind: Primitive, fit: Callable[[Number], object]) -> TermLeaf:
-    """Return the reader of a number; a float is no integer, because no shape could tell which are whole."""
+    """Return the reader of a number; a float is no integer, because no shape could distinguish which are integers."""
     is_integer = kind.name in RANGES
 
     def read(term: Term) -> object:
@@ -117,7 +117,7 @@ def term_leaf(kind: Primitive) -> TermLeaf:
 
 
 def _elements(kind: Array, head: Term, reading: GraphReading) -> list[Term]:
-    """Return the elements of an rdf:List (RDF Schema 5.2). Raises Misfit for anything that is none."""
+    """Return the elements of an rdf:List (RDF Schema 5.2). Raises Misfit for anything else."""
     elements: list[Term] = []
     cells: set[Term] = set()
     cell = head
@@ -265,7 +265,6 @@ def _primitive(kind: Primitive) -> Reader:
 
 
 def _read(entry: _Entry, objects: list[Term], values: dict[str, object], path: Path, reading: GraphReading) -> None:
-    """Read one field; errors become violations."""
     field = entry.field
     values[field.attribute] = None
     if len(objects) > 1 and len(set(objects)) > 1:
@@ -284,7 +283,7 @@ def _check_type(types: tuple[NamedNode, ...], objects: list[Term], path: Path, f
 
 
 def _unknown(iri: str, fields: tuple[Field, ...], predicate: NamedNode, path: Path, findings: Findings) -> None:
-    """A predicate that is no field."""
+    """Add a violation for a predicate that is no field."""
     has = ", ".join(field.name for field in fields) or "none"
     step = predicate.value.removeprefix(iri + "#")
     findings.add((path, step), f"{predicate} is no field of <{iri}>; it has {has}")
@@ -298,7 +297,7 @@ def _complete(
     path: Path,
     findings: Findings,
 ) -> None:
-    """Note what is missing; a stamp with nothing but its derived ros:dateTime is completed from it."""
+    """Add violations for missing fields; a stamp with only its derived ros:dateTime is completed from it."""
     if name == TIME and not values and ros.dateTime in properties:
         _read_stamp(values, properties[ros.dateTime], path, findings)
         return

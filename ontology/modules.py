@@ -1,7 +1,7 @@
-"""The modules of the ontology: each is one owl:Ontology, in the file of its name beside this one.
+"""The modules of the ontology: each is one owl:Ontology, in the file of its name next to this one.
 
-The terms of `ros:` are in several modules. Whoever looks one up by its IRI comes to the core: so the core, as it is
-served, tells for each of them which module defines it.
+The terms of `ros:` are in several modules, but their IRIs resolve to the core. Therefore the core, as served, states
+for each of them which module defines it.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ ROOT = "https://w3id.org/rosld"
 VERSION = "0.2.0"
 CORE = "core"
 OWN = (CORE, "types", "interaction", "recording", "server", "mapping", "aircraft")
-"""The modules that define terms."""
+"""Modules that define terms."""
 ALIGNMENTS = tuple(f"align-{name}" for name in ("sosa", "prov", "wot", "ldp", "dcat", "ease", "cora"))
-"""The modules that relate them to the terms of others."""
+"""Modules that relate these terms to other vocabularies."""
 MODULES = (*OWN, *ALIGNMENTS)
 _NAMESPACES = (ros.iri, mapping.iri, av.iri)
 _DECLARED = (ros.iri, owl.iri, rdf.iri, rdfs.iri)
-"""The namespaces of the classes that the core, as it is served, may say a term is of."""
+"""Namespaces of classes that the core, as served, may state as types of terms."""
 
 
 def module_iri(name: str, version: str = "") -> str:
@@ -39,14 +39,14 @@ def module_url(name: str, base: str) -> str:
 
 @cache
 def module_triples(name: str) -> tuple[Triple, ...]:
-    """The triples of a module as its file has them."""
+    """Return the triples of a module as in its file."""
     text = files("rosld.ontology").joinpath(f"{name}.ttl").read_bytes()
     return tuple(quad.triple for quad in parse(text, format=RdfFormat.TURTLE))
 
 
 @cache
 def served_triples(name: str) -> tuple[Triple, ...]:
-    """The triples of a module as it is served: with the core, where each other term of `ros:` is defined."""
+    """Return the triples of a module as served: the core includes the module of each other term of `ros:`."""
     own = module_triples(name)
     if name != CORE:
         return own

@@ -18,7 +18,7 @@ _V = TypeVar("_V")
 class Members(Struct, frozen=True):
     """The direct members of a namespace, by their last segment, sorted: names, and namespaces below.
 
-    A segment that is both is in both.
+    A segment can be in both.
     """
 
     leaves: tuple[str, ...] = ()
@@ -44,7 +44,6 @@ def members_of(names: Iterable[str]) -> dict[tuple[str, ...], Members]:
 def _open(
     namespace: tuple[str, ...], leaves: dict[tuple[str, ...], list[str]], below: dict[tuple[str, ...], set[str]]
 ) -> None:
-    """Add a namespace to all its ancestors."""
     while namespace not in leaves:
         leaves[namespace] = []
         below.setdefault(namespace[:-1], set()).add(namespace[-1])
@@ -52,9 +51,9 @@ def _open(
 
 
 class IdentityCache(Generic[_K, _V]):
-    """Remembers what was computed from the last few immutable values, by identity.
+    """Cache of values computed from the last few immutable values, compared by identity.
 
-    A graph is looked at very often before it changes, and too large to be compared.
+    A graph is read very often before it changes, and is too large to be compared.
     """
 
     def __init__(self, compute: Callable[[_K], _V], limit: int = 8) -> None:
@@ -67,7 +66,7 @@ class IdentityCache(Generic[_K, _V]):
             if known is key:
                 return value
         value = self._compute(key)
-        # One assignment, so that threads see either the old or the new; at worst something is computed twice.
+        # One assignment, so that threads see either the old or the new; at worst a value is computed twice.
         self._kept = ((key, value), *self._kept[: self._limit - 1])
         return value
 

@@ -13,14 +13,14 @@ TWISTS = frozenset(
     f"geometry_msgs/msg/{name}"
     for name in ("Twist", "TwistStamped", "TwistWithCovariance", "TwistWithCovarianceStamped")
 ) | {"ackermann_msgs/msg/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped"}
-"""Types of velocities: their zero stands still."""
+"""Types of velocities: their zero is standstill."""
 COMMANDS = TWISTS - {f"geometry_msgs/msg/TwistWithCovariance{stamped}" for stamped in ("", "Stamped")}
-"""Those of them that command velocities: a covariance is what measurements have."""
+"""Types of velocities that command: a covariance belongs to measurements."""
 _TEXTS = frozenset({"string", "wstring"})
 
 
 def with_zeros(schema: MessageSchema, message: Message) -> Message:
-    """The same message with every number 0 and every boolean false; headers and strings stay."""
+    """Return the message with every number 0 and every boolean false; headers and strings are unchanged."""
     return _zeroed(schema, schema.ref.name, message)
 
 
@@ -49,7 +49,7 @@ def _zero(schema: MessageSchema, kind: FieldType, value: object) -> object:
 
 
 def is_zero(schema: MessageSchema, message: Message) -> bool:
-    """Whether a message says nothing but zero: numbers 0, booleans false, texts empty; headers do not count."""
+    """Whether a message is all zero: numbers 0, booleans false, texts empty; headers do not count."""
     return _is_zero(schema, Nested(schema.ref.name), message)
 
 
@@ -72,12 +72,12 @@ def has_header(schema: MessageSchema) -> bool:
 
 
 def is_unstamped(schema: MessageSchema, message: Message) -> bool:
-    """Whether the message has a header whose time is 0, which is no time: it was left to others."""
+    """Whether the message has a header with time 0, which means that it is not set."""
     return has_header(schema) and not any(_stamp(schema, message).values())
 
 
 def with_stamp(schema: MessageSchema, message: Message, now_ns: int) -> Message:
-    """The message, its header's time that of `now_ns` (nanoseconds after the epoch); itself where it has none."""
+    """Return the message with the header time `now_ns` (nanoseconds after the epoch); unchanged without a header."""
     if not has_header(schema):
         return message
     (field, *_), header = schema.type.fields, _header(schema, message)

@@ -1,4 +1,4 @@
-"""Tables of properties, one for each class: its RDF and its SHACL node shape both come from it."""
+"""Tables of properties, one per class, from which both its RDF and its SHACL node shape are derived."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CONTAINER_TYPES = (*SOURCE, ldp.Container, ldp.BasicContainer)
 
 
 class Property(Struct, Generic[T], frozen=True):
-    """Property of a class; `value` returns the value or values of a thing, and is None for those written elsewhere."""
+    """Property of a class; `value` returns the value or values of an object, or is None for those added separately."""
 
     predicate: NamedNode
     kind: Kind[Any]
@@ -55,9 +55,9 @@ def many(
 class NodeShape(Generic[T]):
     """Table of the properties of a class.
 
-    `types` are those of each node, the first of which is the target of the shape unless `target` says otherwise in
-    Turtle; `more` are other constraints. `is_listed`: lists describe nodes too, in fewer words. `required` are the
-    properties that documents have, and lists leave out.
+    `types` are those of each node, the first of which is the target of the shape unless `target` defines another in
+    Turtle; `more` are other constraints. `is_listed`: lists describe nodes too, with fewer properties. `required` are
+    the properties that documents have, and lists omit.
     """
 
     properties: tuple[Property[T], ...] = ()
@@ -91,7 +91,7 @@ class NodeShape(Generic[T]):
         return self
 
     def triples(self, node: NamedNode | BlankNode, thing: T, space: Space | None, *more: Statement) -> list[Triple]:
-        """Return the description of a thing; `more` are statements of properties without a function.
+        """Return the description of an object; `more` are statements of properties without a function.
 
         Only links to resources need `space`.
         """

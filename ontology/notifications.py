@@ -1,6 +1,6 @@
 """Notifications (Solid Notifications Protocol 0.3): terms, services, channels and messages.
 
-Everything is said twice, by triples for every syntax and by the compact JSON-LD that clients without RDF read.
+Everything has two forms: triples for every syntax, and compact JSON-LD for clients without RDF.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Json: TypeAlias = Mapping[str, object]
 CONTEXT = "https://www.w3.org/ns/solid/notifications-context/v1"
 ACTIVITY_CONTEXT = "https://www.w3.org/ns/activitystreams"
 KNOWN_CONTEXTS = frozenset({CONTEXT, "https://www.w3.org/ns/solid/notification/v1"})
-"""The context of the protocol, and the name it has in the drafts of the channel types."""
+"""The context of the protocol, and its name in the drafts of the channel types."""
 
 DURATION = NamedNode(xsd.iri + "duration")
 FEATURES = (notify.accept, notify.endAt, notify.rate, notify.startAt, notify.state)
@@ -39,9 +39,9 @@ DEFINITIONS: Json = {
     **{name: {"@id": notify.iri + name, "@type": xsd.dateTime.value} for name in ("startAt", "endAt")},
     "rate": {"@id": notify.iri + "rate", "@type": DURATION.value},
 }
-"""What the context of the protocol means by its terms: nothing is fetched, so it is known here."""
+"""Definitions of terms in the context of the protocol, included because nothing is fetched."""
 _TYPES: Json = {"@type": [ldp.Resource.value, ldp.RDFSource.value]}
-"""JSON-LD key for the LDP types; `type` holds the one type that clients without RDF read."""
+"""JSON-LD key for the LDP types; `type` has the one type that clients without RDF read."""
 
 
 def channel_type(name: str) -> NamedNode:
@@ -50,19 +50,19 @@ def channel_type(name: str) -> NamedNode:
 
 
 def type_named(iri: str) -> str | None:
-    """The channel type that an IRI means, None for a stranger; the drafts spell the namespace in the singular."""
+    """Return the channel type for an IRI, None if it is unknown; drafts spell the namespace in the singular."""
     name = iri.removeprefix(_OLD).removeprefix(notify.iri)
     return name if name in CHANNEL_TYPES and name != iri else None
 
 
 class ServiceDescription(Struct, frozen=True):
-    """A subscription service: its URL, and the name of the type of channel it makes."""
+    """A subscription service: its URL, and the name of its channel type."""
 
     url: str
     type: str
 
     def document(self) -> Document:
-        """What it says of itself (protocol 3.2)."""
+        """Return the description of the service (protocol 3.2)."""
         return Document(self.url, tuple(self.triples()))
 
     def triples(self) -> list[Triple]:
@@ -75,13 +75,13 @@ class ServiceDescription(Struct, frozen=True):
         )
 
     def members(self) -> Json:
-        """The same as members of a JSON-LD object."""
+        """Return the same statements as members of a JSON-LD object."""
         features = [feature.value for feature in FEATURES]
         return {"id": self.url, **_TYPES, "channelType": channel_type(self.type).value, "feature": features}
 
 
 def description_document(url: str, storage: str, services: Iterable[ServiceDescription]) -> Document:
-    """The description resource of a whole server (protocol 3.1): said of itself, and of the storage it describes."""
+    """Return the description resource of a whole server (protocol 3.1), about itself and its storage."""
     found = tuple(services)
     offers = statements(notify.subscription, [NamedNode(service.url) for service in found])
     said = [triple for service in found for triple in service.triples()]
@@ -91,7 +91,7 @@ def description_document(url: str, storage: str, services: Iterable[ServiceDescr
 
 
 def description_members(url: str, storage: str, services: Iterable[ServiceDescription]) -> Json:
-    """The same as members of a JSON-LD object."""
+    """Return the same statements as members of a JSON-LD object."""
     found = tuple(services)
     offers = {"id": storage, "subscription": [service.url for service in found]}
     return {"id": url, **_TYPES, "subscription": [service.members() for service in found], "@included": [offers]}
@@ -127,7 +127,7 @@ class ChannelDescription(Struct, frozen=True):
         return Document(self.url, tuple(triples))
 
     def members(self) -> Json:
-        """The same as members of a JSON-LD object."""
+        """Return the same statements as members of a JSON-LD object."""
         found = {
             "id": self.url,
             "type": channel_type(self.type).value,
@@ -152,7 +152,7 @@ class Activity(NamedTuple):
     state: str | None = None
 
     def document(self, id: str, published: int) -> Document:
-        """Return the notification as RDF: told with this id, published so many ns after 1970."""
+        """Return the notification as RDF, with an id and its time in nanoseconds after 1970."""
         triples = triples_about(
             NamedNode(id),
             (rdf.type, NamedNode(activity.iri + self.type)),
@@ -164,7 +164,7 @@ class Activity(NamedTuple):
         return Document(id, tuple(triples))
 
     def members(self, id: str, published: int) -> Json:
-        """The same as members of a JSON-LD object."""
+        """Return the same statements as members of a JSON-LD object."""
         found = {
             "id": id,
             "type": self.type,
@@ -182,8 +182,8 @@ def duration(seconds: float) -> str:
 
 
 def with_context(members: Json, *contexts: str) -> dict[str, object]:
-    """A JSON-LD object with the contexts by which it is to be read.
+    """Return a JSON-LD object with its contexts.
 
-    By default the definitions themselves, which any JSON-LD processor can use without fetching anything.
+    By default these are the definitions themselves, which any JSON-LD processor can use without fetching anything.
     """
     return {"@context": list(contexts) or DEFINITIONS, **members}

@@ -16,14 +16,14 @@ Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
 Statements: TypeAlias = dict[NamedNode, list[Term]]
 
 DEPTH = 16
-"""How deep blank nodes and lists are nested; what lies deeper is written beside, under its label."""
+"""Maximum depth of nested blank nodes and lists; deeper nodes are written separately, under their labels."""
 
 
 class Outline(Struct, frozen=True):
-    """Triples by subject and predicate, both in the order of their first appearance; duplicates are gone.
+    """Triples by subject and predicate, both in the order of their first appearance, without duplicates.
 
-    `lists` holds, for the head of every well-formed rdf:List that is used once, its elements; its cells are in
-    `cells`. `nested` are the other blank nodes that are the object of exactly one triple.
+    `lists` has, for the head of every well-formed rdf:List that is used once, its elements; its cells are in `cells`.
+    `nested` are the other blank nodes that are the object of exactly one triple.
     """
 
     subjects: dict[Subject, Statements]
@@ -33,7 +33,7 @@ class Outline(Struct, frozen=True):
 
 
 def outline(triples: Iterable[Triple]) -> Outline:
-    """Return the outline of `triples`. Raises ValueError for a triple term as subject, which RDF 1.2 does not know."""
+    """Return the outline of `triples`. Raises ValueError for a triple term as subject, which RDF 1.2 does not allow."""
     subjects: dict[Subject, Statements] = {}
     for triple in dict.fromkeys(triples):
         subject = triple.subject
@@ -66,7 +66,7 @@ def _uses(subjects: dict[Subject, Statements]) -> Counter[BlankNode]:
 
 
 def _blanks_within(term: Triple) -> set[BlankNode]:
-    """Return the blank nodes of a triple term, however deep."""
+    """Return the blank nodes of a triple term at any depth."""
     blanks: set[BlankNode] = set()
     waiting: list[Triple] = [term]
     while waiting:

@@ -1,9 +1,9 @@
 """Parameter values to RDF and to plain JSON, and back.
 
 A scalar is its XSD literal. A list (and a dict within a list) is one rdf:JSON literal. A dict is a container whose
-members are parameters. Where JSON has no form for a value (NaN, octets, a date, an integer beyond 2^53) it is an
-object `{"@value": "NaN", "@type": "xsd:double"}`; a dict that could be mistaken for one is written
-`{"@value": {...}, "@type": "@json"}`, as JSON-LD would.
+members are parameters. A value without a JSON form (NaN, octets, a date, an integer beyond 2^53) is an object
+`{"@value": "NaN", "@type": "xsd:double"}`; a dict that could be mistaken for one is written `{"@value": {...}, "@type":
+"@json"}`, as JSON-LD would.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | Non
 
 SAFE = 2**53
 MAX_DEPTH = 64
-"""How deep lists and dicts may be nested."""
+"""Maximum depth of nested lists and dicts."""
 
 _TYPED = frozenset({"@value", "@type"})
 _DATE_TIME = re.compile(
@@ -46,7 +46,7 @@ _DATE_TIME = re.compile(
 
 
 def parameter_document(name: str, value: ParameterValue, space: Space) -> Document:
-    """Return a parameter and its value; a dict comes with all that lies in it, under the container of this name."""
+    """Return a parameter and its value; a dict includes all of its members, under the container of this name."""
     if isinstance(value, dict):
         return parameter_container_document(tuple(name[1:].split("/")), value, space)
     url = space.parameter(name)
@@ -68,8 +68,8 @@ def parameter_container_document(
 ) -> Document:
     """Return a tree of parameters as a container with all its members and their values.
 
-    Of trees in it that have more than `limit` members it is told that they are there, and not what they hold. `whole`
-    is where hidden members are told as well, if there are any. A value that is None is not told.
+    Nested trees with more than `limit` members are listed without their members. `whole` is the URL that includes
+    hidden members, if there are any. A value of None is omitted.
     """
     url = space.container("parameters", namespace)
     title = f"Parameters in /{'/'.join(namespace)}" if namespace else "Parameters"
@@ -105,7 +105,7 @@ def _tree(url: str, name: str, tree: Tree, depth: int, limit: int | None) -> lis
 
 
 def parameter_literal(value: ParameterValue) -> Literal | None:
-    """The literal of a value that is no dict. Raises ValueError for a dict."""
+    """Return the literal of a value that is no dict. Raises ValueError for a dict."""
     match value:
         case bool():
             return boolean_literal(value)
@@ -126,7 +126,7 @@ def parameter_literal(value: ParameterValue) -> Literal | None:
 
 
 def _date_time(value: datetime) -> str:
-    """Return the xsd:dateTime, without a zone where the value has none; UTC is `Z`."""
+    """Return the xsd:dateTime, without a zone if the value has none; UTC is `Z`."""
     written = value.isoformat()
     return written.removesuffix("+00:00") + "Z" if written.endswith("+00:00") else written
 
@@ -140,7 +140,7 @@ def parameter_json(value: ParameterValue) -> bytes:
 
 
 def plain_value(value: ParameterValue) -> Json:
-    """The value as what JSON can hold. Raises ValueError where it is nested too deep."""
+    """Return the value as JSON can represent it. Raises ValueError if it is nested too deeply."""
     return _plain(value, 0)
 
 
@@ -211,7 +211,7 @@ def _lower(body: RdfBody, subject: NamedNode, path: str, depth: int) -> Paramete
 
 
 def _key(member: Term, container: NamedNode, path: str) -> str:
-    """Return the key of a member: the last segment of its URL, which lies directly in the container's."""
+    """Return the key of a member: the last segment of its URL, which is directly below the container's."""
     base = container.value.rstrip("/") + "/"
     value = member.value if isinstance(member, NamedNode) else ""
     segment = value.removeprefix(base).removesuffix("/")
@@ -230,7 +230,7 @@ def _member(body: RdfBody, member: Term, container: NamedNode, path: str, depth:
 
 
 def lower_term(term: Term, path: str = "") -> ParameterValue:
-    """Return the value of an RDF term. Raises LoweringError with the `path` for a term that has none."""
+    """Return the value of an RDF term. Raises LoweringError with the `path` for an invalid term."""
     if not isinstance(term, Literal):
         raise _error(path, "expected a literal as ros:value", str(term))
     if term.language is not None:
@@ -274,7 +274,7 @@ def _base64(lexical: str) -> bytes:
 
 
 def _moment(lexical: str) -> datetime:
-    """Return a date to the microsecond, which is as fine as ROS parameters get."""
+    """Return a date to the microsecond, the precision of ROS parameters."""
     match = _DATE_TIME.fullmatch(lexical.strip())
     if match is None:
         raise Misfit("expected an xsd:dateTime to the microsecond, such as 2026-01-31T12:00:00.5Z", lexical)
@@ -293,7 +293,7 @@ _OTHERS: Mapping[NamedNode, Callable[[str], ParameterValue]] = {xsd.base64Binary
 
 
 def lower_json(value: object) -> ParameterValue:
-    """The value of parsed JSON. Raises LoweringError naming the place of a null or of a typed value that is none."""
+    """Return the value of parsed JSON. Raises LoweringError with the path of a null or of an invalid typed value."""
     return _from_json(value, "", 0)
 
 
@@ -320,7 +320,7 @@ def _members(items: Iterable[tuple[object, object]], path: str, depth: int) -> d
 
 
 def _text(value: str, path: str) -> str:
-    """Return a string of JSON, which may escape what is no character."""
+    """Return a string of JSON, which may contain escapes of invalid characters."""
     if any("\ud800" <= character <= "\udfff" for character in value):
         raise _error(path, "expected a string of Unicode characters, and half a surrogate pair is none", ascii(value))
     return value

@@ -1,4 +1,4 @@
-"""RDF/XML (RDF 1.1 XML Syntax): flat, one rdf:Description per subject. Some graphs cannot be written in it."""
+"""RDF/XML (RDF 1.1 XML Syntax): flat, one rdf:Description per subject. It cannot represent all graphs."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _NO_PROPERTIES = frozenset(
         "aboutEach", "aboutEachPrefix", "bagID",
     )
 )  # fmt: skip
-"""RDF 1.1 XML Syntax 6.1.4 (propertyElementURIs), and rdf:li, which a reader would number."""
+"""IRIs that no property element may have (RDF 1.1 XML Syntax 6.1.4), and rdf:li, which readers would number."""
 
 
 def rdfxml(triples: Iterable[Triple], base: str) -> str:
-    """Return the triples in RDF/XML. Raises CannotCarry for what XML cannot hold."""
+    """Return the triples in RDF/XML. Raises CannotCarry for terms that XML cannot represent."""
     writer = _Writer()
     body = [writer.description(subject, statements) for subject, statements in outline(triples).subjects.items()]
     names = "".join(f"\n    xmlns:{prefix}={_quote(iri)}" for iri, prefix in writer.namespaces.items())
@@ -45,14 +45,14 @@ def rdfxml(triples: Iterable[Triple], base: str) -> str:
 
 
 class _Writer:
-    """Writes descriptions; `namespaces` are those met on the way, with their prefixes."""
+    """Writer of descriptions; `namespaces` are those used so far, with their prefixes."""
 
     def __init__(self) -> None:
         self.namespaces: dict[str, str] = {rdf.iri: "rdf"}
         self.labels: dict[BlankNode, str] = {}
 
     def description(self, subject: Subject, statements: dict[NamedNode, list[Term]]) -> str:
-        """All that is said of one subject."""
+        """Return all statements about one subject."""
         lines = [
             f"    {self._element(name, term)}\n"
             for name, objects in [(self._name(predicate.value), objects) for predicate, objects in statements.items()]
@@ -69,13 +69,13 @@ class _Writer:
         return f"<{name} {self._node(term, 'rdf:resource')}/>"
 
     def _node(self, node: Subject, attribute: str) -> str:
-        """Return the attribute that names a node."""
+        """Return the attribute that identifies a node."""
         if isinstance(node, NamedNode):
             return f"{attribute}={_quote(node.value)}"
         return f'rdf:nodeID="{self.labels.setdefault(node, f"b{len(self.labels)}")}"'
 
     def _name(self, iri: str) -> str:
-        """The name of the element of a predicate. Raises CannotCarry where the IRI does not end in such a name."""
+        """Return the element name of a predicate. Raises CannotCarry if the IRI does not end in an XML name."""
         split = _SPLIT_ASCII.fullmatch(iri) or _SPLIT.fullmatch(iri)
         if split is None or split[1] in _RESERVED_NAMESPACES or iri in _NO_PROPERTIES:
             raise CannotCarry(f"RDF/XML cannot write the property <{iri}> as the name of an element; ask for Turtle")
@@ -96,7 +96,7 @@ def _attributes(literal: Literal) -> str:
 
 
 def _text(value: str) -> str:
-    """Character data. A carriage return is a reference, for readers turn the character into a line feed (XML 2.11)."""
+    """Return character data. A carriage return is a reference, as readers convert the character (XML 2.11)."""
     if found := _NO_CHARACTER.search(value):
         raise CannotCarry(f"XML cannot hold the character U+{ord(found[0]):04X} of {value[:60]!r}; ask for Turtle")
     return value.translate(_IN_TEXT)

@@ -16,11 +16,11 @@ __all__ = ["CannotCarry", "Syntax", "serialize", "serialize_named"]
 
 
 def serialize(document: Document, syntax: Syntax | str) -> bytes:
-    """Return the document in a syntax (or the syntax of a media type), UTF-8. All syntaxes say the same.
+    """Return the document in a syntax (or the syntax of a media type), in UTF-8. All syntaxes have the same triples.
 
     A document is one graph (LDP 4.3.1), so N-Quads and TriG have its triples in the default graph, but those of its
-    parts in graphs of their own. Raises CannotCarry where the syntax cannot hold what the document says, ValueError for
-    a media type that is no RDF syntax.
+    parts in graphs of their own. Raises CannotCarry if the syntax cannot represent the document, ValueError for a media
+    type that is no RDF syntax.
     """
     syntax = syntax if isinstance(syntax, Syntax) else Syntax.of(syntax)
     if document.parts and syntax in _NAMED_WRITERS:
@@ -30,15 +30,15 @@ def serialize(document: Document, syntax: Syntax | str) -> bytes:
 
 
 def serialize_named(document: Document, syntax: Syntax) -> bytes:
-    """Return the document as a part of a dataset: N-Quads and TriG put its triples into the graph named by its URL.
+    """Return the document as a part of a dataset: N-Quads and TriG have its triples in the graph named by its URL.
 
-    In other syntaxes it is as `serialize` has it; raises as that does.
+    Other syntaxes are as in `serialize`; raises as that does.
     """
     return _NAMED_WRITERS.get(syntax, _WRITERS[syntax])(document)
 
 
 def _lines(document: Document, end: str) -> bytes:
-    # pyoxigraph prints a triple as N-Triples has it, but for the full stop.
+    # pyoxigraph prints a triple as in N-Triples, without the full stop.
     lines = [f"{triple}{end}" for triple in dict.fromkeys(document.triples)]
     return "".join([*lines, *(message.ntriples(document, end) for message in document.messages)]).encode()
 

@@ -1,4 +1,4 @@
-"""The RDF syntaxes rosld writes: one table."""
+"""Table of the RDF syntaxes that rosld writes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 
 class CannotCarry(ValueError):
-    """A syntax cannot carry a document; the sentence says what it is that it cannot."""
+    """A syntax cannot represent a document; the message names the reason."""
 
 
 class SyntaxName(NamedTuple):
-    """Names of a syntax: its media type, the suffix of its files, and its name for people."""
+    """Names of a syntax: its media type, the suffix of its files, and its label."""
 
     media_type: str
     extension: str
@@ -19,7 +19,7 @@ class SyntaxName(NamedTuple):
 
 
 class Syntax(Enum):
-    """An RDF syntax; `datasets`: it names the graph that the triples are in."""
+    """An RDF syntax; `datasets`: whether it has named graphs."""
 
     TURTLE = SyntaxName("text/turtle", "ttl", "Turtle")
     JSON_LD = SyntaxName("application/ld+json", "jsonld", "JSON-LD")
@@ -31,27 +31,27 @@ class Syntax(Enum):
 
     @property
     def media_type(self) -> str:
-        """Such as `text/turtle`."""
+        """Media type, such as `text/turtle`."""
         return self.value.media_type
 
     @property
     def extension(self) -> str:
-        """Such as `ttl`, without a dot."""
+        """Extension of files, such as `ttl`, without a dot."""
         return self.value.extension
 
     @property
     def label(self) -> str:
-        """Such as `Turtle`."""
+        """Label, such as `Turtle`."""
         return self.value.label
 
     @property
     def datasets(self) -> bool:
-        """Whether the syntax can name the graph of its triples."""
+        """Whether the syntax has named graphs."""
         return self in (Syntax.N_QUADS, Syntax.TRIG)
 
     @classmethod
     def of(cls, media_type: str) -> Syntax:
-        """The syntax of a media type (without parameters); raises ValueError for one that is no RDF syntax here."""
+        """Return the syntax of a media type (without parameters). Raises ValueError if there is none."""
         for syntax in cls:
             if syntax.media_type == media_type:
                 return syntax

@@ -1,8 +1,8 @@
-r"""Code generation for lifters: how each syntax writes the parts of a message, as Python source.
+"""Code generation for lifters: the parts of a message in each syntax, as Python source.
 
-A *fragment* is the inside of an f-string: what is constant in it has passed `const`, the rest are names that the
-generated function binds. All notations share these names: `n` is the node (an absolute IRI in N-Triples, `#message`
-in Turtle and JSON-LD, the path in JSON), `e` the end of an N-Triples line, `x` what to add to the node.
+A *fragment* is the inside of an f-string: its constant parts have passed `const`, the rest are names that the generated
+function binds. All notations share these names: `n` is the node (an absolute IRI in N-Triples, `#message` in Turtle and
+JSON-LD, the path in JSON), `e` the end of an N-Triples line, `x` the addition to the node.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _ESCAPES = {"\\": "\\\\", "'": "\\'", "\n": "\\n", "\r": "\\r", "{": "{{", "}": 
 
 
 def const(text: str) -> str:
-    """Constant text as a fragment."""
+    """Return constant text as a fragment."""
     return "".join([_ESCAPES.get(character, character) for character in text])
 
 
 class Site(NamedTuple):
-    """Where a message is lifted to.
+    """The target of lifting a message.
 
-    `source` is the URL at which its bytes are, `start` where, in a node, the path of the field begins.
+    `source` is the URL of its bytes, `start` the index in a node where the path of the field begins.
     """
 
     source: str
@@ -55,8 +55,8 @@ Listing = Callable[[str, Sequence[str], str], "tuple[str, str]"]
 class Runtime(NamedTuple):
     """The functions of a notation that its generated code calls.
 
-    `elide` (node, length, end, site) and `listing` (node, texts of the elements, end) return what stands for the
-    value and what is said after the statement it stands in.
+    `elide` (node, length, end, site) and `listing` (node, texts of the elements, end) return the replacement of the
+    value and the statements that follow its own.
     """
 
     scalars: Callable[[tuple[bool | int | float, ...]], list[str]]
@@ -68,7 +68,7 @@ class Runtime(NamedTuple):
 
 
 class Notation(Protocol):
-    """A syntax. `inside`: a nested message is written within the statement that leads to it, not after."""
+    """A syntax. `inside`: a nested message is written within the statement that links to it, not after."""
 
     inside: bool
     separator: str
@@ -77,15 +77,15 @@ class Notation(Protocol):
     runtime: Runtime
 
     def head(self, subject: str, kind: TypeName) -> str:
-        """Return the node itself with its type; empty where the syntax says neither."""
+        """Return the node itself with its type; empty if the syntax has neither."""
         ...
 
     def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
-        """Return a field and its value. `key` stands for the name where that depends on the value (JSON-LD)."""
+        """Return a field and its value. `key` replaces the name if that depends on the value (JSON-LD)."""
         ...
 
     def time(self, subject: str, value: str) -> str:
-        """Return the derived ros:dateTime; empty where the syntax has none."""
+        """Return the derived ros:dateTime; empty if the syntax has none."""
         ...
 
     def literal(self, datatype: str, value: str) -> str:
@@ -141,7 +141,7 @@ _FIRST, _REST, _NIL = rdf.first.value, rdf.rest.value, rdf.nil.value
 
 
 def _n_listing(node: str, texts: Sequence[str], end: str) -> tuple[str, str]:
-    """List cells have labels made from their list's IRI, so that they stay apart in a file of many documents."""
+    """Return list cells, whose labels derive from their list's IRI to be distinct in a file of many documents."""
     if not texts:
         return f"<{_NIL}>", ""
     cell = f"_:l{blake2b(node.encode(), digest_size=10).hexdigest()}-"
@@ -171,7 +171,7 @@ def _literal_strings(values: list[str]) -> str:
 
 
 class NTriples:
-    """N-Triples (and, by its ends of lines, N-Quads)."""
+    """N-Triples and, with other line ends, N-Quads."""
 
     inside = False
     separator = begin = end = ""
@@ -197,7 +197,7 @@ class NTriples:
 
 
 class Turtle:
-    """Turtle, for people: one statement a node, with prefixes and nothing spelt out that has a short form."""
+    """Turtle for people: one statement per node, with prefixes and short forms."""
 
     inside = False
     separator = begin = ""
@@ -224,7 +224,7 @@ class Turtle:
 
 
 class JsonLd:
-    """JSON-LD, compact: node objects nested as the message is, each typed so that its context applies."""
+    """JSON-LD, compact: node objects nested as in the message, each typed so that its context applies."""
 
     inside = True
     separator = ","

@@ -15,23 +15,23 @@ Value: TypeAlias = NamedNode | BlankNode | Literal
 Statement: TypeAlias = tuple[NamedNode, Value | None]
 
 RDF_SOURCE: tuple[Statement, ...] = ((rdf.type, ldp.Resource), (rdf.type, ldp.RDFSource))
-"""What every resource of rosld is (LDP 4.3)."""
+"""Types of every resource of rosld (LDP 4.3)."""
 CONTAINER: tuple[Statement, ...] = (*RDF_SOURCE, (rdf.type, ldp.Container), (rdf.type, ldp.BasicContainer))
-"""What every container is (LDP 5.2)."""
+"""Types of every container (LDP 5.2)."""
 
 
 def triples_about(subject: NamedNode | BlankNode, *statements: Statement) -> list[Triple]:
-    """Return the triples of a subject; a statement whose value is None is none."""
+    """Return the triples of a subject; statements whose value is None are omitted."""
     return [Triple(subject, predicate, value) for predicate, value in statements if value is not None]
 
 
 def statements(predicate: NamedNode, values: Iterable[Value]) -> list[Statement]:
-    """Return a statement a value."""
+    """Return one statement per value."""
     return [(predicate, value) for value in values]
 
 
 def text(value: str | None) -> Literal | None:
-    """Return a string; lone surrogates (bytes that were no UTF-8) become replacement characters, None stays None."""
+    """Return a string; lone surrogates (from invalid UTF-8) become replacement characters, None stays None."""
     if value is None:
         return None
     try:
@@ -58,12 +58,12 @@ def boolean(value: bool) -> Literal:
 
 
 def date_time_literal(nanoseconds: int | None) -> Literal | None:
-    """Return the xsd:dateTime (UTC) of nanoseconds after the epoch; None for None."""
+    """Return the xsd:dateTime (UTC) of nanoseconds after the epoch; None stays None."""
     return None if nanoseconds is None else Literal(date_time(0, nanoseconds), datatype=xsd.dateTime)
 
 
 BODIES = ("application/json", "text/turtle", "application/ld+json")
-"""The media types in which a body can be sent."""
+"""Media types of bodies."""
 STREAM = ("text/event-stream",)
 SSE: Statement = (hctl.forSubProtocol, Literal("sse"))
 _ENDINGS: Mapping[str, str] = {"text/turtle": "-turtle", "application/ld+json": "-ld"}

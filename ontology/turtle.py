@@ -1,4 +1,4 @@
-"""Turtle for people: a base, the prefixes in use, one paragraph a subject (RDF 1.1 Turtle)."""
+"""Turtle for people: a base, the prefixes in use, one paragraph per subject (RDF 1.1 Turtle)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rosld.ontology.vocab import PREFIXES, rdf, xsd
 _LOCAL = re.compile(r"[A-Za-z_](?:[\w-]*\w)?", re.ASCII)
 _NAMESPACES = {iri: prefix for prefix, iri in PREFIXES.items()}
 _BARE = {xsd.integer.value: re.compile(r"0|-?[1-9][0-9]*"), xsd.boolean.value: re.compile(r"true|false")}
-"""Literals written without quotes: only in the forms that every reader keeps (some turn `01` into `1`)."""
+"""Literals written without quotes, only in forms that every reader preserves (some turn `01` into `1`)."""
 
 _ESCAPES = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\r": "\\r", "\t": "\\t"}
 _TO_ESCAPE = re.compile('[\\\\"\\x00-\\x1f\\x7f-\\x9f\u2028\u2029\ufffe\uffff]')
@@ -23,7 +23,7 @@ _LONG_TO_ESCAPE = re.compile('[\\\\"\\x00-\\x09\\x0b-\\x1f\\x7f-\\x9f\u2028\u202
 
 
 def quote_turtle(text: str) -> str:
-    """Return a quoted string; one of several lines in long quotes, so that definitions read as they were written."""
+    """Return a quoted string; one of several lines in long quotes, so that definitions read as in their source."""
     if not _TO_ESCAPE.search(text):
         return f'"{text}"'
     if "\n" in text.strip("\n"):
@@ -46,7 +46,7 @@ def prefixed_name(iri: str) -> tuple[str, str | None]:
 
 
 class _Writer:
-    """Writes one document; `prefixes` are those met on the way."""
+    """Writer of one document; `prefixes` are those used so far."""
 
     def __init__(self, shape: Outline, base: str) -> None:
         self.shape = shape
@@ -59,10 +59,10 @@ class _Writer:
         return isinstance(subject, NamedNode) or (subject not in self.shape.nested and subject not in self.shape.cells)
 
     def paragraphs(self) -> Iterator[str]:
-        """Yield all subjects; blank nodes that hang on nothing but themselves come last."""
+        """Yield all subjects; blank nodes that only refer to each other come last."""
         yield from self._waiting()
         for subject in self.shape.subjects:
-            # List cells that no one led to belong to a blank node written below, or to a ring of them.
+            # List cells without a link belong to a blank node written below, or to a cycle of them.
             if subject not in self.written:
                 self.waiting.append(subject)
                 yield from self._waiting()
@@ -92,11 +92,11 @@ class _Writer:
         return f" ;{indent}".join(lines)
 
     def objects(self, objects: Iterable[Term], depth: int) -> str:
-        """Objects of one predicate."""
+        """Return the objects of one predicate."""
         return ", ".join([self.term(term, depth) for term in objects])
 
     def term(self, term: Term, depth: int) -> str:
-        """One object."""
+        """Return one object."""
         if isinstance(term, NamedNode):
             return "()" if term == rdf.nil else self.iri(term.value)
         if isinstance(term, Literal):
@@ -106,7 +106,7 @@ class _Writer:
         return f"<<( {term} )>>"
 
     def blank(self, blank: BlankNode, depth: int) -> str:
-        """Return a blank node: a list, nested in brackets, or by its label."""
+        """Return a blank node: as a list, nested in brackets, or by its label."""
         if blank in self.written or depth >= DEPTH or self._stands_alone(blank) or blank not in self.shape.subjects:
             if blank in self.shape.subjects and blank not in self.written:
                 self.waiting.append(blank)
@@ -138,7 +138,7 @@ class _Writer:
         return text
 
     def literal(self, literal: Literal) -> str:
-        """Return a literal: bare where Turtle allows it."""
+        """Return a literal, without quotes if Turtle allows that."""
         if literal.language is not None:
             return str(literal)
         datatype = literal.datatype.value
@@ -151,7 +151,7 @@ class _Writer:
 
 
 def turtle(document: Document) -> str:
-    """Return the document in Turtle; what it carries of messages follows its description."""
+    """Return the document in Turtle; messages follow the description."""
     prefixes, body = _sections(document)
     return f"{_header(document.url, prefixes)}\n{body}"
 
@@ -163,7 +163,7 @@ def trig(document: Document) -> str:
 
 
 def _header(base: str, prefixes: Mapping[str, str]) -> str:
-    """`@base` and the prefixes."""
+    """Return `@base` and the prefixes."""
     return f"@base <{base}> .\n" + "".join([_declaration(*prefix) for prefix in prefixes.items()])
 
 
@@ -182,10 +182,10 @@ def _sections(document: Document, inner: str = "") -> tuple[dict[str, str], str]
 def _with_messages(
     document: Document, prefixes: dict[str, str], sections: list[str], *, declare: bool
 ) -> tuple[dict[str, str], str]:
-    """Adds what the messages need to the prefixes and appends them to the sections.
+    """Return the sections and prefixes with those of the messages.
 
-    Two messages may want one prefix for two namespaces (`request` and `response` of like-named types); Turtle lets a
-    prefix be declared anew between statements. TriG does not within a graph, so there such a message is in full.
+    Two messages may need one prefix for two namespaces (`request` and `response` of types with the same name); Turtle
+    allows redeclaring a prefix between statements. TriG does not within a graph, so such a message has full IRIs.
     """
     current = dict(prefixes)
     for message in document.messages:

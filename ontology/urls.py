@@ -1,9 +1,9 @@
 """Mapping of names to URLs and back. Pure.
 
-Each segment of a ROS name is one segment of the path, percent-encoded as UTF-8 by itself. Three segments cannot stand
-in a URL as they are: the empty one (it would read as the slash of a container) and `.` and `..` (clients remove them,
-and `%2E` too: RFC 3986 5.2.4, WHATWG URL "dot segments"). They are written with a `~` before them, and so is every
-segment that looks like one of these: `~`, `~.`, `~..`, `~~`, ... So `/a//b` is `a/~/b`, and no two names share a URL.
+Each segment of a ROS name is one percent-encoded segment of the path (UTF-8). Three segments cannot be in a URL
+unchanged: the empty one (it would look like the slash of a container) and `.` and `..` (clients remove them, and `%2E`
+too: RFC 3986 5.2.4, WHATWG URL "dot segments"). They are prefixed with `~`, and so is every segment that looks like one
+of these: `~`, `~.`, `~..`, `~~`, ... So `/a//b` is `a/~/b`, and no two names share a URL.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def decode_segment(raw: str) -> str:
 
 
 class Location(NamedTuple):
-    """What a path points at: `kind` is its first segment (`topics`; empty for `/`), `segments` the decoded others.
+    """The target of a path: `kind` is its first segment (`topics`; empty for `/`), `segments` the other ones, decoded.
 
     `is_container`: the path ends in a slash. `/` itself is a container of the empty kind.
     """
@@ -66,9 +66,9 @@ class Location(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The global ROS name (`/camera/image_raw`), or the namespace for a container.
+        """The global ROS name (`/camera/image_raw`), or the namespace of a container.
 
-        Raises ValueError where a segment holds a slash (`%2F`): no ROS name is written so.
+        Raises ValueError if a segment contains a slash (`%2F`), which no ROS name does.
         """
         for segment in self.segments:
             if "/" in segment:
@@ -79,7 +79,7 @@ class Location(NamedTuple):
 def locate(raw_path: str | bytes) -> Location:
     """Return the location of a path (below the base, with leading slash, percent-encoded).
 
-    Raises ValueError naming the segment that is malformed.
+    Raises ValueError with the malformed segment.
     """
     try:
         path = raw_path.decode() if isinstance(raw_path, bytes) else raw_path
@@ -98,7 +98,7 @@ def locate(raw_path: str | bytes) -> Location:
 class Space(Struct, frozen=True):
     """The URLs of one server. `base` ends in a slash; `types` is the namespace of the classes of message types.
 
-    Every method raises ValueError for names that are not global ROS names or hold lone surrogates.
+    Every method raises ValueError for names that are not global ROS names or contain lone surrogates.
     """
 
     base: str
@@ -111,11 +111,11 @@ class Space(Struct, frozen=True):
 
     @property
     def path(self) -> str:
-        """The path of the base: `/`, or what a proxy puts this server below."""
+        """The path of the base: `/`, or the path prefix of a proxy."""
         return urlsplit(self.base).path
 
     def absolute(self, reference: str) -> str:
-        """Return the URL that a reference names: a URL of this space is itself, all others are paths below the base."""
+        """Return the absolute URL of a reference: a URL of this space is unchanged, others are paths below the base."""
         if reference.startswith(self.base):
             return reference
         return self.base + reference.removeprefix(self.path).removeprefix("/")
@@ -145,103 +145,103 @@ class Space(Struct, frozen=True):
         return self.url(kind, tuple(name[1:].split("/")))
 
     def node(self, name: str) -> str:
-        """`/talker` -> `nodes/talker`."""
+        """Return the URL of a node: `nodes/talker` for `/talker`."""
         return self._leaf_url("nodes", name)
 
     def topic(self, name: str) -> str:
-        """`/camera/image_raw` -> `topics/camera/image_raw`."""
+        """Return the URL of a topic: `topics/camera/image_raw` for `/camera/image_raw`."""
         return self._leaf_url("topics", name)
 
     def service(self, name: str) -> str:
-        """`/aircraft/start` -> `services/aircraft/start`."""
+        """Return the URL of a service: `services/aircraft/start` for `/aircraft/start`."""
         return self._leaf_url("services", name)
 
     def parameter(self, name: str, node: str | None = None) -> str:
-        """A parameter; where parameters belong to nodes (ROS 2), its whole name is one segment below its node."""
+        """Return the URL of a parameter; if it belongs to a node (ROS 2), its whole name is one segment below that."""
         if node is None:
             return self._leaf_url("parameters", name)
         return self._leaf_url("parameters", node) + "/" + encode_segment(name)
 
     def type(self, ref: TypeRef | str) -> str:
-        """`geometry_msgs/msg/Twist` -> `types/geometry_msgs/msg/Twist`; a hash makes it that variant."""
+        """Return the URL of a type: `types/geometry_msgs/msg/Twist`; a hash selects that variant."""
         name, hash = (ref, None) if isinstance(ref, str) else (ref.name, ref.hash)
         return self.url("types", tuple(name.split("/"))) + (f"?hash={quote(hash, safe='')}" if hash else "")
 
     def shape(self, name: str) -> str:
-        """Return the SHACL shape of a type."""
+        """Return the URL of the SHACL shape of a type."""
         return self.url("shapes", tuple(name.split("/")))
 
     def shapes_of(self, schema: Schema) -> tuple[str, ...]:
-        """The SHACL shapes of the messages that a type is made of."""
+        """Return the URLs of the SHACL shapes of the messages of a type."""
         return tuple(self.shape(half.ref.name) for half in halves_of(schema))
 
     def document_shape(self, name: str) -> str:
-        """Return the SHACL shape of what documents say of a class: `Topic` -> `shapes/documents#Topic`."""
+        """Return the URL of the SHACL shape of documents about a class: `shapes/documents#Topic` for `Topic`."""
         return f"{self.base}shapes/documents#{name}"
 
     def call(self, id: str) -> str:
-        """One call of a service."""
+        """Return the URL of a call of a service."""
         return self.url("calls", (id,))
 
     def action(self, name: str) -> str:
-        """`/aircraft/fly` -> `actions/aircraft/fly`."""
+        """Return the URL of an action: `actions/aircraft/fly` for `/aircraft/fly`."""
         return self._leaf_url("actions", name)
 
     def goal(self, id: str) -> str:
-        """One goal of an action."""
+        """Return the URL of a goal of an action."""
         return self.url("goals", (id,))
 
     def hold(self, id: str) -> str:
-        """One hold of a topic."""
+        """Return the URL of a hold of a topic."""
         return self.url("holds", (id,))
 
     @property
     def stop(self) -> str:
-        """The stop of the whole robot."""
+        """Return the URL of the stop of the whole robot."""
         return f"{self.base}stop"
 
     def activity(self, id: str) -> str:
-        """Return the receipt of a write."""
+        """Return the URL of the receipt of a write."""
         return self.url("activity", (id,))
 
     def query(self, name: str) -> str:
-        """Return a stored query."""
+        """Return the URL of a stored query."""
         return self.url("queries", (name,))
 
     def cockpit(self, name: str) -> str:
-        """Return a cockpit by its name: `cockpit/default`."""
+        """Return the URL of a cockpit: `cockpit/default`."""
         return self.url("cockpit", (name,))
 
     def bag(self, name: str) -> str:
-        """Return a recording: a container of its parts."""
+        """Return the URL of a recording, a container of its parts."""
         return self.container("bags", (name,))
 
     def bag_messages(self, name: str) -> str:
-        """Return the messages of a recording."""
+        """Return the URL of the messages of a recording."""
         return self.container("bags", (name, "messages"))
 
     def bag_message(self, name: str, index: int) -> str:
-        """Message `index` of a recording."""
+        """Return the URL of message `index` of a recording."""
         return self.url("bags", (name, "messages", str(index)))
 
     def bag_moment(self, name: str) -> str:
-        """Return all topics of a recording at one moment."""
+        """Return the URL of all topics of a recording at one moment."""
         return self.url("bags", (name, "at"))
 
     def bag_stream(self, name: str) -> str:
-        """Return the messages of a recording as an event stream."""
+        """Return the URL of the messages of a recording as an event stream."""
         return self.url("bags", (name, "ldes"))
 
     def bag_stream_page(self, name: str, page: str) -> str:
-        """Return a page of that stream."""
+        """Return the URL of a page of that stream."""
         return self.url("bags", (name, "ldes", page))
 
     def class_of(self, name: str) -> str:
-        """Return the class of a message or service type: an IRI in the types' namespace, not of this server."""
+        """Return the class of a message or service type: an IRI in the namespace of types, not of this server."""
         return self.types + "/".join(map(encode_segment, name.split("/")))
 
     def type_of(self, iri: str) -> str | None:
-        """The type whose class an IRI is; None for all other IRIs."""
+        """Return the type whose class is an IRI; None for all other IRIs."""
         if not iri.startswith(self.types):
             return None
         return "/".join(decode_segment(each) for each in iri[len(self.types) :].split("/"))

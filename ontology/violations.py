@@ -1,4 +1,4 @@
-"""Violations: where and how a body does not fit the type it was sent for."""
+"""Violations: where and why a body does not fit the expected type."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 from rosld.ontology.coercion import Misfit
 
 Path: TypeAlias = "tuple[Path, str] | None"
-"""The way from the message to a field, innermost last: (((None, "linear"), "x")); text only once it is needed."""
+"""The path from the message to a field, innermost last: (((None, "linear"), "x")); converted to text only if needed."""
 
 _MAX_VIOLATIONS = 20
 _MAX_TEXT = 120
 
 
 class Violation(Struct, frozen=True):
-    """One thing that does not fit.
+    """A value that does not fit.
 
-    `path` of the field (`linear.x`, "" for the message), what was expected, what was found (shortened, None where there
-    was nothing). Where a SHACL shape found it, the rest says what its validation result does (SHACL 1.0 section 3.6.2):
-    `term` is the value itself, `predicate` the result's path, `said` the shape's own message, which others wrote.
+    `path` is that of the field (`linear.x`, "" for the message), followed by the expected and the actual value
+    (shortened, None if missing). For violations of a SHACL shape, the rest is its validation result (SHACL 1.0 section
+    3.6.2): `term` is the value, `predicate` the result's path, `said` the shape's own message, a text by third parties.
     """
 
     path: str
@@ -39,7 +39,7 @@ class Violation(Struct, frozen=True):
 
     @property
     def with_quote(self) -> str:
-        """The expected value, with the shape's message as a quotation, for people."""
+        """The expected value, followed by the shape's message as a quotation."""
         return f"{self.message} ({json.dumps(self.said, ensure_ascii=False)})" if self.said else self.message
 
 
@@ -49,9 +49,9 @@ def violations_text(violations: Iterable[Violation]) -> str:
 
 
 class LoweringError(ValueError):
-    """A body that is no message of the type, with the `violations` found (not necessarily all there are).
+    """A body that is no message of the type, with some or all of its `violations`.
 
-    `about` are URLs of what these speak of: a client that may not read them is not told these.
+    `about` are URLs of the resources that the violations mention, for redaction.
     """
 
     def __init__(self, *violations: Violation, about: tuple[str, ...] = ()) -> None:
@@ -60,27 +60,27 @@ class LoweringError(ValueError):
         self.about = about
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Worker processes raise such errors, too."""
+        """Make the error picklable, for worker processes."""
         return LoweringError, self.violations
 
 
 class Findings:
-    """The violations found so far; the twentieth ends the search with a LoweringError."""
+    """Collector of violations; the twentieth raises LoweringError."""
 
     def __init__(self) -> None:
         self.violations: list[Violation] = []
 
     def add(self, path: Path, words: str, value: object = None) -> None:
-        """Note a violation.
+        """Add a violation.
 
-        Raises LoweringError with all of them once there are very many: a body may be wrong everywhere.
+        Raises LoweringError with all of them once there are too many.
         """
         self.violations.append(Violation(path_text(path), words, brief_value(value)))
         if len(self.violations) >= _MAX_VIOLATIONS:
             raise LoweringError(*self.violations)
 
     def misfit(self, path: Path, misfit: Misfit) -> None:
-        """Note a misfit as a violation at (or below) `path`."""
+        """Add a misfit as a violation at (or below) `path`."""
         self.add((path, misfit.path) if misfit.path else path, misfit.words, misfit.value)
 
 
@@ -94,7 +94,7 @@ def path_text(path: Path) -> str:
 
 
 def brief_value(value: object) -> str | None:
-    """A value as a person may want to see it; None for nothing."""
+    """Return a short text of a value for people; None for nothing."""
     if value is None:
         return None
     text = json.dumps(value, ensure_ascii=False, default=str) if isinstance(value, bool | list | dict) else str(value)

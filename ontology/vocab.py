@@ -1,8 +1,8 @@
 """Terms of the vocabularies that rosld reads and writes: `ros.publishes` is the NamedNode `ros:publishes`.
 
-The terms of `ros:`, `map:` and `av:` are those that the Turtle files beside this module define. `vocab.pyi` lists all
-terms for type checkers and editors; `python tests/ontology/vocab_stub.py` writes it. A trailing underscore keeps a term
-clear of a Python keyword: `sh.or_` is `sh:or`.
+The terms of `ros:`, `map:` and `av:` are those that the Turtle files next to this module define. `vocab.pyi` lists all
+terms for type checkers and editors; `python tests/ontology/vocab_stub.py` writes it. A trailing underscore avoids
+Python keywords: `sh.or_` is `sh:or`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Namespace:
 
 
 def attribute(name: str) -> str:
-    """Return the attribute of a namespace that holds a term."""
+    """Return the name of the attribute for a term."""
     return f"{name}_" if keyword.iskeyword(name) else name
 
 

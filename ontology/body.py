@@ -179,7 +179,7 @@ def _of_graph(quads: Iterable[Quad], base: str) -> Iterator[Triple]:
 
 
 def _own_graphs(base: str) -> tuple[DefaultGraph | NamedNode, ...]:
-    """Return the names of the one graph of a resource: none, its own, and those by which Jena's writers say none."""
+    """Return the names of the single graph of a resource: none, its own, and those that mean none in Jena's output."""
     return (DefaultGraph(), NamedNode(base), *_DEFAULT_GRAPHS_OF_JENA)
 
 

@@ -1,4 +1,4 @@
-"""The application: composes the layers into one ASGI app, and decides nothing."""
+"""The application: composes the layers into one ASGI app, without logic of its own."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ from rosld.server.settings import Settings
 
 
 def create_app(adapter: Adapter, settings: Settings) -> Application:
-    """The ASGI app that serves this adapter; its lifespan opens and closes the adapter, raising what `open` raises."""
+    """Return the ASGI app for this adapter; its lifespan opens and closes the adapter, raising the errors of `open`."""
     services = Services(adapter, settings)
     session, space = services.session, services.session.space
     factory = ResourceFactory(services)
@@ -147,7 +147,7 @@ def background_jobs(
 
 
 def create_authenticator(services: Services, channels: Channels) -> Authenticator | None:
-    """Return the authenticator of the file of `--auth`; None without one."""
+    """Return the authenticator for the file of `--auth`; None without one."""
     session = services.session
     if session.settings.auth is None:
         return None
@@ -157,7 +157,7 @@ def create_authenticator(services: Services, channels: Channels) -> Authenticato
 
 
 def client_limiter(settings: Settings) -> ClientLimiter:
-    """Return the limits of each client, as the settings have them."""
+    """Return the limits of each client according to the settings."""
     allowance = ClientLimits(
         settings.client_rate, settings.client_requests, settings.client_connections, settings.client_websockets
     )
@@ -174,7 +174,7 @@ def middleware(
     admission: Admission,
     authenticator: Authenticator | None,
 ) -> Handler:
-    """Return the stack that answers a request, made from its end to its beginning."""
+    """Return the middleware stack, built from the innermost to the outermost."""
     stop = f"{space.path}stop".encode("ascii")
     handler: Handler = Dispatch(router.resolve, dispatcher)
     if authenticator is None:
@@ -183,7 +183,7 @@ def middleware(
     handler = RejectTokensInUrls(handler, space)
     if authenticator is not None:
         handler = Authentication(handler, authenticator, space)
-        # A preflight request never says who asks, so it is told of nothing, before anybody is asked for.
+        # A preflight request never has credentials, so it is answered without data before authentication.
         handler = Preflight(handler, names, lambda exchange: admission.admit(exchange))
     handler = ServerOptions(handler, admission)
     handler = Scheduling(handler, stop)
@@ -216,23 +216,23 @@ class Application:
         self.is_urgent = admission.is_urgent
         self.broadcasters = broadcasters
         self.rooms = rooms
-        """The first segments of all paths that lead anywhere."""
+        """First segments of all paths."""
         self._parts = {"http": http, "websocket": websockets, "lifespan": lifespan}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         await self._parts[scope["type"]](scope, receive, send)
 
     def end_streams(self) -> None:
-        """End what would go on for ever, holds first.
+        """End unbounded responses, holds first.
 
-        To be called when the server is told to end, before it waits for requests.
+        Call this when the server is asked to stop, before it waits for requests.
         """
         self._holds.close("rosld ended")
         self.broadcasters.close()
 
 
 class HttpApplication:
-    """The ASGI application of requests. `link` is a Link field of all answers."""
+    """The ASGI application for requests. `link` is a Link field of all responses."""
 
     def __init__(self, handler: Handler, clients: ClientLimiter, settings: Settings, link: str) -> None:
         self._handler = handler

@@ -31,14 +31,14 @@ def setting(
     minimum: float | None = None,
     metavar: str | None = None,
 ) -> _V:
-    """Declares a setting; `unit` belongs to its number, which is at least `minimum`."""
+    """Declare a setting; `unit` is the unit of its number, which is at least `minimum`."""
     metadata = {_HELP: help, _OPTION: option, _UNIT: unit, _MINIMUM: minimum, _METAVAR: metavar}
     return dataclasses.field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """The settings of one server. Raises ValueError with a sentence for the user where they make no sense."""
+    """The settings of one server. Raises ValueError with a sentence for the user if they are inconsistent."""
 
     base_url: str = setting(
         "http://127.0.0.1:8080/",
@@ -403,7 +403,7 @@ class Settings:
 
     @property
     def store_endpoints(self) -> tuple[str, str] | None:
-        """Where the server of --store is queried and where it is updated; None where there is none."""
+        """The query and update endpoints of the server of --store; None without one."""
         if self.store is None and self.store_query is None:
             return None
         begin = (self.store or "").rstrip("/")
@@ -411,17 +411,17 @@ class Settings:
 
     @property
     def beyond_loopback(self) -> bool:
-        """Whether other machines can reach this server by the address it listens on."""
+        """Whether other machines can reach this server at the address it listens on."""
         return not is_loopback(self.host)
 
     @property
     def open_beyond_loopback(self) -> bool:
-        """Whether other machines can reach this server, and nothing says who may do what."""
+        """Whether other machines can reach this server without any rules for access."""
         return self.beyond_loopback and self.auth is None
 
     @property
     def adapter_options(self) -> AdapterOptions:
-        """The settings that concern adapters."""
+        """The settings for adapters."""
         return AdapterOptions(
             types=self.types,
             ros_ip=self.ros_ip,
@@ -434,7 +434,7 @@ class Settings:
 
 
 class Declaration(NamedTuple):
-    """A setting as declared: its name, type (as written), default and meaning."""
+    """A setting as declared: its name, type (as written), default and description."""
 
     name: str
     type: str
@@ -450,7 +450,7 @@ _OPTIONS = {"cors_origins": "--cors-origin"}
 
 
 def declarations() -> tuple[Declaration, ...]:
-    """Every setting in the order of its declaration."""
+    """Return every setting in the order of declaration."""
     return _DECLARATIONS
 
 
@@ -474,7 +474,7 @@ _DECLARATIONS = tuple(_declarations())
 
 
 def parse(name: str, text: str) -> int | float | str:
-    """The value of a setting that is no option of its own, from the text after `--setting NAME`. Raises ValueError."""
+    """Return the value of a setting without its own option, from the text after `--setting NAME`. Raises ValueError."""
     plain = {one.name: one for one in declarations() if one.option is None}
     declared = plain.get(name.replace("-", "_"))
     if declared is None:
@@ -489,10 +489,10 @@ def parse(name: str, text: str) -> int | float | str:
 
 
 def bound(settings: Settings, port: int, *, base_given: bool) -> Settings:
-    """The settings once the port is known: the base follows the address unless it was given.
+    """Return the settings once the port is known: the base follows the address unless it is given.
 
-    Beyond loopback the server is read-only unless it knows who may write. Raises ValueError for a wildcard address
-    without a base URL.
+    Beyond loopback the server is read-only unless it has rules for who may write. Raises ValueError for a wildcard
+    address without a base URL.
     """
     if is_wildcard(settings.host) and not base_given:
         raise ValueError(f"--host {settings.host} stands for every address: say with --base-url how clients reach it")
@@ -503,21 +503,21 @@ def bound(settings: Settings, port: int, *, base_given: bool) -> Settings:
 
 
 def address(host: str, port: int, *, secure: bool = False) -> str:
-    """The base URL of an address to listen on."""
+    """Return the base URL of an address to listen on."""
     name = f"[{host.strip('[]')}]" if ":" in host else host
     scheme, usual = ("https", 443) if secure else ("http", 80)
     return f"{scheme}://{name}/" if port == usual else f"{scheme}://{name}:{port}/"
 
 
 def canonical_base(url: str) -> str:
-    """A base URL with the slash at its end. Raises ValueError for what cannot be one."""
+    """Return a base URL with a trailing slash. Raises ValueError for an invalid one."""
     base = url if url.endswith("/") else url + "/"
     _check_base(base)
     return base
 
 
 def describe() -> str:
-    """The settings as a Markdown table: what `docs/reference/settings.md` holds."""
+    """Return the settings as a Markdown table for `docs/reference/settings.md`."""
     rows = "".join(_row(one) for one in declarations())
     return (
         "# Settings\n\n"
@@ -542,7 +542,7 @@ def _check_minimum(declared: Declaration, value: object) -> None:
 
 
 def check_topic_glob(option: str, glob: str) -> None:
-    """Raise ValueError for what no topic can fit: names of topics begin with a slash."""
+    """Raise ValueError for a glob that matches no topic: names of topics begin with a slash."""
     if not glob.startswith(("/", "*")):
         raise ValueError(f"{option} {glob}: a topic or a glob begins with a slash or a star, such as /odom or '*'")
 

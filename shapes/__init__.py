@@ -1,1 +1,1 @@
-"""SHACL shapes of message types, and reports of refusals."""
+"""SHACL shapes of message types, and reports of violations."""

@@ -1,8 +1,8 @@
 """SHACL shapes of the RDF that resources accept (SHACL 1.0 Core, LDP 4.2.1.6), and datatypes of limited fields.
 
 They differ from the shapes of documents (`message.py`): more lexical forms are accepted than are ever written, elided
-values are not, and limits apply. The graph is about one resource and self-contained: what conforms to it by any
-validator fits and is within the limits.
+values are not, and limits apply. The graph is about one resource and self-contained: data that conforms to it according
+to any validator fits and is within the limits.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ _DATE_TIME = (
     r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]{1,9}0{0,21})?(Z|[+-][0-9]{2}:[0-9]{2})\s*$"
 )
 _FIRST, _LAST = "1901-12-13T20:45:52Z", "2038-01-19T03:14:07.999999999Z"
-"""What 32 bits of seconds hold."""
+"""Range of 32-bit seconds."""
 
 
 def accepted_message_document(
     url: str, schema: MessageSchema, space: Space, title: str, demand: Demand = NO_DEMAND
 ) -> Document:
-    """What may be written where a message is sent, in the document at `url`.
+    """Return the shape of RDF that contains a message to send, as the document at `url`.
 
-    A type without fields needs nothing to be said of it.
+    For a type without fields the RDF may be empty.
     """
     writer, class_ = ShapesWriter(url), NamedNode(space.class_of(schema.ref.name))
     _describe(writer, space, title, demand)
@@ -57,7 +57,7 @@ def accepted_message_document(
 
 
 Accepted: TypeAlias = Primitive | MessageSchema | ParameterType | OpenParameter
-"""What a value may be: a scalar, a message, or what a parameter may be, declared by its node or not."""
+"""Kind of a value: a scalar, a message, or a parameter with or without a declaration."""
 
 
 def accepted_value_document(
@@ -68,12 +68,12 @@ def accepted_value_document(
     space: Space,
     title: str,
 ) -> Document:
-    """What may be written where `subject` is to have one value of a predicate, in the document at `url`.
+    """Return the shape of RDF in which `subject` has one value of a predicate, as the document at `url`.
 
-    The value is of one of these `kinds`, and fulfils what limits demand of that.
+    The value is of one of these `kinds` and within the limits.
     """
     writer, root = ShapesWriter(url), NamedNode(subject)
-    # Whatever the kind, it is sent to the same topic, service or parameter.
+    # All kinds are sent to the same topic, service or parameter.
     values, alternatives = AcceptedValues(writer, kinds[0][1].largest), list[Value]()
     _describe(writer, space, title, Demand(is_all=all(demand.is_all for _, demand in kinds)))
     for kind, demand in kinds:
@@ -129,10 +129,10 @@ def _describe(writer: ShapesWriter, space: Space, title: str, demand: Demand) ->
 
 
 class AcceptedShapes(MessageShapes):
-    """Writer of the shapes of messages as they may be written.
+    """Writer of the shapes of accepted messages.
 
-    Nodes of messages within a message need not say their types. They are targets by the property that leads to them,
-    so that none holds another: validators bound how deep shapes may nest. `is_target`: so is every node of the type.
+    Nodes of nested messages need not state their types. They are targets by the property that links to them, so that no
+    shape contains another: validators limit the nesting of shapes. `is_target`: so is every node of the type.
     """
 
     def __init__(
@@ -197,7 +197,7 @@ class AcceptedShapes(MessageShapes):
         return [writer.either([told, derived])]
 
     def write_demand(self, demand: Demand) -> None:
-        """Write what limits demand of the message, of those within, and of single scalars."""
+        """Write the constraints of limits on the message, on nested messages, and on single scalars."""
         root = self.node(self._schema.ref.name)
         for name, part in demand.type_parts:
             self._writer.add(self.node(name), (sh.node, write_limit(self._writer, self._values, part)))
@@ -224,7 +224,7 @@ class AcceptedShapes(MessageShapes):
                     self._writer.add(within(self.node(kind.name), field.name), (sh.datatype, xsd.string))
 
     def _way(self, path: str) -> tuple[Value, Primitive] | None:
-        """Return the property path to a scalar, and what that is; None where the message has none there."""
+        """Return the property path to a scalar, and its type; None if the message has none there."""
         writer, kind, steps = self._writer, cast(FieldType, Nested(self._schema.ref.name)), list[Value]()
         for step in path.split("."):
             if not isinstance(kind, Nested):
@@ -244,10 +244,10 @@ class AcceptedShapes(MessageShapes):
 
 @lru_cache(maxsize=8)
 def limit_datatypes(limits: Limits, places: tuple[tuple[str, Place], ...], types: str) -> tuple[Triple, ...]:
-    """`sh:datatype` of each property shape of the limits that leads to one scalar and does not say it.
+    """Return `sh:datatype` for each property shape of the limits that leads to one scalar and does not state it.
 
-    `places` are what the targets are, by their IRIs. It demands nothing: as the server says a message, its fields have
-    these datatypes, and a body may have others (`URL?shape`).
+    `places` are the targets by IRI. This constrains nothing: the server writes fields with these datatypes, but bodies
+    may have others (`URL?shape`).
     """
     graph, known, space = ShapesGraph(limits.graph), dict(places), Space("http://0/", types)
     found: dict[Node, set[NamedNode]] = {}

@@ -1,9 +1,9 @@
 """Shapes of field values in RDF from clients: more lexical forms than this server itself writes.
 
-Whoever writes Turtle by hand says `1` or `0.5` where ROS has a double, and a program says whatever numbers its language
-has. So any number of XSD is taken that the field can hold: for an integer all integers, and decimals that are whole;
-for a float all numbers, rounded to the nearest, and INF, -INF and NaN where it is no command. What is taken is what
-these shapes say.
+People write `1` or `0.5` in Turtle where ROS has a double, and programs write the numbers of their language. Therefore
+any XSD number that the field can represent is accepted: for an integer all integers, and decimals without a fraction;
+for a float all numbers, rounded to the nearest, and INF, -INF and NaN unless it is a command. These shapes define
+exactly what is accepted.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ PARAMETERS: Mapping[ParameterType, Primitive] = {
     ParameterType.DOUBLE: Primitive("float64"),
     ParameterType.STRING: Primitive("string"),
 }
-"""The scalars that nodes declare of parameters."""
+"""Primitives of scalar parameters by declared type."""
 PARAMETER_ARRAYS = {ParameterType(f"{type.value} array"): element for type, element in PARAMETERS.items()}
-"""The elements of the arrays that they declare; that of octets is told as octets."""
+"""Primitives of the elements of declared arrays; octets are written as octets."""
 
 
 class OpenParameter(NamedTuple):
-    """A parameter without a declaration: integers have `bits`, and XML must be able to carry it (ROS 1) or not."""
+    """A parameter without a declaration: integers have `bits`, and XML must be able to represent it (ROS 1) or not."""
 
     bits: int = 64
     is_in_xml: bool = False
@@ -52,11 +52,11 @@ class OpenParameter(NamedTuple):
 
 _FLOATS = (xsd.double, xsd.float)
 _XML_TEXT = r"^[^\x00-\x08\x0B\x0C\x0E-\x1F]*$"
-"""Characters that XML can carry, as far as they are in use."""
+"""Characters that XML can represent, of those in use."""
 _GREATEST = Literal("1.7976931348623157E308", datatype=xsd.double)
 _LEAST = Literal("-1.7976931348623157E308", datatype=xsd.double)
 _BEYOND = Literal("3.4028235677973366E38", datatype=xsd.double)
-"""Halfway between the greatest float32 and what would be the next: from here on a number is rounded to infinity."""
+"""Midpoint between the greatest float32 and the next value, from which numbers round to infinity."""
 _BELOW = Literal("-3.4028235677973366E38", datatype=xsd.double)
 _RANGES: dict[str, tuple[Statement, ...]] = {
     "float64": ((sh.minInclusive, _LEAST), (sh.maxInclusive, _GREATEST)),
@@ -71,9 +71,9 @@ _WIDE = {xsd.long: RANGES["int64"], xsd.unsignedLong: RANGES["uint64"]}
 
 
 class AcceptedValues:
-    """The shapes of values in one shapes graph: each is written when it is first asked for.
+    """Shapes of values in one shapes graph, each written on first use.
 
-    `largest` is the largest absolute value of all floats, which are finite; None where they may be any.
+    `largest` is the largest absolute value of all floats, which are finite; None if floats are unrestricted.
     """
 
     def __init__(self, writer: ShapesWriter, largest: float | None = None) -> None:
@@ -95,7 +95,7 @@ class AcceptedValues:
         return self._writer.shared("-".join(parts), lambda: self._array(kind, element))
 
     def parameter(self, type: ParameterType) -> NamedNode:
-        """The shape of a value that is a parameter's: its text is no octets, and an array is one literal."""
+        """Return the shape of a parameter's value: a string of bytes is no text, and an array is one literal."""
         shared = self._writer.shared
         if type is ParameterType.STRING:
             return shared("text", lambda: [(sh.datatype, xsd.string)])
@@ -114,13 +114,13 @@ class AcceptedValues:
     def bounds(
         self, kind: Primitive, bounds: Bounds, datatype: NamedNode | None = None
     ) -> Iterator[Sequence[Statement]]:
-        """What bounds demand of a scalar beside its being one, each demand by itself.
+        """Return the constraints of bounds on a scalar in addition to its type, one by one.
 
-        `datatype` is what it is told with where that is not the field's. A number is compared by its value, whatever
-        its datatype. Of text the characters are looked at.
+        `datatype` is its datatype in RDF if that is not the field's. Numbers are compared by value, whatever their
+        datatypes, texts by their characters.
         """
         if bounds.range:
-            # NaN is within no range; not every validator has it so.
+            # NaN is within no range, but not every validator knows that.
             is_float = kind.name not in RANGES
             yield [*bounds.range_statements, *([(sh.not_, self._not_a_number())] if is_float else [])]
         if bounds.choices:
@@ -130,7 +130,7 @@ class AcceptedValues:
             yield [*is_text, *bounds.text_statements]
 
     def _choices(self, own: NamedNode, choices: Sequence[Literal]) -> Statement:
-        """One of these: numbers that have the datatype `own`, by their values; all else as it is."""
+        """Return the constraint to these choices: by value for numbers with the datatype `own`, else as terms."""
         writer = self._writer
         found = [choice for choice in choices if choice.datatype == own]
         if own == xsd.boolean:
@@ -154,7 +154,7 @@ class AcceptedValues:
 
     def _scalar(self, kind: Primitive) -> Sequence[Statement]:
         if kind.name == "bool":
-            # XSD collapses white space; not every validator does.
+            # XSD collapses white space, but not every validator does.
             return [(sh.datatype, xsd.boolean), (sh.pattern, text("^(true|false|1|0)$"))]
         if kind.name in STRINGS:
             return [self._string(kind)]
@@ -169,7 +169,7 @@ class AcceptedValues:
         return [self._either(*self._floats(kind.name), *_integers(self._range(kind.name)), *self._specials())]
 
     def _string(self, kind: Primitive) -> Statement:
-        """A string is bounded in bytes, which SHACL cannot count: in characters it is as long at most."""
+        """Return the constraints on a string, by characters: SHACL cannot count bytes, which are at least as many."""
         return self._either(
             [(sh.datatype, xsd.string), (sh.maxLength, integer(kind.bound))],
             [(sh.datatype, xsd.base64Binary), (sh.pattern, text(base64_pattern(bound=kind.bound)))],
@@ -178,7 +178,7 @@ class AcceptedValues:
 
     def _floats(self, name: str) -> Iterator[Sequence[Statement]]:
         """Yield an alternative for each datatype of numbers with a fraction, within the range of a float."""
-        # NaN is within no range, and what is no xsd:float is none; not every validator has it so.
+        # NaN is within no range, and an ill-typed xsd:float is no number, but not every validator knows that.
         finite = [] if self._largest is None else [(sh.not_, self._not_a_number())]
         yield [(sh.datatype, xsd.double), *self._range(name), *finite]
         yield [(sh.datatype, xsd.float), *self._range("float32"), *finite]
@@ -192,7 +192,7 @@ class AcceptedValues:
         return (sh.minInclusive, double(-self._largest)), (sh.maxInclusive, double(self._largest))
 
     def _specials(self) -> Iterator[Sequence[Statement]]:
-        """An alternative for what is no finite number, where that is taken."""
+        """Yield an alternative for NaN and the infinities if they are accepted."""
         if self._largest is None:
             names = [Literal(name, datatype=datatype) for datatype in _FLOATS for name in SPECIALS]
             yield [(sh.in_, self._writer.list_of(names))]
@@ -228,9 +228,9 @@ class AcceptedValues:
 
 
 def _integers(within: Sequence[Statement] = ()) -> Iterator[Sequence[Statement]]:
-    """Yield an alternative for each datatype of integers: those that know no bounds are `within` some.
+    """Yield an alternative for each datatype of integers; unbounded datatypes get the range `within`.
 
-    Of those of 64 bits not every validator knows the range.
+    Not every validator checks the range of 64-bit datatypes.
     """
     for datatype in _INTEGERS:
         if datatype in _UNBOUNDED:

@@ -17,9 +17,9 @@ from rosld.shapes.writer import ShapesWriter, within
 
 
 def value_shape_triples(shape: ValueShape, node: NamedNode, path: NamedNode, space: Space) -> list[Triple]:
-    """The node shape `node` of what has one such value by the predicate `path` (SHACL 2.1).
+    """Yield the node shape `node` for subjects with one such value of the predicate `path` (SHACL 2.1).
 
-    Nodes within it are fragments beside `node` (`#shape.value`); a message's own shape is referred to by its URL.
+    Nested nodes are fragments derived from `node` (`#shape.value`); a message's own shape is referenced by its URL.
     """
     writer, value = ShapesWriter(node.value), within(node, "value")
     one = ((sh.minCount, integer(1)), (sh.maxCount, integer(1)))
@@ -53,7 +53,7 @@ def _write_scalar(writer: ShapesWriter, node: NamedNode, shape: ScalarShape | Op
 
 
 def _write_message(writer: ShapesWriter, node: NamedNode, shape: MessageShape, space: Space) -> None:
-    """Write all that its type's shape says or, of a part of its fields, what that says of each."""
+    """Write all statements of the type's shape; for some of its fields, the statements about each of these."""
     kind = shape.schema.type
     type_shape = NamedNode(space.shape(kind.name))
     if shape.fields == kind.fields:
@@ -67,7 +67,7 @@ def _write_message(writer: ShapesWriter, node: NamedNode, shape: MessageShape, s
 def _write_bounds(
     writer: ShapesWriter, node: NamedNode, schema: MessageSchema, kind: str, bounds: Mapping[str, Bounds], space: Space
 ) -> None:
-    """Write property shapes within `node` that lead to the bounds; those of an array of messages hold for each."""
+    """Write property shapes within `node` for the bounds; those of an array of messages apply to each element."""
     for field in schema.types[kind].fields:
         start = f"{field.name}."
         below = {path.removeprefix(start): each for path, each in bounds.items() if path.startswith(start)}

@@ -1,6 +1,6 @@
-"""Numbers that may be sent to a robot: finite ones, and velocities that are no typing errors.
+"""Numbers that may be sent to a robot: finite ones, and plausible velocities.
 
-A base that is told NaN has no position from then on, and one that is told 1e300 overflows when it squares it.
+A base that receives NaN loses its position for good, and one that receives 1e300 overflows when it squares it.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.violations import Findings, LoweringError, Path
 
 LARGEST_NUMBER = math.nextafter(3.4028235677973366e38, 0)
-"""The largest number that is finite as a float32, which many controllers reckon with."""
+"""Largest number that is finite as a float32, which many controllers use."""
 LARGEST_VELOCITY = 1e6
-"""The largest number of a command of a velocity, in m/s, rad/s and their derivatives."""
+"""Largest number in a velocity command, in m/s, rad/s and their derivatives."""
 
 _Report: TypeAlias = Callable[[Path, float], None]
 _Check: TypeAlias = Callable[[object, Path, float, _Report], None]
 
 
 def largest_number(schema: MessageSchema) -> float:
-    """Return the largest absolute value of a float in a command of this type."""
+    """Return the largest absolute value of a float in a message of this type."""
     return LARGEST_VELOCITY if schema.ref.name in COMMANDS else LARGEST_NUMBER
 
 
 def is_any_number_meant(field: Field) -> bool:
-    """Whether the definition of a float gives it a default that is no finite number, which then has a meaning."""
+    """Whether the definition of a float has a default that is not finite, which then has a meaning."""
     return isinstance(field.default, float) and not math.isfinite(field.default)
 
 
 def require_finite_message(schema: MessageSchema, message: Message, hint: str) -> None:
-    """Raise LoweringError where a float of a command is not finite or too large; `hint` says how to send it anyway."""
+    """Raise LoweringError if a float of a command is not finite or too large; `hint` explains how to send it anyway."""
     check = _message_check(schema, schema.ref.name)
     if check is not None:
         largest, findings = largest_number(schema), Findings()
@@ -47,7 +47,7 @@ def require_finite_message(schema: MessageSchema, message: Message, hint: str) -
 
 
 def require_finite_parameter(value: ParameterValue, path: Path, hint: str) -> None:
-    """Raise LoweringError where a parameter, or an element of one, is a float that is not finite or too large."""
+    """Raise LoweringError if a parameter, or an element of one, is a float that is not finite or too large."""
     findings = Findings()
     report = _reporting(findings, LARGEST_NUMBER, hint)
     for index, each in enumerate(value if isinstance(value, list) else [value]):
@@ -74,7 +74,7 @@ def _check_float(value: object, path: Path, largest: float, report: _Report) -> 
 
 @lru_cache(maxsize=1024)
 def _message_check(schema: MessageSchema, name: str) -> _Check | None:
-    """Return the check of a type of a schema; None where it holds no floats."""
+    """Return the check of a type of a schema; None if it has no floats."""
     checks = [
         (field, check)
         for field in schema.types[name].fields
@@ -112,6 +112,6 @@ def _each(check: _Check) -> _Check:
 
 def _check_floats(values: object, path: Path, largest: float, report: _Report) -> None:
     assert isinstance(values, np.ndarray)
-    if values.size and not (-largest <= float(values.min()) and float(values.max()) <= largest):  # NaN is in no order
+    if values.size and not (-largest <= float(values.min()) and float(values.max()) <= largest):  # NaN is unordered
         for index in np.flatnonzero(~(np.abs(values.astype(np.float64)) <= largest)):
             report((path, str(index)), float(values[index]))

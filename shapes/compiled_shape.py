@@ -1,4 +1,4 @@
-"""Compiled shapes: the constraints of one shape as tests, applied to a focus node and what is around it."""
+"""Compiled shapes: the constraints of one shape as tests, applied to a focus node and the triples around it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Constraint(Struct, frozen=True, eq=False):
 
 
 def component(parameter: NamedNode) -> NamedNode:
-    """Return the constraint component of a parameter: `sh:minInclusive` is of `sh:MinInclusiveConstraintComponent`."""
+    """Return the constraint component of a parameter: `sh:MinInclusiveConstraintComponent` for `sh:minInclusive`."""
     name = parameter.value[len(sh.iri) :]
     return NamedNode(f"{sh.iri}{name[0].upper()}{name[1:]}ConstraintComponent")
 
@@ -65,16 +65,15 @@ class Extent(NamedTuple):
 
 
 ALONE = Extent()
-"""The extent of a shape in which there is no other."""
+"""The extent of a shape without nested shapes."""
 
 
 class Shape(Struct, frozen=True, eq=False):
-    """A shape, compiled. A node shape has no `path`: its one value node is the focus node (SHACL 2.1.3).
+    """A compiled shape. A node shape has no `path`: its single value node is the focus node (SHACL 2.1.3).
 
-    `is_simple` is False where it, or a shape that it refers to, has parts that are not compiled. `paths` are the
-    predicates that it looks at from the focus node, None where a path is more than a predicate. `own` bounds the value
-    nodes, `within` the values of what leads on from the focus node; `is_bounds` is True where the shape demands nothing
-    else.
+    `is_simple` is False if it, or a shape that it references, has parts that are not compiled. `paths` are the
+    predicates that it uses at the focus node, None if a path is not a predicate. `own` bounds the value nodes, `within`
+    the values along paths from the focus node; `is_bounds` is True if the shape has no other constraints.
     """
 
     node: NamedNode | BlankNode
@@ -96,7 +95,7 @@ class Shape(Struct, frozen=True, eq=False):
         return (focus,) if self.path is None else view.objects(focus, self.path)
 
     def conforms(self, focus: Term, view: View) -> bool:
-        """Whether nothing is broken."""
+        """Whether there are no violations."""
         values = self.values(focus, view)
         for each in self.constraints:
             if each.test is not None:
@@ -131,7 +130,7 @@ class Shape(Struct, frozen=True, eq=False):
     def _violation(
         self, focus: Term, path: str, constraint: Constraint, value: Term | None, predicate: NamedNode | None = None
     ) -> Violation:
-        """Return a violation of one constraint, with the shape's own message where it has any (SHACL 2.1.5)."""
+        """Return a violation of one constraint, with the shape's own message if it has one (SHACL 2.1.5)."""
         return Violation(
             path,
             constraint.words,
@@ -147,7 +146,7 @@ class Shape(Struct, frozen=True, eq=False):
 
 
 def join_path(above: str, predicate: NamedNode) -> str:
-    """Return the dotted path with one step more; `rdf:value` is the value itself, so that it is none."""
+    """Return the dotted path extended by a step; `rdf:value` is the value itself and adds none."""
     if predicate == rdf.value:
         return above
     iri = predicate.value.rstrip("/#")
@@ -156,7 +155,7 @@ def join_path(above: str, predicate: NamedNode) -> str:
 
 
 def brief_term(term: Term | None) -> str | None:
-    """A value as a person may want to see it."""
+    """Return a short text of a term for people."""
     if isinstance(term, BlankNode):
         return None
     return brief_value(term.value if isinstance(term, NamedNode | Literal) else term)

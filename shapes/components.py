@@ -1,4 +1,4 @@
-r"""Constraints of SHACL Core (section 4): how each parameter is read, tested, and told to people.
+r"""Constraints of SHACL Core (section 4): how each parameter is read, tested, and described.
 
 Patterns of clients are matched by RE2, in linear time. RE2 has no back-references and no lookaround, as XPath has no
 lookaround (SHACL 4.4.3, SPARQL 17.4.3.14). `\d`, `\s` and `\w` are ASCII, as in Java and JavaScript, and `$` is the end
@@ -24,22 +24,22 @@ from rosld.shapes.terms import Number, View, compare, is_numeric, is_plain, norm
 from rosld.shapes.value import UNBOUNDED, Bounds
 
 _STEPS = 30_000_000
-"""The size of a pattern times the bytes of a text, up to which it is tried: a third of a second at worst."""
+"""Maximum product of the size of a pattern and the bytes of a text, which takes at most a third of a second."""
 _MAX_PATTERN = 2000
 _MAX_MEMORY = 1 << 20
-"""Bytes for a pattern: some 40,000 steps of it, which texts of 700 bytes may be tried with."""
+"""Memory in bytes for a pattern: some 40,000 instructions, which can be matched against texts of 700 bytes."""
 _FLAGS = "ims"
 
 
 class SafePattern(Struct, frozen=True):
-    """A pattern that may be searched for in texts of up to `max_length` bytes of UTF-8."""
+    """A pattern that can be searched safely in texts of up to `max_length` bytes of UTF-8."""
 
     text: str
     search: Callable[[bytes], object | None]
     max_length: int
 
     def is_found_in(self, text: str) -> bool:
-        """Whether it matches somewhere in a text; a text that is too long to try counts as none."""
+        """Whether it matches somewhere in a text; a text that is too long never matches."""
         octets = text.encode("utf-8", "surrogatepass")
         return len(octets) <= self.max_length and self.search(octets) is not None
 
@@ -73,14 +73,14 @@ def term(name: str) -> NamedNode:
 
 
 PAIRS = frozenset(map(term, ("equals", "disjoint", "lessThan", "lessThanOrEquals")))
-"""The parameters whose values are predicates that the values of the path are compared with."""
+"""Parameters whose values are predicates with which the values of the path are compared."""
 _XML = frozenset(NamedNode(rdf.iri + name) for name in ("XMLLiteral", "HTML"))
 _CARDINAL = (xsd.integer, xsd.nonNegativeInteger, NamedNode(xsd.iri + "positiveInteger"))
 _TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
 
 class ParameterFault(ValueError):
-    """The value of a parameter is invalid; the words follow its name."""
+    """An invalid value of a parameter; the message continues the parameter's name."""
 
 
 def checked_iri(value: Term) -> NamedNode:
@@ -105,7 +105,7 @@ def checked_truth(value: Term) -> bool:
 
 
 def checked_cardinal(value: Term) -> int:
-    """Return the number of the value, which must be an integer from 0. Raises ParameterFault."""
+    """Return the value as a number, which must be a non-negative integer. Raises ParameterFault."""
     if isinstance(value, Literal) and value.datatype in _CARDINAL:
         found = number(value)
         if isinstance(found, int) and found >= 0:
@@ -114,7 +114,7 @@ def checked_cardinal(value: Term) -> int:
 
 
 def checked_term(value: Term) -> Term:
-    """Return the value, which must be a term that can be compared with.
+    """Return the value, which must be a comparable term.
 
     Raises ParameterFault for triple terms, for markup, and for ill-typed numbers.
     """
@@ -129,7 +129,7 @@ def checked_term(value: Term) -> Term:
 
 
 class ShapeSource(NamedTuple):
-    """What the constraints of a shape are read from: its statements, the shapes it refers to, and lists."""
+    """Source of the constraints of a shape: its statements, the shapes it references, and lists."""
 
     said: Mapping[NamedNode, Sequence[Term]]
     shape: Callable[[Term], Shape]
@@ -163,7 +163,7 @@ _RANGES: dict[NamedNode, tuple[Callable[[Number, Number], bool], Callable[[Liter
 
 
 def phrase(term: Term) -> str:
-    """Return a term within a sentence."""
+    """Return a term as a phrase of a sentence."""
     if isinstance(term, NamedNode):
         return f"<{term.value}>"
     if not isinstance(term, Literal):
@@ -172,7 +172,7 @@ def phrase(term: Term) -> str:
 
 
 def list_terms(terms: Iterable[Term], limit: int = 12) -> str:
-    """Several terms within a sentence."""
+    """Return several terms as a phrase of a sentence."""
     phrases = [phrase(term) for term in terms]
     more = [f"{len(phrases) - limit} more"] if len(phrases) > limit else []
     return ", ".join([*phrases[:limit], *more])
@@ -182,7 +182,7 @@ def list_terms(terms: Iterable[Term], limit: int = 12) -> str:
 
 
 def _class(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """An instance of the class, or of one that the data says is below it."""
+    """Return the test for instances of a class or of one of its subclasses according to the data."""
     iri = checked_iri(value)
 
     def test(value: Term, view: View) -> bool:
@@ -203,7 +203,7 @@ def _class(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint
 
 
 def _datatype(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """A literal of exactly this datatype that is no ill-typed one."""
+    """Return the test for literals of exactly this datatype that are not ill-typed."""
     iri = checked_iri(value)
 
     def test(value: Term, view: View) -> bool:
@@ -247,7 +247,7 @@ def _count(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint
 
 
 def _range(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """Numbers by value, whatever their datatypes."""
+    """Return the test for numbers by value, whatever their datatypes."""
     if not isinstance(value, Literal):
         raise ParameterFault(f"is {value}, where a literal is needed")
     if value.language is None and value.datatype != xsd.string:
@@ -274,14 +274,14 @@ def _range(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint
 
 
 def str_of(value: Term) -> str | None:
-    """Return STR() of SPARQL of a value; None for a blank node."""
+    """Return the value of SPARQL's STR(); None for a blank node."""
     if isinstance(value, NamedNode) or (isinstance(value, Literal) and is_plain(value)):
         return value.value
     return str(normalize(value)) if isinstance(value, Literal) else None
 
 
 def _length(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """Lengths in characters."""
+    """Return the test for lengths in characters."""
     length = checked_cardinal(value)
     is_least = parameter == sh.minLength
 
@@ -315,7 +315,7 @@ def _pattern(parameter: NamedNode, value: Term, source: ShapeSource) -> Constrai
 
 
 def _logic(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """sh:and, sh:or and sh:xone, whose values are lists of shapes."""
+    """Return the test for sh:and, sh:or and sh:xone, whose values are lists of shapes."""
     shapes = tuple(map(source.shape, source.members(value)))
     if not shapes:
         raise ParameterFault("is an empty list")
@@ -356,7 +356,7 @@ def _property(parameter: NamedNode, value: Term, source: ShapeSource) -> Constra
 
 
 def _in(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """The same term, which of literals means: the same normal form."""
+    """Return the test for terms in a list; literals are equal if their normal forms are."""
     terms = [checked_term(each) for each in source.members(value)]
     contains = _membership(terms)
     bounds = Bounds(choices=tuple(each for each in terms if isinstance(each, Literal)))
@@ -372,7 +372,7 @@ def _has_value(parameter: NamedNode, value: Term, source: ShapeSource) -> Constr
 
 
 def _membership(terms: Iterable[Term]) -> Callable[[Term], bool]:
-    # A blank node of the shapes graph is none of the data graph, whatever its label.
+    # A blank node of the shapes graph is never one of the data graph, whatever its label.
     exact = frozenset(term for term in terms if isinstance(term, NamedNode | Literal))
     others = [term for term in exact if isinstance(term, Literal) and not is_plain(term)]
     forms, datatypes = frozenset(map(normalize, others)), frozenset(term.datatype for term in others)
@@ -410,7 +410,7 @@ def _ignored(parameter: NamedNode, value: Term, source: ShapeSource) -> Constrai
     return Constraint(parameter, value, test=lambda *_: True)
 
 
-# Left to pyshacl, which would fail on wrong values later
+# Left to pyshacl, which would fail on invalid values later
 
 
 def _qualified(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
@@ -418,7 +418,7 @@ def _qualified(parameter: NamedNode, value: Term, source: ShapeSource) -> Constr
 
 
 def _left(check: Callable[[Term], object], *, is_list: bool = False) -> Build:
-    """Return the function for a constraint whose value is checked alone."""
+    """Return the function for a constraint that pyshacl tests; only its value is checked here."""
 
     def build(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
         for each in source.members(value) if is_list else (value,):
@@ -457,4 +457,4 @@ CONSTRAINTS: Mapping[NamedNode, Build] = {
     sh.ignoredProperties: _ignored,
     **dict.fromkeys(PAIRS, _left(checked_iri)),
 }
-"""The parameters of SHACL Core by the functions that read their values."""
+"""Functions that read the values of the parameters of SHACL Core."""

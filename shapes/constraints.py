@@ -1,9 +1,9 @@
-"""SHACL node shapes that validate one node: compiled where they are simple, run by pyshacl where they are not.
+"""SHACL node shapes that validate one node: compiled if they are simple, run by pyshacl otherwise.
 
-The verdict is pyshacl's, with its defaults: sh:Warning and sh:Info count as well. It differs in two things, both
-stricter, as SHACL's own words are: NaN is within no bounds, and what pyshacl fails to judge does not conform. Nothing
-is fetched, and the time is bounded: shapes are SHACL Core (no SPARQL, no JavaScript, no rules), they do not refer to
-themselves, and their patterns cannot take for ever.
+The results are those of pyshacl with its defaults: sh:Warning and sh:Info count as well. There are two differences,
+both stricter, as SHACL requires: NaN is within no bounds, and an error in pyshacl counts as a violation. Nothing is
+fetched, and the time is bounded: shapes are SHACL Core (no SPARQL, no JavaScript, no rules), without recursion, and
+their patterns take linear time.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from rosld.shapes.terms import TripleView, View
 from rosld.shapes.value import Bounds, is_exact, merge_bounds
 
 MAX_VIOLATIONS = 20
-"""The violations that are told; there may be more."""
+"""Maximum number of violations that are reported."""
 
 
 class NodeShape(Struct, frozen=True, eq=False):
-    """One shape of a shapes graph. `violations` tells how a focus node and the triples around it break it.
+    """One shape of a shapes graph. `violations` validates a focus node and the triples around it.
 
-    `paths` are the predicates that its simple property shapes look at (None where a path is not a predicate);
-    `bounds` what it demands of the one value of each, as far as bounds can say it, `within` the same by the predicates
-    on the way (`(twist:linear, vector3:x)`). `is_bounds`: it demands nothing but what `within` says. `sources` are the
-    shapes that it was made from.
+    `paths` are the predicates of its simple property shapes (None if a path is not a predicate); `bounds` are its
+    constraints on the single value of each, as far as bounds can express them, `within` the same by paths of predicates
+    (`(twist:linear, vector3:x)`). `is_bounds`: `within` has all of its constraints. `sources` are the shapes that it
+    consists of.
     """
 
     iri: str
@@ -48,11 +48,11 @@ class NodeShape(Struct, frozen=True, eq=False):
         return {path[0]: bounds for path, bounds in self.within.items() if len(path) == 1}
 
     def violations(self, focus: NamedNode | BlankNode, triples: Iterable[Triple]) -> tuple[Violation, ...]:
-        """Return the violations of a node; equal to pyshacl's verdict."""
+        """Return the violations of a node, as pyshacl would."""
         return self.violations_in(focus, TripleView(triples))
 
     def violations_in(self, focus: NamedNode | BlankNode, view: View) -> tuple[Violation, ...]:
-        """The same, through a view."""
+        """Return the violations of a node in a view."""
         return tuple(islice(self._broken(focus, view), MAX_VIOLATIONS))
 
     def _broken(self, focus: NamedNode | BlankNode, view: View) -> Iterator[Violation]:
@@ -60,7 +60,7 @@ class NodeShape(Struct, frozen=True, eq=False):
             yield from judge.find_violations(focus, view)
 
     def __and__(self, other: NodeShape) -> NodeShape:
-        """The shape that demands what both do."""
+        """Return the conjunction of both shapes."""
         return replace(
             self,
             paths=None if self.paths is None or other.paths is None else self.paths | other.paths,
@@ -74,8 +74,8 @@ class NodeShape(Struct, frozen=True, eq=False):
 def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
     """Return the shape `iri` of a shapes graph, compiled.
 
-    Raises ValueError, naming the shape and what is wrong with it, for one that is not there, is malformed, refers to
-    itself, is nested too deep or would need more than SHACL Core.
+    Raises ValueError, naming the shape and the fault, if it does not exist, is malformed, recursive, or nested too
+    deeply, or if it needs more than SHACL Core.
     """
     shape = graph.shape(iri)
     judge: ShapeValidator = shape if shape.is_simple else graph.pyshacl_shape(iri)
@@ -83,5 +83,5 @@ def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
 
 
 def conjunction(shapes: Sequence[NodeShape]) -> NodeShape:
-    """The shape that demands what all of them do."""
+    """Return the conjunction of shapes."""
     return reduce(lambda one, other: one & other, shapes)

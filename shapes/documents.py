@@ -1,4 +1,4 @@
-"""Shapes graphs: documents of this server, and documents that clients may store (LDP 4.2.1.6)."""
+"""Shapes graphs of the documents of this server, and of documents that clients may store (LDP 4.2.1.6)."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _MODULES = (
 )
 
 MAX_PANELS = 60
-"""Panels of one cockpit, as in `cockpit.ttl`."""
+"""Maximum number of panels of a cockpit, as in `cockpit.ttl`."""
 
 
 @cache
 def shapes_file(name: str, url: str) -> Document:
-    """Return the shapes graph in `NAME.ttl` beside this file, as the document at `url`."""
+    """Return the shapes graph in `NAME.ttl` next to this file, as the document at `url`."""
     text = (files("rosld.shapes") / f"{name}.ttl").read_text("utf-8")
     if name == "documents":
         text = "\n".join((text, *(shape.turtle() for shape in described_shapes().values())))
@@ -47,5 +47,5 @@ def shapes_file(name: str, url: str) -> Document:
 
 
 def described_shapes() -> Mapping[str, NodeShape[Any]]:
-    """Return the tables from which documents are described by the names of their shapes; outlines come before them."""
+    """Return the tables of descriptions by the names of their shapes; outlines precede them."""
     return {shape.name: shape for module in _MODULES for shape in vars(module).values() if isinstance(shape, NodeShape)}

@@ -1,7 +1,7 @@
 """Patterns of lexical forms: octets, and arrays in rdf:JSON (RFC 8259).
 
-They are written in what XPath, Python and Java have in common (XQuery Functions 7.6.1), and no two alternatives begin
-alike for long, so that whoever matches them takes linear time.
+They use the common subset of XPath, Python and Java (XQuery Functions 7.6.1), and alternatives differ early, so that
+matching takes linear time.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from rosld.ontology.coercion import RANGES
 from rosld.ontology.literals import BASE64, STRINGS
 
 LONGEST_COUNT = 1000
-"""The most elements that a pattern counts."""
+"""Maximum number of elements that a pattern counts."""
 WHOLE_DECIMAL = r"^\s*[+-]?[0-9]*(\.0*)?\s*$"
-"""An xsd:decimal that is a whole number."""
+"""An xsd:decimal that is an integer."""
 
 _SPACE = r"[ \t\n\r]*"
 _SEXTET = r"[A-Za-z0-9+/]\s*"
@@ -33,11 +33,11 @@ _FLOATS = {
         r"([0-2](\.[0-9]+)?|3(\.([0-3][0-9]*|40?|4028235|4028234663852886))?)[eE]\+?38",
     ),
 }
-"""Numbers of JSON that are within the range of a float, its greatest value included."""
+"""JSON numbers within the range of a float, including its maximum."""
 _HEX = "[0-9A-Fa-f]"
 _PAIR = rf"[dD][89ABab]{_HEX}{{2}}\\u[dD][C-Fc-f]{_HEX}{{2}}"
 _UNICODE = rf"u([0-9A-CEFa-cef]{_HEX}{{3}}|[dD][0-7]{_HEX}{{2}}|{_PAIR})"
-"""The escapes of characters; half a surrogate pair is none."""
+"""Escapes of characters, without unpaired surrogates."""
 _CHARACTER = rf'([^"\\\x00-\x1F]|\\(["\\/bfnrt]|{_UNICODE}))'
 
 
@@ -54,14 +54,14 @@ def base64_pattern(length: int | None = None, bound: int | None = None) -> str:
 
 
 def hex_pattern(length: int | None = None, bound: int | None = None) -> str:
-    """The same in hexadecimal, where no white space is."""
+    """Return the pattern of hexadecimal octets, without white space, of exactly `length`, or at most `bound` octets."""
     most = length if length is not None else bound
     counts = "*" if most is None or most > LONGEST_COUNT else f"{{{most if length is not None else f'0,{most}'}}}"
     return rf"^([0-9A-Fa-f]{{2}}){counts}$"
 
 
 def json_array_pattern(kind: Array, element: Primitive, *, is_finite: bool = False) -> str:
-    """Return an array of a primitive in JSON; of more than 1000 elements the number is not told.
+    """Return the pattern of an array of a primitive in JSON; a number of elements over 1000 is not checked.
 
     `is_finite`: its floats are finite, also as float32.
     """
@@ -75,7 +75,7 @@ def json_array_pattern(kind: Array, element: Primitive, *, is_finite: bool = Fal
 
 
 def parameter_array_pattern(element: Primitive, *, is_finite: bool = False) -> str:
-    """An array of a primitive in JSON, as parameters have it: what JSON cannot hold is an object with a datatype.
+    """Return the pattern of an array in a parameter: values that JSON cannot represent are objects with a datatype.
 
     `is_finite`: its floats are finite, also as float32.
     """
@@ -84,7 +84,10 @@ def parameter_array_pattern(element: Primitive, *, is_finite: bool = False) -> s
 
 
 def open_array_pattern(*, is_finite: bool) -> str:
-    """Any list in JSON, as far as SHACL can say. `is_finite`: its numbers are finite, also as float32."""
+    """Return the pattern of any list in JSON, as far as SHACL can express it.
+
+    `is_finite`: its numbers are finite, also as float32.
+    """
     start = rf"^{_SPACE}\["
     if not is_finite:
         return start
@@ -103,7 +106,7 @@ def _parameter_element(kind: Primitive, *, is_finite: bool) -> str:
 
 
 def _typed_object(value: str, datatype: str) -> str:
-    """Return an object of a value, as text, and its datatype."""
+    """Return the pattern of an object with a value, as text, and its datatype."""
     members = rf'"@value"{_SPACE}:{_SPACE}"{value}"', rf'"@type"{_SPACE}:{_SPACE}"xsd:{datatype}"'
     comma = f"{_SPACE},{_SPACE}"
     return rf"\{{{_SPACE}({comma.join(members)}|{comma.join(reversed(members))}){_SPACE}\}}"
@@ -126,7 +129,7 @@ def _json_element(kind: Primitive, *, is_finite: bool = False) -> str:
 
 
 def integer_pattern(least: int, greatest: int) -> str:
-    """Return the integers from `least` (0 or less) to `greatest` (0 or more) in JSON, which has no leading zeros."""
+    """Return the pattern of JSON integers from `least` (0 or less) to `greatest` (0 or more), without leading zeros."""
     positive = "|".join(_up_to(str(greatest)))
     if least == 0:
         return f"(-?0|{positive})"

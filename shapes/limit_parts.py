@@ -1,4 +1,4 @@
-"""Parts of limits: the paths they constrain, the demands on a value, and texts among them."""
+"""Parts of limits: their paths, their constraints on a value, and the texts among them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Kind: TypeAlias = Primitive | Nested | Array | ParameterType
 
 
 class ValuePlace(Struct, frozen=True):
-    """A place that a path leads to: a value of a kind, in a message of a schema where it is in one."""
+    """The target of a path: a value of a kind, with the schema of the message that contains it, if any."""
 
     kind: Kind
     schema: MessageSchema | None = None
@@ -37,18 +37,18 @@ class ValuePlace(Struct, frozen=True):
 
     @property
     def primitive(self) -> Primitive | None:
-        """The type of a scalar; None for everything else."""
+        """The type of a scalar; None for other values."""
         return PARAMETERS.get(self.kind) if isinstance(self.kind, ParameterType) else _primitive(self.kind)
 
     @property
     def datatype(self) -> NamedNode | None:
-        """The datatype that the server itself says a scalar with."""
+        """The datatype with which the server writes a scalar."""
         if self.kind is ParameterType.INTEGER:
             return xsd.integer
         return None if self.primitive is None else NamedNode(xsd.iri + DATATYPES[self.primitive.name])
 
     def follow(self, predicate: NamedNode, space: Space) -> ValuePlace | None:
-        """Return the field that a predicate leads to; None where it is none of the type."""
+        """Return the field of a predicate; None if the type has no such field."""
         name = self.kind.name if isinstance(self.kind, Nested) else ""
         return self._field(lambda field: space.property_of(name, field) == predicate.value)
 
@@ -66,13 +66,13 @@ class ValuePlace(Struct, frozen=True):
 
 
 class ResourcePlace(Struct, frozen=True):
-    """A resource that a limit is about: the predicate of its value (`rdf:value`, `ros:latest`), and what that is."""
+    """A resource with a limit: the predicate of its value (`rdf:value`, `ros:latest`), and the place of that value."""
 
     predicate: NamedNode
     value: ValuePlace | None
 
     def follow(self, predicate: NamedNode, space: Space) -> ValuePlace | None:
-        """Return the value, by its predicate."""
+        """Return the place of the value if this is its predicate."""
         return self.value if predicate == self.predicate else None
 
 
@@ -88,11 +88,11 @@ _NODES = (sh.IRI, sh.IRIOrLiteral, sh.BlankNodeOrIRI)
 
 
 class InexpressibleError(ValueError):
-    """A limit that no shape of what is written can say."""
+    """A limit that no shape of accepted RDF can express."""
 
 
 class LimitPart(Struct, frozen=True):
-    """Demand of a limit on a node or, with a `path`, on the value of a predicate.
+    """Constraints of a limit on a node or, with a `path`, on the value of a predicate.
 
     `bounds` are those of a scalar of a `kind` with a `datatype`, all of which must hold. `orders` are sibling numbers
     that it is compared with. All `parts` must hold, and `logic` combines others.
@@ -109,11 +109,11 @@ class LimitPart(Struct, frozen=True):
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is demanded."""
+        """Whether there are no constraints."""
         return not (self.bounds or self.orders or self.logic) and all(each.is_empty for each in self.parts)
 
     def of_value(self) -> LimitPart:
-        """Return the demand of a limit on a resource on its single value."""
+        """Return the constraints of a limit on a resource that apply to its single value."""
         if self.path is not None:
             return replace(self, path=None)
         logic = tuple((operator, tuple(each.of_value() for each in members)) for operator, members in self.logic)
@@ -141,7 +141,7 @@ def limit_part(shape: Shape, place: Place, space: Space) -> LimitPart:
 
 
 def _step(place: Place, path: NamedNode | None, space: Space) -> ValuePlace:
-    """Return the field that a path leads to."""
+    """Return the place that a path leads to."""
     found = None if path is None else place.follow(path, space)
     if found is None or (found.primitive is None and not isinstance(found.kind, Nested)):
         raise InexpressibleError(f"{path} is no field, or that of an array")
@@ -149,7 +149,7 @@ def _step(place: Place, path: NamedNode | None, space: Space) -> ValuePlace:
 
 
 def _number_beside(place: Place, at: Place, predicate: Term, space: Space) -> NamedNode:
-    """Return the field that a number is compared with."""
+    """Return the field with which a number is compared."""
     other = place.follow(predicate, space) if isinstance(predicate, NamedNode) else None
     if other is None or not (_is_number(at) and _is_number(other)) or not isinstance(predicate, NamedNode):
         raise InexpressibleError("only numbers of one message are compared")
@@ -162,7 +162,7 @@ def _is_number(place: Place) -> bool:
 
 
 def _is_always_so(constraint: Constraint, place: Place, space: Space) -> bool:
-    """Whether every value of the type fulfils a constraint."""
+    """Whether every value of the type meets a constraint."""
     value = constraint.value
     if not isinstance(place, ValuePlace):
         return False
@@ -181,7 +181,7 @@ def _is_always_so(constraint: Constraint, place: Place, space: Space) -> bool:
 
 
 def _bounds(constraint: Constraint, place: Place) -> Bounds:
-    """Return a constraint on a scalar that looks at its value."""
+    """Return a constraint of a scalar as bounds."""
     kind = place.primitive if isinstance(place, ValuePlace) else None
     if kind is None:
         raise InexpressibleError("it is about no scalar")
@@ -219,12 +219,12 @@ def limit_statements(writer: ShapesWriter, values: AcceptedValues, part: LimitPa
 
 
 class Demand(Struct, frozen=True):
-    """What limits demand of a message or a value, beyond its type.
+    """Constraints of limits on a message or a value, beyond its type.
 
-    `bounds` are those of single scalars, by dotted path ("" is the value itself). `value_parts` are limits that say
-    more, by the same paths, and `type_parts` those on all messages of a type, by its name. `is_all` is False where
-    limits hold that none of these can say. `largest` is the largest absolute value of all floats, which are finite;
-    None where they may be any.
+    `bounds` are those of single scalars, by dotted path ("" is the value itself). `value_parts` are limits that need
+    more than bounds, by the same paths, and `type_parts` those on all messages of a type, by its name. `is_all` is
+    False if there are limits that none of these can express. `largest` is the largest absolute value of all floats,
+    which are finite; None if floats are unrestricted.
     """
 
     bounds: Sequence[tuple[str, Bounds]] = ()
@@ -255,7 +255,7 @@ class Demand(Struct, frozen=True):
         return Demand(ranges, is_all, largest=self.largest)
 
     def at(self, path: str) -> Demand:
-        """Return the demand on the value at a path, written alone; `is_all` is False if there is more."""
+        """Return the demand on the value at a path, if written alone; `is_all` is False if there is more."""
         bounds = [("", each) for where, each in self.bounds if where == path]
         parts = [("", each) for where, each in self.value_parts if where == path]
         is_all = self.is_all and len(parts) == len(self.value_parts) and not self.type_parts
@@ -266,7 +266,7 @@ NO_DEMAND = Demand()
 
 
 def limited_texts(demand: Demand, schema: MessageSchema, space: Space) -> frozenset[NamedNode]:
-    """Return the properties of all fields of a message, and of those within, that are texts with limits."""
+    """Return the properties of all fields of a message, including nested ones, that are texts with limits."""
     paths = [path for path, _ in demand.bounds]
     paths += [path for path, part in demand.value_parts if path and bounds_text(part)]
     found = [_property_at(schema, path, space) for path in paths]
@@ -277,12 +277,12 @@ def limited_texts(demand: Demand, schema: MessageSchema, space: Space) -> frozen
 
 
 def is_limited_text(kind: Primitive, demand: Demand) -> bool:
-    """Whether a scalar is text that limits are about."""
+    """Whether a scalar is a text that has limits."""
     return kind.name in STRINGS and (bool(demand.bounds) or any(bounds_text(part) for _, part in demand.value_parts))
 
 
 def bounds_text(part: LimitPart) -> bool:
-    """Whether a part is about text: its own value, or one within."""
+    """Whether a part is about a text: its own value, or one within."""
     return _is_text(part) or any(map(bounds_text, _inner(part)))
 
 
@@ -306,7 +306,7 @@ def _texts(part: LimitPart, above: NamedNode | None = None) -> Iterator[NamedNod
 
 
 def _property_at(schema: MessageSchema, path: str, space: Space) -> NamedNode | None:
-    """Return the property that a dotted path ends with, where that leads to text."""
+    """Return the last property of a dotted path, if that leads to a text."""
     kind: FieldType = Nested(schema.ref.name)
     found = None
     for step in path.split("."):

@@ -1,8 +1,8 @@
 """Limits: SHACL shapes that bound writes, by the type of a message or by the resource.
 
-A shape says what it limits by its targets (SHACL 2.1.3): `sh:targetClass` is the class of a message type and holds
-wherever such a message is written, nested ones included; `sh:targetNode` is the URL of a resource. Messages are judged
-as they would be lifted, whole however large; of a message itself only those fields are looked at that a limit names.
+A shape limits its targets (SHACL 2.1.3): `sh:targetClass` is the class of a message type and applies wherever such a
+message is written, including nested ones; `sh:targetNode` is the URL of a resource. Messages are validated as if they
+were lifted without elision; only the fields that a limit names are read.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from rosld.shapes.terms import TripleView
 from rosld.shapes.value import UNBOUNDED, Bounds, merge_bounds
 
 Check: TypeAlias = Callable[[Message, str, str], tuple[Violation, ...]]
-"""Judges a message that is lifted as the node (`#message`) of a document (its URL): what it breaks."""
+"""Return the violations of a message lifted as the node (`#message`) of a document (its URL)."""
 
 _WHOLE = 1 << 62
 _KINDS = ("resources", "topics", "services", "parameters", "nodes")
@@ -49,10 +49,10 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*/(?:msg|srv|action)/[A-Za-z]\w*", re.ASCII)
 
 
 def read_limits(data: bytes, base: str, document: str | None = None) -> tuple[Triple, ...]:
-    """Return the shapes graph of a Turtle file, its relative IRIs resolved against the server's base URL.
+    """Return the shapes graph of a Turtle file, with relative IRIs resolved against the server's base URL.
 
-    Its own names (`<#speed>`) are those of `document`, which shows it.
-    Raises BodyError for what is no Turtle, ValueError for triples about triples.
+    Its own names (`<#speed>`) are those of `document`, which shows it. Raises BodyError for invalid Turtle, ValueError
+    for triple terms.
     """
     body = parse_body(data, "text/turtle", base)
     triples: list[Triple] = []
@@ -66,7 +66,7 @@ def read_limits(data: bytes, base: str, document: str | None = None) -> tuple[Tr
 
 
 def _rename(triple: Triple, old: str, new: str) -> Triple:
-    """Return a triple whose IRIs that begin with `old` begin with `new`."""
+    """Return a triple with the prefix `old` of its IRIs replaced by `new`."""
     subject, value = triple.subject, triple.object
     if isinstance(subject, NamedNode) and subject.value.startswith(old):
         subject = NamedNode(new + subject.value[len(old) :])
@@ -76,7 +76,7 @@ def _rename(triple: Triple, old: str, new: str) -> Triple:
 
 
 class Limits(Struct, frozen=True, eq=False):
-    """All limits in force. `graph` is the shapes graphs they come from, in one.
+    """All limits in force. `graph` is the union of the shapes graphs.
 
     `by_class`: the limits on messages by the IRI of their class. `by_url`: those on resources.
     """
@@ -90,8 +90,8 @@ class Limits(Struct, frozen=True, eq=False):
     def from_graphs(cls, graphs: Sequence[Sequence[Triple]], space: Space) -> Limits:
         """Return the limits of shapes graphs; blank nodes of different graphs are different.
 
-        Raises ValueError with a sentence for a malformed shape, one that limits nothing because it has no target, and a
-        target that is neither the class of a message type nor the URL of a resource of `space`.
+        Raises ValueError with a sentence for a malformed shape, for a shape without a target, and for a target that is
+        neither the class of a message type nor the URL of a resource of `space`.
         """
         by_class: dict[str, list[NodeShape]] = {}
         by_url: dict[str, list[NodeShape]] = {}
@@ -119,7 +119,7 @@ class Limits(Struct, frozen=True, eq=False):
         )
 
     def __bool__(self) -> bool:
-        """Whether anything is limited."""
+        """Whether there are limits."""
         return bool(self.by_class or self.by_url)
 
     def message(self, schema: MessageSchema) -> Check | None:
@@ -136,9 +136,9 @@ class Limits(Struct, frozen=True, eq=False):
         return UNBOUNDED if shape is None else shape.within.get((predicate,), UNBOUNDED)
 
     def bounds_of_message(self, schema: MessageSchema) -> Mapping[str, Bounds]:
-        """What is demanded of single scalars, by dotted path; in arrays of messages the path is that of each element.
+        """Return the bounds on single scalars by dotted path; in arrays of messages they apply to each element.
 
-        So `transforms.transform.translation.x` is that of every transform.
+        For example, `transforms.transform.translation.x` is that of every transform.
         """
         return _bounds(self, schema) if self.by_class else {}
 
@@ -162,7 +162,7 @@ class Limits(Struct, frozen=True, eq=False):
     def demand_of_value(
         self, url: str, predicate: NamedNode, schema: MessageSchema, scalar: str | None = None
     ) -> Demand:
-        """Return the demand on the message that is a resource's value of a predicate, or on its one `scalar`."""
+        """Return the demand on the message that is a resource's value of a predicate, or on its single `scalar`."""
         shape = self.by_url.get(url)
         if shape is None:
             return NO_DEMAND
@@ -190,7 +190,7 @@ class Limits(Struct, frozen=True, eq=False):
 
 
 def _parts(shape: NodeShape, place: Place, space: Space) -> list[LimitPart] | None:
-    """The shapes that one is made of, as parts of a shape of what is written; None where one cannot be."""
+    """Return the parts of a shape for accepted RDF; None if one cannot be expressed."""
     try:
         parts = [limit_part(each, place, space) for each in shape.sources]
     except InexpressibleError:
@@ -199,13 +199,13 @@ def _parts(shape: NodeShape, place: Place, space: Space) -> list[LimitPart] | No
 
 
 def _of_parts(shape: NodeShape, predicate: NamedNode, place: ValuePlace | None, types: str, path: str) -> Demand:
-    """Return the demand of a limit on a resource on its value, at a dotted path."""
+    """Return the demand of a limit on a resource for its value, at a dotted path."""
     parts = _parts(shape, ResourcePlace(predicate, place), Space("http://0/", types))
     return Demand(is_all=parts is not None, value_parts=[(path, part.of_value()) for part in parts or ()])
 
 
 def _targets(graph: Sequence[Triple], shapes: ShapesGraph) -> Iterator[tuple[NamedNode | BlankNode, NamedNode, Term]]:
-    """Yield each target, those of shapes that are classes too (SHACL 2.1.3.3)."""
+    """Yield each target, including implicit ones of shapes that are classes (SHACL 2.1.3.3)."""
     yield from shapes.targets()
     classes = {triple.subject for triple in graph if triple.predicate == rdf.type and triple.object == rdfs.Class}
     for root in shapes.roots():
@@ -243,7 +243,7 @@ def _url(name: str, kind: NamedNode, target: Term, space: Space) -> str:
 
 
 def _union(graphs: Sequence[Sequence[Triple]]) -> Iterator[Triple]:
-    """Yield the triples of all graphs, their blank nodes kept apart."""
+    """Yield the triples of all graphs, with distinct blank nodes."""
     for number, graph in enumerate(graphs):
 
         def apart(term: Term, prefix: str = f"g{number}-") -> Term:
@@ -264,7 +264,7 @@ def _check(limits: Limits, schema: MessageSchema) -> Check | None:
 
 
 class _MessageCheck:
-    """Judges the messages of one schema by the shapes of its types."""
+    """Validator of the messages of one schema by the shapes of its types."""
 
     def __init__(self, schema: MessageSchema, shapes: Mapping[str, NodeShape], types: str) -> None:
         self._schema = schema
@@ -275,7 +275,7 @@ class _MessageCheck:
         self._strange = tuple(self._strangers())
 
     def check(self, message: Message, document: str, node: str) -> tuple[Violation, ...]:
-        """Return the violations by a message. A limit on an unknown field is a mistake: it permits nothing."""
+        """Return the violations of a message. A limit on an unknown field is a mistake, which permits no message."""
         if self._strange:
             return self._strange
         view = MessageView(self._layout, message, document, node)
@@ -318,7 +318,7 @@ class _MessageCheck:
         return found
 
     def _inner(self, name: str, wanted: Set[str]) -> tuple[tuple[str, str, str, bool], ...]:
-        """Return the fields that lead on: attribute, name, type, whether it is an array."""
+        """Return the fields with nested limited types: attribute, name, type, whether it is an array."""
         return tuple(
             (each.attribute, each.name, nested, isinstance(each.type, Array))
             for each in self._schema.types[name].fields
@@ -351,10 +351,9 @@ class _Layout:
 
 
 class MessageView:
-    """The view of a message as it would be lifted.
+    """The view of a message as if it were lifted.
 
-    Scalars and nested messages are read from the message itself; it is lifted as soon as a shape asks for anything
-    else.
+    Scalars and nested messages are read from the message itself; it is only lifted if a shape needs other terms.
     """
 
     def __init__(self, layout: _Layout, message: Message, document: str, node: str) -> None:
@@ -366,7 +365,7 @@ class MessageView:
         self._lifted: TripleView | None = None
 
     def place(self, name: str, message: Message, place: str) -> NamedNode:
-        """Return the node of a message within, at `.linear`."""
+        """Return the node of a nested message, at `.linear`."""
         node = NamedNode(self._document + self._node + place)
         self._places[node] = (name, message)
         return node
@@ -392,7 +391,7 @@ class MessageView:
         return self._whole().properties(node)
 
     def triples(self) -> Sequence[Triple]:
-        """All of it."""
+        """Return all triples."""
         return self._whole().triples()
 
     def _whole(self) -> TripleView:
@@ -402,7 +401,7 @@ class MessageView:
 
 
 def literal(kind: Primitive, value: bool | int | float | str) -> Literal:
-    """A scalar as it is lifted."""
+    """Return a scalar as its literal."""
     if kind.name in STRINGS:
         try:
             return Literal(cast(str, value))
@@ -425,7 +424,7 @@ def _bounds(limits: Limits, schema: MessageSchema) -> Mapping[str, Bounds]:
 
 
 def _bounds_of(limits: Limits, schema: MessageSchema, name: str, space: Space) -> dict[str, Bounds]:
-    """Return the bounds of a type and of all it holds."""
+    """Return the bounds of a type and its nested types."""
     shape = limits.by_class.get(space.class_of(name))
     own: dict[str, Bounds] = {}
     if shape is not None:
@@ -442,7 +441,7 @@ def _bounds_of(limits: Limits, schema: MessageSchema, name: str, space: Space) -
 
 
 def _dotted_path(schema: MessageSchema, name: str, way: Sequence[NamedNode], space: Space) -> str | None:
-    """Return the dotted path of the scalar that predicates lead to; None where they lead to none."""
+    """Return the dotted path of the scalar that predicates lead to; None if they lead to none."""
     kind: object = Nested(name)
     steps = []
     for predicate in way:

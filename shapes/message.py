@@ -1,10 +1,10 @@
 """SHACL shapes of message types, as this server writes messages (SHACL 1.0 Core).
 
-A shape says what the datatypes of XSD and the classes do not say by themselves: each field is there exactly once, the
-range of integers, the length of strings and arrays, what may stand for a value that is too large to be written. The
-shape of a type is the resource `/shapes/PKG/msg/NAME`, the property shape of a field is the fragment of its name. Types
-nested in it have shapes of their own there (`#std_msgs/msg/Header`), so that one document is all that a validator
-needs. Each has its class as its target, so that none holds another: validators bound how deep shapes may nest.
+A shape states what classes and XSD datatypes do not: each field exists exactly once, the range of integers, the length
+of strings and arrays, the alternatives for a value that is elided. The shape of a type is the resource
+`/shapes/PKG/msg/NAME`, the property shape of a field is the fragment of its name. Nested types have their own shapes
+there (`#std_msgs/msg/Header`), so that a validator needs only one document. Each has its class as its target, so that
+no shape contains another: validators limit the nesting of shapes.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from rosld.ontology.vocab import rdf, rdfs, ros, sh, xsd
 from rosld.shapes.writer import ShapesWriter, list_of, within
 
 SERVER_MANAGED = (rdf.type, ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime)
-"""What a message node may say beside its fields."""
+"""Properties of message nodes besides their fields."""
 
 SHACL_SHACL = "http://www.w3.org/ns/shacl-shacl#"
-"""The shapes of shapes graphs (SHACL 1.0, appendix C)."""
+"""Shapes of shapes graphs (SHACL 1.0, appendix C)."""
 
 _LONGEST_PATTERN = 1000
 _NUMBER = r"[^,\[\]{}]+"
@@ -69,9 +69,9 @@ _HALVES: Mapping[type, Sequence[NamedNode]] = {
 
 
 class MessageShapes:
-    """Writer of the shapes of a message type and of those nested in it, as this server says messages.
+    """Writer of the shapes of a message type and its nested types, as this server writes messages.
 
-    Strings and arrays may be elided. In ROS 1 a string that is not UTF-8 comes as octets.
+    Strings and arrays may be elided. In ROS 1, a string that is not UTF-8 is written as octets.
     """
 
     def __init__(self, writer: ShapesWriter, schema: MessageSchema, space: Space) -> None:
@@ -118,11 +118,11 @@ class MessageShapes:
         return self._writer.node("" if name == self._schema.ref.name else name)
 
     def least(self, kind: MessageType) -> int | None:
-        """Return how often messages must state each field of a type."""
+        """Return the minimum number of statements of each field of a type in a message."""
         return 1
 
     def message(self, kind: MessageType) -> Sequence[Statement]:
-        """Return the statements of a message's node itself, and its targets."""
+        """Return the statements about a message's own node, and its targets."""
         target = NamedNode(self._space.class_of(kind.name))
         return [(sh.targetClass, target), (sh.ignoredProperties, self._writer.list_of(SERVER_MANAGED))]
 
@@ -142,7 +142,7 @@ class MessageShapes:
             octets = [self._writer.blank((sh.datatype, xsd.base64Binary))] if is_binary else []
             return self._or_elided(string, *octets)
         least, greatest = RANGES.get(kind.name, (None, None))
-        # XSD has these ranges in its datatypes, but not every validator looks into them.
+        # XSD's datatypes have these ranges, but not every validator checks them.
         return [(sh.datatype, datatype), (sh.minInclusive, integer(least)), (sh.maxInclusive, integer(greatest))]
 
     def _or_elided(self, *shapes: Value) -> list[Statement]:
@@ -159,7 +159,7 @@ class MessageShapes:
 
 
 def _default(field: Field) -> Literal | None:
-    """The default value that the definition of a scalar states: a form may be filled with it, a message must say it."""
+    """Return the default in the definition of a scalar: forms may use it, but messages must state it."""
     stated = field.default
     if isinstance(stated, tuple | None) or not isinstance(field.type, Primitive) or stated_default(field) is None:
         return None
@@ -167,7 +167,7 @@ def _default(field: Field) -> Literal | None:
 
 
 def _array(kind: Array) -> list[Statement]:
-    """Return an array of primitives: octets as base64, others as JSON whose length a pattern can tell for numbers."""
+    """Return the shape of an array of primitives: base64 for octets, JSON for others, whose length a pattern checks."""
     if is_octets(kind):
         return [
             (sh.datatype, xsd.base64Binary),
@@ -178,7 +178,7 @@ def _array(kind: Array) -> list[Statement]:
 
 
 def _pattern(kind: Array) -> str | None:
-    """Return a pattern of arrays of the right length; None where it would be too long to be of use."""
+    """Return a pattern of arrays of the right length; None if it would be too long to be useful."""
     least, most = kind.length or 0, kind.most
     if most is None or most > _LONGEST_PATTERN:
         return None

@@ -1,4 +1,4 @@
-"""Parameters as their nodes declare them: RDF, a SHACL shape, and held against what is to be set. Pure."""
+"""Parameters as their nodes declare them: RDF, a SHACL shape, and the validation of values. Pure."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from rosld.shapes.value import NO_MEASURE, Bounds, Measure, OpenShape, ScalarSha
 from rosld.shapes.writer import within
 
 _MAX_CHOICES = 32
-"""Steps of a range that SHACL Core can say, value by value."""
+"""Maximum number of steps in a range that SHACL Core can list value by value."""
 
 _INT64 = Range(-(2**63), 2**63 - 1)
 
 
 def constraint_url(url: str, descriptor: Descriptor | None) -> str | None:
-    """Return the shape of the parameter at a URL; None where its values are as they like."""
+    """Return the shape of the parameter at a URL; None if its values are unconstrained."""
     return None if descriptor is None or descriptor.type is None else f"{url}#constraint"
 
 
 def declared_shape(descriptor: Descriptor, measure: Measure = NO_MEASURE) -> ScalarShape | OpenShape:
-    """Return the shape of a value; open if the type may change, and for arrays."""
+    """Return the shape of a value; open for arrays and if the type may change."""
     kind = None if descriptor.type is None else PARAMETERS.get(descriptor.type)
     if kind is None:
         return OpenShape(measure=measure)
@@ -47,7 +47,7 @@ def declared_shape(descriptor: Descriptor, measure: Measure = NO_MEASURE) -> Sca
 
 
 def _expand_steps(descriptor: Descriptor) -> ScalarShape | OpenShape:
-    """Return the shape of a value with its steps as choices where they are few."""
+    """Return the shape of a value with its steps as choices if they are few."""
     declared = declared_shape(descriptor)
     choices = declared.bounds.choices or _choices(descriptor.range)
     return replace(declared, bounds=replace(declared.bounds, choices=choices))
@@ -60,7 +60,7 @@ def declared_demand(descriptor: Descriptor) -> Demand:
 
 
 def declared_triples(descriptor: Descriptor, url: str, space: Space) -> list[Triple]:
-    """Return the triples about the declaration of the parameter at a URL: words, type, and shape."""
+    """Return the triples about the declaration of the parameter at a URL: its description, type, and shape."""
     subject = NamedNode(url)
     constraint = constraint_url(url, descriptor)
     shape = None if constraint is None else NamedNode(constraint)
@@ -108,7 +108,7 @@ _ARRAYS: Mapping[ParameterType, NamedNode] = {
 
 
 def _range(descriptor: Descriptor) -> Range | None:
-    """Return the range of a number; ROS 2's integers have 64 bits."""
+    """Return the range of a number; integers of ROS 2 have 64 bits."""
     return _INT64 if descriptor.range is None and descriptor.type is ParameterType.INTEGER else descriptor.range
 
 
@@ -123,7 +123,7 @@ def _number(value: int | float | None) -> Literal | None:
 
 
 def _choices(declared: Range | None) -> tuple[Literal, ...]:
-    """Return all whole numbers of a range with a step, where they are few; none where SHACL Core cannot say them."""
+    """Return all integers of a range with a step if they are few; empty if SHACL Core cannot express them."""
     match declared:
         case Range(int(least), int(greatest), int(step)) if step > 1 and (greatest - least) // step < _MAX_CHOICES:
             values = dict.fromkeys((*range(least, greatest + 1, step), greatest))
@@ -132,9 +132,9 @@ def _choices(declared: Range | None) -> tuple[Literal, ...]:
 
 
 def violations(descriptor: Descriptor, name: str, url: str, value: ParameterValue) -> tuple[Violation, ...]:
-    """How a value breaks the type, range or step declared of the parameter `name` at `url`; nothing where it fits.
+    """Return the violations of the declaration of the parameter `name` at `url`: of its type, range or step.
 
-    What the type admits in another form (1 for 1.0) fits.
+    Other forms that the type permits (1 for 1.0) fit.
     """
     type = descriptor.type
     fit = value if type is None else coerce(value, type)
@@ -165,10 +165,10 @@ def violations(descriptor: Descriptor, name: str, url: str, value: ParameterValu
 
 
 def require_form(descriptor: Descriptor | None, term: Term) -> None:
-    """Raise LoweringError where RDF has another form of what is declared than its shape can tell.
+    """Raise LoweringError if RDF states a valid value in a form that the shape of the parameter cannot accept.
 
-    That is a float where an integer is declared, since no shape could say which of those are whole, and in an array
-    what is written as no value of its type is.
+    This is a float where an integer is declared, since no shape could distinguish which of those are integers, and an
+    element of an array in a form that is no value of its type.
     """
     type = None if descriptor is None else descriptor.type
     if type is None or not isinstance(term, Literal):
@@ -202,7 +202,7 @@ def _outside_range(descriptor: Descriptor, value: ParameterValue, written: str) 
 
 
 def _outside(range: Range, value: int | float, written: str) -> tuple[NamedNode, str] | None:
-    """Return the violation of a range by a number, and its words."""
+    """Return the violation of a range by a number, with its description."""
     if not value >= range.minimum:
         return component(sh.minInclusive), f"must be at least {_said(range.minimum)}, not {written}"
     if not value <= range.maximum:

@@ -1,4 +1,4 @@
-"""Shapes that are not compiled, judged by pyshacl: SHACL Core whole, but nothing that runs code or reaches out."""
+"""Shapes that are not compiled, run by pyshacl: all of SHACL Core, without running code or fetching anything."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NOWHERE = URIRef("urn:nowhere")
 
 
 class PyshaclShape:
-    """The shape `root`, with everything that it refers to in `triples`.
+    """The shape `root`, with everything that it references in `triples`.
 
     Its patterns see texts of up to `max_length` characters. Raises ValueError for `shapes` that pyshacl cannot read.
     """
@@ -45,7 +45,7 @@ class PyshaclShape:
             raise ValueError(report)
 
     def find_violations(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
-        """Yield each violation that pyshacl finds; where it fails, that is one too."""
+        """Yield each violation that pyshacl finds; an error in pyshacl is a violation too."""
         triples = view.triples()
         for triple in triples:
             if isinstance(triple.object, Literal) and len(triple.object.value) > self._longest:
@@ -77,12 +77,12 @@ class PyshaclShape:
 
 
 def _report(data: rdflib.Graph, shapes: rdflib.Graph) -> rdflib.Graph | str:
-    """Return the validation report, or why there is none."""
+    """Return the validation report, or the reason why there is none."""
     import pyshacl
 
     try:
         _, report, words = pyshacl.validate(data, shacl_graph=shapes, advanced=False, js=False, do_owl_imports=False)
-    except Exception as error:  # whatever a malformed shape brings about
+    except Exception as error:  # any consequence of a malformed shape
         return f"{type(error).__name__}: {error}"
     return report if isinstance(report, rdflib.Graph) else str(words)
 
@@ -98,7 +98,7 @@ def _iri(term: object) -> NamedNode | None:
 def _violation(
     report: rdflib.Graph, result: rdflib.term.Node, terms: dict[Node, Term], above: str, shapes: rdflib.Graph
 ) -> Violation:
-    """Return a result of the report, with the data's terms as they were."""
+    """Return a result of the report with the original terms of the data."""
 
     def said(name: str) -> Node | None:
         found = report.value(result, _sh(name))
@@ -108,7 +108,7 @@ def _violation(
     term = terms.get(value) if value is not None else None
     node = terms.get(focus) if focus is not None else None
     message = said("resultMessage")
-    is_own = (said("sourceShape"), _sh("message"), None) in shapes  # and not pyshacl's
+    is_own = (said("sourceShape"), _sh("message"), None) in shapes  # not those of pyshacl
     return Violation(
         above if path is None else join_path(above, path),
         "does not conform" if is_own or message is None else str(message),

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 Node: TypeAlias = NamedNode | BlankNode
 
 MAX_DEPTH = 10
-"""The levels of shapes within shapes."""
+"""Maximum depth of nested shapes."""
 MAX_SHAPES = 1000
-"""The shapes that one shape may hold, counted each time they are referred to."""
+"""Maximum number of shapes within one shape, counted per reference."""
 
 _LONGEST_PATH = 50
 
@@ -43,10 +43,10 @@ _REPEATABLE = (
         "qualifiedValueShape message name description"
     )
 )
-"""Those that a shape may have more than once."""
+"""Parameters that a shape may have more than once."""
 _BEYOND_CORE = _terms("sparql js rule expression target values entailment shapesGraph")
 _BOUNDS = _terms("minInclusive maxInclusive minExclusive maxExclusive minLength maxLength pattern in")
-"""Those that only narrow what a single value may be."""
+"""Parameters that only restrict a single value."""
 
 
 class ShapesGraph:
@@ -69,7 +69,7 @@ class ShapesGraph:
                     yield from ((node, kind, target) for target in said[kind])
 
     def roots(self) -> Iterator[Node]:
-        """Yield the shapes that no other shape refers to."""
+        """Yield the shapes that no other shape references."""
         inner = {
             each
             for said in self._said.values()
@@ -92,7 +92,7 @@ class ShapesGraph:
         return self._list(head)
 
     def name(self, node: Term) -> str:
-        """Return a shape as an error calls it."""
+        """Return the name of a shape in error messages."""
         if isinstance(node, NamedNode):
             return f"the shape <{node.value}>"
         within = next((each for each in reversed(self._open) if isinstance(each, NamedNode)), None)
@@ -117,7 +117,7 @@ class ShapesGraph:
         return shape
 
     def pyshacl_shape(self, node: Node) -> PyshaclShape:
-        """Return a shape as pyshacl judges it, with all that it refers to and nothing else."""
+        """Return a shape for pyshacl, with exactly the triples that it references."""
         from rosld.shapes.pyshacl_fallback import PyshaclShape  # rdflib, as in `terms`
 
         shapes: dict[Term, None] = {}
@@ -131,7 +131,7 @@ class ShapesGraph:
         return ValueError(f"{self.name(self._open[0])} has shapes nested deeper than {MAX_DEPTH} levels")
 
     def _closure(self, node: Term, shapes: dict[Term, None]) -> Iterator[Triple]:
-        """Yield the triples of a shape and of those it refers to, without their targets."""
+        """Yield the triples of a shape and of those it references, without their targets."""
         if node in shapes:
             return
         shapes[node] = None
@@ -220,7 +220,7 @@ class ShapesGraph:
         children: Sequence[Shape],
         holding: Sequence[Shape],
     ) -> bool:
-        """Whether a shape demands nothing but its bounds and those of the properties in it."""
+        """Whether a shape has no constraints except its bounds and those of its property shapes."""
         told = said.keys() & (CONSTRAINTS.keys() | {sh.flags}) - {sh.property}
         return (
             (not is_property or path is not None)
@@ -234,7 +234,7 @@ class ShapesGraph:
     def _paths(
         self, said: Mapping[NamedNode, list[Term]], path: NamedNode | None, is_property: bool, children: Sequence[Shape]
     ) -> frozenset[NamedNode] | None:
-        """Return the predicates that a shape looks at from the focus node; None where there are more than these."""
+        """Return the predicates that a shape uses at the focus node; None if it uses other paths."""
         pairs = frozenset(
             each for pair in said.keys() & PAIRS for each in said[pair] if isinstance(each, NamedNode)
         )  # fmt: skip
@@ -248,7 +248,7 @@ class ShapesGraph:
         return found
 
     def _check_terms(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> None:
-        """Refuse unknown terms, which may have been meant as constraints."""
+        """Raise ValueError for unknown terms, which may be intended as constraints."""
         for predicate in said:
             if not predicate.value.startswith(sh.iri) or predicate in _KNOWN:
                 if len(said[predicate]) > 1 and predicate.value.startswith(sh.iri) and predicate not in _REPEATABLE:
@@ -261,7 +261,7 @@ class ShapesGraph:
             )
 
     def _path(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> tuple[NamedNode | None, bool, bool]:
-        """The path where it is a predicate, whether there is one at all, whether it is compiled."""
+        """Return the path if it is a predicate, whether there is one at all, and whether it is compiled."""
         kinds, paths = said.get(rdf.type, ()), said.get(sh.path, [])
         if sh.NodeShape in kinds and (paths or sh.PropertyShape in kinds):
             raise ValueError(f"{self.name(node)} is a sh:NodeShape, and so can be no property shape: it has a sh:path")
@@ -293,7 +293,7 @@ class ShapesGraph:
             raise ParameterFault(f"is {value}, which is no shape")
         return self.shape(value)
 
-    # What is said about a shape
+    # Statements about a shape
 
     def _is_deactivated(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> bool:
         try:
@@ -309,7 +309,7 @@ class ShapesGraph:
         return None
 
     def _words(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> str | None:
-        """Return the shape's own message: in English or in no language, if it can be."""
+        """Return the shape's own message, preferably in English or without a language."""
         messages = [value for value in said.get(sh.message, ()) if isinstance(value, Literal)]
         if len(messages) < len(said.get(sh.message, ())):
             raise self._wrong(node, sh.message, "is no text")
@@ -334,5 +334,5 @@ class ShapesGraph:
 
 
 def _prefixed(term: NamedNode) -> str:
-    """Return a term of SHACL as people write it, such as `sh:path`."""
+    """Return a term of SHACL in its usual notation, such as `sh:path`."""
     return f"sh:{term.value[len(sh.iri) :]}"

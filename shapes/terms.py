@@ -1,8 +1,8 @@
 """RDF terms as pyshacl sees them: numbers by value, literals by their normal form, as rdflib reads both.
 
-rdflib is asked itself wherever its answer is not plain, so that a compiled shape and pyshacl never disagree. They do
-over NaN alone: rdflib takes it for less than everything, so that it passes every upper bound; here, as in SPARQL
-(17.3), it compares with nothing and passes none.
+rdflib is used wherever its result is not obvious, so that compiled shapes and pyshacl never disagree, except about NaN:
+rdflib orders it below everything, so that it conforms to every upper bound; here, as in SPARQL (17.3), it compares with
+nothing and conforms to none.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 Number: TypeAlias = "int | float | Decimal"
 Node: TypeAlias = "URIRef | BNode | Normal"
-# rdflib is imported where it is asked: with what it brings it is a tenth of what a server takes to start, and most
+# rdflib is imported on first use: with its dependencies it takes a tenth of a server's start, and most
 # servers never need it.
 
 _NAN = float("nan")
@@ -72,14 +72,14 @@ _READERS: dict[NamedNode, Callable[[str], Number | None]] = {
     NamedNode(xsd.iri + "nonPositiveInteger"): _integer(None, 0),
     NamedNode(xsd.iri + "negativeInteger"): _integer(None, -1),
     **{NamedNode(xsd.iri + DATATYPES[name]): _integer(*limits) for name, limits in RANGES.items()},
-    # rdflib lets these two be larger than they can be.
+    # rdflib permits these two to be larger than they can be.
     xsd.long: _ANY,
     xsd.unsignedLong: _integer(0, None),
 }
 
 
 def number(literal: Literal) -> Number | None:
-    """Return the value of a number as rdflib reads it; None for anything that is none, or is ill-typed."""
+    """Return the value of a number as rdflib reads it; None for other literals and for ill-typed numbers."""
     read = _READERS.get(literal.datatype)
     return None if read is None else read(literal.value)
 
@@ -90,7 +90,7 @@ def is_numeric(datatype: NamedNode) -> bool:
 
 
 class _NotANumber(float):
-    """A NaN that refuses to be compared."""
+    """A NaN that cannot be compared."""
 
     def __eq__(self, other: object) -> bool:
         raise TypeError("NaN compares with nothing")
@@ -100,9 +100,9 @@ class _NotANumber(float):
 
 
 def normalize(term: Term, space: str = "") -> Node:
-    """Return a term as rdflib has it, in normal form; `space` separates blank nodes of several graphs.
+    """Return a term in rdflib's normal form; `space` separates blank nodes of several graphs.
 
-    A triple term, of which rdflib knows nothing, is a blank node.
+    A triple term, which rdflib does not support, is a blank node.
     """
     from rdflib.term import BNode, URIRef
 
@@ -121,7 +121,7 @@ def _normal(literal: Literal) -> Normal:
         return Normal(text, lang=literal.language)
     if literal.datatype == xsd.string:
         return Normal(text)
-    # A decimal with an exponent is none in XSD, and its normal form may have more digits than there is memory.
+    # A decimal with an exponent is invalid in XSD, and its normal form may have more digits than fit in memory.
     normalize = not (literal.datatype == xsd.decimal and "e" in text.lower())
     found = Normal(text, datatype=literal.datatype.value, normalize=normalize)
     value = number(literal)
@@ -131,7 +131,7 @@ def _normal(literal: Literal) -> Normal:
 
 
 def normalize_graph(triples: Iterable[Triple], space: str) -> rdflib.Graph:
-    """Return a graph as rdflib has it."""
+    """Return a graph in rdflib's normal form."""
     import rdflib
 
     graph = rdflib.Graph()
@@ -141,12 +141,12 @@ def normalize_graph(triples: Iterable[Triple], space: str) -> rdflib.Graph:
 
 
 def is_plain(term: Term) -> bool:
-    """Whether a term is its own normal form: no literal but a string is sure to be."""
+    """Whether a term is its own normal form: of literals, only strings are sure to be."""
     return not isinstance(term, Literal) or term.datatype in (xsd.string, rdf.langString)
 
 
 def distinct(terms: Sequence[Term]) -> Sequence[Term]:
-    """Return each term once; literals of one normal form are one."""
+    """Return each term once; literals with equal normal forms are one."""
     if len(terms) < 2:
         return terms
     terms = list(dict.fromkeys(terms))
@@ -182,7 +182,7 @@ class View(Protocol):
         ...
 
     def triples(self) -> Sequence[Triple]:
-        """Return all of the graph."""
+        """Return all triples of the graph."""
         ...
 
 

@@ -22,8 +22,8 @@ _OTHER = NamedNode("about:other")
 class ValidationResult(NamedTuple):
     """One result of a validation.
 
-    The node it is about (of a literal its text) and the predicate (None: the node itself), what the shape says of it,
-    the value that is wrong (None where one is missing), and the constraint.
+    The focus node (of a literal its text) and the predicate (None for the node itself), the shape's message, the
+    invalid value (None if it is missing), and the constraint.
     """
 
     focus: NamedNode | BlankNode | str

@@ -1,6 +1,6 @@
 """The shape of a value: ROS type, bounds from limits (`--shapes`), unit from a mapping.
 
-SHACL shapes, forms and data schemas are drawn from it.
+SHACL shapes, forms and data schemas are derived from it.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from rosld.shapes.terms import number
 class Bounds(Struct, frozen=True):
     """Constraints on one scalar beyond its type (SHACL 4.3 to 4.8); None and () for none.
 
-    `choices`: it is one of these. `step`: it is a multiple of these above `minimum`, or it is `maximum`. Lengths are in
-    characters.
+    `choices`: the allowed values. `step`: the value is a multiple of this above `minimum`, or it is `maximum`. Lengths
+    are in characters.
     """
 
     minimum: Literal | None = None
@@ -36,17 +36,17 @@ class Bounds(Struct, frozen=True):
     step: Literal | None = None
 
     def __bool__(self) -> bool:
-        """Whether anything is demanded."""
+        """Whether there are constraints."""
         return self != UNBOUNDED
 
     @property
     def range(self) -> Bounds:
-        """The range alone."""
+        """The bounds with only the range."""
         return Bounds(self.minimum, self.maximum, self.exclusive_minimum, self.exclusive_maximum)
 
     @property
     def range_statements(self) -> list[Statement]:
-        """The range in SHACL."""
+        """Return the range as SHACL."""
         return [
             (sh.minInclusive, self.minimum),
             (sh.maxInclusive, self.maximum),
@@ -56,7 +56,7 @@ class Bounds(Struct, frozen=True):
 
     @property
     def text_statements(self) -> list[Statement]:
-        """The pattern and the lengths in SHACL."""
+        """Return the pattern and the lengths as SHACL."""
         return [
             (sh.pattern, text(self.pattern)),
             (sh.minLength, integer(self.min_length)),
@@ -68,7 +68,7 @@ UNBOUNDED = Bounds()
 
 
 class Measure(Struct, frozen=True):
-    """Unit and kind of quantity of a number, as QUDT's terms."""
+    """Unit and quantity kind of a number, as terms of QUDT."""
 
     unit: NamedNode | None = None
     quantity_kind: NamedNode | None = None
@@ -80,7 +80,7 @@ NO_MEASURE = Measure()
 class ScalarShape(Struct, frozen=True):
     """A value that is one scalar of a ROS primitive.
 
-    `is_parameter`: it is a parameter's, whose integers are xsd:integer, and numbers in JSON however large.
+    `is_parameter`: it is the value of a parameter; its integers are xsd:integer in RDF and numbers of any size in JSON.
     """
 
     kind: Primitive
@@ -93,8 +93,8 @@ class ScalarShape(Struct, frozen=True):
 class MessageShape:
     """A value that is a message.
 
-    `fields` are those that belong to the value (all of the type's, as a rule), `bounds` those of single scalars by
-    their dotted path (`linear.x`).
+    `fields` are those that belong to the value (usually all fields of the type), `bounds` those of single scalars by
+    dotted path (`linear.x`).
     """
 
     schema: MessageSchema
@@ -104,7 +104,7 @@ class MessageShape:
 
 
 class OpenShape(Struct, frozen=True):
-    """A value of any kind: a parameter's without a declared type, or a topic's whose type is not known."""
+    """A value of any kind: of a parameter without a declared type, or of a topic with an unknown type."""
 
     kind: ClassVar[None] = None
     bounds: Bounds = UNBOUNDED
@@ -116,7 +116,7 @@ ValueShape: TypeAlias = ScalarShape | MessageShape | OpenShape
 
 
 def value_shape(schema: MessageSchema, fields: tuple[Field, ...]) -> ScalarShape | MessageShape:
-    """Return the shape of a value that is these fields of a message: one primitive is a scalar, all else a message."""
+    """Return the shape of a value that consists of these fields of a message: a scalar if it is one primitive."""
     if len(fields) == 1 and isinstance(fields[0].type, Primitive):
         return ScalarShape(fields[0].type)
     return MessageShape(schema, fields)
@@ -126,7 +126,7 @@ _K = TypeVar("_K", bound=Hashable)
 
 
 def narrow(one: Bounds, other: Bounds) -> Bounds:
-    """Return the conjunction as far as bounds can express it: of two patterns the first is kept."""
+    """Return the conjunction as far as bounds can express it: of two patterns, the first is used."""
     if not one or not other:
         return one or other
     return Bounds(
@@ -143,7 +143,7 @@ def narrow(one: Bounds, other: Bounds) -> Bounds:
 
 
 def merge_bounds(*mappings: Mapping[_K, Bounds]) -> dict[_K, Bounds]:
-    """Return the bounds of several mappings in one, narrowed where they meet."""
+    """Return the merged bounds of several mappings, narrowed where they overlap."""
     found: dict[_K, Bounds] = {}
     for mapping in mappings:
         for key, bounds in mapping.items():
@@ -152,7 +152,7 @@ def merge_bounds(*mappings: Mapping[_K, Bounds]) -> dict[_K, Bounds]:
 
 
 def is_exact(*mappings: Mapping[_K, Bounds]) -> bool:
-    """Whether `merge_bounds` loses nothing of these: of two patterns it keeps the first."""
+    """Whether `merge_bounds` loses nothing of these: of two patterns, it uses the first."""
     found: dict[_K, Bounds] = {}
     for mapping in mappings:
         for key, bounds in mapping.items():
@@ -164,7 +164,7 @@ def is_exact(*mappings: Mapping[_K, Bounds]) -> bool:
 
 
 def _further(one: Literal | None, other: Literal | None, sign: int) -> Literal | None:
-    """Return the bound that lies further up (`sign` 1) or down (-1); the first where they are no numbers."""
+    """Return the higher bound (`sign` 1) or the lower one (-1); the first if they are no numbers."""
     if one is None or other is None:
         return one if other is None else other
     left, right = number(one), number(other)
@@ -172,7 +172,7 @@ def _further(one: Literal | None, other: Literal | None, sign: int) -> Literal |
 
 
 def _both(one: tuple[Literal, ...], other: tuple[Literal, ...]) -> tuple[Literal, ...]:
-    """Return the intersection; if it is empty, the first, because no choices would mean no constraint."""
+    """Return the intersection or, if it is empty, the first, because no choices would mean no constraint."""
     if not one or not other:
         return one or other
     return tuple(each for each in one if each in other) or one

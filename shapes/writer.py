@@ -14,9 +14,9 @@ from rosld.ontology.vocab import rdf, rdfs, sh
 
 
 class ShapesWriter:
-    """Collects the triples of the shapes graph at a URL.
+    """Writer of the shapes graph at a URL.
 
-    The labels of blank nodes are made from the URL, so that graphs can be written side by side into one file.
+    The labels of blank nodes are derived from the URL, so that graphs can be concatenated in one file.
     """
 
     def __init__(self, url: str) -> None:
@@ -26,15 +26,15 @@ class ShapesWriter:
         self._blanks = _blank_nodes(url)
 
     def add(self, node: NamedNode | BlankNode, *statements: Statement) -> None:
-        """Say something about a node; a statement whose value is None is none."""
+        """Add statements about a node; those whose value is None are omitted."""
         self.triples += triples_about(node, *statements)
 
     def node(self, name: str = "") -> NamedNode:
-        """Return the node of a fragment (of permitted characters), or the document itself."""
+        """Return the node of a fragment (of permitted characters), or of the document itself."""
         return NamedNode(f"{self.url}#{name}" if name else self.url)
 
     def shared(self, name: str, write: Callable[[], Iterable[Statement]], label: str | None = None) -> NamedNode:
-        """Return a node shape of the document, which is written when it is first asked for."""
+        """Return a node shape of the document, written on first use."""
         node = self.node(name)
         if name not in self._shared:
             self._shared.add(name)
@@ -42,20 +42,20 @@ class ShapesWriter:
         return node
 
     def blank(self, *statements: Statement) -> BlankNode:
-        """Return a blank node about which this is said."""
+        """Return a blank node with these statements."""
         node = next(self._blanks)
         self.add(node, *statements)
         return node
 
     def list_of(self, elements: Iterable[Value]) -> Value:
-        """Return an rdf:List, its cells blank."""
+        """Return an rdf:List with blank cells."""
         rest: Value = rdf.nil
         for element in reversed(list(elements)):
             rest = self.blank((rdf.first, element), (rdf.rest, rest))
         return rest
 
     def either(self, shapes: Iterable[Value]) -> Statement:
-        """Return the constraint that one of these shapes holds at least."""
+        """Return the constraint that at least one of these shapes conforms."""
         return sh.or_, self.list_of(shapes)
 
 
@@ -65,12 +65,12 @@ def _blank_nodes(url: str) -> Iterator[BlankNode]:
 
 
 def within(node: NamedNode, name: str) -> NamedNode:
-    """Return a fragment named after `node`: `#twist` leads to `#twist.linear`, the document to `#linear`."""
+    """Return a fragment derived from `node`: `#linear` from the document, `#twist.linear` from `#twist`."""
     return NamedNode(f"{node.value}{'.' if '#' in node.value else '#'}{name}")
 
 
 def _list_shape(writer: ShapesWriter) -> Iterator[Statement]:
-    """Yield the statements of a well-formed list: each cell has one rdf:first and one rdf:rest, and it ends."""
+    """Yield the statements of a well-formed list: each cell has one rdf:first and one rdf:rest, and the list ends."""
     one = [(sh.minCount, integer(1)), (sh.maxCount, integer(1))]
     firsts, rests = (writer.blank((sh.path, path), *one) for path in (rdf.first, rdf.rest))
     end = writer.blank((sh.in_, writer.list_of([rdf.nil])))
@@ -80,7 +80,7 @@ def _list_shape(writer: ShapesWriter) -> Iterator[Statement]:
 
 
 def list_of(writer: ShapesWriter, elements: Sequence[Statement], kind: Array) -> BlankNode:
-    """Return the shape of a list of as many elements as an array may have, which fulfil `elements`.
+    """Return the shape of a list with the permitted number of elements, which conform to `elements`.
 
     Equal literals are one value node (SHACL 2.3.1), so the cells are counted, including rdf:nil, not the elements.
     """
@@ -95,5 +95,5 @@ def list_of(writer: ShapesWriter, elements: Sequence[Statement], kind: Array) ->
 
 
 def _rests(writer: ShapesWriter) -> NamedNode | BlankNode:
-    """Return the path from a list to all of its cells, itself and rdf:nil included."""
+    """Return the path from a list to all of its cells, including itself and rdf:nil."""
     return writer.blank((sh.zeroOrMorePath, rdf.rest))

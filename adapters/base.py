@@ -249,7 +249,7 @@ class Recording(Protocol):
         """The message of a topic that was the newest at a time; None where there was none. Raises Unreachable."""
         ...
 
-    def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
+    def select(self, criteria: MessageFilter, limit: int) -> MessagePage:
         """Return at most `limit` messages, of about `PAGE_BYTES`; no more is read than these take."""
         ...
 

@@ -282,7 +282,7 @@ class EmbeddedRobot(ABC):
         """Publish a message of the robot on a topic of its own."""
         interface = self._published[topic]
         data = self._encode(self._message(self._types[topic]), fields)
-        self._topics.say(topic, interface.node, data, latched=interface.latched)
+        self._topics.publish_as(topic, interface.node, data, latched=interface.latched)
 
     def _encode(self, schema: MessageSchema, fields: Mapping[str, object]) -> bytes:
         return schema.codec.encode(schema.codec.build(schema.ref.name, fields), self._capabilities.encoding)
@@ -301,21 +301,21 @@ class EmbeddedRobot(ABC):
             raise Refused(f"{ref.name} is no message type: only messages can be published")
         return schema
 
-    def _service(self, name: str, asked: TypeRef) -> ServiceSchema:
+    def _service(self, name: str, requested: TypeRef) -> ServiceSchema:
         if name not in self._graph.services:
             raise NotFound(f"there is no service {name}")
         schema = self._library.find(self._types[name])
         assert isinstance(schema, ServiceSchema)
-        _require_type(name, "service", schema.ref, asked)
+        _require_type(name, "service", schema.ref, requested)
         return schema
 
-    def _action(self, name: str, asked: TypeRef | None = None) -> ActionSchema:
+    def _action(self, name: str, requested: TypeRef | None = None) -> ActionSchema:
         if name not in self._graph.actions:
             raise NotFound(f"there is no action {name}")
         schema = self._library.find(self._types[name])
         assert isinstance(schema, ActionSchema)
-        if asked is not None:
-            _require_type(name, "action", schema.ref, asked)
+        if requested is not None:
+            _require_type(name, "action", schema.ref, requested)
         return schema
 
     def _decode(self, schema: MessageSchema, data: bytes, name: str) -> Message:
@@ -334,9 +334,9 @@ class EmbeddedRobot(ABC):
             self._sink.graph_changed(self._graph)
 
 
-def _require_type(name: str, kind: str, ref: TypeRef, asked: TypeRef) -> None:
-    if asked.name != ref.name or asked.hash not in (None, ref.hash):
-        raise Refused(f"the {kind} {name} is a {ref.name}, not this {asked.name}")
+def _require_type(name: str, kind: str, ref: TypeRef, requested: TypeRef) -> None:
+    if requested.name != ref.name or requested.hash not in (None, ref.hash):
+        raise Refused(f"the {kind} {name} is a {ref.name}, not this {requested.name}")
 
 
 def _endpoints(interface: Interface | None, type: TypeRef) -> Iterable[Endpoint]:

@@ -27,15 +27,15 @@ class AdvertisedTopic(Struct):
 class LocalTopics:
     """The newest messages of each topic, and which topics rosld advertises.
 
-    `types` are those of the robot's own topics, of which the robot subscribes to those in `heard`. `own_node` is the
-    name of rosld. `resolve` finds the type of a message, with its hash; `changed` is called when rosld advertises
-    something else.
+    `types` are those of the robot's own topics; `subscribed` are the names of those that the robot subscribes to.
+    `own_node` is the name of rosld. `resolve` finds the type of a message, with its hash; `changed` is called when
+    rosld advertises something else.
     """
 
     def __init__(
         self,
         types: Mapping[str, TypeRef],
-        heard: Container[str],
+        subscribed: Container[str],
         encoding: Encoding,
         own_node: str,
         resolve: Callable[[TypeRef], TypeRef],
@@ -43,7 +43,7 @@ class LocalTopics:
     ) -> None:
         self.advertised: dict[str, AdvertisedTopic] = {}
         self._types = types
-        self._heard = heard
+        self._subscribed = subscribed
         self._encoding = encoding
         self._own_node = own_node
         self._resolve = resolve
@@ -61,7 +61,7 @@ class LocalTopics:
         slot = self._slots.get(topic)
         return slot is not None and slot.subscriptions > 0
 
-    def say(self, topic: str, node: str, data: bytes, *, latched: bool = False) -> None:
+    def publish_as(self, topic: str, node: str, data: bytes, *, latched: bool = False) -> None:
         """Publish a message of a node of the robot on one of its topics."""
         sequence = self._sequences[topic] = self._sequences.get(topic, 0) + 1
         self._slot(topic).put(
@@ -103,7 +103,7 @@ class LocalTopics:
         if own is None and len(self.advertised) >= _MAX_ADVERTISED:
             raise Refused(f"rosld advertises {_MAX_ADVERTISED} topics already: DELETE one first")
         self._advertisings += 1
-        own = AdvertisedTopic(kind, latch, epoch=self._advertisings, matched=int(topic in self._heard))
+        own = AdvertisedTopic(kind, latch, epoch=self._advertisings, matched=int(topic in self._subscribed))
         self.advertised[topic] = own
         self._changed()
         return own

@@ -16,18 +16,18 @@ RECORDING = "recording"
 _SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):(?!\\)")
 
 
-def scheme_of(source: str, known: frozenset[str]) -> str:
+def scheme_of(source: str, schemes: frozenset[str]) -> str:
     """Return the scheme of a source: a bare adapter name, `scheme:...` of a known scheme, else a recording's path.
 
-    Raises ValueError for `scheme://...` of a scheme that no installed adapter has.
+    Raises ValueError for `scheme://...` whose scheme is not among `schemes`.
     """
-    if source in known:
+    if source in schemes:
         return source
     found = _SCHEME.match(source)
-    if found and found[1] in known:
+    if found and found[1] in schemes:
         return found[1]
     if found and source[found.end() :].startswith("//"):
-        names = ", ".join(sorted(known))
+        names = ", ".join(sorted(schemes))
         raise ValueError(f"no adapter for {found[1]!r} in {source!r}; installed: {names}")
     return RECORDING
 

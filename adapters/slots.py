@@ -69,27 +69,27 @@ class Slot:
         self.subscriptions = 0
         self._depth = 1
         self._depths: Counter[int] = Counter()
-        self._kept: dict[str, deque[Sample]] = {}
+        self._samples: dict[str, deque[Sample]] = {}
         self._views: dict[int, tuple[Sample, ...]] = {}
 
     def put(self, sample: Sample) -> None:
         """Keep a sample as its publisher's newest."""
-        kept = self._kept.get(sample.publisher)
-        if kept is None:
-            kept = self._kept[sample.publisher] = deque(maxlen=self._depth)
-        kept.append(sample)
+        samples = self._samples.get(sample.publisher)
+        if samples is None:
+            samples = self._samples[sample.publisher] = deque(maxlen=self._depth)
+        samples.append(sample)
         self._on_change()
 
     def drop(self, publisher: str) -> None:
         """Forget what a publisher sent; nothing happens where it sent nothing."""
-        if self._kept.pop(publisher, None) is not None:
+        if self._samples.pop(publisher, None) is not None:
             self._on_change()
 
     def latest(self, depth: int = 1) -> Sequence[Sample]:
         """The newest `depth` samples of each publisher in order of receipt; the same object until one arrives."""
         view = self._views.get(depth)
         if view is None:
-            newest = [sample for kept in self._kept.values() for sample in tuple(kept)[-depth:]]
+            newest = [sample for samples in self._samples.values() for sample in tuple(samples)[-depth:]]
             view = self._views[depth] = tuple(sorted(newest, key=_received_ns))
         return view
 
@@ -116,7 +116,7 @@ class Slot:
         depth = max(self._depths, default=1)
         if depth != self._depth:
             self._depth = depth
-            self._kept = {publisher: deque(kept, maxlen=depth) for publisher, kept in self._kept.items()}
+            self._samples = {publisher: deque(samples, maxlen=depth) for publisher, samples in self._samples.items()}
             self._views.clear()
 
     def _on_change(self) -> None:

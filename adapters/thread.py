@@ -172,13 +172,13 @@ class ThreadAdapter(Generic[_S]):
     def known_types(self) -> Sequence[TypeRef]:
         """Return the types met so far, and those that the graph names."""
         graph = self.graph
-        met = dict.fromkeys(self._library.known())
-        named = {ref.name for ref in met}
+        types = dict.fromkeys(self._library.known())
+        named = {ref.name for ref in types}
         typed = [ref for topic in graph.topics.values() for ref in topic.types]
         typed += [service.type for service in graph.services.values() if service.type is not None]
         typed += [action.type for action in graph.actions.values() if action.type is not None]
-        met.update(dict.fromkeys(ref for ref in typed if ref.hash or ref.name not in named))
-        return list(met)
+        types.update(dict.fromkeys(ref for ref in typed if ref.hash or ref.name not in named))
+        return list(types)
 
     def age_ns(self, sample: Sample) -> int:
         """Return the time since a sample was received, simulated time or not."""
@@ -199,9 +199,9 @@ class ThreadAdapter(Generic[_S]):
 
     def _require_type(self, topic: str, type: TypeRef) -> None:
         """Raise Refused if the topic exists with other types only."""
-        known = self.graph.topics.get(topic)
-        if known is not None and known.types and all(type.name != each.name for each in known.types):
-            names = " and ".join(each.name for each in known.types)
+        existing = self.graph.topics.get(topic)
+        if existing is not None and existing.types and all(type.name != each.name for each in existing.types):
+            names = " and ".join(each.name for each in existing.types)
             raise Refused(f"{topic} has the type {names}, not {type.name}")
 
     async def _close(self, thread: IoThread) -> None:

@@ -59,18 +59,18 @@ class _Extent:
 
     def __init__(self, types: Mapping[str, MessageType]) -> None:
         self._types = types
-        self._known: dict[str, tuple[int, int]] = {}
+        self._cache: dict[str, tuple[int, int]] = {}
         self._above: set[str] = set()
 
     def of(self, name: str) -> tuple[int, int]:
         if name in self._above:
             raise RecursionError(f"{name} is nested in itself")
-        if name not in self._known:
+        if name not in self._cache:
             self._above.add(name)
             counts = [self._of_field(field.type) for field in self._types[name].fields]
             self._above.remove(name)
-            self._known[name] = sum(fields for fields, _ in counts), sum(fixed for _, fixed in counts)
-        return self._known[name]
+            self._cache[name] = sum(fields for fields, _ in counts), sum(fixed for _, fixed in counts)
+        return self._cache[name]
 
     def _of_field(self, kind: FieldType) -> tuple[int, int]:
         if isinstance(kind, Array):
@@ -220,14 +220,14 @@ class _Hashing:
 
     def __init__(self, texts: Mapping[str, str]) -> None:
         self._texts = texts
-        self._known: dict[str, str] = {}
+        self._cache: dict[str, str] = {}
         self._depth = 0
 
     def md5(self, name: str) -> str:
-        if name not in self._known:
+        if name not in self._cache:
             text = self.text(name)
-            self._known[name] = hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
-        return self._known[name]
+            self._cache[name] = hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
+        return self._cache[name]
 
     def text(self, name: str) -> str:
         self._depth += 1
@@ -252,7 +252,7 @@ def action_md5(name: str, texts: Mapping[str, str]) -> str:
     """
     package, _, short = name.partition("/action/")
     whole = f"{package}/msg/{short}"
-    made = {f"{whole}{part}": texts[f"{name}_{part}"] for part in ("Goal", "Result", "Feedback")} | {
+    messages = {f"{whole}{part}": texts[f"{name}_{part}"] for part in ("Goal", "Result", "Feedback")} | {
         f"{whole}ActionGoal": f"Header header\nactionlib_msgs/GoalID goal_id\n{short}Goal goal",
         f"{whole}ActionResult": f"Header header\nactionlib_msgs/GoalStatus status\n{short}Result result",
         f"{whole}ActionFeedback": f"Header header\nactionlib_msgs/GoalStatus status\n{short}Feedback feedback",
@@ -260,7 +260,7 @@ def action_md5(name: str, texts: Mapping[str, str]) -> str:
             f"{short}Action{part} action_{part.lower()}" for part in ("Goal", "Result", "Feedback")
         ),
     }
-    return md5(f"{whole}Action", {**texts, **made})
+    return md5(f"{whole}Action", {**texts, **messages})
 
 
 WrittenType: TypeAlias = Literal["msg", "srv", "action"]

@@ -81,17 +81,17 @@ def definition_of(name: str, described: Iterable[IndividualTypeMessage]) -> str:
 
 def _types_within(parts: Sequence[str], fields: Mapping[str, Sequence[FieldMessage]]) -> list[str]:
     """Return these types and all that they nest. Raises ValueError if one is not described."""
-    reached: dict[str, None] = {}
-    wanted = list(parts)
-    while wanted:
-        name = wanted.pop()
-        if name in reached:
+    visited: dict[str, None] = {}
+    pending = list(parts)
+    while pending:
+        name = pending.pop()
+        if name in visited:
             continue
         if name not in fields:
             raise ValueError(f"the description of {parts[0]} lacks {name}")
-        reached[name] = None
-        wanted += [field.type.nested_type_name for field in fields[name] if field.type.type_id % _BLOCK == _NESTED]
-    return list(reached)
+        visited[name] = None
+        pending += [field.type.nested_type_name for field in fields[name] if field.type.type_id % _BLOCK == _NESTED]
+    return list(visited)
 
 
 def _text(fields: Sequence[FieldMessage]) -> str:

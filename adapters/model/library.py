@@ -60,7 +60,7 @@ class TypeLibrary:
     def __init__(self, *, ros_version: Literal[1, 2], folders: Sequence[Path] = ()) -> None:
         self._ros_version = ros_version
         self._folders = tuple(folders)
-        self._learnt: dict[str, dict[str, Schema]] = {}
+        self._schemas: dict[str, dict[str, Schema]] = {}
         self._nested: dict[str, dict[str, Mapping[str, str]]] = {}
         self._files: Mapping[tuple[str, str], Path] | None = None
         self._lock = threading.RLock()
@@ -76,8 +76,8 @@ class TypeLibrary:
         Raises ValueError if the text is invalid, lacks a dependency, or does not have the given `hash`.
         """
         with self._lock:
-            if hash is not None and isinstance(known := self._learnt.get(name, {}).get(hash), MessageSchema):
-                return known
+            if hash is not None and isinstance(cached := self._schemas.get(name, {}).get(hash), MessageSchema):
+                return cached
             schema = self._message(name, split_sections(name, definition), definition, hash)
             self._keep(schema)
             return schema
@@ -105,20 +105,20 @@ class TypeLibrary:
         Raises UnknownType with the places searched.
         """
         with self._lock:
-            learnt = self._learnt.get(ref.name, {})
-            if ref.hash is not None and ref.hash in learnt:
-                return learnt[ref.hash]
-            if ref.hash is None and learnt:
-                return next(reversed(learnt.values()))
+            schemas = self._schemas.get(ref.name, {})
+            if ref.hash is not None and ref.hash in schemas:
+                return schemas[ref.hash]
+            if ref.hash is None and schemas:
+                return next(reversed(schemas.values()))
             return self._look_for(ref)
 
     def known(self) -> Sequence[TypeRef]:
         """Return every type learnt or found so far, in this order."""
         with self._lock:
-            return [schema.ref for schemas in self._learnt.values() for schema in schemas.values()]
+            return [schema.ref for schemas in self._schemas.values() for schema in schemas.values()]
 
     def _keep(self, schema: Schema) -> None:
-        self._learnt.setdefault(schema.ref.name, {})[schema.ref.hash or ""] = schema
+        self._schemas.setdefault(schema.ref.name, {})[schema.ref.hash or ""] = schema
 
     def _look_for(self, ref: TypeRef) -> Schema:
         if (half := self._part(ref.name)) is not None:
@@ -132,8 +132,8 @@ class TypeLibrary:
                 return learn(ref.name, text, hash)
             except ValueError as error:
                 reason = f"{error}; name a folder with the robot's own definition with --types DIR"
-        wanted = f" with hash {ref.hash}" if ref.hash else ""
-        raise UnknownType(f"the type {ref.name}{wanted} is not known: {reason}")
+        suffix = f" with hash {ref.hash}" if ref.hash else ""
+        raise UnknownType(f"the type {ref.name}{suffix} is not known: {reason}")
 
     def _candidates(self, name: str) -> Iterator[str]:
         """Yield texts for a name: from the user's folders, then those shipped with rosld and with rosbags."""
@@ -151,8 +151,8 @@ class TypeLibrary:
             yield path.read_text("utf-8")
         if stored is not None and self._ros_version == 1:
             yield stored
-        if kind == "action" and self._ros_version == 1 and (made := self._of_messages(package, short)) is not None:
-            yield made
+        if kind == "action" and self._ros_version == 1 and (composed := self._of_messages(package, short)) is not None:
+            yield composed
         if self._ros_version == 2 and (derived := derived_from(name)) is not None:
             yield derived[1]
         if self._ros_version == 2 and (part := self._part_or_none(name)) is not None:
@@ -204,9 +204,9 @@ class TypeLibrary:
     def _closure(self, name: str, texts: Mapping[str, str]) -> dict[str, str]:
         """Return the texts of `name` and of all types nested in it. Raises ValueError naming a missing type."""
         closed: dict[str, str] = {}
-        wanted = [name]
-        while wanted:
-            current = wanted.pop()
+        pending = [name]
+        while pending:
+            current = pending.pop()
             if current in closed:
                 continue
             found = texts.get(current)
@@ -217,7 +217,7 @@ class TypeLibrary:
             own = split_sections(current, found)
             closed[current] = own[current]
             texts = {**own, **texts}
-            wanted.extend(references(current, own[current]) - closed.keys())
+            pending.extend(references(current, own[current]) - closed.keys())
         return closed
 
     def _message(self, name: str, texts: Mapping[str, str], definition: str, hash: str | None) -> MessageSchema:
@@ -272,17 +272,17 @@ def _plain(*parts: str) -> bool:
     return all(part.isidentifier() and len(part) <= _MAX_NAME for part in parts)
 
 
-def _prove(name: str, found: str, wanted: str | None) -> str:
+def _prove(name: str, hash: str, expected: str | None) -> str:
     """Return the hash of a found definition. Raises ValueError if another one is required."""
-    if wanted is not None and found != wanted:
-        raise ValueError(f"the definition found for {name} has the hash {found}, the robot uses {wanted}")
-    return found
+    if expected is not None and hash != expected:
+        raise ValueError(f"the definition found for {name} has the hash {hash}, the robot uses {expected}")
+    return hash
 
 
 def _full_text(name: str, closed: Mapping[str, str], definition: str) -> str:
     """Return the concatenated definition, with missing dependencies appended in ROS 1's format."""
-    given = split_sections(name, definition)
-    lacking = [each for each in closed if each not in given and each not in _BUILTIN]
+    sections = split_sections(name, definition)
+    lacking = [each for each in closed if each not in sections and each not in _BUILTIN]
     return "\n".join([definition.rstrip("\n"), *_append({each: closed[each] for each in lacking})]) + "\n"
 
 

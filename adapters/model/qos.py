@@ -46,13 +46,13 @@ def read_profile(text: str) -> Qos:
 
     Every policy may be omitted and must not be repeated. Raises ValueError naming the invalid word.
     """
-    said: dict[str, str | int] = {}
+    policies: dict[str, str | int] = {}
     for word in text.split(","):
         policy, value = _policy(word.strip())
-        if policy in said:
+        if policy in policies:
             raise ValueError(f"{word.strip()!r} says again what the {policy.removesuffix('_ns')} is")
-        said[policy] = value
-    return replace(Qos(), **said)  # type: ignore[arg-type]
+        policies[policy] = value
+    return replace(Qos(), **policies)  # type: ignore[arg-type]
 
 
 def _policy(word: str) -> tuple[str, str | int]:
@@ -141,10 +141,10 @@ def _by_profile(endpoints: Sequence[Endpoint]) -> Mapping[Qos, Sequence[str]]:
 
 
 def _once(found: Iterable[Mismatch]) -> Iterator[Mismatch]:
-    told: set[Mismatch] = set()
+    yielded: set[Mismatch] = set()
     for one in found:
-        if one not in told:
-            told.add(one)
+        if one not in yielded:
+            yielded.add(one)
             yield one
 
 

@@ -82,7 +82,7 @@ def action_hash(name: str, types: Mapping[str, MessageType]) -> str:
     """Return the hash of an action type; `types` contains its three messages and all that they nest."""
     goal, result, feedback = (Nested(f"{name}_{part}") for part in ("Goal", "Result", "Feedback"))
     send, get, message = f"{name}_SendGoal", f"{name}_GetResult", f"{name}_FeedbackMessage"
-    made = (
+    layouts = (
         _layout(f"{send}_Request", goal_id=Nested(_UUID), goal=goal),
         _layout(f"{send}_Response", accepted=Primitive("bool"), stamp=Nested(_TIME)),
         _layout(f"{get}_Request", goal_id=Nested(_UUID)),
@@ -99,7 +99,7 @@ def action_hash(name: str, types: Mapping[str, MessageType]) -> str:
         ),
     )
     return message_hash(
-        name, {**_DERIVED, **types, **_service(send), **_service(get), **{each.name: each for each in made}}
+        name, {**_DERIVED, **types, **_service(send), **_service(get), **{each.name: each for each in layouts}}
     )
 
 

@@ -172,8 +172,8 @@ class RecordingAdapter:
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
         """Return `subscribe` for recorded topics, and nothing else."""
-        known = ref.kind is Kind.TOPIC and ref.name in self._graph.topics
-        return frozenset({Operation.SUBSCRIBE}) if known else frozenset()
+        is_recorded = ref.kind is Kind.TOPIC and ref.name in self._graph.topics
+        return frozenset({Operation.SUBSCRIBE}) if is_recorded else frozenset()
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
         """Return the schema of a type as recorded, else as shipped. Raises UnknownType."""

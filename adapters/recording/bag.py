@@ -120,8 +120,8 @@ def without_repeats(table: MessageTable, connections: Sequence[RecordedConnectio
         if row >= 0:
             key, time = (one.topic, one.publisher), int(table.times[row])
             earliest[key] = min(earliest.get(key, time), time)
-    known = np.asarray([earliest.get((one.topic, one.publisher), 0) for one in connections], np.int64)
-    is_repeat = is_opening[table.connections] & (table.times > known[table.connections])
+    first_times = np.asarray([earliest.get((one.topic, one.publisher), 0) for one in connections], np.int64)
+    is_repeat = is_opening[table.connections] & (table.times > first_times[table.connections])
     return table.rows(~is_repeat)
 
 
@@ -177,9 +177,9 @@ class Bag:
         self._storage = storage
         self._library = library
         self._connections = tuple(map(_with_global_names, storage.connections))
-        learnt = _learn_all(library, self._connections, storage.ros_version, budget or OpenBudget())
-        self._types = [ref for ref, _ in learnt]
-        self._unreadable = [words for _, words in learnt]
+        results = _learn_all(library, self._connections, storage.ros_version, budget or OpenBudget())
+        self._types = [ref for ref, _ in results]
+        self._unreadable = [words for _, words in results]
         table = without_repeats(storage.messages.in_recorded_order(), self._connections)
         self._table, self._openings = part.select(
             table, lambda table, until: latched_rows(table, until, self._connections, self._types)
@@ -234,9 +234,9 @@ class Bag:
         found = self.times[start:end]
         return (int(found[0]), int(found[-1])) if len(found) else None
 
-    def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
+    def select(self, criteria: MessageFilter, limit: int) -> MessagePage:
         """Return at most `limit` messages; only these are read from the disk."""
-        indexes = self._indexes(wanted, limit + 1)
+        indexes = self._indexes(criteria, limit + 1)
         found: list[RecordedMessage] = []
         size = 0
         for place, index in enumerate(indexes):
@@ -251,14 +251,14 @@ class Bag:
                 size += len(message.sample.data)
         return MessagePage(found, None)
 
-    def _indexes(self, wanted: MessageFilter, limit: int) -> list[int]:
+    def _indexes(self, criteria: MessageFilter, limit: int) -> list[int]:
         """Return the indexes of the first `limit` messages that match a filter."""
-        first = max(wanted.start, int(np.searchsorted(self.times, wanted.from_ns, "left")))
-        beyond = min(wanted.end, int(np.searchsorted(self.times, wanted.to_ns, "right")))
-        if wanted.topics is None:
+        first = max(criteria.start, int(np.searchsorted(self.times, criteria.from_ns, "left")))
+        beyond = min(criteria.end, int(np.searchsorted(self.times, criteria.to_ns, "right")))
+        if criteria.topics is None:
             return list(range(first, min(beyond, first + limit)))
         found: list[int] = []
-        for topic in wanted.topics:
+        for topic in criteria.topics:
             for stream in self.streams_by_topic.get(topic, ()):
                 begin = int(np.searchsorted(stream.positions, first))
                 found += (each for each in stream.positions[begin : begin + limit].tolist() if each < beyond)
@@ -281,10 +281,10 @@ class Bag:
             data = self._storage.read(int(self._table.places[index]), int(self._table.offsets[index]))
         except Damaged as damage:
             raise Unreachable(f"message {index} of the recording {self.name} cannot be read: {damage}") from damage
-        said = self._connections[connection]
+        source = self._connections[connection]
         received = int(self.times[index])
         return Sample(
-            data, said.encoding, self._types[connection], said.publisher, received, sequence, epoch, said.latched
+            data, source.encoding, self._types[connection], source.publisher, received, sequence, epoch, source.latched
         )
 
     def schema(self, ref: TypeRef) -> Schema:
@@ -333,9 +333,9 @@ class Bag:
     def _topic(self, name: str, connections: Sequence[int]) -> RecordedTopic:
         """Return a topic, which is unreadable if none of its connections can be decoded."""
         readable = [number for number in connections if self._unreadable[number] is None]
-        shown = (readable or connections)[0]
+        number = (readable or connections)[0]
         count = sum(len(stream.positions) for stream in self.streams_by_topic[name])
-        return RecordedTopic(name, self._types[shown], count, None if readable else self._unreadable[shown])
+        return RecordedTopic(name, self._types[number], count, None if readable else self._unreadable[number])
 
 
 def _grouped(values: Iterable[_Value], keys: Iterable[_Key]) -> dict[_Key, list[_Value]]:
@@ -353,11 +353,11 @@ def _learn_all(
     keys = [each._replace(topic="", publisher="", latched=False) for each in connections]
     types = dict.fromkeys(keys)
     budget.learn(len(types), sum(len(each.definition) for each in types))
-    known = {}
+    results = {}
     for key in types:
         budget.work(0)
-        known[key] = learn(library, key, ros_version)
-    return [known[key] for key in keys]
+        results[key] = learn(library, key, ros_version)
+    return [results[key] for key in keys]
 
 
 def _with_global_names(connection: RecordedConnection) -> RecordedConnection:

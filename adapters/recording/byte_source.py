@@ -181,7 +181,7 @@ class ChunkCache:
     def __init__(self, load: Callable[[int], bytes], max_bytes: int = 64 << 20) -> None:
         self._load = load
         self._limit = max_bytes
-        self._held = 0
+        self._size = 0
         self._chunks: OrderedDict[int, BytesSource | Damaged] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -207,10 +207,10 @@ class ChunkCache:
         with self._lock:
             if chunk not in self._chunks:
                 self._chunks[chunk] = found
-                self._held += _weight(found)
-            while self._held > self._limit and len(self._chunks) > 1:
+                self._size += _weight(found)
+            while self._size > self._limit and len(self._chunks) > 1:
                 _, dropped = self._chunks.popitem(last=False)
-                self._held -= _weight(dropped)
+                self._size -= _weight(dropped)
         return found
 
 

@@ -326,7 +326,7 @@ def _record_at(source: ByteSource, at: int) -> _Record:
 
 def _connection(schema: _Schema | None, channel: _Fields) -> RecordedConnection:
     """Return a channel as a connection; a format unknown to ROS makes it odd, not the file unreadable."""
-    topic, encoding, said = channel.text(), channel.text(), channel.texts()
+    topic, encoding, metadata = channel.text(), channel.text(), channel.texts()
     name, syntax, definition = schema or _Schema("", "", "")
     odd = None
     if encoding not in _ENCODINGS:
@@ -339,11 +339,11 @@ def _connection(schema: _Schema | None, channel: _Fields) -> RecordedConnection:
         encoding=_ENCODINGS.get(encoding, Encoding.CDR),
         definition=definition if odd is None else "",
         syntax=_SYNTAXES.get(syntax, syntax),
-        hash=said.get("md5sum") if encoding == "ros1" else said.get("topic_type_hash") or None,
-        publisher=said.get("callerid", ""),
-        latched=said.get("latching") == "1" or latched(said.get("offered_qos_profiles", "")),
+        hash=metadata.get("md5sum") if encoding == "ros1" else metadata.get("topic_type_hash") or None,
+        publisher=metadata.get("callerid", ""),
+        latched=metadata.get("latching") == "1" or latched(metadata.get("offered_qos_profiles", "")),
         odd=odd,
-        is_opening=said.get(OPENING) == "1",
+        is_opening=metadata.get(OPENING) == "1",
     )
 
 
@@ -353,5 +353,9 @@ def latched(profiles: str) -> bool:
     The profiles are YAML, from which only the lines that rosbag2 writes are read: a full YAML parser can take seconds
     for a small malicious text.
     """
-    said = _DURABILITY.findall(profiles)
-    return bool(said) and len(said) == len(_PROFILE.findall(profiles)) and {*said} <= {"1", "transient_local"}
+    durabilities = _DURABILITY.findall(profiles)
+    return (
+        bool(durabilities)
+        and len(durabilities) == len(_PROFILE.findall(profiles))
+        and {*durabilities} <= {"1", "transient_local"}
+    )

@@ -71,29 +71,29 @@ WHOLE = Part()
 def parse_part(query: str) -> Part:
     """Return the part in a query such as `from=2026-11-24T12:00:00Z&to=-10&rate=2`. Raises ValueError."""
     pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True)
-    said = dict(pairs)
-    unknown = said.keys() - _NAMES
-    if unknown or len(said) != len(pairs):
+    parameters = dict(pairs)
+    unknown = parameters.keys() - _NAMES
+    if unknown or len(parameters) != len(pairs):
         raise ValueError(f"{'&'.join(sorted(unknown)) or query!r} after the recording: from, to and rate, each once")
-    begin, end = _moment(said, "from"), _moment(said, "to")
+    begin, end = _moment(parameters, "from"), _moment(parameters, "to")
     if begin is not None and end is not None and begin.is_absolute == end.is_absolute:
         both_sides = begin.ns >= 0 > end.ns
         if begin.ns > end.ns and not both_sides:
-            raise ValueError(f"from={said['from'][:40]} is after to={said['to'][:40]}")
-    return Part(begin, end, _rate(said))
+            raise ValueError(f"from={parameters['from'][:40]} is after to={parameters['to'][:40]}")
+    return Part(begin, end, _rate(parameters))
 
 
-def _rate(said: Mapping[str, str]) -> float | None:
-    if "rate" not in said:
+def _rate(parameters: Mapping[str, str]) -> float | None:
+    if "rate" not in parameters:
         return None
     try:
-        return float(said["rate"])
+        return float(parameters["rate"])
     except ValueError as error:
-        raise ValueError(f"rate={said['rate'][:40]} is no number") from error
+        raise ValueError(f"rate={parameters['rate'][:40]} is no number") from error
 
 
-def _moment(said: Mapping[str, str], name: str) -> Moment | None:
-    text = said.get(name)
+def _moment(parameters: Mapping[str, str], name: str) -> Moment | None:
+    text = parameters.get(name)
     if text is None:
         return None
     try:

@@ -123,10 +123,10 @@ class TopicPlayer:
         due = self._due(self._playback.position(now), depth)
         if due == view.due:
             return view
-        known = dict(zip(view.due, view.samples, strict=False)) if len(view.due) == len(view.samples) else {}
-        found = ((each, known.get(each) or self._sample(each)) for each in due)
-        shown = [(each, sample) for each, sample in found if sample is not None]
-        return _View(due, tuple(sample for _, sample in shown))
+        previous = dict(zip(view.due, view.samples, strict=False)) if len(view.due) == len(view.samples) else {}
+        found = ((each, previous.get(each) or self._sample(each)) for each in due)
+        entries = [(each, sample) for each, sample in found if sample is not None]
+        return _View(due, tuple(sample for _, sample in entries))
 
     def _sample(self, due: _Due) -> Sample | None:
         try:

@@ -316,19 +316,19 @@ def _connection(source: ByteSource, record: _Record) -> tuple[int, RecordedConne
     """Return the number and description of a connection. An incomplete header makes it odd, not the file unreadable."""
     number = record.uint32(b"conn")
     try:
-        said = _fields(read_exactly(source, record.data_at, record.size))
+        fields = _fields(read_exactly(source, record.data_at, record.size))
         odd = None
     except Damaged as damage:
-        said, odd = {}, f"its connection header cannot be read: {damage}"
-    md5 = _text(said, b"md5sum")
+        fields, odd = {}, f"its connection header cannot be read: {damage}"
+    md5 = _text(fields, b"md5sum")
     return number, RecordedConnection(
-        topic=_text(record.header, b"topic") or _text(said, b"topic"),
-        type=_text(said, b"type"),
+        topic=_text(record.header, b"topic") or _text(fields, b"topic"),
+        type=_text(fields, b"type"),
         encoding=Encoding.ROS1,
-        definition=_text(said, b"message_definition"),
+        definition=_text(fields, b"message_definition"),
         hash=md5 if md5 not in ("", "*") else None,
-        publisher=_text(said, b"callerid"),
-        latched=_text(said, b"latching") == "1",
+        publisher=_text(fields, b"callerid"),
+        latched=_text(fields, b"latching") == "1",
         odd=odd,
     )
 

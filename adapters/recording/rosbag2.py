@@ -304,16 +304,16 @@ def _is_refused(budget: OpenBudget) -> bool:
 
 def _topics(database: sqlite3.Connection, budget: OpenBudget) -> tuple[list[RecordedConnection], dict[int, int]]:
     columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
-    wanted = ["id", "name", "type", "serialization_format"]
+    required = ["id", "name", "type", "serialization_format"]
     optional = [each for each in ("offered_qos_profiles", "type_description_hash") if each in columns]
     definitions = _definitions(database, budget)
     connections: list[RecordedConnection] = []
     numbers: dict[int, int] = {}
-    for row in database.execute(f"SELECT {', '.join(wanted + optional)} FROM topics ORDER BY id"):
-        said = dict(zip(wanted + optional, row, strict=True))
+    for row in database.execute(f"SELECT {', '.join(required + optional)} FROM topics ORDER BY id"):
+        fields = dict(zip(required + optional, row, strict=True))
         budget.spend(parts=1, octets=sum(len(each) for each in row if isinstance(each, (str, bytes))))
-        numbers[said["id"]] = len(connections)
-        connections.append(_connection({key: str(value) for key, value in said.items()}, definitions))
+        numbers[fields["id"]] = len(connections)
+        connections.append(_connection({key: str(value) for key, value in fields.items()}, definitions))
     return connections, numbers
 
 
@@ -330,19 +330,19 @@ def _definitions(database: sqlite3.Connection, budget: OpenBudget) -> dict[str, 
         return {}
 
 
-def _connection(said: dict[str, str], definitions: dict[str, tuple[str, str]]) -> RecordedConnection:
-    syntax, text = definitions.get(said["type"], ("ros2msg", ""))
+def _connection(fields: dict[str, str], definitions: dict[str, tuple[str, str]]) -> RecordedConnection:
+    syntax, text = definitions.get(fields["type"], ("ros2msg", ""))
     odd = None
-    if said["serialization_format"] != "cdr":
-        odd = f"its messages are in {said['serialization_format']!r}, not in 'cdr'"
+    if fields["serialization_format"] != "cdr":
+        odd = f"its messages are in {fields['serialization_format']!r}, not in 'cdr'"
     return RecordedConnection(
-        topic=said["name"],
-        type=said["type"],
+        topic=fields["name"],
+        type=fields["type"],
         encoding=Encoding.CDR,
         definition=text,
         syntax=_SYNTAXES.get(syntax, syntax),
-        hash=said.get("type_description_hash") or None,
-        latched=latched(said.get("offered_qos_profiles", "")),
+        hash=fields.get("type_description_hash") or None,
+        latched=latched(fields.get("offered_qos_profiles", "")),
         odd=odd,
     )
 
@@ -352,8 +352,8 @@ def _messages(database: sqlite3.Connection, numbers: dict[int, int], budget: Ope
     parts: list[np.ndarray[tuple[int, ...], np.dtype[np.int64]]] = [np.empty((0, 3), np.int64)]
     while batch := rows.fetchmany(65536):
         budget.spend(messages=len(batch))
-        known = [row for row in batch if row[1] in numbers and isinstance(row[0], int)]
-        parts.append(np.asarray(known, np.int64).reshape(-1, 3))
+        valid = [row for row in batch if row[1] in numbers and isinstance(row[0], int)]
+        parts.append(np.asarray(valid, np.int64).reshape(-1, 3))
     whole = np.concatenate(parts)
     topics = np.asarray([numbers[topic] for topic in whole[:, 1].tolist()], np.int32)
     return MessageTable(whole[:, 0].copy(), topics, np.zeros(len(whole), np.int32), whole[:, 2].copy())

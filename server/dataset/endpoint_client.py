@@ -91,12 +91,12 @@ class Endpoint:
 
     def _send(self, method: str, body: bytes | None, headers: dict[str, str]) -> Response:
         with self._turn:
-            kept = self._connection is not None
+            is_reused = self._connection is not None
             try:
                 return self._exchange(method, body, headers)
             except (ConnectionError, HTTPException) as error:
                 self._drop()
-                if not kept:
+                if not is_reused:
                     raise self._unreachable(error) from error
             except OSError as error:
                 raise self._unreachable(error) from error

@@ -40,7 +40,7 @@ shares its blank nodes with it.
 
 
 class _Step(NamedTuple):
-    """A checked change of a graph; `lost` and `gained` are approximate numbers of triples.
+    """A checked change of a graph; `removed_count` and `added_count` are approximate numbers of triples.
 
     Triples are quads of the default graph, as the parser returns them, which saves a conversion.
     """
@@ -49,8 +49,8 @@ class _Step(NamedTuple):
     drop: bool
     removed: Sequence[Quad]
     added: Callable[[], Iterable[Quad]]
-    lost: int
-    gained: int
+    removed_count: int
+    added_count: int
 
 
 class _Write(NamedTuple):
@@ -174,9 +174,9 @@ class MemoryStore:
         node, store = NamedNode(graph), self._store
         if not store.contains_named_graph(node):
             return None
-        held = store.dump(format=RdfFormat.N_TRIPLES, from_graph=node)
-        assert held is not None
-        return decode_ntriples(held).decode()
+        dump = store.dump(format=RdfFormat.N_TRIPLES, from_graph=node)
+        assert dump is not None
+        return decode_ntriples(dump).decode()
 
     def count(self, graph: str, limit: int) -> int:
         """Return the number of triples of a graph, at most `limit`."""
@@ -245,10 +245,10 @@ class MemoryStore:
 
     def _functions_by_node(self, functions: Mapping[str, Function]) -> dict[NamedNode, Function]:
         """Return the functions by node. Cached for the last mapping, which is nearly always the same."""
-        known, named = self._functions
-        if known is not functions:
-            both = {**functions, **FUNCTIONS}
-            named = {NamedNode(name): function for name, function in both.items()}
+        cached, named = self._functions
+        if cached is not functions:
+            merged = {**functions, **FUNCTIONS}
+            named = {NamedNode(name): function for name, function in merged.items()}
             self._functions = (functions, named)
         return named
 
@@ -263,10 +263,10 @@ class MemoryStore:
         if before is None:
             return _Step(graph, True, (), self._reader(graph, text), self._wear.size(name), text.count("\n"))
         now = self._new_lines[name] = _lines(text)
-        gone, come = before - now, now - before
-        removed = [*self._read(graph, "\n".join(gone))]
-        added = [*self._read(graph, "\n".join(come))]
-        return _Step(graph, False, removed, lambda: added, len(gone), len(come))
+        old_lines, new_lines = before - now, now - before
+        removed = [*self._read(graph, "\n".join(old_lines))]
+        added = [*self._read(graph, "\n".join(new_lines))]
+        return _Step(graph, False, removed, lambda: added, len(old_lines), len(new_lines))
 
     def _edit(self, edit: Edit) -> _Step:
         graph = NamedNode(edit.graph)
@@ -309,7 +309,7 @@ class MemoryStore:
         added = iter(step.added())
         while part := [*islice(added, _SLICE)]:
             self._add(graph, part)
-        self._wear.note(graph.value, step.lost, step.gained)
+        self._wear.note(graph.value, step.removed_count, step.added_count)
 
     def _add(self, graph: NamedNode, triples: Iterable[Quad]) -> None:
         added: list[Quad] = []
@@ -331,7 +331,7 @@ class MemoryStore:
     def _remove(self, graph: NamedNode, triples: Iterable[Quad]) -> None:
         """Remove triples from a graph, and from the default graph those that no other graph has."""
         removed: list[Quad] = []
-        gone: list[Quad] = []
+        unshared: list[Quad] = []
         for triple in dict.fromkeys(triples):
             subject, predicate, object, _ = triple
             quad = Quad(subject, predicate, object, graph)
@@ -342,9 +342,9 @@ class MemoryStore:
             if number > 2:
                 self._shared[triple] = number - 1
             elif number == 1:
-                gone.append(triple)
+                unshared.append(triple)
         self._write(_Write(graph, removed=removed))
-        self._write(_Write(_DEFAULT, removed=gone))
+        self._write(_Write(_DEFAULT, removed=unshared))
 
     def _write(self, write: _Write) -> None:
         _apply(self._store, write)
@@ -435,38 +435,38 @@ class GarbageEstimate:
 
     def __init__(self) -> None:
         self._sizes: dict[str, int] = {}
-        self._gone: Counter[str] = Counter()
+        self._removed_by_graph: Counter[str] = Counter()
         self._size = 0
-        self._lost = 0
-        self._walked = 0
+        self._removed = 0
+        self._skipped = 0
 
     @property
     def is_due(self) -> bool:
         """Whether skipping removed triples has cost as much as a new store, or they take too much memory."""
         size = max(self._size, _FREE)
-        return self._walked > _STEPS * size or self._lost > _MAX_GARBAGE_RATIO * size
+        return self._skipped > _STEPS * size or self._removed > _MAX_GARBAGE_RATIO * size
 
     @property
     def is_mostly_garbage(self) -> bool:
         """Whether a new store would take less than half the memory."""
-        return self._lost > max(self._size, _FREE)
+        return self._removed > max(self._size, _FREE)
 
     def size(self, graph: str) -> int:
         """Return the number of lines of a graph."""
         return self._sizes.get(graph, 0)
 
-    def note(self, graph: str, lost: int, gained: int) -> None:
+    def note(self, graph: str, removed: int, added: int) -> None:
         """Count the lines that a graph lost and gained."""
-        self._sizes[graph] = max(0, self.size(graph) + gained - lost)
+        self._sizes[graph] = max(0, self.size(graph) + added - removed)
         if not self._sizes[graph]:
             del self._sizes[graph]
-        self._size += gained - lost
-        if lost:
-            self._gone[graph] += lost
-            self._lost += lost
-            self._walked += self._gone[graph]
+        self._size += added - removed
+        if removed:
+            self._removed_by_graph[graph] += removed
+            self._removed += removed
+            self._skipped += self._removed_by_graph[graph]
 
     def reset(self) -> None:
         """Reset after compaction."""
-        self._gone.clear()
-        self._lost = self._walked = 0
+        self._removed_by_graph.clear()
+        self._removed = self._skipped = 0

@@ -89,26 +89,26 @@ class PendingChanges:
         with self._lock:
             if not self._entries or self._since is None:
                 return None
-            taken = PendingBatch({graph: self._entries[graph] for graph in islice(self._entries, limit)}, self._since)
-            for graph in taken.entries:
+            batch = PendingBatch({graph: self._entries[graph] for graph in islice(self._entries, limit)}, self._since)
+            for graph in batch.entries:
                 self._size -= _size(self._entries.pop(graph))
             if not self._entries:
                 self._since = None
-            return taken
+            return batch
 
-    def give_back(self, taken: PendingBatch) -> None:
+    def give_back(self, batch: PendingBatch) -> None:
         """Return unsent entries to the front."""
         with self._lock:
             if self.overflowed:
                 return
             later = self._entries
             self._entries, self._size = {}, 0
-            for graph, entry in taken.entries.items():
+            for graph, entry in batch.entries.items():
                 self._put(graph, entry)
             for graph, entry in later.items():
                 before = self._entries.get(graph, ())
                 self._put(graph, None if before is None or entry is None else before + entry)
-            self._since = taken.since if self._since is None else min(self._since, taken.since)
+            self._since = batch.since if self._since is None else min(self._since, batch.since)
 
     def _put(self, graph: str, entry: Entry) -> None:
         before = self._entries.get(graph, ())
@@ -149,9 +149,11 @@ class ReplicaState:
         if before is None:
             return None
         old, new = _lines(before), _lines(text)
-        held, said = set(old), set(new)
+        old_lines, new_lines = set(old), set(new)
         return Edit(
-            graph, "".join(line for line in new if line not in held), "".join(line for line in old if line not in said)
+            graph,
+            "".join(line for line in new if line not in old_lines),
+            "".join(line for line in old if line not in new_lines),
         )
 
     def forget(self, graph: str) -> None:

@@ -73,10 +73,10 @@ def _together(lines: Sequence[str]) -> Iterator[Sequence[str]]:
             joined.setdefault(labels[0], []).append(line)
         else:
             yield (line,)
-    found: dict[str, list[str]] = {}
-    for label, held in joined.items():
-        found.setdefault(groups.of(label), []).extend(held)
-    yield from found.values()
+    groups_by_label: dict[str, list[str]] = {}
+    for label, members in joined.items():
+        groups_by_label.setdefault(groups.of(label), []).extend(members)
+    yield from groups_by_label.values()
 
 
 class _Groups:

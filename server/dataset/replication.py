@@ -154,17 +154,17 @@ class Mirror:
         self._first_pause = first_pause
         self._renewal_seconds = renewal_seconds
         self._pending = PendingChanges(max_pending)
-        self._told = ReplicaState()
+        self._replica = ReplicaState()
         self._refused: dict[str, float] = {}
         self._on_its_way: float | None = None
-        self._told_ns: int | None = None
+        self._sent_ns: int | None = None
         self._failure: StoreError | None = None
         self._failures = 0
         self._moments: list[str] = []  # times that the heartbeat may contain: one line unless requests failed
         self._whole = False  # whether all graphs were queued since this server started
         self._confirmed = False  # whether the heartbeat was found since then
         self._renewed = 0.0  # start time of the last complete transfer
-        self._seen = -1  # number of connections when the heartbeat was last verified
+        self._verified_connections = -1  # number of connections when the heartbeat was last verified
         self._ending = False
         self._unrefreshed = False
         self._round: asyncio.Future[bool] | None = None
@@ -181,16 +181,16 @@ class Mirror:
         lag = time.monotonic() - min(oldest) if oldest else 0.0
         pending, refused, failure = len(self._pending), len(self._refused), self._failure
         sentence, words = (None, None) if failure is None else (failure.sentence, failure.words)
-        return ReplicationStatus(self._target.url, lag, pending, refused, sentence, words, self._told_ns)
+        return ReplicationStatus(self._target.url, lag, pending, refused, sentence, words, self._sent_ns)
 
     async def run(self) -> None:
         """Send changes to the other store until cancelled."""
         while True:
-            begun = time.monotonic()
+            start = time.monotonic()
             try:
                 await self._refresh_or_warn()
                 # A request in a thread cannot be cancelled with `run`: `close` waits for the round or aborts it.
-                self._round = _in_thread(self._tell_round)
+                self._round = _in_thread(self._send_round)
                 more = await asyncio.shield(self._round)
             except StoreError as error:
                 self._note_failure(error)
@@ -203,7 +203,7 @@ class Mirror:
                 continue
             self._note_success()
             if not more:
-                await asyncio.sleep(max(0.0, begun + self._interval - time.monotonic()))
+                await asyncio.sleep(max(0.0, start + self._interval - time.monotonic()))
 
     async def close(self) -> None:
         """Remove the graphs that are valid only while this server runs.
@@ -215,12 +215,12 @@ class Mirror:
             await asyncio.wait([self._round], timeout=_LAST / 3)
             self._target.interrupt()
             await asyncio.wait([self._round], timeout=_LAST / 3)
-        if self._failure is None and self._told_ns is not None and (self._round is None or self._round.done()):
+        if self._failure is None and self._sent_ns is not None and (self._round is None or self._round.done()):
             self._target.set_timeout(_LAST)
-            gone = [_Part(graph, None, ()) for graph in self._ownership.transient_graphs()]
-            ended = _in_thread(lambda: self._write_heartbeat(ros.Stale, gone))
-            await asyncio.wait([ended], timeout=_LAST)
-            if not ended.done() or ended.exception() is not None:
+            removed = [_Part(graph, None, ()) for graph in self._ownership.transient_graphs()]
+            closing = _in_thread(lambda: self._write_heartbeat(ros.Stale, removed))
+            await asyncio.wait([closing], timeout=_LAST)
+            if not closing.done() or closing.exception() is not None:
                 _log.warning("%s keeps graphs of this server that are true no more", self._target.url)
 
     async def _refresh_or_warn(self) -> None:
@@ -236,7 +236,7 @@ class Mirror:
 
     def _note_failure(self, error: StoreError) -> None:
         self._failures += 1
-        self._seen = -1
+        self._verified_connections = -1
         if self._failure is None:
             _log.warning("the store is behind from now on: %s It is tried again.", error)
         self._failure = error
@@ -248,46 +248,46 @@ class Mirror:
 
     # --- in the thread of a round
 
-    def _tell_round(self) -> bool:
+    def _send_round(self) -> bool:
         """Send the first pending changes and the heartbeat; return whether more are pending. Raises StoreError."""
         if self._pending.overflowed:
             self._whole = False
             _log.warning("more changes wait for %s than are kept apart: all is told anew", self._target.url)
-        if not self._whole or self._seen != self._target.connections:
-            self._look()
+        if not self._whole or self._verified_connections != self._target.connections:
+            self._verify()
         now = time.monotonic()
         self._pending.add([graph for graph, again in self._refused.items() if again <= now])
-        taken = self._pending.take(_ROUND)
-        if taken is None:
-            self._tell(())
+        batch = self._pending.take(_ROUND)
+        if batch is None:
+            self._send(())
             return False
-        self._on_its_way = taken.since
+        self._on_its_way = batch.since
         try:
-            self._tell_all(taken, now)
+            self._send_all(batch, now)
         except BaseException:
-            self._told.clear()
-            self._pending.give_back(taken)
+            self._replica.clear()
+            self._pending.give_back(batch)
             raise
         finally:
             self._on_its_way = None
         return len(self._pending) > 0
 
-    def _look(self) -> None:
+    def _verify(self) -> None:
         """Check whether the other store holds what was sent, and send everything again if it does not."""
         if self._whole and self._is_sealed():
             self._confirmed = True
-            self._seen = self._target.connections
+            self._verified_connections = self._target.connections
         elif self._confirmed or not self._whole or time.monotonic() > self._renewed + self._renewal_seconds:
-            self._begin_anew()
+            self._restart()
         # else it lacks a heartbeat sent just now: sending everything again at once would not help
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         self._whole, self._confirmed, self._renewed = False, False, time.monotonic()
         self._pending.clear()
-        there = [name for name in self._target.graphs_with_prefix(self._ownership.base) if self._is_subject(name)]
-        self._pending.replace_all(dict.fromkeys((*there, *self._source.graphs())))
+        replicated = [name for name in self._target.graphs_with_prefix(self._ownership.base) if self._is_subject(name)]
+        self._pending.replace_all(dict.fromkeys((*replicated, *self._source.graphs())))
         self._refused.clear()
-        self._told.clear()
+        self._replica.clear()
         self._write_heartbeat(ros.Live)
         self._whole = True
 
@@ -296,17 +296,19 @@ class Mirror:
 
     def _is_sealed(self) -> bool:
         heartbeat = NamedNode(self._ownership.heartbeat_graph)
-        found = self._target.select(f"SELECT ?p ?o {{ GRAPH {heartbeat} {{ {heartbeat} ?p ?o }} }}")
-        said = [(row["p"], row["o"]) for row in found]
-        runs = [value for predicate, value in said if predicate == ros.revision]
-        moments = [f"{heartbeat} {predicate} {value} .\n" for predicate, value in said if predicate == dcterms.modified]
+        rows = self._target.select(f"SELECT ?p ?o {{ GRAPH {heartbeat} {{ {heartbeat} ?p ?o }} }}")
+        properties = [(row["p"], row["o"]) for row in rows]
+        runs = [value for predicate, value in properties if predicate == ros.revision]
+        moments = [
+            f"{heartbeat} {predicate} {value} .\n" for predicate, value in properties if predicate == dcterms.modified
+        ]
         return runs == [Literal(self._run_name)] and len(moments) == 1 and moments[0] in self._moments
 
     def _write_heartbeat(self, state: NamedNode, batch: Sequence[_Part] = ()) -> None:
         heartbeat = NamedNode(self._ownership.heartbeat_graph)
-        said = ((rdf.type, ros.Mirror), (ros.revision, Literal(self._run_name)), (ros.state, state))
+        properties = ((rdf.type, ros.Mirror), (ros.revision, Literal(self._run_name)), (ros.state, state))
         moment = self._moment()
-        text = "".join(f"{heartbeat} {predicate} {value} .\n" for predicate, value in said) + moment
+        text = "".join(f"{heartbeat} {predicate} {value} .\n" for predicate, value in properties) + moment
         self._moments.append(moment)
         self._replace({**{part.graph: part.text for part in batch}, heartbeat.value: text}, ())
         self._moments = [moment]
@@ -314,11 +316,11 @@ class Mirror:
     def _moment(self) -> str:
         return f"{NamedNode(self._ownership.heartbeat_graph)} {dcterms.modified} {instant(time.time_ns())} .\n"
 
-    def _tell_all(self, taken: PendingBatch, now: float) -> None:
+    def _send_all(self, pending: PendingBatch, now: float) -> None:
         left = _REFUSALS
         batch: list[_Part] = []
         size = 0
-        for part in self._parts(taken, now):
+        for part in self._parts(pending, now):
             if batch and size + part.size > _REQUEST:
                 left = self._push(batch, left)
                 batch, size = [], 0
@@ -327,23 +329,23 @@ class Mirror:
         if batch:
             self._push(batch, left)
         else:
-            self._tell(())
+            self._send(())
 
-    def _parts(self, taken: PendingBatch, now: float) -> Iterator[_Part]:
-        for graph, edits in taken.entries.items():
+    def _parts(self, pending: PendingBatch, now: float) -> Iterator[_Part]:
+        for graph, edits in pending.entries.items():
             again = self._refused.get(graph)
             if again is not None and again > now:
                 continue  # sent whole at its next retry
             if edits is not None and again is None:
-                self._told.forget(graph)
+                self._replica.forget(graph)
                 yield _Part(graph, None, edits)
                 continue
             text = self._source.ntriples(graph)
             if not text:
-                self._told.forget(graph)
+                self._replica.forget(graph)
                 yield _Part(graph, None, ())
                 continue
-            difference = self._told.difference(graph, text)
+            difference = self._replica.difference(graph, text)
             if difference is not None:
                 if difference.added or difference.removed:
                     yield _Part(graph, None, (difference,))
@@ -360,11 +362,11 @@ class Mirror:
         if not batch:
             return left
         try:
-            self._tell(batch)
+            self._send(batch)
         except StoreRefused as error:
             if error.status not in _CONTENT or left <= 0:
                 raise
-            self._tell(())  # raises if the endpoint refuses even this, and is thus at fault itself
+            self._send(())  # raises if the endpoint refuses even this, and is thus at fault itself
             if len(batch) == 1:
                 self._leave_out(batch[0].graph, error)
                 return left - 1
@@ -379,10 +381,10 @@ class Mirror:
         if graph not in self._refused:
             _log.error("%s is left out of the store: %s", graph, error)
         self._refused[graph] = time.monotonic() + _AGAIN
-        self._told.forget(graph)
-        self._tell((_Part(graph, None, ()),))
+        self._replica.forget(graph)
+        self._send((_Part(graph, None, ()),))
 
-    def _tell(self, batch: Sequence[_Part]) -> None:
+    def _send(self, batch: Sequence[_Part]) -> None:
         if len(self._moments) > _MOMENTS:
             self._whole = False  # too many outcomes are unknown
         moment = self._moment()
@@ -397,7 +399,7 @@ class Mirror:
             self._target.replace(graphs, edits)
         except ValueError as error:
             raise StoreRefused(f"It cannot be told: {error}.", 422) from error
-        self._told_ns = time.time_ns()
+        self._sent_ns = time.time_ns()
 
 
 def _in_thread(work: Callable[[], _T]) -> asyncio.Future[_T]:
@@ -405,23 +407,23 @@ def _in_thread(work: Callable[[], _T]) -> asyncio.Future[_T]:
     loop = asyncio.get_running_loop()
     future: asyncio.Future[_T] = loop.create_future()
 
-    def settle(found: _T | None, error: BaseException | None) -> None:
+    def settle(result: _T | None, error: BaseException | None) -> None:
         if future.cancelled():
             return
         if error is not None:
             future.set_exception(error)
         else:
-            future.set_result(found)  # type: ignore[arg-type]
+            future.set_result(result)  # type: ignore[arg-type]
 
     def run() -> None:
-        found: _T | None = None
+        result: _T | None = None
         failure: BaseException | None = None
         try:
-            found = work()
+            result = work()
         except BaseException as error:
             failure = error
         with contextlib.suppress(RuntimeError):  # the event loop is closed
-            loop.call_soon_threadsafe(settle, found, failure)
+            loop.call_soon_threadsafe(settle, result, failure)
 
     future.add_done_callback(lambda done: done.cancelled() or done.exception())  # else asyncio reports it as lost
     threading.Thread(target=run, name="store", daemon=True).start()

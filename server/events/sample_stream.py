@@ -103,10 +103,10 @@ class TopicNumbers:
 
     async def _take(self, adapter: Adapter, feed: TopicFeed) -> dict[str, object] | None:
         new = feed.take()
-        lost, feed.lost = feed.lost, 0
-        depth = feed.wanted_depth(new, MAX_BYTES) if new else feed.depth
+        lost, feed.dropped = feed.dropped, 0
+        depth = feed.next_depth(new, MAX_BYTES) if new else feed.depth
         if depth != feed.depth:
-            await feed.subscribe_anew(adapter, depth)
+            await feed.resubscribe(adapter, depth)
         told = _thinned(new)
         lost += len(new) - len(told)
         if not told and not lost:

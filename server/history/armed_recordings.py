@@ -118,7 +118,9 @@ class ArmedRecordings:
     async def arm(self, name: str, order: RecordingOrder, agent: Agent, occurrences: Occurrences) -> ArmedRecording:
         """Wait for a trigger; store the order in the folder, if any. Raises RecordingRefused, OSError."""
         if len(self.all) >= MAX_ARMED:
-            raise RecordingRefused(f"{MAX_ARMED} recordings wait for triggers already: delete one first", taken=True)
+            raise RecordingRefused(
+                f"{MAX_ARMED} recordings wait for triggers already: delete one first", is_conflict=True
+            )
         record_step(f"have the recording {name} wait for its trigger")
         end_dry_run()
         one = self.all[name] = ArmedRecording(name, order, agent)
@@ -191,14 +193,14 @@ class ArmedRecordings:
     def _begin_next(self, one: ArmedRecording, may_record: MayRecord) -> bool:
         """Start the next recording of an order, which is unchanged on failure; return whether it is the last."""
         is_last = one.count + 1 >= one.trigger.limit
-        kept = dict(self.all)
+        previous = dict(self.all)
         if is_last:
             del self.all[one.name]  # a single recording has the name of its order
         try:
             self._begin(replace(one.order, name=self._next_name(one)), may_record)
         except BaseException:
             self.all.clear()
-            self.all.update(kept)
+            self.all.update(previous)
             raise
         one.count += 1
         one.problem = None

@@ -43,7 +43,7 @@ _CHECKED = 1 << 20
 
 _EXPORT_SECONDS = 3600.0
 """Maximum seconds of one export: enough for a hundred gigabytes."""
-_MAX_WAITING = 4
+_MAX_PENDING = 4
 
 
 class CannotExport(ValueError):
@@ -65,13 +65,13 @@ ROSBAG2 = ExportFormat("rosbag2", Encoding.CDR, "application/x-tar", ".tar", "a 
 EXPORT_FORMATS = {each.name: each for each in (BAG, ROSBAG2)}
 
 
-def require_encoding(name: str, encoding: Encoding, wanted: ExportFormat) -> None:
+def require_encoding(name: str, encoding: Encoding, format: ExportFormat) -> None:
     """Raise CannotExport if the messages of a recording are of the other ROS, whose encoding differs."""
-    if encoding is not wanted.encoding:
+    if encoding is not format.encoding:
         own = next(each for each in EXPORT_FORMATS.values() if each.encoding is encoding)
         version = 1 if encoding is Encoding.ROS1 else 2
         raise CannotExport(
-            f"the messages of {name} are of ROS {version}, which {wanted.about} cannot hold: ?format={own.name} is "
+            f"the messages of {name} are of ROS {version}, which {format.about} cannot hold: ?format={own.name} is "
             f"{own.about}, and rosbags-convert (of the PyPI package rosbags) makes one of the other ROS of that"
         )
 
@@ -82,24 +82,24 @@ class BagExports:
     def __init__(self, settings: Settings) -> None:
         self._options = AdapterOptions(types=settings.types)
         self._workers = WorkerPool(1, _EXPORT_SECONDS, subject="recording")
-        self._waiting = 0
+        self._pending = 0
 
-    async def make(self, recording: Recording, wanted: ExportFormat, target: Path) -> FileIO:
+    async def make(self, recording: Recording, format: ExportFormat, target: Path) -> FileIO:
         """Convert a recording to a file at `target`, and return it open; closing it leaves nothing on the disk.
 
         Raises CannotExport, OSError, RosError, and Problem 503 if too many exports are waiting.
         """
-        if self._waiting >= _MAX_WAITING:
+        if self._pending >= _MAX_PENDING:
             words = "Too many recordings are being converted: try again."
             raise Problem(503, words, headers={"Retry-After": "30"})
-        self._waiting += 1
+        self._pending += 1
         try:
             await self._workers.run(
-                partial(export_archive, recording.path, target, wanted, recording.name, self._options)
+                partial(export_archive, recording.path, target, format, recording.name, self._options)
             )
             return await asyncio.to_thread(FileIO, target)
         finally:
-            self._waiting -= 1
+            self._pending -= 1
             await asyncio.to_thread(_remove, target)
 
     async def close(self) -> None:
@@ -117,35 +117,35 @@ def _folder_of(target: Path) -> Path:
     return target.with_name(f"{target.name}.folder")
 
 
-def export_archive(source: Path, target: Path, wanted: ExportFormat, name: str, options: AdapterOptions) -> None:
+def export_archive(source: Path, target: Path, format: ExportFormat, name: str, options: AdapterOptions) -> None:
     """Write the recording at a path as a single file or archive, in which it has this name. Raises as `export`."""
-    if wanted == BAG:
-        export(source, target, wanted, options)
+    if format == BAG:
+        export(source, target, format, options)
         return
     folder = _folder_of(target) / name
-    export(source, folder, wanted, options)
+    export(source, folder, format, options)
     with tarfile.open(target, "w") as archive:
         archive.add(folder, name)
 
 
-def export(source: Path, target: Path, wanted: ExportFormat, options: AdapterOptions) -> None:
+def export(source: Path, target: Path, format: ExportFormat, options: AdapterOptions) -> None:
     """Write the recording at a path as a bag: a file for ROS 1, a folder for ROS 2. Slow, but needs little memory.
 
     Raises CannotExport, OSError for the disk, and RosError if the recording cannot be read.
     """
     try:
-        asyncio.run(_export(source, target, wanted, options))
+        asyncio.run(_export(source, target, format, options))
     except (rosbag1.WriterError, rosbag2.WriterError, UnicodeError, struct.error) as error:
-        raise CannotExport(f"{source.name} cannot be written as {wanted.about}: {error}") from error
+        raise CannotExport(f"{source.name} cannot be written as {format.about}: {error}") from error
 
 
-async def _export(source: Path, target: Path, wanted: ExportFormat, options: AdapterOptions) -> None:
+async def _export(source: Path, target: Path, format: ExportFormat, options: AdapterOptions) -> None:
     adapter = adapter_for(f"recording:{source}", options)
     await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + _OPEN_SECONDS)
     try:
         (recording,) = adapter.recordings.values()
-        require_encoding(recording.name, adapter.capabilities.encoding, wanted)
-        write = write_bag if wanted == BAG else write_rosbag2
+        require_encoding(recording.name, adapter.capabilities.encoding, format)
+        write = write_bag if format == BAG else write_rosbag2
         write(recording, target)
     finally:
         await adapter.close()

@@ -48,9 +48,9 @@ def channel_of(topic: str, sample: Sample, *, is_opening: bool = False) -> Chann
     return Channel(topic, sample.schema, sample.encoding, sample.publisher, sample.latched, is_opening)
 
 
-def channel_record(number: int, schema: int, one: Channel) -> bytes:
+def channel_record(number: int, schema: int, channel: Channel) -> bytes:
     """Return the MCAP record of a channel, with the metadata that rosbag and rosbag2 write."""
-    return mcap.channel(number, schema, one.topic, one.encoding.value, _metadata(one))
+    return mcap.channel(number, schema, channel.topic, channel.encoding.value, _metadata(channel))
 
 
 def schema_record(number: int, type: TypeRef, encoding: Encoding, definition: str) -> bytes:
@@ -61,11 +61,11 @@ def schema_record(number: int, type: TypeRef, encoding: Encoding, definition: st
 def read_channel(fields: Fields, types: Mapping[int, str]) -> tuple[int, Channel]:
     """Return a channel and its number; `types` maps schema numbers to names. Raises ValueError, KeyError."""
     number, schema = fields.uint(2), fields.uint(2)
-    topic, encoding, said = fields.text(), Encoding(fields.text()), fields.texts()
-    is_latched = said.get("latching") == "1" or "transient_local" in said.get("offered_qos_profiles", "")
-    hash = said.get("md5sum") or said.get("topic_type_hash") or None
-    type, is_opening = TypeRef(types[schema], hash), said.get(OPENING) == "1"
-    return number, Channel(topic, type, encoding, said.get("callerid", ""), is_latched, is_opening)
+    topic, encoding, metadata = fields.text(), Encoding(fields.text()), fields.texts()
+    is_latched = metadata.get("latching") == "1" or "transient_local" in metadata.get("offered_qos_profiles", "")
+    hash = metadata.get("md5sum") or metadata.get("topic_type_hash") or None
+    type, is_opening = TypeRef(types[schema], hash), metadata.get(OPENING) == "1"
+    return number, Channel(topic, type, encoding, metadata.get("callerid", ""), is_latched, is_opening)
 
 
 def model_name(recorded: str) -> str:
@@ -78,11 +78,11 @@ def _recorded_name(name: str, encoding: Encoding) -> str:
     return name.replace("/msg/", "/") if encoding is Encoding.ROS1 else name
 
 
-def _metadata(one: Channel) -> Mapping[str, str]:
-    said = {"callerid": one.publisher} if one.publisher else {}
-    said |= {OPENING: "1"} if one.is_opening else {}
-    if one.encoding is Encoding.ROS1:
-        said |= {"topic": one.topic, "latching": "1" if one.latched else "0"}
-        return said | ({"md5sum": one.type.hash} if one.type.hash else {})
-    said["offered_qos_profiles"] = _LATCHED if one.latched else ""
-    return said | ({"topic_type_hash": one.type.hash} if one.type.hash else {})
+def _metadata(channel: Channel) -> Mapping[str, str]:
+    metadata = {"callerid": channel.publisher} if channel.publisher else {}
+    metadata |= {OPENING: "1"} if channel.is_opening else {}
+    if channel.encoding is Encoding.ROS1:
+        metadata |= {"topic": channel.topic, "latching": "1" if channel.latched else "0"}
+        return metadata | ({"md5sum": channel.type.hash} if channel.type.hash else {})
+    metadata["offered_qos_profiles"] = _LATCHED if channel.latched else ""
+    return metadata | ({"topic_type_hash": channel.type.hash} if channel.type.hash else {})

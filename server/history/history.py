@@ -37,25 +37,25 @@ class FileDigests:
     def __init__(self) -> None:
         self.revision = 0
         """Number that changes when another digest becomes known."""
-        self._known: dict[Path, str | None] = {}
+        self._digests: dict[Path, str | None] = {}
         self._changes = Signal()
 
-    def known(self, path: Path) -> str | None:
+    def peek(self, path: Path) -> str | None:
         """Return the hexadecimal digest of a recording's file, or None while it is unknown."""
-        return self._known.get(path)
+        return self._digests.get(path)
 
     def get(self, path: Path) -> str | None:
         """Return the digest if it is known; the first call starts its computation. Always None for several files."""
-        if path not in self._known:
-            self._known[path] = None
+        if path not in self._digests:
+            self._digests[path] = None
             loop = asyncio.get_running_loop()
             # A daemon thread, so that shutdown does not wait for a large file.
             threading.Thread(target=self._compute, args=(path, loop), name="digest", daemon=True).start()
-        return self._known[path]
+        return self._digests[path]
 
     def forget(self, path: Path) -> None:
         """Forget the digest of a deleted file, whose name may be reused."""
-        self._known.pop(path, None)
+        self._digests.pop(path, None)
 
     def watch(self, path: Path, wake: Callable[[], None]) -> Watch:
         """Call `wake` once the digest of a recording is known."""
@@ -72,7 +72,7 @@ class FileDigests:
                 loop.call_soon_threadsafe(self._found, path, found)
 
     def _found(self, path: Path, digest: str) -> None:
-        self._known[path] = digest
+        self._digests[path] = digest
         self.revision += 1
         self._changes.emit(str(path))
 
@@ -209,9 +209,9 @@ class HistoryRecording:
             raise Unreachable(f"the history of {topic} cannot be read: {error}") from error
         return None if sample is None else RecordedMessage(sample.sequence - 1, topic, sample)
 
-    def select(self, wanted: MessageFilter, limit: int) -> MessagePage:
+    def select(self, criteria: MessageFilter, limit: int) -> MessagePage:
         """Return at most `limit` messages; reads only the chunks that the index selects."""
-        return select_messages(self._writer, wanted, limit)
+        return select_messages(self._writer, criteria, limit)
 
     def blocks_between(self, topic: str, from_ns: int, until_ns: int) -> Iterator[MessageBlock]:
         """Yield the messages of a topic between two times, in any order and without unreadable ones."""
@@ -293,7 +293,7 @@ class History:
         self._failure: str | None = None
 
     @property
-    def is_kept(self) -> bool:
+    def is_enabled(self) -> bool:
         """Whether the history is enabled and could be opened."""
         return bool(self._globs) and self._failure is None
 
@@ -314,7 +314,7 @@ class History:
 
     async def start(self) -> None:
         """Open the history in a thread, and start recording; on failure the server runs without it."""
-        if not self.is_kept:
+        if not self.is_enabled:
             return
         try:
             await asyncio.to_thread(self.writer.open)
@@ -324,21 +324,21 @@ class History:
             return
         self._live.add(self.writer, self.will_record)
 
-    def copy_to(self, sink: Sink, wants: Callable[[str], bool], since_ns: int) -> Collection[str]:
+    def copy_to(self, sink: Sink, selects: Callable[[str], bool], since_ns: int) -> Collection[str]:
         """Copy the messages since a time to a sink, after those latched at that time; return their topics.
 
         Called on the recorder's thread.
         """
         copied: set[str] = set()
-        if not self.is_kept:
+        if not self.is_enabled:
             return copied
         self.writer.write_all()
         segments = self.writer.segments
         with contextlib.suppress(OSError, ValueError, KeyError):  # a damaged or removed segment
-            for topic, sample in self.writer.latched_at(since_ns, wants):
+            for topic, sample in self.writer.latched_at(since_ns, selects):
                 sink.add(topic, sample)
                 copied.add(topic)
-        for topic in filter(wants, list(self.writer.types)):
+        for topic in filter(selects, list(self.writer.types)):
             for row in segments.index.of_topic(topic, since_ns, _FOR_EVER):
                 with contextlib.suppress(OSError, ValueError, KeyError):  # a damaged or removed segment
                     for channel, sample in segments.messages_of(row):
@@ -349,5 +349,5 @@ class History:
 
     def close(self) -> None:
         """Close the files, after recording has ended."""
-        if self.is_kept:
+        if self.is_enabled:
             self.writer.segments.close()

@@ -177,7 +177,7 @@ class HistoryWriter:
             samples = [each for row in rows for _, each in self.segments.messages_of(row)]
         return max((each for each in samples if each.received_ns <= time_ns), key=_received, default=None)
 
-    def latched_at(self, time_ns: int, wants: Callable[[str], bool]) -> list[tuple[str, Sample]]:
+    def latched_at(self, time_ns: int, selects: Callable[[str], bool]) -> list[tuple[str, Sample]]:
         """Return the latest latched messages from before a time, of wanted topics, in the order of receipt.
 
         Reads those that open the segment of that time, and those received in it. Raises OSError, ValueError.
@@ -188,12 +188,12 @@ class HistoryWriter:
         if row is not None:
             for channel, sample in self.segments.opening(row.id):
                 found.take(channel.topic, sample)
-            for topic in {one.topic for one in index.channels(row.id).values() if one.latched and wants(one.topic)}:
+            for topic in {one.topic for one in index.channels(row.id).values() if one.latched and selects(one.topic)}:
                 chunks = [each for each in index.of_topic(topic, 0, time_ns) if each.segment == row.id]
                 for _, sample in (one for each in chunks for one in self.segments.messages_of(each)):
                     if sample.received_ns < time_ns:
                         found.take(topic, sample)
-        return found.messages(wants)
+        return found.messages(selects)
 
     def _unwritten(self, number: int) -> tuple[Channel, Sample] | None:
         with self._lock:

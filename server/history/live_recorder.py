@@ -20,18 +20,20 @@ class LiveRecorder:
         self._adapter = adapter
         self._recorder = Recorder()
         self._feed = LiveFeed(adapter, self._recorder, self._sinks_of, learn)
-        self._wanted: dict[Sink, Callable[[str], bool]] = {}
+        self._selectors: dict[Sink, Callable[[str], bool]] = {}
         self._running = False
 
-    def add(self, sink: Sink, wants: Callable[[str], bool], begin: Callable[[], Collection[str]] | None = None) -> None:
-        """Record the topics selected by `wants` to a sink from now on.
+    def add(
+        self, sink: Sink, selects: Callable[[str], bool], begin: Callable[[], Collection[str]] | None = None
+    ) -> None:
+        """Record the topics for which `selects` is true to a sink from now on.
 
         `begin` is called first, on the recorder's thread; it returns the topics of which it gave the sink earlier
         messages. For all other topics the sink receives the earlier latched messages.
         """
-        self._wanted[sink] = wants
+        self._selectors[sink] = selects
         self._feed.assign()
-        latched = self._feed.latched.messages(wants)
+        latched = self._feed.latched.messages(selects)
 
         def start() -> None:
             self._recorder.add_sink(sink)
@@ -48,20 +50,20 @@ class LiveRecorder:
 
     def latched(self, sink: Sink) -> list[tuple[str, Sample]]:
         """Return the latched messages of a sink's topics, in the order of receipt (thread-safe)."""
-        wants = self._wanted.get(sink)
-        return [] if wants is None else self._feed.latched.messages(wants)
+        selects = self._selectors.get(sink)
+        return [] if selects is None else self._feed.latched.messages(selects)
 
     def silent(self, sink: Sink, globs: Sequence[str], recorded: Collection[str]) -> Sequence[str]:
         """Return the topics and globs of a sink that are not in `recorded`."""
-        wants, topics = self._wanted.get(sink), self._adapter.graph.topics
-        if wants is None:
+        selects, topics = self._selectors.get(sink), self._adapter.graph.topics
+        if selects is None:
             return ()
         idle = [glob for glob in globs if not any(fnmatchcase(topic, glob) for topic in (*topics, *recorded))]
-        return sorted({*idle, *(topic for topic in topics if topic not in recorded and wants(topic))})
+        return sorted({*idle, *(topic for topic in topics if topic not in recorded and selects(topic))})
 
     async def remove(self, sink: Sink) -> None:
         """Stop recording to a sink, and close it."""
-        if self._wanted.pop(sink, None) is None:
+        if self._selectors.pop(sink, None) is None:
             return
         # In this order: messages received so far still belong to the sink, later ones do not.
         self._feed.take()
@@ -81,7 +83,7 @@ class LiveRecorder:
     def dropped(self) -> Counter[str]:
         """Return the numbers of lost messages by topic."""
         found: Counter[str] = Counter()
-        for each in (self._recorder.dropped, self._feed.lost):
+        for each in (self._recorder.dropped, self._feed.dropped):
             found.update(dict(each))
         return found
 
@@ -101,4 +103,4 @@ class LiveRecorder:
             await asyncio.to_thread(self._recorder.stop)
 
     def _sinks_of(self, topic: str) -> tuple[Sink, ...]:
-        return tuple(sink for sink, wants in self._wanted.items() if wants(topic))
+        return tuple(sink for sink, selects in self._selectors.items() if selects(topic))

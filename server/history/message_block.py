@@ -42,10 +42,10 @@ class ChunkRows(NamedTuple):
 
     def select(self, from_ns: int, until_ns: int) -> ChunkRows:
         """Return the messages between two times (inclusive)."""
-        wanted = (self.times >= from_ns) & (self.times <= until_ns)
-        if wanted.all():
+        within = (self.times >= from_ns) & (self.times <= until_ns)
+        if within.all():
             return self
-        return ChunkRows(self.channel, self.sequences[wanted], self.times[wanted], self.data[wanted])
+        return ChunkRows(self.channel, self.sequences[within], self.times[within], self.data[within])
 
 
 def rows_of(records: bytes) -> ChunkRows | None:
@@ -104,7 +104,7 @@ class _Layout:
     """Layout of a message: `guards` are the offsets of bytes that must be equal in all, `places` those of numbers."""
 
     def __init__(
-        self, types: Mapping[str, MessageType], encoding: Encoding, data: bytes, wanted: frozenset[tuple[str, ...]]
+        self, types: Mapping[str, MessageType], encoding: Encoding, data: bytes, paths: frozenset[tuple[str, ...]]
     ) -> None:
         self.guards: list[tuple[int, int]] = []
         self.places: dict[tuple[str, ...], tuple[int, str]] = {}
@@ -114,7 +114,7 @@ class _Layout:
         self._data = data
         self._start = _CDR_HEAD if self._is_cdr else 0
         self._at = self._start
-        self._wanted = wanted
+        self._paths = paths
         if self._is_cdr:
             self.guards.append((0, _CDR_HEAD))
 
@@ -139,7 +139,7 @@ class _Layout:
         elif kind.name in _DTYPES:
             code = _DTYPES[kind.name]
             self._align(np.dtype(code).itemsize)
-            if path in self._wanted:
+            if path in self._paths:
                 self.places[path] = self._at, self._order + code
             self._at += np.dtype(code).itemsize
         else:

@@ -40,11 +40,11 @@ def read_past(recording: Recording, ranges: Sequence[PastRange]) -> Iterator[Mes
             yield from _in_pages(recording, each)
 
 
-def _in_pages(recording: Recording, wanted: PastRange) -> Iterator[MessageBlock]:
+def _in_pages(recording: Recording, span: PastRange) -> Iterator[MessageBlock]:
     start: int | None = recording.first
     while start is not None:
-        one = MessageFilter(frozenset({wanted.topic}), wanted.from_ns, wanted.until_ns, start)
-        page = recording.select(one, _PAGE)
+        criteria = MessageFilter(frozenset({span.topic}), span.from_ns, span.until_ns, start)
+        page = recording.select(criteria, _PAGE)
         yield MessageBlock.of(page.messages)
         start = page.next
 
@@ -93,12 +93,12 @@ def clip_ranges(ranges: Sequence[PastRange], bound: int, *, is_newest: bool) -> 
     return [each for each in clipped if each.from_ns <= each.until_ns]
 
 
-def _spans(recording: Recording, wanted: PastRange, most: int, *, is_newest: bool) -> Iterator[tuple[int, int, int]]:
+def _spans(recording: Recording, span: PastRange, most: int, *, is_newest: bool) -> Iterator[tuple[int, int, int]]:
     """Yield start, end and number of messages of time ranges; altogether more than `most` messages, or all."""
     if isinstance(recording, HistoryRecording):
-        yield from recording.spans_at_end(*wanted, most + 1, is_newest=is_newest)  # each span has at least one message
+        yield from recording.spans_at_end(*span, most + 1, is_newest=is_newest)  # each span has at least one message
         return
-    count = recording.topics[wanted.topic].count
+    count = recording.topics[span.topic].count
     start, end = recording.start_ns, recording.end_ns
     if count <= most or end <= start:
         yield start, end, count
@@ -106,5 +106,5 @@ def _spans(recording: Recording, wanted: PastRange, most: int, *, is_newest: boo
     pieces = min(count, _PIECES)
     for piece in range(pieces):
         begins, ends = (start + (end - start) * (piece + side) // pieces for side in (0, 1))
-        if ends >= wanted.from_ns and begins <= wanted.until_ns:
+        if ends >= span.from_ns and begins <= span.until_ns:
             yield begins, ends, max(1, count // pieces)

@@ -56,8 +56,8 @@ class Recorder:
         self.dropped: Counter[str] = Counter()
         """Messages dropped because the queue was full, by topic."""
         self._queue: queue.SimpleQueue[_Work] = queue.SimpleQueue()
-        self._put_bytes = 0
-        self._taken_bytes = 0
+        self._queued_bytes = 0
+        self._processed_bytes = 0
         self._sinks: list[Sink] = []
         self._thread: threading.Thread | None = None
 
@@ -68,18 +68,18 @@ class Recorder:
 
     def put(self, arrivals: Sequence[Arrival]) -> None:
         """Queue messages for writing; drop and count those that do not fit."""
-        room = MAX_QUEUED - (self._put_bytes - self._taken_bytes)
-        taken: list[Arrival] = []
+        room = MAX_QUEUED - (self._queued_bytes - self._processed_bytes)
+        accepted: list[Arrival] = []
         for each in arrivals:
             size = len(each.sample.data) + SAMPLE_OVERHEAD
             if size > room:
                 self.dropped[each.topic] += 1
                 continue
             room -= size
-            self._put_bytes += size
-            taken.append(each)
-        if taken:
-            self._queue.put(taken)
+            self._queued_bytes += size
+            accepted.append(each)
+        if accepted:
+            self._queue.put(accepted)
 
     def run(self, work: Callable[[], None]) -> None:
         """Run a function on the thread, after the messages queued before."""
@@ -123,7 +123,7 @@ class Recorder:
             work()
             return
         for topic, sample, sinks in work:
-            self._taken_bytes += len(sample.data) + SAMPLE_OVERHEAD
+            self._processed_bytes += len(sample.data) + SAMPLE_OVERHEAD
             for sink in sinks:
                 sink.add(topic, sample)
 
@@ -154,12 +154,12 @@ class LatchedMessages:
         """Remove the messages of publishers that no longer exist, by topic and name."""
         self._samples = {key: samples for key, samples in list(self._samples.items()) if is_there(*key)}
 
-    def messages(self, wants: Callable[[str], bool]) -> list[tuple[str, Sample]]:
+    def messages(self, selects: Callable[[str], bool]) -> list[tuple[str, Sample]]:
         """Return the messages of wanted topics, in the order of receipt."""
         found = [
             (topic, sample)
             for (topic, _), samples in list(self._samples.items())
-            if samples and wants(topic)
+            if samples and selects(topic)
             for sample in samples
         ]
         return sorted(found, key=lambda one: one[1].received_ns)

@@ -16,11 +16,11 @@ from rosld.server.storage.files import remove_note, write_note
 
 
 class RecordingRefused(Exception):
-    """A recording is refused: its name is in use (`taken`), it is too large (`is_too_large`), else it is invalid."""
+    """A recording is refused: `is_conflict` with others, `is_too_large`, else its order is invalid."""
 
-    def __init__(self, words: str, *, taken: bool = False, is_too_large: bool = False) -> None:
+    def __init__(self, words: str, *, is_conflict: bool = False, is_too_large: bool = False) -> None:
         super().__init__(words)
-        self.taken = taken
+        self.is_conflict = is_conflict
         self.is_too_large = is_too_large
 
 

@@ -136,7 +136,7 @@ class Recordings:
     @property
     def revision(self) -> Hashable:
         """Value that changes with the set of recordings, and every few seconds while something is recorded."""
-        is_recording = self.history.is_kept or bool(self._running)
+        is_recording = self.history.is_enabled or bool(self._running)
         moment = int(time.monotonic() / _REVISION_SECONDS) if is_recording else 0
         return self._changes, self._armed.revision, moment
 
@@ -152,7 +152,7 @@ class Recordings:
     @property
     def readable(self) -> Mapping[str, Recording]:
         """All readable recordings by name: the history, those of clients, those of the source."""
-        own = {HISTORY: self.history.recording} if self.history.is_kept else {}
+        own = {HISTORY: self.history.recording} if self.history.is_enabled else {}
         return {**own, **self.finished, **self._adapter.recordings}
 
     def find(self, name: str) -> Recording | None:
@@ -160,7 +160,7 @@ class Recordings:
         found, opened = self._adapter.recordings.get(name), self._opened.get(name)
         if found is None and opened is not None:
             return opened[1]
-        if found is None and name == HISTORY and self.history.is_kept:
+        if found is None and name == HISTORY and self.history.is_enabled:
             return self.history.recording
         return found
 
@@ -205,7 +205,7 @@ class Recordings:
     def begin(self, order: RecordingOrder, may_record: MayRecord) -> RunningRecording:
         """Start a recording of the topics that may be recorded. Raises RecordingRefused, and OSError for the disk."""
         if len(self._running) >= _MAX_RUNNING:
-            raise RecordingRefused(f"{_MAX_RUNNING} recordings are being made already: end one first", taken=True)
+            raise RecordingRefused(f"{_MAX_RUNNING} recordings are being made already: end one first", is_conflict=True)
         name = self._free_name(order.name)
         record_step(f"record {', '.join(order.topics)} as {name}"[:_LONGEST_STEP])
         end_dry_run()
@@ -214,11 +214,11 @@ class Recordings:
         writer = RecordingWriter(self._path(name, SUFFIX), encoding, self._definition_of, require_room, since)
         self._running[name] = one = RunningRecording(name, order, writer, self._live.dropped())
 
-        def wants(topic: str) -> bool:
+        def selects(topic: str) -> bool:
             return any(fnmatchcase(topic, glob) for glob in order.topics) and may_record(topic)
 
-        copy = (lambda: self.history.copy_to(writer, wants, since)) if order.before > 0 else None
-        self._live.add(writer, wants, copy)
+        copy = (lambda: self.history.copy_to(writer, selects, since)) if order.before > 0 else None
+        self._live.add(writer, selects, copy)
         if order.duration is not None:
             one.ends_at = loop_time() + order.duration
             one.timer = asyncio.get_running_loop().call_later(order.duration, self._end_soon, one)
@@ -238,7 +238,7 @@ class Recordings:
 
     def can_be_named(self, name: str) -> bool:
         """Whether a name is valid and unused."""
-        return FILE_NAME.fullmatch(name) is not None and not self._is_taken(name)
+        return FILE_NAME.fullmatch(name) is not None and not self._is_used(name)
 
     async def end(self, name: str) -> None:
         """End a recording, which can then be read. Does nothing if it does not exist."""
@@ -301,9 +301,9 @@ class Recordings:
         own = self._opened.get(recording.name)
         return (self._adapter if own is None else own[0]).capabilities.encoding
 
-    async def export(self, recording: Recording, wanted: ExportFormat) -> FileIO:
+    async def export(self, recording: Recording, format: ExportFormat) -> FileIO:
         """Return an open file with a recording in a format. Raises CannotExport, OSError, RosError, and Problems."""
-        return await self.history.exports.make(recording, wanted, self._path(f".{secrets.token_hex(8)}", DRAFT))
+        return await self.history.exports.make(recording, format, self._path(f".{secrets.token_hex(8)}", DRAFT))
 
     def dropped(self, one: RunningRecording) -> Mapping[str, int]:
         """Return the numbers of messages lost since a recording began, by topic."""
@@ -332,7 +332,7 @@ class Recordings:
     def _since(self, before: float) -> int:
         """Return the start of a recording that includes the last `before` seconds, limited to those in the history."""
         now = time.time_ns()
-        oldest = self.history.recording.start_ns if self.history.is_kept else 0
+        oldest = self.history.recording.start_ns if self.history.is_enabled else 0
         return min(max(now - int(before * 1e9), oldest or now), now)
 
     def _end_soon(self, one: RunningRecording) -> asyncio.Task[None]:
@@ -390,13 +390,13 @@ class Recordings:
         (recording,) = adapter.recordings.values()
         return adapter, recording
 
-    def _free_name(self, wanted: str | None) -> str:
-        if wanted is not None:
-            self._require_free(wanted)
-            return wanted
+    def _free_name(self, requested: str | None) -> str:
+        if requested is not None:
+            self._require_free(requested)
+            return requested
         name = base = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         number = 1
-        while self._is_taken(name):
+        while self._is_used(name):
             number += 1
             name = f"{base}-{number}"
         return name
@@ -410,19 +410,19 @@ class Recordings:
             file = self._unreadable[name]
             raise RecordingRefused(
                 f"There is a file {file.path.name} already, which cannot be opened: DELETE it, or take another name",
-                taken=True,
+                is_conflict=True,
             )
-        if self._is_taken(name):
+        if self._is_used(name):
             can_be_deleted = name != HISTORY and name not in self._adapter.recordings
             way = "DELETE it, or take another name" if can_be_deleted else "take another name"
-            raise RecordingRefused(f"There is a recording {name} already: {way}", taken=True)
+            raise RecordingRefused(f"There is a recording {name} already: {way}", is_conflict=True)
 
-    def _is_taken(self, name: str) -> bool:
-        known = (
+    def _is_used(self, name: str) -> bool:
+        owners = (
             *(self._running, self.armed, self._opened, self._unreadable, self._receiving),
             self._adapter.recordings,
         )
-        return name == HISTORY or any(name in each for each in known)
+        return name == HISTORY or any(name in each for each in owners)
 
     def _path(self, name: str, suffix: str) -> Path:
         if self._folder is None:

@@ -91,17 +91,17 @@ class Segments:
             return 0
         self.folder.mkdir(parents=True, exist_ok=True)
         self._index = _open_index(self.folder / _INDEX)
-        known = {row.name: row for row in self._index.segments()}
+        indexed = {row.name: row for row in self._index.segments()}
         for path in sorted(self.folder.glob(f"*{_SUFFIX}")):
-            row = known.pop(path.name, None)
+            row = indexed.pop(path.name, None)
             file = DiskFile(path)
             if row is not None and row.finished and row.size == file.size:
                 file.close()
                 self._files[row.id] = file
             else:
                 self._recover(file, row)
-        for gone in known.values():
-            self._index.remove_segment(gone.id)
+        for missing in indexed.values():
+            self._index.remove_segment(missing.id)
         self.refresh()
         return self._rows[-1].next if self._rows else 0
 
@@ -152,13 +152,13 @@ class Segments:
 
     def channels_of(self, segment: int) -> Mapping[int, Channel]:
         """Return the indexed channels of a segment by number."""
-        known = self._channels.get(segment)
+        channels = self._channels.get(segment)
         is_finished = any(row.id == segment and row.finished for row in self._rows)
-        if known is None or not is_finished:
-            known = self.index.channels(segment)
+        if channels is None or not is_finished:
+            channels = self.index.channels(segment)
             if is_finished:
-                self._channels = {segment: known}
-        return known
+                self._channels = {segment: channels}
+        return channels
 
     def message(self, number: int) -> tuple[Channel, Sample] | None:
         """Return a message by number, or None. Raises OSError, ValueError."""
@@ -171,9 +171,9 @@ class Segments:
         Raises OSError, ValueError; KeyError if it was removed.
         """
         channels = self.index.channels(row.segment)
-        wanted = None if number is None else number & 0xFFFFFFFF
+        sequence = None if number is None else number & 0xFFFFFFFF
         for each in read_chunk(self._files[row.segment], row.at, row.length):
-            if wanted is None or each.sequence == wanted:
+            if sequence is None or each.sequence == sequence:
                 channel = channels[each.channel]
                 yield channel, sample_of(channel, each, row.first + ((each.sequence - row.first) & 0xFFFFFFFF))
 

@@ -12,10 +12,10 @@ from rosld.server.history.history_writer import HistoryWriter
 log = logging.getLogger("rosld.history")
 
 
-def select_messages(writer: HistoryWriter, wanted: MessageFilter, limit: int) -> MessagePage:
+def select_messages(writer: HistoryWriter, criteria: MessageFilter, limit: int) -> MessagePage:
     """Return at most `limit` messages of the history, of about `PAGE_BYTES` in total."""
-    at_hand = _unwritten(writer, wanted)  # first: what is written meanwhile is then in both, not in neither
-    rows = _written(writer, wanted, limit + 1)
+    at_hand = _unwritten(writer, criteria)  # first: what is written meanwhile is then in both, not in neither
+    rows = _written(writer, criteria, limit + 1)
     found: list[RecordedMessage] = []
     read: dict[int, RecordedMessage] = {}
     size = 0
@@ -33,58 +33,58 @@ def select_messages(writer: HistoryWriter, wanted: MessageFilter, limit: int) ->
     return MessagePage(found, None)
 
 
-def _unwritten(writer: HistoryWriter, wanted: MessageFilter) -> dict[int, RecordedMessage]:
+def _unwritten(writer: HistoryWriter, criteria: MessageFilter) -> dict[int, RecordedMessage]:
     return {
         number: RecordedMessage(number, channel.topic, sample)
         for number, channel, sample in writer.unwritten_messages()
-        if (wanted.topics is None or channel.topic in wanted.topics) and _is_wanted(number, sample, wanted)
+        if (criteria.topics is None or channel.topic in criteria.topics) and _matches(number, sample, criteria)
     }
 
 
-def _written(writer: HistoryWriter, wanted: MessageFilter, limit: int) -> dict[int, ChunkRow]:
+def _written(writer: HistoryWriter, criteria: MessageFilter, limit: int) -> dict[int, ChunkRow]:
     """Return the chunks of the first `limit` messages in the index, by number."""
     found: dict[int, ChunkRow] = {}
     for segment in writer.segments.rows:
-        if segment.next <= wanted.start or segment.first >= wanted.end:
+        if segment.next <= criteria.start or segment.first >= criteria.end:
             continue
-        if not segment.end_ns or segment.end_ns < wanted.from_ns or segment.start_ns > wanted.to_ns:
+        if not segment.end_ns or segment.end_ns < criteria.from_ns or segment.start_ns > criteria.to_ns:
             continue
-        for topic in (None,) if wanted.topics is None else sorted(wanted.topics):
-            found |= _of_segment(writer, segment.id, topic, wanted, limit)
+        for topic in (None,) if criteria.topics is None else sorted(criteria.topics):
+            found |= _of_segment(writer, segment.id, topic, criteria, limit)
         if len(found) >= limit:
             break  # numbers increase from segment to segment
     return {number: found[number] for number in sorted(found)[:limit]}
 
 
 def _of_segment(
-    writer: HistoryWriter, segment: int, topic: str | None, wanted: MessageFilter, limit: int
+    writer: HistoryWriter, segment: int, topic: str | None, criteria: MessageFilter, limit: int
 ) -> dict[int, ChunkRow]:
     """Return the chunks of the first `limit` messages of a topic (None: of all) in a segment, by number."""
     found: dict[int, ChunkRow] = {}
     after = -1
     while True:
         batch = writer.segments.index.of_numbers(
-            segment, topic, wanted.start, wanted.from_ns, wanted.to_ns, after, limit
+            segment, topic, criteria.start, criteria.from_ns, criteria.to_ns, after, limit
         )
         for row in batch:
             if len(found) >= limit and row.first > sorted(found)[limit - 1]:
                 return found  # this chunk and the following ones start after the last wanted message
-            found |= dict.fromkeys(_numbers(writer, row, wanted), row)
+            found |= dict.fromkeys(_numbers(writer, row, criteria), row)
         if len(batch) < limit:
             return found
         after = batch[-1].first
 
 
-def _numbers(writer: HistoryWriter, row: ChunkRow, wanted: MessageFilter) -> list[int]:
+def _numbers(writer: HistoryWriter, row: ChunkRow, criteria: MessageFilter) -> list[int]:
     """Return the wanted numbers of a chunk, which is read only if it is partly outside the times."""
-    if wanted.from_ns <= row.start_ns and row.end_ns <= wanted.to_ns:
-        return [each for each in unpack_numbers(row).tolist() if wanted.start <= each < wanted.end]
+    if criteria.from_ns <= row.start_ns and row.end_ns <= criteria.to_ns:
+        return [each for each in unpack_numbers(row).tolist() if criteria.start <= each < criteria.end]
     read = _messages(writer, row).values()
-    return [each.index for each in read if _is_wanted(each.index, each.sample, wanted)]
+    return [each.index for each in read if _matches(each.index, each.sample, criteria)]
 
 
-def _is_wanted(number: int, sample: Sample, wanted: MessageFilter) -> bool:
-    return wanted.start <= number < wanted.end and wanted.from_ns <= sample.received_ns <= wanted.to_ns
+def _matches(number: int, sample: Sample, criteria: MessageFilter) -> bool:
+    return criteria.start <= number < criteria.end and criteria.from_ns <= sample.received_ns <= criteria.to_ns
 
 
 def _messages(writer: HistoryWriter, row: ChunkRow) -> dict[int, RecordedMessage]:

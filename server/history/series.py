@@ -81,44 +81,44 @@ class SeriesTooLong(ValueError):
     """A series requires more messages than one request may read."""
 
 
-def read_series(writer: HistoryWriter, topic: str, field: str, wanted: SeriesRange, values: Values) -> Series:
+def read_series(writer: HistoryWriter, topic: str, field: str, span: SeriesRange, values: Values) -> Series:
     """Return the series of a topic's field, whose numbers are read by `values`.
 
     The statistics of chunks are cached in the index. Raises SeriesTooLong, OSError, and ValueError for a damaged chunk.
     """
-    rows = writer.segments.index.of_topic(topic, wanted.from_ns, wanted.to_ns)
-    unwritten = [each for each in writer.unwritten(topic) if wanted.from_ns <= each.received_ns <= wanted.to_ns]
-    if sum(row.messages for row in rows) + len(unwritten) <= wanted.points:
+    rows = writer.segments.index.of_topic(topic, span.from_ns, span.to_ns)
+    unwritten = [each for each in writer.unwritten(topic) if span.from_ns <= each.received_ns <= span.to_ns]
+    if sum(row.messages for row in rows) + len(unwritten) <= span.points:
         samples = [*unwritten, *(sample for row in rows for _, sample in writer.segments.messages_of(row))]
-        within = (each for each in samples if wanted.from_ns <= each.received_ns <= wanted.to_ns)
+        within = (each for each in samples if span.from_ns <= each.received_ns <= span.to_ns)
         found = ((each.received_ns, values.value_of(each)) for each in sorted(within, key=_received))
         return Series([Point(at, single(value)) for at, value in found if value is not None], is_reduced=False)
     intervals: dict[int, Statistic] = {}
 
     def add(interval: int, statistic: Statistic | None) -> None:
         if statistic is not None:
-            known = intervals.get(interval)
-            intervals[interval] = statistic if known is None else known.join(statistic)
+            previous = intervals.get(interval)
+            intervals[interval] = statistic if previous is None else previous.join(statistic)
 
-    known = writer.segments.index.statistics(topic, field, wanted.from_ns, wanted.to_ns)
+    known = writer.segments.index.statistics(topic, field, span.from_ns, span.to_ns)
     read = 0
     for row in rows:
-        is_whole = wanted.from_ns <= row.start_ns and row.end_ns <= wanted.to_ns
-        interval = wanted.interval(row.start_ns) if is_whole else -1
-        is_one = is_whole and interval == wanted.interval(row.end_ns)
-        if is_one and (kept := known.get((row.segment, row.at))) is not None:
-            add(interval, Statistic(*kept) if kept[3] else None)
+        is_whole = span.from_ns <= row.start_ns and row.end_ns <= span.to_ns
+        interval = span.interval(row.start_ns) if is_whole else -1
+        is_one = is_whole and interval == span.interval(row.end_ns)
+        if is_one and (entry := known.get((row.segment, row.at))) is not None:
+            add(interval, Statistic(*entry) if entry[3] else None)
             continue
         read += row.messages
         if read > MAX_READ:
             raise SeriesTooLong(f"more than {MAX_READ} messages would be read")
-        numbers = values.values_of(MessageBlock(writer.segments, row, wanted.from_ns, wanted.to_ns))
+        numbers = values.values_of(MessageBlock(writer.segments, row, span.from_ns, span.to_ns))
         if is_one:
             add(interval, _of_chunk(writer, row, field, numbers))
         else:
-            _add_each(add, wanted, numbers)
-    _add_each(add, wanted, ((each.received_ns, values.value_of(each)) for each in unwritten))
-    return Series([Point(wanted.begin(each), intervals[each]) for each in sorted(intervals)], is_reduced=True)
+            _add_each(add, span, numbers)
+    _add_each(add, span, ((each.received_ns, values.value_of(each)) for each in unwritten))
+    return Series([Point(span.begin(each), intervals[each]) for each in sorted(intervals)], is_reduced=True)
 
 
 def single(value: float) -> Statistic:
@@ -127,10 +127,10 @@ def single(value: float) -> Statistic:
 
 
 def _add_each(
-    add: Callable[[int, Statistic | None], None], wanted: SeriesRange, numbers: Iterable[tuple[int, float | None]]
+    add: Callable[[int, Statistic | None], None], span: SeriesRange, numbers: Iterable[tuple[int, float | None]]
 ) -> None:
     for at, value in numbers:
-        add(wanted.interval(at), None if value is None else single(value))
+        add(span.interval(at), None if value is None else single(value))
 
 
 def _of_chunk(

@@ -23,7 +23,7 @@ _MAX_ALL_BYTES = 64 * 1024 * 1024
 """Maximum bytes of all queues together, in equal shares, beyond their initial depth."""
 _CALM = 300
 """Number of polls, half a minute, after which an underused queue is made shallower."""
-_MAX_HELD = 1000
+_MAX_DELAYED = 1000
 
 
 class TopicFeed:
@@ -33,10 +33,10 @@ class TopicFeed:
         self.topic = topic
         self.depth = depth
         self.subscription = subscription
-        self.lost = 0
+        self.dropped = 0
         """Number of messages that left the queue before they were read."""
         self._latest: Sequence[Sample] = ()
-        self._taken: dict[str, tuple[int, int]] = {}
+        self._positions: dict[str, tuple[int, int]] = {}
         self._most = 0
         self._looks = 0
 
@@ -47,10 +47,10 @@ class TopicFeed:
             return []
         self._latest = latest
         new: list[Sample] = []
-        single = len(self._taken) == 1
+        single = len(self._positions) == 1
         for sample in reversed(latest):
-            taken = self._taken.get(sample.publisher)
-            if taken is None or (sample.epoch, sample.sequence) > taken:
+            position = self._positions.get(sample.publisher)
+            if position is None or (sample.epoch, sample.sequence) > position:
                 new.append(sample)
             elif single:
                 break  # all others are older
@@ -59,7 +59,7 @@ class TopicFeed:
             self._note(sample)
         return new
 
-    def wanted_depth(self, new: Sequence[Sample], max_bytes: int) -> int:
+    def next_depth(self, new: Sequence[Sample], max_bytes: int) -> int:
         """Return the depth that the queue needs for the messages of four polls, within `max_bytes`.
 
         The depth decreases only after `_CALM` polls that needed much less, so that a burst does not use memory forever.
@@ -74,7 +74,7 @@ class TopicFeed:
         most, self._most, self._looks = self._most, 0, 0
         return max(self.depth // 4, _DEPTH) if most * 32 < self.depth else self.depth
 
-    async def subscribe_anew(self, adapter: Adapter, depth: int) -> None:
+    async def resubscribe(self, adapter: Adapter, depth: int) -> None:
         """Subscribe with another depth, then close the previous subscription."""
         other = await adapter.subscribe(self.topic, depth=depth)
         self.subscription.close()
@@ -82,12 +82,12 @@ class TopicFeed:
 
     def _note(self, sample: Sample) -> None:
         name, now = sample.publisher, (sample.epoch, sample.sequence)
-        taken = self._taken.get(name)
-        if taken is not None and taken[0] == now[0]:
-            self.lost += max(now[1] - taken[1] - 1, 0)
-        if taken is None and name and "" in self._taken:
-            del self._taken[""]  # the name of the publisher is known by now
-        self._taken[name] = now
+        previous = self._positions.get(name)
+        if previous is not None and previous[0] == now[0]:
+            self.dropped += max(now[1] - previous[1] - 1, 0)
+        if previous is None and name and "" in self._positions:
+            del self._positions[""]  # the name of the publisher is known by now
+        self._positions[name] = now
 
 
 class LiveFeed:
@@ -103,7 +103,7 @@ class LiveFeed:
         sinks_of: Callable[[str], tuple[Sink, ...]],
         learn: Callable[[TypeRef], Awaitable[object]],
     ) -> None:
-        self.lost: Counter[str] = Counter()
+        self.dropped: Counter[str] = Counter()
         """Messages that left the queues before they were read, by topic."""
         self.latched = LatchedMessages()
         """Latched messages of recorded topics whose publishers exist and whose types are known."""
@@ -113,8 +113,8 @@ class LiveFeed:
         self._learn = learn
         self._feeds: dict[str, TopicFeed] = {}
         self._sinks: dict[str, tuple[Sink, ...]] = {}
-        self._known: set[TypeRef] = set()
-        self._held: dict[TypeRef, list[Arrival]] = {}
+        self._loaded_types: set[TypeRef] = set()
+        self._delayed: dict[TypeRef, list[Arrival]] = {}
         self._learning: set[asyncio.Task[None]] = set()
         self._task: asyncio.Task[None] | None = None
         self._changed = True
@@ -157,7 +157,7 @@ class LiveFeed:
                 self._changed = False
                 await self._follow(self._adapter.graph.topics)
             for feed, depth in self._look():
-                await feed.subscribe_anew(self._adapter, depth)
+                await feed.resubscribe(self._adapter, depth)
             await asyncio.sleep(PERIOD)
 
     async def _follow(self, topics: Iterable[str]) -> None:
@@ -186,36 +186,36 @@ class LiveFeed:
         max_bytes = min(MAX_BYTES, _MAX_ALL_BYTES // max(len(self._feeds), 1))
         for topic, feed in self._feeds.items():
             new = feed.take()
-            depth = feed.wanted_depth(new, max_bytes)
+            depth = feed.next_depth(new, max_bytes)
             if depth != feed.depth:
                 changes.append((feed, depth))
             sinks = self._sinks.get(topic, ())
             for sample in new:
                 arrival = Arrival(topic, sample, sinks)
-                if sample.schema in self._known:
+                if sample.schema in self._loaded_types:
                     self.latched.take(topic, sample)
                     arrivals.append(arrival)
                 else:
-                    self._hold(arrival)
-            if feed.lost:
-                self.lost[topic] += feed.lost
-                feed.lost = 0
+                    self._delay(arrival)
+            if feed.dropped:
+                self.dropped[topic] += feed.dropped
+                feed.dropped = 0
         if arrivals:
             self._recorder.put(arrivals)
         return changes
 
-    def _hold(self, arrival: Arrival) -> None:
+    def _delay(self, arrival: Arrival) -> None:
         type = arrival.sample.schema
-        held = self._held.get(type)
-        if held is None:
-            held = self._held[type] = []
+        delayed = self._delayed.get(type)
+        if delayed is None:
+            delayed = self._delayed[type] = []
             task = asyncio.get_running_loop().create_task(self._learn_type(type))
             self._learning.add(task)
             task.add_done_callback(self._learning.discard)
-        if len(held) < _MAX_HELD:
-            held.append(arrival)
+        if len(delayed) < _MAX_DELAYED:
+            delayed.append(arrival)
         else:
-            self.lost[arrival.topic] += 1
+            self.dropped[arrival.topic] += 1
 
     async def _learn_type(self, type: TypeRef) -> None:
         try:
@@ -223,11 +223,11 @@ class LiveFeed:
         except RosError:
             pass  # recorded without its definition
         finally:
-            self._known.add(type)
-            held = self._held.pop(type, [])
-            for topic, sample, _ in held:
+            self._loaded_types.add(type)
+            delayed = self._delayed.pop(type, [])
+            for topic, sample, _ in delayed:
                 self.latched.take(topic, sample)
-            self._recorder.put([each._replace(sinks=self._sinks_since(each)) for each in held])
+            self._recorder.put([each._replace(sinks=self._sinks_since(each)) for each in delayed])
 
     def _sinks_since(self, arrival: Arrival) -> tuple[Sink, ...]:
         """Return the sinks of a delayed message, including those added meanwhile, which it may open."""

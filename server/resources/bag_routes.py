@@ -200,7 +200,7 @@ class BagUpload(BagBase):
         try:
             await self.recordings.receive(self.name, chunks)
         except RecordingRefused as error:
-            status = 409 if error.taken else 413 if error.is_too_large else 422
+            status = 409 if error.is_conflict else 413 if error.is_too_large else 422
             raise Problem(status, f"{error}.") from error
         except OSError as error:
             raise Problem(507, f"The recording cannot be stored: {error.strerror or error}.") from error
@@ -293,7 +293,7 @@ class BagContainer(BagBase):
         try:
             resource = await self._begin(order, exchange)
         except RecordingRefused as error:
-            raise Problem(409 if error.taken else 422, f"{error}.") from error
+            raise Problem(409 if error.is_conflict else 422, f"{error}.") from error
         except OSError as error:
             raise Problem(507, f"The recording cannot be stored: {error.strerror or error}.") from error
         return CreatedAnswer(resource.url, resource, await resource.state())

@@ -104,7 +104,7 @@ def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> 
     with contextlib.suppress(OSError):
         size = recording.path.stat().st_size if recording.path.is_file() else None
     why = recordings.interruption(recording.name)
-    digest, status = history.digests.known(recording.path), None if why is None else "interrupted"
+    digest, status = history.digests.peek(recording.path), None if why is None else "interrupted"
     return bag_document(BagView(recording, digest, size=size, problem=why, status=status), space)
 
 

@@ -59,7 +59,7 @@ _T = TypeVar("_T")
 
 def is_recorded(history: History, topic: str) -> bool:
     """Whether there are mementos of a topic."""
-    return history.is_kept and topic in history.writer.types
+    return history.is_enabled and topic in history.writer.types
 
 
 def timegate_links(url: str) -> tuple[Link, ...]:
@@ -333,8 +333,8 @@ class TimeGate(CommandResource):
         self.things = things
         self.states = states
         self.history = history
-        self.links = (*self._own_links(), *(timegate_links(self.url) if history.is_kept else ()))
-        self._headers = {"vary": VARY} if history.is_kept else {}
+        self.links = (*self._own_links(), *(timegate_links(self.url) if history.is_enabled else ()))
+        self._headers = {"vary": VARY} if history.is_enabled else {}
         """Headers of the current state, against caching for requests of other times."""
 
     def _own_links(self) -> tuple[Link, ...]:
@@ -386,11 +386,11 @@ def asked_time(history: History, url: str, exchange: Exchange) -> tuple[int, str
     if exchange.method not in ("GET", "HEAD") or ("at" not in exchange.query and wanted is None):
         return None
     if "at" not in exchange.query:
-        if wanted is None or not history.is_kept:
+        if wanted is None or not history.is_enabled:
             return None
         at_ns = min(parse_accept_datetime(wanted), time.time_ns() - SETTLED_NS)
         raise found(memento_url(url, at_ns), timegate_links(url))
-    if not history.is_kept:
+    if not history.is_enabled:
         raise Problem(404, _NOT_KEPT)
     text = exchange.query["at"]
     return read_time(text, time.time_ns()), text
@@ -400,7 +400,7 @@ def asks_for_time_map(history: History, exchange: Exchange) -> bool:
     """Whether a request is one for the mementos that there are. Raises a 404 Problem where there are none."""
     if exchange.method not in ("GET", "HEAD") or "timemap" not in exchange.query:
         return False
-    if not history.is_kept:
+    if not history.is_enabled:
         raise Problem(404, _NOT_KEPT)
     return True
 

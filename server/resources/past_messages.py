@@ -76,7 +76,7 @@ class RecordedPast:
             raise Problem(400, words)
         if named:
             return [by_url[url] for url in sorted(named)]
-        if self._recordings.history.is_kept:
+        if self._recordings.history.is_enabled:
             return [self._recordings.history.recording]
         if self._session.adapter.recordings:
             return list(self._session.adapter.recordings.values())

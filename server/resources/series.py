@@ -193,7 +193,7 @@ def series_of(space: Space, history: History, topic: str, exchange: Exchange) ->
 def require_history(history: History, topic: str) -> None:
     """Raise a 404 Problem without a history of a topic."""
     if not is_recorded(history, topic):
-        if history.is_kept and history.will_record(topic):
+        if history.is_enabled and history.will_record(topic):
             raise Problem(404, f"Nothing is recorded of {topic} yet: its first message will be.")
         words = f"start rosld with --history {topic}, or --history '*' for all topics"
         raise Problem(404, f"Nothing is recorded of {topic}: {words}.")

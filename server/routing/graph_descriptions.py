@@ -182,7 +182,7 @@ class GraphDescriptions:
         urls = bag_urls(space, recordings)
         yield _container(space.container("bags"), urls, "Recordings")
         for recording in recordings.readable.values():
-            digest = recordings.history.digests.known(recording.path)
+            digest = recordings.history.digests.peek(recording.path)
             why = recordings.interruption(recording.name)
             size = recording.first, recording.count, recordings.history.problem, digest, why
             yield _described(space.bag(recording.name), size, partial(describe_bag, space, recordings, recording))

@@ -45,7 +45,7 @@ from rosld.server.storage.record_table import NumberedRecord, RecordTable
 from rosld.server.storage.sqlite import BLOBS, DATABASE, connect
 
 FORMAT = 1
-_ABOUT, _RECORDS, _GONE = "rosld.json", "records.jsonl", "gone.jsonl"
+_ABOUT, _RECORDS, _TOMBSTONES = "rosld.json", "records.jsonl", "gone.jsonl"
 _COMPRESSION = 4
 _SMALL = 64 * 1024
 _MAX_NUMBER = 1 << 62
@@ -70,11 +70,11 @@ def pack(folder: Path, file: IO[bytes], base: str) -> ArchiveCounts:
         contextlib.closing(blobs),
         blobs.hold_files(),
         tempfile.TemporaryFile() as records,
-        tempfile.TemporaryFile() as gone,
+        tempfile.TemporaryFile() as tombstones,
     ):
         ids = list[str]()
         count = 0
-        for entry in _snapshot(folder, gone):
+        for entry in _snapshot(folder, tombstones):
             count += 1
             records.write(_line(_entry_json(entry)))
             if entry.record.blob is not None:
@@ -87,22 +87,22 @@ def pack(folder: Path, file: IO[bytes], base: str) -> ArchiveCounts:
         ):
             _add(tar, _ABOUT, io.BytesIO(_line(about)))
             _add(tar, _RECORDS, records)
-            _add(tar, _GONE, gone)
+            _add(tar, _TOMBSTONES, tombstones)
             for id in ids:
                 with blobs.path(id).open("rb") as blob:
                     _add(tar, f"blobs/{id}", blob)
     return ArchiveCounts(count, len(ids))
 
 
-def _snapshot(folder: Path, gone: IO[bytes]) -> Iterator[NumberedRecord]:
-    """Yield all entries from one snapshot; at the end write the paths of the removed records to `gone`."""
+def _snapshot(folder: Path, tombstones: IO[bytes]) -> Iterator[NumberedRecord]:
+    """Yield all entries from one snapshot; at the end write the paths of the removed records to `tombstones`."""
     try:
         with contextlib.closing(connect(folder)) as connection:
             table = RecordTable(connection)
             connection.execute("BEGIN")
             yield from table.all_records()
             for path in table.tombstones():
-                gone.write(_line(path))
+                tombstones.write(_line(path))
             connection.execute("ROLLBACK")
     except sqlite3.Error as error:
         raise database_error(error) from error
@@ -146,10 +146,10 @@ class ArchiveReader:
         ):
             try:
                 with _sound():
-                    count, sizes, gone = self._check_records(records)
+                    count, sizes, tombstones = self._check_records(records)
                     self._blobs(sizes, new, blobs)
                     moved = _Moved(self.base, base, new)
-                    freed = _replace_all(connection, (moved.entry(_entry(line)) for line in records), gone)
+                    freed = _replace_all(connection, (moved.entry(_entry(line)) for line in records), tombstones)
             except BaseException:
                 for id in new.values():
                     blobs.discard(id)
@@ -165,7 +165,7 @@ class ArchiveReader:
             _check(_entry(line).record, sizes)
             count += 1
         records.seek(0)
-        return count, sizes, [_path(json.loads(line)) for line in self._member(_GONE)]
+        return count, sizes, [_path(json.loads(line)) for line in self._member(_TOMBSTONES)]
 
     def _member(self, name: str) -> IO[bytes]:
         """Return the next member of the archive, which must have this name."""
@@ -211,8 +211,8 @@ class _Moved:
                 membership.content and self._iri(membership.content),
             )
         begins = b"<" + self._new.encode()
-        said = unpack_triples(record.triples)
-        triples = pack_triples(self._token.sub(lambda found: begins if found[0][:1] == b"<" else found[0], said))
+        ntriples = unpack_triples(record.triples)
+        triples = pack_triples(self._token.sub(lambda found: begins if found[0][:1] == b"<" else found[0], ntriples))
         member = record.member and self._iri(record.member)
         return replace(record, triples=triples, member=member, membership=membership)
 
@@ -220,12 +220,14 @@ class _Moved:
         return self._new + iri[len(self._old) :] if iri.startswith(self._old) else iri
 
 
-def _replace_all(connection: sqlite3.Connection, entries: Iterable[NumberedRecord], gone: Iterable[str]) -> list[str]:
+def _replace_all(
+    connection: sqlite3.Connection, entries: Iterable[NumberedRecord], tombstones: Iterable[str]
+) -> list[str]:
     """Replace all records with these entries; return the ids of the blobs that are no longer referenced."""
     table = RecordTable(connection)
     try:
         table.begin()
-        freed = table.restore(entries, gone, time.time_ns())
+        freed = table.restore(entries, tombstones, time.time_ns())
         table.commit()
     except sqlite3.Error as error:
         raise database_error(error) from error
@@ -236,7 +238,7 @@ def _replace_all(connection: sqlite3.Connection, entries: Iterable[NumberedRecor
 
 def _entry_json(entry: NumberedRecord) -> dict[str, object]:
     record = entry.record
-    told: dict[str, object] = {
+    members: dict[str, object] = {
         "number": entry.number,
         "path": record.path,
         "model": record.model.value,
@@ -245,54 +247,56 @@ def _entry_json(entry: NumberedRecord) -> dict[str, object]:
         "triples": unpack_triples(record.triples).decode("utf-8", "surrogateescape"),
     }
     if record.member is not None:
-        told["member"] = record.member
+        members["member"] = record.member
     if record.blob is not None:
-        told["blob"] = asdict(record.blob)
+        members["blob"] = asdict(record.blob)
     if record.membership is not None:
-        told["membership"] = asdict(record.membership)
-    return told
+        members["membership"] = asdict(record.membership)
+    return members
 
 
 def _entry(line: bytes) -> NumberedRecord:
     """Return the entry on a line. Raises ValueError, KeyError or TypeError for other contents."""
-    told = json.loads(line)
-    number, created, modified = told["number"], told["created"], told["modified"]
+    members = json.loads(line)
+    number, created, modified = members["number"], members["created"], members["modified"]
     if not all(type(value) is int and 0 < value < _MAX_NUMBER for value in (number, created, modified)):
-        raise ValueError(f"{told['path']!r} has no sound number or time")
-    blob, membership = told.get("blob"), told.get("membership")
+        raise ValueError(f"{members['path']!r} has no sound number or time")
+    blob, membership = members.get("blob"), members.get("membership")
     record = Record(
-        _path(told["path"]),
-        Model(told["model"]),
+        _path(members["path"]),
+        Model(members["model"]),
         0,
         created,
         modified,
-        pack_triples(told["triples"].encode("utf-8", "surrogateescape")),
+        pack_triples(members["triples"].encode("utf-8", "surrogateescape")),
         None if blob is None else _blob(blob),
         None if membership is None else _membership(membership),
-        None if told.get("member") is None else _member(told["member"]),
+        None if members.get("member") is None else _member(members["member"]),
     )
     return NumberedRecord(number, record)
 
 
-def _blob(told: Mapping[str, object]) -> Blob:
-    size = told["size"]
+def _blob(members: Mapping[str, object]) -> Blob:
+    size = members["size"]
     if type(size) is not int or not 0 <= size < _MAX_NUMBER:
         raise ValueError(f"{size!r} is no size")
     return Blob(
-        _require_match(ID, told["id"], "an id"), size, _require_match(_MEDIA_TYPE, told["media_type"], "a media type")
+        _require_match(ID, members["id"], "an id"),
+        size,
+        _require_match(_MEDIA_TYPE, members["media_type"], "a media type"),
     )
 
 
-def _member(told: object) -> str:
-    return NO_MEMBER if told == NO_MEMBER else _require_match(_IRI, told, "an IRI")
+def _member(value: object) -> str:
+    return NO_MEMBER if value == NO_MEMBER else _require_match(_IRI, value, "an IRI")
 
 
-def _membership(told: Mapping[str, object]) -> Membership:
-    content = told["content"]
+def _membership(members: Mapping[str, object]) -> Membership:
+    content = members["content"]
     return Membership(
-        _require_match(_IRI, told["resource"], "an IRI"),
-        _require_match(_IRI, told["relation"], "an IRI"),
-        told["inverse"] is True,
+        _require_match(_IRI, members["resource"], "an IRI"),
+        _require_match(_IRI, members["relation"], "an IRI"),
+        members["inverse"] is True,
         None if content is None else _require_match(_IRI, content, "an IRI"),
     )
 
@@ -317,9 +321,9 @@ def _path(value: object) -> str:
     return _require_match(_PATH, value, "a path")
 
 
-def _require_match(pattern: re.Pattern[str], value: object, what: str) -> str:
+def _require_match(pattern: re.Pattern[str], value: object, kind: str) -> str:
     if not isinstance(value, str) or pattern.fullmatch(value) is None:
-        raise ValueError(f"{value!r} is not {what}")
+        raise ValueError(f"{value!r} is not {kind}")
     return value
 
 

@@ -168,19 +168,19 @@ def _disk_errors() -> Iterator[None]:
 
 async def _fill(file: int, chunks: AsyncIterator[bytes], limit: int) -> int:
     """Write the chunks; return the size in bytes. Exceptions of `chunks` are propagated."""
-    size, held, waiting = 0, 0, list[bytes]()
+    size, buffered, buffer = 0, 0, list[bytes]()
     async for chunk in chunks:
         size += len(chunk)
         if size > limit:
             raise ValueError(f"more than {limit} bytes were sent")
-        waiting.append(chunk)
-        held += len(chunk)
-        if held > _AT_ONCE:
+        buffer.append(chunk)
+        buffered += len(chunk)
+        if buffered > _AT_ONCE:
             with _disk_errors():
-                await _finish(_write, file, waiting)
-            held, waiting = 0, []
+                await _finish(_write, file, buffer)
+            buffered, buffer = 0, []
     with _disk_errors():
-        _write(file, waiting)
+        _write(file, buffer)
     return size
 
 
@@ -251,13 +251,13 @@ class ReceivedBlobs:
 
     def claim(self, ids: Iterable[str]) -> list[str]:
         """Stop the timers of blobs, because a write refers to them; return those that had one."""
-        taken = []
+        claimed = []
         for id in ids:
             timer = self._timers.pop(id, None)
             if timer is not None:
                 timer.cancel()
-                taken.append(id)
-        return taken
+                claimed.append(id)
+        return claimed
 
     def discard(self, id: str) -> None:
         """Remove a blob that no write refers to."""

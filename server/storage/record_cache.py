@@ -18,42 +18,42 @@ _EACH = 1024
 class RecordCache:
     """Cache of records by path, which returns the same object until it is dropped or evicted."""
 
-    __slots__ = ("_kept", "_limit", "_weight")
+    __slots__ = ("_limit", "_records", "_weight")
 
     def __init__(self, limit: int = MAX_WEIGHT) -> None:
-        self._kept: OrderedDict[str, Record] = OrderedDict()
+        self._records: OrderedDict[str, Record] = OrderedDict()
         self._limit = limit
         self._weight = 0
 
     def get(self, path: str) -> Record | None:
         """Return a cached record, or None."""
-        kept = self._kept
-        found = kept.get(path)
+        records = self._records
+        found = records.get(path)
         if found is not None:
-            kept.move_to_end(path)
+            records.move_to_end(path)
         return found
 
     def peek(self, path: str) -> Record | None:
         """Return a cached record, or None, from any thread; does not defer its eviction."""
-        return self._kept.get(path)
+        return self._records.get(path)
 
     def put(self, record: Record) -> None:
         """Add a record, and evict the least recently used ones above the limit."""
         self.drop(record.path)
-        self._kept[record.path] = record
+        self._records[record.path] = record
         self._weight += _EACH + len(record.triples)
         while self._weight > self._limit:
-            self._weight -= _EACH + len(self._kept.popitem(last=False)[1].triples)
+            self._weight -= _EACH + len(self._records.popitem(last=False)[1].triples)
 
     def drop(self, path: str) -> None:
         """Remove a record."""
-        old = self._kept.pop(path, None)
+        old = self._records.pop(path, None)
         if old is not None:
             self._weight -= _EACH + len(old.triples)
 
     def clear(self) -> None:
         """Remove all records."""
-        self._kept.clear()
+        self._records.clear()
         self._weight = 0
 
 

@@ -38,26 +38,30 @@ def pack_triples(ntriples: bytes) -> bytes:
     return _HEAD.pack(_MARK, len(ntriples)) + zlib.compress(ntriples, _LEVEL)
 
 
-def unpack_triples(kept: bytes) -> bytes:
+def unpack_triples(stored: bytes) -> bytes:
     """Return the plain form of N-Triples, compressed or not."""
-    return zlib.decompress(memoryview(kept)[_HEAD.size :], bufsize=unpacked_size(kept)) if is_packed(kept) else kept
+    return (
+        zlib.decompress(memoryview(stored)[_HEAD.size :], bufsize=unpacked_size(stored))
+        if is_packed(stored)
+        else stored
+    )
 
 
-def unpack_prefix(kept: bytes, size: int) -> bytes:
+def unpack_prefix(stored: bytes, size: int) -> bytes:
     """Return the first `size` bytes of the N-Triples, without decompressing the rest."""
-    if not is_packed(kept):
-        return kept[:size]
-    return zlib.decompressobj().decompress(memoryview(kept)[_HEAD.size :], size)
+    if not is_packed(stored):
+        return stored[:size]
+    return zlib.decompressobj().decompress(memoryview(stored)[_HEAD.size :], size)
 
 
-def is_packed(kept: bytes) -> bool:
+def is_packed(stored: bytes) -> bool:
     """Whether N-Triples are compressed."""
-    return kept[: len(_MARK)] == _MARK
+    return stored[: len(_MARK)] == _MARK
 
 
-def unpacked_size(kept: bytes) -> int:
+def unpacked_size(stored: bytes) -> int:
     """Return the size in bytes of the plain N-Triples."""
-    return int(_HEAD.unpack_from(kept)[1]) if is_packed(kept) else len(kept)
+    return int(_HEAD.unpack_from(stored)[1]) if is_packed(stored) else len(stored)
 
 
 def is_large(record: Record) -> bool:
@@ -87,8 +91,8 @@ def record_document(record: Record, url: str, members: Sequence[str], membership
     document = url + META if record.model is Model.NON_RDF_SOURCE else url
     contained = triples_about(NamedNode(url), *statements(ldp.contains, map(NamedNode, members))) if members else ()
     times = client_times(record, url)
-    said = parse_ntriples(_beside(times, record))
-    return Document(document, (*_managed(record, url, times), *contained, *said, *membership))
+    stated = parse_ntriples(_without_times(times, record))
+    return Document(document, (*_managed(record, url, times), *contained, *stated, *membership))
 
 
 def managed_triples(record: Record, url: str) -> tuple[Triple, ...]:
@@ -99,10 +103,12 @@ def managed_triples(record: Record, url: str) -> tuple[Triple, ...]:
     return _managed(record, url, client_times(record, url))
 
 
-def _managed(record: Record, url: str, said: ClientTimes) -> tuple[Triple, ...]:
-    times = said.created + (said.modified if _is_new(record) else b"")
-    created = () if said.created else ((dcterms.created, date_time_literal(record.created_ns)),)
-    modified = () if said.modified and _is_new(record) else ((dcterms.modified, date_time_literal(record.modified_ns)),)
+def _managed(record: Record, url: str, stated: ClientTimes) -> tuple[Triple, ...]:
+    times = stated.created + (stated.modified if _is_new(record) else b"")
+    created = () if stated.created else ((dcterms.created, date_time_literal(record.created_ns)),)
+    modified = (
+        () if stated.modified and _is_new(record) else ((dcterms.modified, date_time_literal(record.modified_ns)),)
+    )
     classes = ((rdf.type, each) for each in rdf_types(record.model))
     return (*triples_about(NamedNode(url), *classes, *created, *modified, *_of_file(record)), *parse_ntriples(times))
 
@@ -121,7 +127,7 @@ class ClientTimes(NamedTuple):
     modified: bytes
 
 
-_UNSAID = ClientTimes(b"", b"")
+_NOT_STATED = ClientTimes(b"", b"")
 
 
 def client_times(record: Record, url: str) -> ClientTimes:
@@ -129,20 +135,20 @@ def client_times(record: Record, url: str) -> ClientTimes:
     left = unpack_prefix(record.triples, len(TIMES) * (len(url) + MAX_TIME_BYTES))
     subject, lines = f"<{url}> ".encode(), []
     if not left.startswith(subject):
-        return _UNSAID
+        return _NOT_STATED
     for predicate in _SPELT_TIMES:
-        is_said = left.startswith(subject + predicate)
-        line, left = (left[: left.index(b"\n") + 1], left[left.index(b"\n") + 1 :]) if is_said else (b"", left)
+        is_stated = left.startswith(subject + predicate)
+        line, left = (left[: left.index(b"\n") + 1], left[left.index(b"\n") + 1 :]) if is_stated else (b"", left)
         lines.append(line)
     return ClientTimes(*lines)
 
 
 def client_ntriples(record: Record, url: str) -> bytes:
     """Return the client's statements about a resource, without its times, as N-Triples."""
-    return _beside(client_times(record, url), record)
+    return _without_times(client_times(record, url), record)
 
 
-def _beside(times: ClientTimes, record: Record) -> bytes:
+def _without_times(times: ClientTimes, record: Record) -> bytes:
     return unpack_triples(record.triples)[sum(map(len, times)) :]
 
 

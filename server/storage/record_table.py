@@ -66,13 +66,13 @@ class RecordTable:
     """
 
     def __init__(
-        self, connection: sqlite3.Connection, known: Callable[[str], Record | None] = lambda path: None
+        self, connection: sqlite3.Connection, cached: Callable[[str], Record | None] = lambda path: None
     ) -> None:
         self._execute: Callable[..., sqlite3.Cursor] = connection.execute
         self._connection = connection
-        self._known = known
+        self._cached = cached
         self._next = 0
-        self._seen = self._data_version()
+        self._data_version_read = self._data_version()
         self.identity = str(self._execute("SELECT value FROM property WHERE name = 'identity'").fetchone()[0])
         latest = self._latest()
         self.version = (latest // OPENING + 1) * OPENING if latest else 0
@@ -133,7 +133,7 @@ class RecordTable:
             rows = self._execute(SELECT_CHANGES, (after, limit)).fetchall()
         except sqlite3.Error as error:
             raise database_error(error) from error
-        return [RecordChange(path, version, bool(gone)) for path, version, gone in rows]
+        return [RecordChange(path, version, bool(is_removed)) for path, version, is_removed in rows]
 
     def blob_ids(self) -> set[str]:
         """Return the ids of all blobs that records refer to."""
@@ -149,8 +149,8 @@ class RecordTable:
 
     def changed_elsewhere(self) -> bool:
         """Whether another process has changed the database since the last call."""
-        seen, self._seen = self._seen, self._data_version()
-        if seen == self._seen:
+        previous, self._data_version_read = self._data_version_read, self._data_version()
+        if previous == self._data_version_read:
             return False
         self.version = max(self.version, self._latest())
         return True
@@ -221,7 +221,7 @@ class RecordTable:
         self.version = self._next
         return record
 
-    def restore(self, entries: Iterable[NumberedRecord], gone: Iterable[str], now: int) -> list[str]:
+    def restore(self, entries: Iterable[NumberedRecord], tombstones: Iterable[str], now: int) -> list[str]:
         """Replace all records with these, with new versions; return the ids of the blobs that are no longer referenced.
 
         Call between `begin` and `commit`. Existing records that are not in `entries` are removed; tombstones of records
@@ -232,18 +232,18 @@ class RecordTable:
         before = [row[0] for row in self._execute("SELECT path FROM record ORDER BY id")]
         self._execute("DELETE FROM record")
         self._execute("DELETE FROM list")
-        counts, numbers, there = dict[int, int](), {"": 0}, set[str]()
+        counts, numbers, restored = dict[int, int](), {"": 0}, set[str]()
         last = 0
         for number, record in entries:
             container = numbers.get(container_of(record.path))
-            if container is None or number <= last or record.path in there:
+            if container is None or number <= last or record.path in restored:
                 raise ValueError(f"{record.path} comes without its container, or twice")
             last = number
             # A number is the version in which its record was created (`_insert`): continue above all restored numbers.
             self._next = max(self._next, number) + 1
             self._row(number, self._next, container, record)
             self._execute("DELETE FROM gone WHERE path = ?", (record.path,))
-            there.add(record.path)
+            restored.add(record.path)
             counts[container] = counts.get(container, 0) + 1
             if record.model.is_container:
                 numbers[record.path] = number
@@ -252,13 +252,13 @@ class RecordTable:
             self._next += 1
             self._execute("UPDATE list SET version = ?, count = ? WHERE container = ?", (self._next, count, container))
         for path in before:
-            if path not in there and not container_of(path):
+            if path not in restored and not container_of(path):
                 self._insert(Put(path, Model.BASIC_CONTAINER), 0, now)
-            elif path not in there:
+            elif path not in restored:
                 self._next += 1
                 self._execute("INSERT OR REPLACE INTO gone VALUES (?, ?)", (path, self._next))
-        for path in gone:
-            if path not in there:
+        for path in tombstones:
+            if path not in restored:
                 self._next += 1
                 self._execute("INSERT OR IGNORE INTO gone VALUES (?, ?)", (path, self._next))
         return freed
@@ -294,16 +294,16 @@ class RecordTable:
     def _rewritten(self, put: Put, now: int) -> Record | None:
         """Replace only the triples of a cached RDF source; return None if the write needs more than that."""
         path, triples = put.path, put.triples
-        known = self._known(path) if put.model is Model.RDF_SOURCE else None
-        if known is None or known.model is not Model.RDF_SOURCE:
+        cached = self._cached(path) if put.model is Model.RDF_SOURCE else None
+        if cached is None or cached.model is not Model.RDF_SOURCE:
             return None
-        if put.expected not in (None, known.version) or put.member not in (None, known.member):
+        if put.expected not in (None, cached.version) or put.member not in (None, cached.member):
             return None
-        version, modified = self._next + 1, max(now, known.modified_ns)
-        if self._execute(UPDATE_TRIPLES, (version, modified, triples, path, known.version)).rowcount != 1:
+        version, modified = self._next + 1, max(now, cached.modified_ns)
+        if self._execute(UPDATE_TRIPLES, (version, modified, triples, path, cached.version)).rowcount != 1:
             return None
         self._next = version
-        return Record(path, known.model, version, known.created_ns, modified, triples, member=known.member)
+        return Record(path, cached.model, version, cached.created_ns, modified, triples, member=cached.member)
 
     def _make(self, put: Put, applied: Effects, now: int) -> None:
         path = put.path
@@ -371,10 +371,10 @@ class RecordTable:
         path = remove.path
         present = self._present(path)
         if present is None:
-            gone = self._execute("SELECT 1 FROM gone WHERE path = ?", (path,)).fetchone() is not None
+            is_tombstone = self._execute("SELECT 1 FROM gone WHERE path = ?", (path,)).fetchone() is not None
             raise (
                 Conflict(path, "it was deleted", ConflictCause.GONE)
-                if gone
+                if is_tombstone
                 else Conflict(path, "it is not there", ConflictCause.MISSING)
             )
         _expect(remove, present)

@@ -271,7 +271,7 @@ class Records:
                 self._received.keep(outcome.unused)
                 self._renew(outcome)
                 self._note(batch.writes, outcome)
-                self._tell(outcome)
+                self._notify(outcome)
                 self._freed.extend(outcome.freed)
             else:
                 self._received.keep(batch.received)
@@ -337,7 +337,7 @@ class Records:
 
         return end
 
-    def _tell(self, applied: Effects) -> None:
+    def _notify(self, applied: Effects) -> None:
         if self._watchers:
             self._wake(applied.changes())
 
@@ -399,10 +399,10 @@ class _Writer:
     """
 
     def __init__(
-        self, connection: sqlite3.Connection, known: Callable[[str], Record | None], roots: Sequence[str]
+        self, connection: sqlite3.Connection, cached: Callable[[str], Record | None], roots: Sequence[str]
     ) -> None:
         self._connection = connection
-        self.table = RecordTable(connection, known)
+        self.table = RecordTable(connection, cached)
         self.failure: StorageError | None = None
         self.table.begin()
         for root in roots:

@@ -33,9 +33,9 @@ async def looked(source: Source, feed: TopicFeed, counts: list[int], max_bytes: 
     """The depth of a subscription after looks before each of which so many messages came."""
     for count in counts:
         source.speak(count)
-        depth = feed.wanted_depth(feed.take(), max_bytes)
+        depth = feed.next_depth(feed.take(), max_bytes)
         if depth != feed.depth:
-            await feed.subscribe_anew(source, depth)  # type: ignore[arg-type]
+            await feed.resubscribe(source, depth)  # type: ignore[arg-type]
     return feed.depth
 
 
@@ -44,9 +44,9 @@ def test_what_a_busy_moment_deepened_is_made_shallower_once_it_is_over() -> None
         source = Source()
         feed = TopicFeed("/imu", source.slot.subscribe(32), 32)
         stalled = await looked(source, feed, [32, 100, 400, 1500], 32 * MEBIBYTE)
-        assert (stalled, feed.lost) == (4096, 0)
+        assert (stalled, feed.dropped) == (4096, 0)
         calm = await looked(source, feed, [5] * 1500, 32 * MEBIBYTE)
-        assert (calm, feed.lost, len(source.slot.latest(4096))) == (64, 0, 64)
+        assert (calm, feed.dropped, len(source.slot.latest(4096))) == (64, 0, 64)
 
     asyncio.run(stall_and_calm())
 

@@ -1,4 +1,4 @@
-"""`make bench`: every measurement, one after the other, each a ratio against its baseline in the same run."""
+"""`make bench`: all benchmarks in sequence, each as a ratio to its baseline in the same run."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PARTS = (
 
 
 def main() -> int:
-    """Run the parts; the number of those that failed."""
+    """Run the benchmarks; return the number of those that failed."""
     failed = 0
     for part in PARTS:
         path = Path(__file__).with_name(part)

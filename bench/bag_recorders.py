@@ -1,8 +1,8 @@
-"""What recording takes: rosld's history beside `rosbag record`, of the topics of one rosmaster, one after the other.
+"""Cost of recording: rosld's history compared to `rosbag record`, for the same topics of one rosmaster, in sequence.
 
-Run: python bench/bag_recorders.py [seconds]. A rospy node publishes Imu messages with noise on 200 topics of 50 Hz.
-Told are the time of a core that each recorder took (its process and those that it began), and the bytes of its files
-by message: of `rosbag record --lz4`, and of `rosld serve`, with a history and without.
+Run: python bench/bag_recorders.py [seconds]. A rospy node publishes Imu messages with noise on 200 topics at 50 Hz. The
+table has the share of a core that each recorder used (its process and its children), and the bytes of its files per
+message: for `rosbag record --lz4`, and for `rosld serve`, with a history and without.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ while not rospy.is_shutdown():
 
 
 class Cost(NamedTuple):
-    """The share of a core that was taken, how many messages were dropped and recorded, and their bytes on disk."""
+    """The share of a core, the numbers of dropped and recorded messages, and their bytes on disk."""
 
     share: float
     dropped: int
@@ -63,7 +63,7 @@ class Cost(NamedTuple):
 
 @contextmanager
 def process(command: Sequence[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """A process that is interrupted in the end, as by Ctrl-C, and waited for."""
+    """A process that is interrupted at the end, as by Ctrl-C, and awaited."""
     with subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as started:
@@ -78,7 +78,7 @@ def process(command: Sequence[str], environment: dict[str, str]) -> Iterator[sub
 
 
 def seconds_of_core(pid: int) -> float:
-    """What a process and its children, of now and before, took."""
+    """Return the CPU seconds of a process and its children, including finished ones."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     own = sum(map(int, fields[11:15])) / TICKS
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
@@ -86,7 +86,7 @@ def seconds_of_core(pid: int) -> float:
 
 
 def share(pid: int, seconds: float) -> float:
-    """The share of a core that a process takes for so long, once it has had some seconds to begin."""
+    """Return the share of a core that a process uses over some seconds, after some seconds of warm-up."""
     time.sleep(5)
     before, began = seconds_of_core(pid), time.monotonic()
     time.sleep(seconds)
@@ -94,7 +94,7 @@ def share(pid: int, seconds: float) -> float:
 
 
 def count(path: Path) -> int:
-    """The messages in a recording, as rosbags and mcap's reader count them."""
+    """Return the number of messages in a recording according to rosbags and mcap's reader."""
     if path.suffix == ".mcap":
         with path.open("rb") as file:
             summary = make_reader(file).get_summary()
@@ -104,7 +104,7 @@ def count(path: Path) -> int:
 
 
 def dropped_messages(base: str) -> int:
-    """What the history of a server says that it dropped."""
+    """Return the number of dropped messages that the history of a server reports."""
     asked = urllib.request.Request(f"{base}bags/history/", headers={"Accept": "application/n-triples"})
     with urllib.request.urlopen(asked, timeout=30) as answer:
         text = answer.read().decode()
@@ -112,7 +112,7 @@ def dropped_messages(base: str) -> int:
 
 
 def rosbag(system: ros1.RosSystem, folder: Path, seconds: float) -> Cost:
-    """Debian's `rosbag record` of all of it."""
+    """Run Debian's `rosbag record` on all topics."""
     command = ["/usr/lib/rosbag/record", "--lz4", "--buffsize=0", "-O", str(folder / "all.bag"), "-e", "/sensor_.*"]
     with process(command, system.environment) as recorder:
         taken = share(recorder.pid, seconds)
@@ -121,7 +121,7 @@ def rosbag(system: ros1.RosSystem, folder: Path, seconds: float) -> Cost:
 
 
 def rosld(system: ros1.RosSystem, folder: Path, seconds: float, *options: str) -> Cost:
-    """A server, with what options."""
+    """Run a server with these options."""
     command = [sys.executable, "-m", "rosld", "serve", system.source, "--port", "0", "--data", str(folder), *options]
     with process(command, dict(os.environ)) as server:
         assert server.stdout is not None

@@ -1,6 +1,6 @@
-"""Small changes to a document of 300,000 triples, against reading it; latency of another client meanwhile.
+"""Small changes to a document of 300,000 triples, compared to reading it; latency of another client meanwhile.
 
-Run: python bench/changes.py [triples]. The aim is 3 s for each; the baseline is a GET of the document in N-Triples.
+Run: python bench/changes.py [triples]. The target is 3 s for each; the baseline is a GET of the document in N-Triples.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ N_TRIPLES = {"Accept": "application/n-triples"}
 
 
 class Change(NamedTuple):
-    """A request that changes a triple or some, made of a number that no other has and the graph."""
+    """A request that changes one or a few triples, with a unique number and the graph."""
 
     name: str
     method: str
@@ -55,7 +55,7 @@ def document(triples: int) -> bytes:
 
 @contextmanager
 def neighbour(url: str) -> Iterator[list[float]]:
-    """Another client that asks for something small all the time: the seconds that it waits."""
+    """A client that sends small requests all the time, and its latencies in seconds."""
     waited: list[float] = []
     ended = threading.Event()
 
@@ -76,7 +76,7 @@ def neighbour(url: str) -> Iterator[list[float]]:
 
 
 def seconds(work: Callable[[], httpx.Response]) -> float:
-    """The seconds that a request takes."""
+    """Return the duration of a request in seconds."""
     began = time.perf_counter()
     work().raise_for_status()
     return time.perf_counter() - began
@@ -93,7 +93,7 @@ def main() -> None:
         http.put("data/x", content=document(triples), headers={"Content-Type": "text/turtle"}).raise_for_status()
 
         def read(number: int) -> float:
-            """Read the document as it is after a change, so that it is made anew."""
+            """Read the document after a change, so that it is rendered again."""
             http.patch("data/x", content=f"INSERT DATA {{ <> <{EX}read> {number} }}", headers={"Content-Type": UPDATE})
             return seconds(lambda: http.get("data/x", headers=N_TRIPLES))
 

@@ -1,7 +1,7 @@
-"""What a client at its limit leaves the others: how soon one client is answered, alone and beside a greedy one.
+"""Isolation of clients by limits: the latency of one client, alone and in parallel with a greedy one.
 
-Run: python bench/clients.py [seconds]. The two are addresses of this machine, 127.0.0.2 (greedy, on eight connections)
-and 127.0.0.3; the limits of clients are off, then on.
+Run: python bench/clients.py [seconds]. The clients are addresses of this machine, 127.0.0.2 (greedy, on eight
+connections) and 127.0.0.3; the limits of clients are off, then on.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FLOOD = "--flood"
 
 
 async def ask(url: str, address: str, seconds: float, rate: float | None) -> list[float]:
-    """Ask for a page again and again on one connection, at most so often; how long each answer took, in seconds."""
+    """Request a page repeatedly on one connection, at a limited rate; return the latencies in seconds."""
     parts = urlsplit(url)
     reader, writer = await asyncio.open_connection(parts.hostname, parts.port, local_addr=(address, 0))
     request = f"GET {parts.path} HTTP/1.1\r\nHost: {parts.netloc}\r\nAccept: text/html\r\n\r\n".encode()
@@ -41,20 +41,20 @@ async def ask(url: str, address: str, seconds: float, rate: float | None) -> lis
 
 
 async def flood(url: str, seconds: float) -> None:
-    """Be greedy."""
+    """Request the page as fast as possible."""
     await asyncio.gather(*(ask(url, GREEDY, seconds, None) for _ in range(CONNECTIONS)))
 
 
 def measured(url: str, seconds: float) -> float:
-    """The median answer time of the modest client, in milliseconds."""
+    """Return the median latency of the modest client in milliseconds."""
     return statistics.median(asyncio.run(ask(url, MODEST, seconds, MODEST_RATE))) * 1000
 
 
 def beside(url: str, seconds: float) -> float:
-    """The same while another process floods the server."""
+    """Return the same while another process floods the server."""
     greedy = subprocess.Popen([sys.executable, __file__, FLOOD, url, str(seconds + 1)])
     try:
-        time.sleep(0.5)  # until it is under way
+        time.sleep(0.5)  # until it has started
         return measured(url, seconds)
     finally:
         greedy.wait(seconds + 10)

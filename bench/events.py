@@ -1,7 +1,8 @@
-"""Fan-out: one topic at 100 Hz to 200 event-stream readers, beside a bare Starlette stream on the same server.
+"""Fan-out: one topic at 100 Hz to 200 event-stream readers, compared to a bare Starlette stream on the same server.
 
-Run: python bench/events.py [seconds [readers]]. Each message carries the time at which it was sent; the lag is from
-there to the reader. The ratio is of events a second of the server's own time, so that the readers' work does not count.
+Run: python bench/events.py [seconds [readers]]. Each message has the time at which it was sent; the lag is the time
+from then until the reader receives it. The ratio is that of events per CPU second of the server, which excludes the
+readers.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ _STAMP = re.compile(rb'"at ([0-9]+)"')
 
 
 class Fanout(NamedTuple):
-    """What the readers got: events a second each, events a second of the server's time, lags in milliseconds."""
+    """Results of the readers: events per second each, events per CPU second of the server, lags in milliseconds."""
 
     each: float
     per_cpu_second: float
@@ -63,7 +64,7 @@ class Fanout(NamedTuple):
 
 
 class Reader(asyncio.Protocol):
-    """One event-stream reader that notes the lag of each message."""
+    """One event-stream reader that records the lag of each message."""
 
     def __init__(self, path: str, host: str, lags: list[float]) -> None:
         self._head = f"GET {path} HTTP/1.1\r\nHost: {host}\r\nAccept: text/event-stream\r\n\r\n".encode()
@@ -83,7 +84,7 @@ class Reader(asyncio.Protocol):
 
 @contextmanager
 def serving(*command: str) -> Iterator[tuple[str, int]]:
-    """A server as a process: the URL that it prints first, and its id."""
+    """Run a server as a process; yield the URL that it prints first, and its id."""
     process = subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
@@ -94,13 +95,13 @@ def serving(*command: str) -> Iterator[tuple[str, int]]:
 
 
 def spent(process: int) -> float:
-    """Seconds of processor time that a process has used."""
+    """Return the CPU seconds that a process has used."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 async def fan_out(url: str, process: int, path: str, query: str, readers: int, seconds: float) -> Fanout:
-    """Publish at 100 Hz for a while, and read with so many."""
+    """Publish at 100 Hz for some seconds to this number of readers."""
     parts = urlsplit(url)
     loop = asyncio.get_running_loop()
     lags: list[float] = []
@@ -119,7 +120,7 @@ async def fan_out(url: str, process: int, path: str, query: str, readers: int, s
             outgoing.write(f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body)
             assert b" 204" in (await incoming.readuntil(b"\r\n\r\n"))[:14]
 
-    await publish(RATE)  # so that all are there
+    await publish(RATE)  # until all are connected
     lags.clear()
     before, began = spent(process), time.monotonic()
     await publish(int(RATE * seconds))

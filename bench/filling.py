@@ -1,10 +1,11 @@
-"""How long SPARQL waits after a restart with many documents, and after a PATCH of a few triples of a large one.
+"""Delay of SPARQL after a restart with many documents, and after a PATCH of a few triples of a large one.
 
     python bench/filling.py [--documents 500000] [--triples 1000000]
 
-The documents, of four triples each, are written by the graph store, then the server is started again on their folder.
-Aims: the time is linear in the documents; until all is there what is there is answered, the rest is 503 with
-Retry-After and the progress, and nothing else waits; three triples of a million show in the next SELECT within 50 ms.
+The documents, of four triples each, are written by the graph store, then the server is restarted on their folder.
+Targets: the time is linear in the number of documents; until all are loaded, queries are answered from those loaded or
+with 503, Retry-After and the progress, and no other request waits; three triples of a million are visible to a SELECT
+within 50 ms.
 """
 
 from __future__ import annotations
@@ -23,19 +24,19 @@ from contextlib import contextmanager
 import httpx
 
 STEP = 5000
-"""Documents of one request."""
+"""Number of documents per request."""
 PATIENCE = 600.0
 EX = "http://example.org/"
 EVERYTHING = f"SELECT (COUNT(*) AS ?n) {{ ?s <{EX}p0> ?o }}"
 FIRST = f"SELECT ?o {{ GRAPH <data/c0/d0> {{ ?s <{EX}p0> ?o }} }}"
-"""About the document that is told first."""
+"""A query about the document that is loaded first."""
 PATCHES = 5
 _PROGRESS = re.compile(r"([0-9]+) %")
 
 
 @contextmanager
 def serving(folder: str, port: int) -> Iterator[httpx.Client]:
-    """A server of a folder."""
+    """Run a server on a folder."""
     command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--data", folder, "--port", str(port)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
@@ -49,12 +50,12 @@ def serving(folder: str, port: int) -> Iterator[httpx.Client]:
 
 
 def ask(http: httpx.Client, query: str) -> httpx.Response:
-    """The answer to a query."""
+    """Return the answer to a query."""
     return http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv, application/problem+json;q=0.5"})
 
 
 def until_answered(http: httpx.Client, query: str) -> tuple[float, list[int]]:
-    """The seconds until a query is answered, and the progress told meanwhile."""
+    """Return the seconds until a query is answered, and the progress reported meanwhile."""
     begun, told = time.monotonic(), list[int]()
     while (answer := ask(http, query)).status_code == 503:
         assert answer.headers["retry-after"].isdigit(), answer.text
@@ -66,7 +67,7 @@ def until_answered(http: httpx.Client, query: str) -> tuple[float, list[int]]:
 
 
 def write(http: httpx.Client, documents: int) -> None:
-    """Make so many documents."""
+    """Write this number of documents."""
     for begin in range(0, documents, STEP):
         lines = []
         for number in range(begin, min(documents, begin + STEP)):
@@ -81,7 +82,7 @@ def write(http: httpx.Client, documents: int) -> None:
 
 
 def restart(documents: int) -> None:
-    """Print how long queries wait after a restart with so many documents."""
+    """Print how long queries wait after a restart with this number of documents."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -119,7 +120,7 @@ def restart(documents: int) -> None:
 
 
 def patch(triples: int) -> None:
-    """Print how long it takes until a SELECT sees what was patched into a large document."""
+    """Print the delay until a SELECT sees a patch of a large document."""
     with tempfile.TemporaryDirectory() as folder, serving(folder, 0) as http:
         text = f"<> <{EX}p> " + ", ".join(map(str, range(triples))) + " ."
         begun = time.monotonic()

@@ -1,4 +1,4 @@
-"""Graphs by their names (SPARQL 1.1 Graph Store HTTP Protocol), as ratios to the Oxigraph server on the same graphs.
+"""Named graphs (SPARQL 1.1 Graph Store HTTP Protocol), as ratios to the Oxigraph server on the same graphs.
 
 No two GETs are the same.
 
@@ -21,7 +21,7 @@ from web import compare, compare_anew, heading, serving
 
 TURTLE, TRIPLES = "text/turtle", "application/n-triples"
 NUMBER = 9
-"""Statements of a client: with the server's own they are about 1 kB of N-Triples."""
+"""Number of statements of a client: with those of the server they are about 1 kB of N-Triples."""
 WRITE = """
 wrk.method = "{method}"
 wrk.headers["Content-Type"] = "text/turtle"
@@ -30,7 +30,7 @@ wrk.body = [[{body}]]
 
 
 class Row(NamedTuple):
-    """One comparison: a label, the two URLs, and what `wrk` is told."""
+    """One comparison: a label, the two URLs, and the arguments of `wrk`."""
 
     label: str
     ours: str
@@ -39,12 +39,12 @@ class Row(NamedTuple):
 
 
 def body(url: str) -> str:
-    """A small graph in Turtle."""
+    """Return a small graph in Turtle."""
     return "".join(f'<{url}> <http://example.org/property{each}> "value {each} of it" .\n' for each in range(NUMBER))
 
 
 def copied(rosld: str, other: str, graph: str) -> int:
-    """Copy a graph to the other server; how many bytes of N-Triples it is."""
+    """Copy a graph to the other server; return its size in bytes of N-Triples."""
     with httpx.Client(timeout=30) as http:
         found = http.get(f"{rosld}graphs", params={"graph": graph}, headers={"Accept": TRIPLES}).raise_for_status()
         typed = {"Content-Type": TRIPLES}
@@ -53,7 +53,7 @@ def copied(rosld: str, other: str, graph: str) -> int:
 
 
 def rows(rosld: str, other: str, folder: Path) -> Iterator[Row]:
-    """All comparisons."""
+    """Yield all comparisons."""
     kept, live = f"{rosld}data/small", f"{rosld}topics/aircraft/engine/speed"
     typed = {"Content-Type": TURTLE}
     httpx.put(f"{rosld}graphs", params={"graph": kept}, content=body(kept), headers=typed).raise_for_status()

@@ -1,7 +1,7 @@
-"""The history: what recording costs above being subscribed, against the mcap library's writer on the same messages.
+"""The history: the cost of recording in addition to subscribing, compared to the mcap library's writer.
 
-Run: python bench/history.py [seconds]. Aims: 200 topics of 50 Hz at 0.25 of a core; disk at most 1.2 times that of zstd
-MCAP in the order of time; one topic of a hundred at least ten times faster than from that.
+Run: python bench/history.py [seconds]. Targets: 200 topics at 50 Hz use 0.25 of a core; files are at most 1.2 times the
+size of zstd MCAP in order of time; reading one topic of a hundred is at least ten times faster than from that.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ IMU = LIBRARY.find(TypeRef("sensor_msgs/msg/Imu"))
 
 
 class Source:
-    """A robot in this process: as much of an adapter as a recorder asks of it."""
+    """A robot in this process: the part of an adapter that a recorder needs."""
 
     def __init__(self, topics: int, seconds: float) -> None:
         self.slots = {f"/sensor_{number}/imu": Slot() for number in range(topics)}
@@ -48,11 +48,11 @@ class Source:
         self._messages = Messages(int(topics * RATE * (seconds + 2)))
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
-        """Begin to receive a topic."""
+        """Start receiving a topic."""
         return self.slots[topic].subscribe(depth)
 
     async def speak(self, seconds: float) -> int:
-        """Publish on every topic at `RATE`; how many messages that were."""
+        """Publish on every topic at `RATE`; return the number of messages."""
         end, due, count = time.monotonic() + seconds, time.monotonic(), 0
         while due < end:
             self._sequence += 1
@@ -67,7 +67,7 @@ class Source:
 
 
 class Messages:
-    """Imu messages as CDR, each with noise of its own: six decimals of ten numbers, as drivers give them."""
+    """Imu messages as CDR, each with its own noise: six decimals of ten numbers, as in drivers."""
 
     def __init__(self, count: int) -> None:
         self._noise = np.random.default_rng(7).normal(size=(count, 10)).round(6)
@@ -75,7 +75,7 @@ class Messages:
         self._at = 0
 
     def next(self, now: int) -> bytes:
-        """The next message."""
+        """Return the next message."""
         numbers = self._noise[self._at].tobytes()
         self._at += 1
         head = struct.pack("<4sIII9s3x", b"\0\1\0\0", now // 10**9, now % 10**9, 9, b"imu_link\0")
@@ -84,18 +84,18 @@ class Messages:
 
 
 async def learn(ref: TypeRef) -> None:
-    """The type is known."""
+    """Make the type known."""
 
 
 def open_history(folder: Path) -> HistoryWriter:
-    """A history in a folder."""
+    """Open a history in a folder."""
     writer = HistoryWriter(Segments(folder, HistoryLimits(1e9, 1 << 34)), lambda ref: IMU.definition)
     writer.open()
     return writer
 
 
 class Cost(NamedTuple):
-    """The share of a core, counts of messages, and megabytes of memory after a third of the time and at its end."""
+    """The share of a core, numbers of messages, and memory in megabytes after a third of the time and at the end."""
 
     share: float
     sent: int
@@ -105,7 +105,7 @@ class Cost(NamedTuple):
 
 
 async def cost(seconds: float, folder: Path | None) -> Cost:
-    """What it takes while all topics are subscribed to, and recorded if there is a folder."""
+    """Return the cost while all topics are subscribed to, and recorded if there is a folder."""
     source = Source(TOPICS, seconds)
     live = LiveRecorder(source, learn)  # type: ignore[arg-type]
     kept = [await source.subscribe(topic) for topic in source.slots]
@@ -126,12 +126,12 @@ async def cost(seconds: float, folder: Path | None) -> Cost:
 
 
 def resident(process: int | str = "self") -> float:
-    """Megabytes of memory that a process has, this one or another."""
+    """Return the resident memory in megabytes of a process, by default this one."""
     return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def by_time(folder: Path, messages: list[tuple[str, int, bytes]]) -> Path:
-    """The messages as the mcap library writes them: chunks in the order of time, zstd."""
+    """Write the messages with the mcap library: chunks in order of time, zstd."""
     path = folder / "by_time.mcap"
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
@@ -145,7 +145,7 @@ def by_time(folder: Path, messages: list[tuple[str, int, bytes]]) -> Path:
 
 
 def by_rosbag2(folder: Path, messages: list[tuple[str, int, bytes]]) -> Path:
-    """The messages as a bag of ROS 2 with zstd in its MCAP, by rosbags."""
+    """Write the messages as a ROS 2 bag with zstd in its MCAP, with rosbags."""
     store = get_typestore(Stores.ROS2_JAZZY)
     writer = RosbagWriter(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -159,7 +159,7 @@ def by_rosbag2(folder: Path, messages: list[tuple[str, int, bytes]]) -> Path:
 
 
 def by_topic(folder: Path, messages: list[tuple[str, int, bytes]]) -> HistoryWriter:
-    """The messages as the history writes them, a second of them at a time."""
+    """Write the messages as the history does, one second at a time."""
     writer = open_history(folder / "history")
     second = messages[0][1]
     for number, (topic, at, data) in enumerate(messages):
@@ -172,7 +172,7 @@ def by_topic(folder: Path, messages: list[tuple[str, int, bytes]]) -> HistoryWri
 
 
 def best(work: Callable[[], Any], rounds: int = 3) -> tuple[float, Any]:
-    """The processor time of the best round, and what it came to."""
+    """Return the CPU time of the best round, and its result."""
     times: list[float] = []
     found: Any = None
     for _ in range(rounds):
@@ -183,20 +183,20 @@ def best(work: Callable[[], Any], rounds: int = 3) -> tuple[float, Any]:
 
 
 def read_by_time(path: Path, topic: str) -> int:
-    """One topic, as mcap's reader finds it by the index of the file."""
+    """Read one topic with mcap's reader, by the index of the file."""
     with path.open("rb") as file:
         return sum(1 for _ in make_reader(file).iter_messages(topics=[topic]))
 
 
 def read_history(writer: HistoryWriter, topic: str) -> int:
-    """One topic, as the history finds it by its index."""
+    """Read one topic from the history, by its index."""
     segments = writer.segments
     rows = segments.index.of_topic(topic, 0, 1 << 62)
     return sum(1 for row in rows for _ in segments.messages_of(row))
 
 
 def produced(topics: int, seconds: int) -> Iterator[tuple[str, int, bytes]]:
-    """Messages of so many topics at `RATE`, in the order of time."""
+    """Return messages of this number of topics at `RATE`, in order of time."""
     messages, start = Messages(topics * seconds * RATE), 1_700_000_000_000_000_000
     for tick in range(seconds * RATE):
         for number in range(topics):
@@ -205,7 +205,7 @@ def produced(topics: int, seconds: int) -> Iterator[tuple[str, int, bytes]]:
 
 
 def main() -> int:
-    """Print what it costs; 1 where an aim is missed that does not depend on the machine."""
+    """Print the cost; return 1 if a target is missed that does not depend on the machine."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

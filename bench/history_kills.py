@@ -1,8 +1,8 @@
-"""A server killed a hundred times while it records: what each kill lost, and whether others read every file.
+"""A server killed a hundred times while it records: the loss of each kill, and whether other readers read every file.
 
-The rover sends twenty messages a second and more: the newest that is read afterwards tells how much was lost.
+The rover sends more than twenty messages per second: the newest that can be read afterwards shows how much was lost.
 
-Run: python bench/history_kills.py [times]. Aim: never more than two seconds lost, never a file that a reader refuses.
+Run: python bench/history_kills.py [times]. Target: never more than two seconds lost, never an unreadable file.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ BOUND = 2.0
 
 
 def main() -> int:
-    """Print what was lost; 1 where it was too much, or a file is not read."""
+    """Print the losses; return 1 if one is too large or a file is unreadable."""
     times = int(sys.argv[1]) if len(sys.argv) > 1 else TIMES
     lost: list[float] = []
     with (

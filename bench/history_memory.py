@@ -1,8 +1,8 @@
-"""Memory while 200 topics of 50 Hz are recorded to disk, minute by minute.
+"""Memory while 200 topics at 50 Hz are recorded to disk, minute by minute.
 
-Run: python bench/history_memory.py [minutes]. The history has the limits that a server has by default, a day in 1 GiB:
-a segment is begun each minute, and the oldest is removed once it is full. The robot is made up in the same process; its
-messages come round again, so that they take no more memory than in the first minute.
+Run: python bench/history_memory.py [minutes]. The history has the default limits of a server, a day in 1 GiB: it starts
+a segment each minute, and removes the oldest once it is full. The robot is simulated in the same process; its messages
+repeat, so that they take no more memory than in the first minute.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ DAY, GIBIBYTE = 86400.0, 1 << 30
 
 
 class Round(Messages):
-    """Messages that come round again."""
+    """Messages that repeat."""
 
     def next(self, now: int) -> bytes:
-        """The next message."""
+        """Return the next message."""
         if self._at == len(self._noise):
             self._at = 0
         return super().next(now)
 
 
 async def record(minutes: int, folder: Path) -> None:
-    """Record so long, and print what the process has after each minute."""
+    """Record for some minutes, and print the memory of the process after each."""
     source = Source(TOPICS, 0.0)
     source._messages = Round(TOPICS * RATE * 10)
     live = LiveRecorder(source, learn)  # type: ignore[arg-type]

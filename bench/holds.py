@@ -1,10 +1,10 @@
-"""How evenly a hold publishes at 50 Hz: the intervals as a subscriber sees them, beside a bare loop in the same run.
+"""Regularity of a hold at 50 Hz: the intervals that a subscriber sees, compared to a bare loop in the same run.
 
     python bench/holds.py [--seconds 10]
 
-On the aircraft the subscriber is one in the same process, and the bare loop an asyncio task that publishes through the
-same adapter at absolute times. On ROS 1 it is a rospy node, and the bare loop a rospy publisher with `rospy.Rate`. The
-ratio is of the 99th percentile of how far an interval is from 20 ms.
+On the aircraft the subscriber is in the same process, and the bare loop is an asyncio task that publishes through the
+same adapter at absolute times. On ROS 1 it is a rospy node, and the bare loop is a rospy publisher with `rospy.Rate`.
+The ratio is that of the 99th percentiles of the deviations from 20 ms.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ rospy.sleep(0.5)
 
 
 def told(name: str, times: Sequence[float]) -> float:
-    """Print the percentiles of the intervals in ms; that of the deviation from the period, for the ratio."""
+    """Print the percentiles of the intervals in ms; return that of the deviation from the period."""
     gaps = sorted((after - before) * 1e3 for before, after in pairwise(times[1:-1]))
     off = sorted(abs(gap - 1e3 / RATE) for gap in gaps)
     cells = "".join(f"{gaps[int(part * (len(gaps) - 1))]:9.2f}" for part in (0.01, 0.5, 0.9, 0.99, 1.0))
@@ -68,7 +68,7 @@ def told(name: str, times: Sequence[float]) -> float:
 
 
 def asked(method: str, url: str, body: object = None) -> str:
-    """The Location of an answer."""
+    """Return the Location of a response."""
     data = None if body is None else json.dumps(body).encode()
     request = urllib.request.Request(url, data, {"Content-Type": "application/json"}, method=method)
     with urllib.request.urlopen(request, timeout=10) as answer:
@@ -77,7 +77,7 @@ def asked(method: str, url: str, body: object = None) -> str:
 
 @contextmanager
 def started(*command: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
-    """A process, ended by its handle."""
+    """Run a process, and end it by its handle."""
     process = subprocess.Popen(command, env={**os.environ, **environment}, stdout=subprocess.PIPE, text=True)
     try:
         yield process
@@ -87,13 +87,13 @@ def started(*command: str, **environment: str) -> Iterator[subprocess.Popen[str]
 
 
 def line(process: subprocess.Popen[str]) -> str:
-    """The next line that it prints."""
+    """Return the next line that it prints."""
     assert process.stdout is not None
     return process.stdout.readline().strip()
 
 
 def held(url: str, topic: str, body: object, seconds: float, then: str = "zero") -> None:
-    """Hold a topic for a while."""
+    """Hold a topic for some seconds."""
     hold = asked("POST", f"{url}topics{topic}?rate={RATE}&lease=5&then={then}", body)
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -103,7 +103,7 @@ def held(url: str, topic: str, body: object, seconds: float, then: str = "zero")
 
 
 async def on_the_aircraft(seconds: float) -> float:
-    """The ratio on the embedded aircraft, whose subscriber notes when the adapter hands a message over."""
+    """Return the ratio on the embedded aircraft, whose subscriber records when the adapter delivers a message."""
     from rosld.adapters.base import AdapterOptions
     from rosld.adapters.registry import adapter_for
     from rosld.server.app import create_app
@@ -144,7 +144,7 @@ async def on_the_aircraft(seconds: float) -> float:
 
 
 def on_ros1(seconds: float) -> float:
-    """The ratio on a real ROS 1."""
+    """Return the ratio on a real ROS 1."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]

@@ -1,6 +1,6 @@
-"""The query process killed a hundred times under load of GET, PUT, PATCH, streams and SPARQL: what each was answered.
+"""The query process killed a hundred times under load of GET, PUT, PATCH, streams and SPARQL: status of each request.
 
-Run: python bench/kills.py [times]. Aim: no request fails but those to SPARQL, and these with 503 and Retry-After.
+Run: python bench/kills.py [times]. Target: only SPARQL requests fail, and these with 503 and Retry-After.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ TIMES = 100
 
 
 def main() -> int:
-    """Print the tables; 1 where something failed that must not."""
+    """Print the tables; return 1 if another request failed."""
     times = int(sys.argv[1]) if len(sys.argv) > 1 else TIMES
     served = start("aircraft", *OPTIONS)
     load = Load(served.url)

@@ -1,7 +1,7 @@
-"""GET and PUT of a stored 1 kB Turtle resource, beside a bare Starlette and Community Solid Server, in one run.
+"""GET and PUT of a stored 1 kB Turtle resource, compared to a bare Starlette and Community Solid Server, in one run.
 
 Run: python bench/ldp.py [seconds]. Needs `wrk` (Debian: apt-get install wrk). Community Solid Server needs Node and
-npm: the first run installs it into ~/.cache/rosld; without them its lines are left out.
+npm: the first run installs it into ~/.cache/rosld; without them its rows are omitted.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ request = function()
   return wrk.format("PUT", nil, headers, [[{BODY}]] .. "<> <http://purl.org/dc/terms/title> \\"" .. number .. "\\" .")
 end
 """
-"""No two bodies are the same, so that nothing is spared."""
+"""No two bodies are the same, so that no work is saved."""
 OTHER_CONFIGS = {
     "app/init/initialize-intro": "app/init/initialize-root",
     "http/notifications/all": "http/notifications/disabled",
@@ -47,11 +47,11 @@ OTHER_CONFIGS = {
     "storage/key-value/resource-store": "storage/key-value/memory",
     "util/auxiliary/acl": "util/auxiliary/empty",
 }
-"""What is replaced of Community Solid Server's defaults, which are in memory already, to make it light."""
+"""Overrides that make Community Solid Server light; its defaults are in memory already."""
 
 
 class Server(NamedTuple):
-    """A server, by the URL that everything is put below."""
+    """A server, with the URL of the container for all resources."""
 
     name: str
     url: str
@@ -61,7 +61,7 @@ class Server(NamedTuple):
 
 
 def installed() -> Path | None:
-    """The folder of Community Solid Server, installed if need be; None, with the reason printed, where it cannot be."""
+    """Return the folder of Community Solid Server, installed if necessary; print why it is missing and return None."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rosld" / f"community-server-{VERSION}"
     package = folder / "node_modules" / PACKAGE
     if (folder / "complete").exists():
@@ -81,7 +81,7 @@ def installed() -> Path | None:
 
 @contextmanager
 def community_solid_server(package: Path, folder: Path) -> Iterator[str]:
-    """It, in memory and open to all, on a free port, ready."""
+    """Run Community Solid Server in memory, open to all, on a free port, until it is ready."""
     config = json.loads((package / "config" / "default.json").read_text())
     names = (name.removeprefix("css:config/").removesuffix(".json") for name in config["import"])
     config["import"] = [f"css:config/{OTHER_CONFIGS.get(name, name)}.json" for name in names]
@@ -126,7 +126,7 @@ def _wait_for(url: str, process: subprocess.Popen[bytes]) -> None:
 
 
 def rates(servers: list[Server], seconds: int, *options: str) -> dict[str, list[Rate]]:
-    """What each server does, one after the other, in rounds."""
+    """Return the rate of each server, measured in turn, in rounds."""
     found: dict[str, list[Rate]] = {server.name: [] for server in servers}
     for _ in range(ROUNDS):
         for server in servers:
@@ -135,7 +135,7 @@ def rates(servers: list[Server], seconds: int, *options: str) -> dict[str, list[
 
 
 def table(label: str, found: dict[str, list[Rate]]) -> None:
-    """A line a server: requests a second, and how many times as many rosld does."""
+    """Print a row per server: requests per second, and the ratio of rosld to it."""
     print(label)
     for name, measured in found.items():
         ratio = statistics.median(

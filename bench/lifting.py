@@ -1,9 +1,9 @@
-"""How fast messages become RDF and back, each against its baseline in the same run.
+"""Speed of converting messages to RDF and back, each compared to its baseline in the same run.
 
     python bench/lifting.py
 
-Decoding from the wire is always included. The baseline for lifting is the same triples made and written with rdflib,
-term by term, by a program without tricks; their equality is checked first.
+Decoding from the wire is always included. The baseline for lifting is a straightforward program that creates and writes
+the same triples with rdflib, term by term; their equality is checked first.
 """
 
 from __future__ import annotations
@@ -77,11 +77,11 @@ class Case:
         return self.schema.codec.decode(self.data, Encoding.ROS1)
 
     def rosld(self) -> bytes:
-        """The bytes of the message to N-Quads."""
+        """Convert the bytes of the message to N-Quads."""
         return self.lift.ntriples(self.decoded(), DOCUMENT, "#message", end=f" <{DOCUMENT}> .\n").encode()
 
     def rdflib(self) -> bytes:
-        """The same with rdflib."""
+        """Convert the bytes of the message with rdflib."""
         dataset = rdflib.Dataset()
         by_hand(self, self.decoded(), dataset.graph(rdflib.URIRef(DOCUMENT)))
         return dataset.serialize(format="nquads").encode()
@@ -125,13 +125,13 @@ def literal(kind: str, value: Any) -> rdflib.Literal:
 
 
 def plain_json(values: Any) -> str:
-    """An array as a program without tricks writes it: float32s with their own digits, INF as a string."""
+    """Return an array as a straightforward program writes it: float32s with their own digits, INF as a string."""
     numbers = [float(str(value)) for value in values] if values.dtype == np.float32 else values.tolist()
     return json.dumps([value if np.isfinite(value) else "INF" for value in numbers], separators=(",", ":"))
 
 
 def canonical(text: bytes) -> set[ox.Quad]:
-    """The quads, whatever their blank nodes are called and however the same digits are written (1e-05, 0.00001)."""
+    """Return the quads independent of labels of blank nodes and notations of digits (1e-05, 0.00001)."""
     quads = [
         ox.Quad(q.subject, q.predicate, plain(q.object), q.graph_name) for q in ox.parse(text, ox.RdfFormat.N_QUADS)
     ]
@@ -149,7 +149,7 @@ def plain(term: Any) -> Any:
 
 
 def seconds(run: Callable[[], object], budget: float = 1.2) -> float:
-    """The least time of one run."""
+    """Return the minimum duration of one run."""
     start = time.perf_counter()
     run()
     count = max(1, int(budget / 20 / (time.perf_counter() - start)))

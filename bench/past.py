@@ -1,9 +1,9 @@
-"""The past as it is asked over HTTP: by SPARQL, as a series, at one moment.
+"""Queries of the past over HTTP: by SPARQL, as a series, at one moment.
 
-Run: python bench/past.py [topics]. An hour of one topic of 50 Hz (Imu, CDR) is in the history of a server, beside so
-many others of a minute. Aims: a second of a topic, or its last message, by SPARQL in 30 ms, the hour of one field as
-aggregate in 4 s, as a series of 500 points in 100 ms, `?at=` in 5 ms. Beside it the same hour, read and reduced by
-mcap's reader and rosbags.
+Run: python bench/past.py [topics]. The history of a server has an hour of one topic at 50 Hz (Imu, CDR), and a minute
+of some other topics. Targets: a second of a topic, or its last message, by SPARQL in 30 ms, the hour of one field as
+aggregate in 4 s, as a series of 500 points in 100 ms, `?at=` in 5 ms. For comparison, mcap's reader and rosbags read
+and reduce the same hour.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Recorded = list[tuple[str, int, bytes]]
 
 
 def recorded(folder: Path, topics: int, end: int) -> Recorded:
-    """An hour of one topic, and its last minute of others, as the history of a folder of data; that of the one."""
+    """Record an hour of one topic, and its last minute of others, in the history of a folder; return the former."""
     writer = HistoryWriter(Segments(folder / FOLDER, HistoryLimits(1e9, 1 << 34)), lambda ref: IMU.definition)
     writer.open()
     messages = Messages(HOUR * RATE + topics * 60 * RATE)
@@ -92,7 +92,7 @@ def _processor_seconds(pid: str) -> float:
 
 
 def timed(ask: Callable[[], Any], rounds: int) -> tuple[Took, Any]:
-    """The median of the seconds that it takes, the mean of the processors', and what it came to."""
+    """Return the median duration in seconds, the mean CPU seconds, and the result."""
     times: list[float] = []
     found: Any = None
     before = processor_seconds()
@@ -104,7 +104,7 @@ def timed(ask: Callable[[], Any], rounds: int) -> tuple[Took, Any]:
 
 
 def select(http: httpx.Client, what: str, where: str, modifiers: str = "") -> str:
-    """The answer to a query, as CSV."""
+    """Return the answer to a query, as CSV."""
     query = f"{_PREFIXES}SELECT {what} WHERE {{ {where} }} {modifiers}"
     answer = http.post("/sparql", data={"query": query}, headers={"Accept": "text/csv"})
     assert answer.status_code == 200, answer.text
@@ -112,7 +112,7 @@ def select(http: httpx.Client, what: str, where: str, modifiers: str = "") -> st
 
 
 def reduce_by_others(path: Path) -> tuple[float, float, float, int]:
-    """The minimum, maximum and mean of the field, by mcap's reader and rosbags."""
+    """Return the minimum, maximum and mean of the field, computed with mcap's reader and rosbags."""
     store = get_typestore(Stores.ROS2_JAZZY)
     with path.open("rb") as file:
         values = [
@@ -123,12 +123,12 @@ def reduce_by_others(path: Path) -> tuple[float, float, float, int]:
 
 
 def moment(time_ns: int) -> str:
-    """A time as xsd:dateTime."""
+    """Return a time as xsd:dateTime."""
     return datetime.fromtimestamp(time_ns // 10**9, timezone.utc).isoformat().replace("+00:00", "Z")
 
 
 def main() -> int:
-    """Print what it takes; 1 where what comes is not what others read."""
+    """Print the durations; return 1 if a result differs from that of other readers."""
     topics = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -144,7 +144,7 @@ def main() -> int:
 
 
 def measure(http: httpx.Client, messages: Recorded, other: Path, end: int) -> bool:
-    """Ask everything; whether the hour came to what others read of it."""
+    """Run all queries; return whether the results for the hour equal those of other readers."""
     past = f"<{http.base_url}topics{TOPIC}> ros:past ?m . ?m ros:received ?t ; {_FIELD} ?z ."
     begin, until = moment(end - 1800 * 10**9), moment(end - 1799 * 10**9)
     second = f'FILTER(?t >= "{begin}"^^xsd:dateTime && ?t < "{until}"^^xsd:dateTime)'

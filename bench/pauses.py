@@ -1,11 +1,11 @@
-"""How long the event loop is paused while a large document is put, read in every syntax and patched, in ms.
+"""Pauses of the event loop in ms while a large document is put, read in every syntax and patched.
 
     python bench/pauses.py [--triples 1000000]
 
-One client puts the triples, reads them in every syntax and patches them; another presses `POST /stop` all the while.
-The longest pause is what the server's own watchdog measured (`/status`), the time of the stop is that of the whole
-request. Aims: 20 ms for the loop, 50 ms for the stop. The longest work is what of a pause the loop did itself: it is
-paused as well while others have the processor, as a process is that does nothing but sleep.
+One client puts the triples, reads them in every syntax and patches them; another one sends `POST /stop` all the while.
+The longest pause is measured by the server's own watchdog (`/status`), the time of the stop is that of the whole
+request. Targets: 20 ms for the loop, 50 ms for the stop. The longest work is the CPU time of the loop within a pause:
+on a busy machine the loop is paused as well, like a process that only sleeps.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ DOCUMENT = "/data/large"
 
 
 class Client:
-    """One connection, kept alive."""
+    """One persistent connection."""
 
     def __init__(self, address: str) -> None:
         self._connection = http.client.HTTPConnection(address, timeout=600)
 
     def ask(self, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, int]:
-        """The status of an answer and the number of its bytes."""
+        """Return the status and the size in bytes of a response."""
         self._connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
         answer, size = self._connection.getresponse(), 0
         while piece := answer.read(1 << 20):
@@ -67,19 +67,19 @@ class Client:
         return self._connection.getresponse().read().split(b'name="?confirm" value="')[1].split(b'"')[0].decode()
 
     def read(self, path: str) -> dict[str, float]:
-        """A resource as JSON."""
+        """Return a resource as JSON."""
         self._connection.request("GET", path, headers={"Accept": "application/json"})
         found: dict[str, float] = json.loads(self._connection.getresponse().read())
         return found
 
 
 def turtle(triples: int) -> bytes:
-    """So many numbers of one property."""
+    """Return Turtle with this number of values of one property."""
     return b"<> <http://example.org/p> " + b", ".join(b"%d" % number for number in range(triples)) + b" ."
 
 
 def steps(address: str, triples: int) -> Iterator[tuple[str, int, int]]:
-    """Everything that is done with the document: what, the status and the size of the answer."""
+    """Yield all requests about the document: a label, and the status and size of the response."""
     client = Client(address)
     yield "PUT", *client.ask("PUT", DOCUMENT, turtle(triples), Content_Type="text/turtle")
     yield "PUT again", *client.ask("PUT", DOCUMENT, turtle(triples), Content_Type="text/turtle")
@@ -92,7 +92,7 @@ def steps(address: str, triples: int) -> Iterator[tuple[str, int, int]]:
 
 
 def work(address: str, triples: int) -> None:
-    """Do everything once, and tell when each step was done."""
+    """Send all requests once, and report when each was finished."""
     begun = time.monotonic()
     for name, status, size in steps(address, triples):
         now = time.monotonic()
@@ -101,7 +101,7 @@ def work(address: str, triples: int) -> None:
 
 
 class Presser:
-    """Presses the stop and releases it, again and again, and remembers how long each press took."""
+    """A client that stops and releases the robot repeatedly and records the duration of each stop."""
 
     def __init__(self, address: str) -> None:
         self._client = Client(address)
@@ -121,19 +121,19 @@ class Presser:
                 time.sleep(0.005)
 
     def end(self) -> list[float]:
-        """Press no more: the seconds that each press took."""
+        """End, and return the seconds that each stop took."""
         self._ended.set()
         self._thread.join()
         return sorted(seconds for _, seconds in self.presses)
 
     def longest_between(self, begun: float, ended: float) -> float:
-        """The seconds that the slowest press of a time took."""
+        """Return the seconds of the slowest stop within a period."""
         found = [took for at, took in self.presses if at <= ended and at + took >= begun]
         return max(found, default=0.0)
 
 
 def idle() -> None:
-    """Sleep again and again until the input ends, and print how late the latest awakening was, in seconds."""
+    """Sleep repeatedly until the input ends, and print the longest delay of an awakening in seconds."""
     ended, latest = threading.Event(), 0.0
 
     def wait() -> None:
@@ -149,7 +149,7 @@ def idle() -> None:
 
 
 def bench(triples: int) -> None:
-    """Serve the aircraft, do everything beside the stop, print the tables."""
+    """Serve the aircraft, send all requests in parallel with stops, print the tables."""
     beside = subprocess.Popen(
         [sys.executable, __file__, "--idle"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )

@@ -1,7 +1,7 @@
 """A camera in motion: 640 by 480 pixels raw at 25 Hz as JPEG, to no viewer, to one and to ten.
 
-Run: python bench/pictures.py [seconds]. The source is a recording that is played again and again. The table has the
-processor time of the server per second, and the pictures that each viewer got; the ratio is of ten viewers to one.
+Run: python bench/pictures.py [seconds]. The source is a recording that is played in a loop. The table has the CPU time
+of the server per second, and the pictures that each viewer received; the ratio is that of ten viewers to one.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _PICTURE = b"Content-Type: image/jpeg"
 
 
 def write_recording(path: Path) -> None:
-    """Two seconds of a camera that pans over a scene with some noise."""
+    """Write two seconds of a camera that pans over a scene with some noise."""
     types = get_typestore(Stores.ROS1_NOETIC)
     image, header, stamp = (
         types.types[name] for name in ("sensor_msgs/msg/Image", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
@@ -48,7 +48,7 @@ def write_recording(path: Path) -> None:
 
 
 class Viewer(asyncio.Protocol):
-    """One viewer of the motion stream, who counts its pictures."""
+    """A viewer of the motion stream, which counts its pictures."""
 
     def __init__(self, host: str) -> None:
         self.pictures = 0
@@ -62,7 +62,7 @@ class Viewer(asyncio.Protocol):
 
 
 async def measure(url: str, process: int, viewers: int, seconds: float) -> tuple[float, float]:
-    """Seconds of processor time and pictures of each viewer, a second."""
+    """Return CPU seconds and the pictures of each viewer, per second."""
     parts, loop = urlsplit(url), asyncio.get_running_loop()
     made = [
         await loop.create_connection(lambda: Viewer(parts.netloc), parts.hostname, parts.port) for _ in range(viewers)

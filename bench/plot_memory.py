@@ -1,7 +1,7 @@
-"""Memory of a browser and of the server while ten series of 50 Hz are plotted live, minute by minute.
+"""Memory of a browser and of the server while ten series at 50 Hz are plotted live, minute by minute.
 
-Run: python bench/plot_memory.py [minutes]. The source is a recording, played again and again. It needs chromium.
-The browser's figures are those of the page after a collection of garbage: its heap in MB, and how many nodes it has.
+Run: python bench/plot_memory.py [minutes]. The source is a recording played in a loop. It needs chromium. The figures
+of the browser are those of the page after garbage collection: its heap in MB, and the number of its nodes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MINUTE = 60.0
 
 
 def write_recording(path: Path) -> None:
-    """Twenty seconds of ten topics, each a wave of its own."""
+    """Write twenty seconds of ten topics, each a different wave."""
     types = get_typestore(Stores.ROS1_NOETIC)
     value = types.types["std_msgs/msg/Float64"]
     with Writer(path) as bag:
@@ -43,14 +43,14 @@ def write_recording(path: Path) -> None:
 
 
 def heap(tab: Tab) -> tuple[float, int, float]:
-    """Of a page without its garbage: its heap in MB, its nodes, and the seconds that its thread was at work."""
+    """Return the heap of a page after garbage collection in MB, its nodes, and the CPU seconds of its thread."""
     tab.send("HeapProfiler.collectGarbage")
     found = {each["name"]: each["value"] for each in tab.send("Performance.getMetrics")["metrics"]}
     return found["JSHeapUsedSize"] / 1e6, int(found["Nodes"]), found["TaskDuration"]
 
 
 def watch(minutes: int, folder: Path) -> None:
-    """Plot for so long, and print after each minute."""
+    """Plot for some minutes, and print the memory after each."""
     write_recording(folder / "waves.bag")
     command = ("-m", "rosld", "serve", str(folder / "waves.bag"), "--port", "0")
     with serving(*command) as (url, process), browser(folder / "browser") as window, window.tab() as tab:

@@ -1,6 +1,7 @@
-"""What it costs to query as one who may not read everything: the union, an explicit dataset, a restricted one.
+"""Cost of queries with restricted permissions: the union, an explicit dataset, a restricted one.
 
-Run: python bench/rights.py [graphs]. A dataset of so many graphs of 20 statements; the agent may read 9 of 10 of them.
+Run: python bench/rights.py [graphs]. The dataset has this number of graphs of 20 statements; the agent may read 9 of
+10.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ async def main(count: int) -> None:
 
 
 async def restricted(anna: Permissions, count: int, small: str) -> None:
-    """The restricted dataset: to make it, to ask it, to bring it what changed."""
+    """Measure the restricted dataset: creating, querying and updating it."""
     limits, process = Limits(), QueryProcess(4, 256)
     await process.start()
     process.change(dict(map(graph, range(count))))

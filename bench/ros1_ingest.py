@@ -38,7 +38,7 @@ BATCH = 1_000_000
 
 
 class Deaf:
-    """A sink that nobody listens at."""
+    """A sink that ignores everything."""
 
     def graph_changed(self, graph: object) -> None: ...
 
@@ -57,14 +57,14 @@ class Sender:
 
 
 def _frames(size: int) -> bytes:
-    """Whole frames of strings, about a megabyte of them."""
+    """Return frames of strings, about a megabyte in total."""
     body = struct.pack("<I", size) + b"x" * size
     one = struct.pack("<I", len(body)) + body
     return one * max(1, BATCH // len(one))
 
 
 def _pour(connection: socket.socket, frames: bytes) -> None:
-    """Greet a subscriber, then write frames until it leaves."""
+    """Answer the header of a subscriber, then write frames until it disconnects."""
     with connection:
         (length,) = struct.unpack("<I", connection.recv(4, socket.MSG_WAITALL))
         decode_header(connection.recv(length, socket.MSG_WAITALL))
@@ -78,7 +78,7 @@ def _pour(connection: socket.socket, frames: bytes) -> None:
 
 
 def send(size: int, master: str) -> None:
-    """Be the publisher, in a process of its own, until stdin ends."""
+    """Publish, in a separate process, until stdin ends."""
     listening = socket.create_server(("127.0.0.1", 0))
     port = listening.getsockname()[1]
     frames = _frames(size)
@@ -101,7 +101,7 @@ def send(size: int, master: str) -> None:
 
 @contextmanager
 def rosmaster() -> Iterator[str]:
-    """A real rosmaster on a free port; its URI."""
+    """Run a real rosmaster on a free port; yield its URI."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -133,7 +133,7 @@ def _wait_for(port: int) -> None:
 
 @contextmanager
 def sender(size: int, master: str) -> Iterator[int]:
-    """A running sender; its TCPROS port."""
+    """Run a sender; yield its TCPROS port."""
     command = [sys.executable, __file__, "--send", str(size), "--master", master]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -145,7 +145,7 @@ def sender(size: int, master: str) -> Iterator[int]:
 
 
 class RawReceiver(asyncio.BufferedProtocol):
-    """The baseline: receive in bulk, walk the frames, count them."""
+    """The baseline: receives in bulk, walks the frames, counts them."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -177,7 +177,7 @@ class RawReceiver(asyncio.BufferedProtocol):
 
 
 def raw_rate(port: int, seconds: float) -> float:
-    """Frames a second of the bare protocol, on a thread of its own."""
+    """Return the frames per second of the bare protocol, on its own thread."""
     rates: list[float] = []
 
     async def receive() -> None:
@@ -195,7 +195,7 @@ def raw_rate(port: int, seconds: float) -> float:
 
 
 async def rosld_rate(master: str, seconds: float) -> float:
-    """Messages a second that rosld's subscription takes while nobody reads."""
+    """Return the messages per second of rosld's subscription without readers."""
     opened = adapter(f"ros1://{master.removeprefix('http://')}", AdapterOptions())
     await opened.open(Deaf(), deadline=asyncio.get_running_loop().time() + 10)
     try:
@@ -213,7 +213,7 @@ async def rosld_rate(master: str, seconds: float) -> float:
 
 
 def measure(seconds: float, rounds: int) -> list[tuple[str, float, float]]:
-    """(size, raw frames a second, rosld's messages a second) for each size, the best of some rounds."""
+    """Yield (size, raw frames per second, rosld's messages per second) for each size, the best of some rounds."""
     rows = []
     with rosmaster() as master:
         for name, size in SIZES.items():
@@ -227,7 +227,7 @@ def measure(seconds: float, rounds: int) -> list[tuple[str, float, float]]:
 
 
 def main() -> None:
-    """Measure and print one line a size."""
+    """Measure and print one line per size."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     options.add_argument("--seconds", type=float, default=2.0)
     options.add_argument("--rounds", type=int, default=3)

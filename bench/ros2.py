@@ -48,7 +48,6 @@ def topic(number: int) -> str:
 
 
 def talk(options: argparse.Namespace) -> None:
-    """Publish on all topics at 50 Hz."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
     from std_msgs.msg import Float64
@@ -69,7 +68,7 @@ def talk(options: argparse.Namespace) -> None:
 
 
 def listen(options: argparse.Namespace) -> None:
-    """The baseline: subscribe to all topics on the default executor, and tell the processor time used."""
+    """Subscribe to all topics on the default executor, as the baseline, and print the CPU time."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from std_msgs.msg import Float64
@@ -97,7 +96,7 @@ def listen(options: argparse.Namespace) -> None:
 
 
 class Deaf:
-    """A sink that nobody listens at."""
+    """A sink that ignores everything."""
 
     def graph_changed(self, graph: object) -> None: ...
 
@@ -107,14 +106,14 @@ class Deaf:
 
 
 def held() -> float:
-    """The memory this process holds, in megabytes."""
+    """Return the memory of this process in megabytes."""
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text("ascii").split()[1])
     return pages * resource.getpagesize() / 1e6
 
 
 async def until(true: Callable[[], bool]) -> None:
-    """Wait until something is so."""
+    """Wait until a condition holds."""
 
     async def seen() -> None:
         while not true():  # noqa: ASYNC110
@@ -124,7 +123,7 @@ async def until(true: Callable[[], bool]) -> None:
 
 
 async def used_in(seconds: float) -> float:
-    """The share of a core that this process uses meanwhile."""
+    """Return the share of a core that this process uses during the interval."""
     began, used = time.monotonic(), time.process_time()
     await asyncio.sleep(seconds)
     return (time.process_time() - used) / (time.monotonic() - began)
@@ -159,7 +158,7 @@ async def look(options: argparse.Namespace) -> dict[str, float]:
 
 
 def receive(options: argparse.Namespace) -> None:
-    """Tell for each string, which is the time when it was sent, how long it was on its way."""
+    """Print the delay of each received string, which is the time when it was sent."""
     import rclpy
     from rclpy.executors import ExternalShutdownException
     from std_msgs.msg import String
@@ -177,7 +176,7 @@ def receive(options: argparse.Namespace) -> None:
 
 
 def publish(options: argparse.Namespace) -> None:
-    """The baseline: for each line read, publish the time."""
+    """Publish the time for each line read, as the baseline."""
     import rclpy
     from std_msgs.msg import String
 
@@ -194,7 +193,7 @@ def publish(options: argparse.Namespace) -> None:
 
 @contextmanager
 def role(name: str, options: argparse.Namespace, domain: int) -> Iterator[subprocess.Popen[str]]:
-    """A process that does one part; ended by its own handle."""
+    """Run a process for one part; end it by its own handle."""
     given = [f"--topics={options.topics}", f"--seconds={options.seconds}"]
     with running([sys.executable, __file__, "--role", name, *given], domain) as process:
         yield process
@@ -202,7 +201,7 @@ def role(name: str, options: argparse.Namespace, domain: int) -> Iterator[subpro
 
 @contextmanager
 def running(command: Sequence[str], domain: int) -> Iterator[subprocess.Popen[str]]:
-    """A process in a domain, on loopback."""
+    """Run a process in a domain, on loopback."""
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     process = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
@@ -217,13 +216,13 @@ def running(command: Sequence[str], domain: int) -> Iterator[subprocess.Popen[st
 
 
 def line(process: subprocess.Popen[str]) -> str:
-    """The next line that a process prints."""
+    """Return the next line that a process prints."""
     assert process.stdout is not None
     return process.stdout.readline().strip()
 
 
 def latencies(options: argparse.Namespace, domain: int) -> tuple[float, float]:
-    """Seconds from sending to hearing, the median: of a bare publisher, and of a PUT."""
+    """Return the median seconds from sending to receiving: of a bare publisher, and of a PUT."""
     with role("receive", options, domain) as receiver:
         assert line(receiver) == "ready"
         with role("publish", options, domain) as sender:
@@ -283,7 +282,7 @@ ROLES = {"talk": talk, "listen": listen, "receive": receive, "publish": publish}
 
 
 def main() -> int:
-    """Run a part, or all of it where there is an rclpy."""
+    """Run one part, or all parts if there is an rclpy."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--topics", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=10.0)

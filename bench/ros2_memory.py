@@ -34,14 +34,14 @@ VENV = ROOT / ".venv-ros2-jazzy" / "bin" / "python"
 LONGEST_WARM_UP = 300.0
 LOOKED_AT = 20
 SEEN = 0.5
-"""The share of topics that must have had a message at each look."""
+"""Minimum share of topics with a message at each read."""
 MAX_LINES = 60
 PATIENCE = 60.0
 QUERY = "SELECT ?topic ?rate WHERE { GRAPH <%s> { ?topic <https://w3id.org/rosld#rate> ?rate } }"
 
 
 class Held(NamedTuple):
-    """The memory held (MB) at a time (seconds since the beginning)."""
+    """The memory in use (MB) at a time (seconds since the start)."""
 
     seconds: float
     megabytes: float
@@ -54,7 +54,7 @@ def warm(samples: Sequence[Held]) -> Sequence[Held]:
 
 
 def slope(samples: Sequence[Held]) -> float:
-    """Megabytes a second, of the straight line of least squares. Raises ValueError for samples of one time alone."""
+    """Return the slope of the least-squares line in megabytes per second. Raises ValueError if all times are equal."""
     seconds = sum(one.seconds for one in samples) / max(len(samples), 1)
     megabytes = sum(one.megabytes for one in samples) / max(len(samples), 1)
     spread = sum((one.seconds - seconds) ** 2 for one in samples)
@@ -64,20 +64,20 @@ def slope(samples: Sequence[Held]) -> float:
 
 
 def grown(samples: Sequence[Held]) -> float:
-    """Megabytes by which memory grew after the warm-up."""
+    """Return the growth of memory after the warm-up in megabytes."""
     after = warm(samples)
     return slope(after) * (after[-1].seconds - after[0].seconds)
 
 
 def held(process: int) -> float:
-    """The memory that a process holds, in megabytes."""
+    """Return the memory of a process in megabytes."""
     pages = int(Path(f"/proc/{process}/statm").read_text("ascii").split()[1])
     return pages * resource.getpagesize() / 1e6
 
 
 @contextmanager
 def running(command: Sequence[str], domain: int) -> Iterator[subprocess.Popen[str]]:
-    """A process in a domain, on loopback, ended by its own handle."""
+    """Run a process in a domain, on loopback; end it by its own handle."""
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
     try:
@@ -92,29 +92,28 @@ def running(command: Sequence[str], domain: int) -> Iterator[subprocess.Popen[st
 
 
 def line(process: subprocess.Popen[str]) -> str:
-    """The next line that a process prints."""
+    """Return the next line that a process prints."""
     assert process.stdout is not None
     return process.stdout.readline().strip()
 
 
 class Client:
-    """Reads from a server, whose first line says where it is."""
+    """Client of a server, whose first line of output has the URL."""
 
     def __init__(self, base: str) -> None:
         self._base = base
         self._connection = http.client.HTTPConnection(urlsplit(base).netloc, timeout=PATIENCE)
 
     def get(self, path: str, accept: str) -> tuple[int, bytes]:
-        """The status and the body."""
+        """Return the status and the body."""
         self._connection.request("GET", path, headers={"Accept": accept})
         answer = self._connection.getresponse()
         return answer.status, answer.read()
 
     def look(self, number: int) -> bool:
-        """Read a topic as a script, as an agent and as a query would; whether there was a message to read.
+        """Read a topic as a script, as an agent and as a query would; return whether there was a message.
 
-        On a machine that is busy none may have come within the time that a first look waits. Raises RuntimeError where
-        something cannot be read at all.
+        On a busy machine there may be none within the wait of a first read. Raises RuntimeError if a request fails.
         """
         path = f"/topics/bench/topic_{number}"
         query = QUERY % f"{self._base.rstrip('/')}{path}"
@@ -129,7 +128,7 @@ class Client:
         return found
 
     def wait(self, topics: int) -> None:
-        """Wait until the last topic is there."""
+        """Wait until the last topic exists."""
         until = time.monotonic() + PATIENCE
         while True:
             try:
@@ -143,7 +142,7 @@ class Client:
 
 
 def measure(options: argparse.Namespace) -> list[Held]:
-    """The memory of a server over time."""
+    """Return the memory of a server over time."""
     domain, chance = options.domain, random.Random(1)
     talker = [sys.executable, str(ROOT / "bench" / "ros2.py"), "--role", "talk", f"--topics={options.topics}"]
     server = [sys.executable, "-m", "rosld", "serve", f"ros2:?domain={domain}", "--port", "0"]
@@ -165,7 +164,7 @@ def measure(options: argparse.Namespace) -> list[Held]:
 
 
 def main() -> int:
-    """Measure, print, and judge."""
+    """Measure, print, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--minutes", type=float, required=True)
     parser.add_argument("--topics", type=int, default=200)

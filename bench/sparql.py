@@ -53,7 +53,7 @@ TURNS = 15
 SERVE = "serve"
 CPU = "cpu"
 PAUSE = 0.25
-"""Seconds between two queries: longer than one look at everything is good for."""
+"""Seconds between two queries: longer than the validity of a synchronization with the robot."""
 NEW_TEXT = """
 local number = 0
 request = function()
@@ -61,7 +61,7 @@ request = function()
   return wrk.format(nil, wrk.path .. "%20%23" .. number)
 end
 """
-"""No two queries of one text: each has a comment of its own, and is read by itself."""
+"""No two queries have the same text: each has a comment of its own and is parsed anew."""
 DATA = f"{TYPES}std_msgs/msg/Float64#data"
 
 
@@ -81,7 +81,7 @@ QUERIES = {
     "all of a live value": "SELECT ?p ?v { <topics/battery_state> ros:latest ?m . ?m ?p ?v }",
     "COUNT of everything": "SELECT (COUNT(*) AS ?n) { ?s ?p ?o }",
 }
-"""Queries by what they are about."""
+"""Queries by subject."""
 TWIST = f"{TYPES}geometry_msgs/msg/Twist"
 VECTOR = f"{TYPES}geometry_msgs/msg/Vector3"
 VELOCITY = (
@@ -110,19 +110,19 @@ WRITES = {
     "PUT that publishes": ("PUT", "/topics/cmd_vel", VELOCITY),
     "update that publishes": ("POST", "/sparql", DRIVE),
 }
-"""Writes by what they do; NUMBER is another in each request, DIGIT one of a hundred."""
+"""Writes by effect; NUMBER differs in each request, DIGIT is one of a hundred."""
 
 
 # The CPU of one request
 
 
 def children_of(pid: int) -> set[int]:
-    """The processes that a process has started."""
+    """Return the child processes of a process."""
     return {int(child) for file in Path(f"/proc/{pid}/task").glob("*/children") for child in file.read_text().split()}
 
 
 def cpu_milliseconds(pid: int) -> float:
-    """The CPU that a process and all that it started have used, those that have ended included."""
+    """Return the CPU time of a process and all its children, including finished ones."""
     used = 0.0
     with suppress(FileNotFoundError, ProcessLookupError):
         for file in Path(f"/proc/{pid}/task").glob("*/schedstat"):
@@ -134,7 +134,7 @@ def cpu_milliseconds(pid: int) -> float:
 
 
 def cpu_of_queries(seconds: float) -> None:
-    """CPU of all processes for one request on one connection, each with a text of its own, on the rover."""
+    """Print the CPU time of all processes for one request on one connection, each with its own text, on the rover."""
     with ExitStack() as servers:
         rosld = servers.enter_context(
             serving("-m", "rosld", "serve", "rover", "--port", "0", "--max-publish-rate", "1000000")
@@ -163,12 +163,12 @@ def cpu_of_queries(seconds: float) -> None:
 
 
 def declarations(text: str) -> str:
-    """The declarations of the prefixes in a text."""
+    """Return the declarations of the prefixes in a text."""
     return "".join(f"PREFIX {name}: <{iri}> " for name, iri in PREFIXES.items() if f"{name}:" in text)
 
 
 def cpu_of(pid: int, seconds: float, send: Callable[[int], float]) -> tuple[float, float]:
-    """The milliseconds of CPU that a request takes, beyond those used without any, and the median of all."""
+    """Return the CPU milliseconds of a request, without those of an idle server, and the median duration."""
     send(0)
     begun, before = time.perf_counter(), cpu_milliseconds(pid)
     time.sleep(seconds)
@@ -186,7 +186,7 @@ def cpu_of(pid: int, seconds: float, send: Callable[[int], float]) -> tuple[floa
 
 @contextmanager
 def oxigraph() -> Iterator[str]:
-    """The Oxigraph server on a free port, ready to be asked."""
+    """Run the Oxigraph server on a free port until it is ready."""
     command = OXIGRAPH
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -203,7 +203,7 @@ def oxigraph() -> Iterator[str]:
 
 
 def copy(rosld: str, other: str) -> int:
-    """Copy all graphs of one server to the other; how many there are."""
+    """Copy all graphs of one server to the other; return their number."""
     with httpx.Client(timeout=30) as http:
         listed = http.get(f"{rosld}sparql", params={"query": "SELECT DISTINCT ?g { GRAPH ?g { ?s ?p ?o } }"})
         graphs = [row["g"]["value"] for row in listed.json()["results"]["bindings"]]
@@ -222,7 +222,7 @@ def copy(rosld: str, other: str) -> int:
 
 
 def against_oxigraph(seconds: int) -> None:
-    """Small SELECTs over one live resource, by both servers."""
+    """Compare small SELECTs over one live resource on both servers."""
     with serving("-m", "rosld", "serve", "aircraft", "--port", "0") as rosld, oxigraph() as other:
         topic = f"{rosld}topics/aircraft/engine/speed"
         small = f"SELECT ?x {{ <{topic}> <{ros.latest.value}> ?m . ?m <{DATA}> ?x }}"
@@ -239,7 +239,7 @@ def against_oxigraph(seconds: int) -> None:
 
 
 def many_rows() -> None:
-    """Answers of 20,000 rows in JSON, by both servers: the shortest of several, none of them asked twice."""
+    """Compare answers of 20,000 rows in JSON from both servers: the minimum of several distinct queries."""
     triples = "".join(
         f'<{BASE}x/{n}> <{BASE}name> "number {n}" .\n<{BASE}x/{n}> a <{BASE}Thing> .\n' for n in range(ROWS)
     )
@@ -266,7 +266,7 @@ def many_rows() -> None:
 
 
 class Robot:
-    """A thousand topics of Twists, lifted as they are in the server."""
+    """A thousand topics of Twists, lifted as in the server."""
 
     revision = 0
 
@@ -286,7 +286,7 @@ class Robot:
         self._descriptions = {url: GraphEntry(url, 0, lambda url=url: self._described(url)) for url in self._urls}  # type: ignore[misc]
 
     def tick(self) -> None:
-        """A new message on every topic."""
+        """Publish a new message on every topic."""
         self._turn += 1
 
     writes = 0
@@ -295,7 +295,7 @@ class Robot:
         return self._descriptions
 
     async def prepare(self, needs: Needs) -> None:
-        """Nothing is left to describe."""
+        """Lift all messages."""
 
     def wanted(self, needs: Needs, permissions: Permissions) -> Sequence[LiveDocument]:
         named = {pattern.graph or pattern.document for pattern in needs.patterns}
@@ -323,7 +323,7 @@ class Robot:
 
 
 def serve() -> None:
-    """The thousand topics behind HTTP: /sparql; /tick, a new message on each; /idle, which asks for nothing."""
+    """Serve the thousand topics over HTTP: /sparql; /tick for a new message on each; /idle for an empty response."""
     robot, process = Robot(), QueryProcess(4, 256)
     service = QueryService(process, Materializer(process, robot), Analyser(BASE, TYPES))
 
@@ -352,7 +352,7 @@ def serve() -> None:
     listening.listen()
     print(f"http://127.0.0.1:{listening.getsockname()[1]}/", flush=True)
     gc.collect()
-    gc.freeze()  # what is loaded stays: the collector need not look through it again and again
+    gc.freeze()  # loaded objects remain: the collector need not scan them again and again
     config = uvicorn.Config(app, loop="uvloop", http="httptools", access_log=False, log_level="error")
     uvicorn.Server(config).run(sockets=[listening])
 
@@ -365,12 +365,12 @@ class Client:
         self._connection = HTTPConnection(parts.hostname or "", parts.port)
 
     def seconds(self, path: str, query: str = "", number: int = 0) -> float:
-        """How long a GET takes, or a query, whose text a number makes another."""
+        """Return the duration of a GET, or of a query, whose text a number makes unique."""
         url = f"{path}?query={quote(f'{query} #{number}')}" if query else path
         return self._request("GET", url, None, {"Accept": "application/sparql-results+json, text/csv"})
 
     def write(self, method: str, path: str, body: str, number: int) -> float:
-        """How long a write takes."""
+        """Return the duration of a write."""
         path, body = (each.replace("NUMBER", str(number)).replace("DIGIT", str(number % 100)) for each in (path, body))
         media_type = "application/sparql-update" if path == "/sparql" else "text/turtle"
         return self._request(method, path, body, {"Content-Type": media_type})
@@ -385,7 +385,7 @@ class Client:
 
 
 def milliseconds(client: Client, query: str, pause: float, *, changed: bool) -> float:
-    """The median time of an answer, `pause` seconds after all topics changed, or with nothing changed."""
+    """Return the median latency, `pause` seconds after all topics changed, or with nothing changed."""
     times = []
     for _ in range(TURNS):
         client.seconds("/tick" if changed else "/idle")
@@ -395,7 +395,7 @@ def milliseconds(client: Client, query: str, pause: float, *, changed: bool) -> 
 
 
 def longest_hold(url: str, query: str) -> tuple[float, float]:
-    """The median and the longest time of requests for nothing while wildcard queries are answered, in milliseconds."""
+    """Return median and maximum latency in milliseconds of empty responses while wildcard queries run."""
     held: list[float] = []
     ended = threading.Event()
 
@@ -413,7 +413,7 @@ def longest_hold(url: str, query: str) -> tuple[float, float]:
 
 
 def a_thousand_topics() -> None:
-    """What a sync costs the query that needs it, and everybody else."""
+    """Measure the cost of synchronization for the query that needs it, and for other requests."""
     ten = " ".join(f"<{BASE}topics/t{number}>" for number in range(10))
     over_ten = f"SELECT ?p ?o {{ VALUES ?t {{ {ten} }} ?t ros:latest ?m . ?m ?p ?o }}"
     wildcard = "SELECT (COUNT(*) AS ?n) { ?s ?p ?o }"

@@ -1,13 +1,13 @@
-"""How soon a base without a watchdog is told to stand, at full load: from the request of the stop, in ms.
+"""Latency of the stop in ms at full load: from the request until a base without a watchdog receives zero.
 
     python bench/stop.py [--rounds 100] [--robots rover ros1 jazzy kilted] [--options=--stop-ready]
 
-Each round another commands the base, once, so that it drives on; then the robot is stopped, and released. The base is
-the embedded rover, a rospy node and an rclpy node, none of which anybody has mapped, and its own clock says when the
-first zero came. On ROS the command is another node's: rosld publishes to the base for the first time with each stop,
-unless the server is given the option --stop-ready.
-The load: 8 clients with queries that take the longest they may, 16 calls of a service that does not answer, and 16
-clients that read as fast as they are answered. Beside it the same without load. Aim: 200 ms, every time.
+In each round another node commands the base, once, so that it drives on; then the robot is stopped, and released. The
+base is the embedded rover, a rospy node or an rclpy node, without a mapping, and its own clock measures when the first
+zero was received. On ROS the command is another node's: rosld publishes to the base for the first time with each stop,
+unless the server has the option --stop-ready. The load: 8 clients with queries that run into the time limit, 16 calls
+of a service that does not answer, and 16 clients that read as fast as possible. For comparison, the same without load.
+Target: 200 ms, every time.
 """
 
 from __future__ import annotations
@@ -122,13 +122,13 @@ for _ in sys.stdin:
 
 
 class Client:
-    """One connection, kept alive."""
+    """One persistent connection."""
 
     def __init__(self, address: str) -> None:
         self._connection = http.client.HTTPConnection(address, timeout=60)
 
     def ask(self, method: str, path: str, body: str | None = None, headers: dict[str, str] = JSON) -> int:
-        """The status of an answer, whose body is then in `body`."""
+        """Return the status of a response, whose body is then in `body`."""
         self._connection.request(method, path, body, headers)
         answer = self._connection.getresponse()
         self.body = answer.read()
@@ -137,7 +137,7 @@ class Client:
 
 @dataclass(frozen=True)
 class Robot:
-    """A base behind a server: how it is set going, the speeds that it was told with their moments, what loads it."""
+    """A base behind a server: its command, the speeds that it received with their times, and its load."""
 
     address: str
     command: Callable[[], None]
@@ -146,7 +146,7 @@ class Robot:
     topic: str
 
     def told(self, still: bool, patience: float = PATIENCE) -> float:
-        """When the base was told next to stand still, or to drive; infinity where it was not."""
+        """Return when the base next received zero, or another speed; infinity if it did not."""
         while True:
             try:
                 speed, moment = self.speeds.get(timeout=patience)
@@ -157,7 +157,7 @@ class Robot:
 
 
 class Watched(Rover):
-    """The rover, which notes the speeds that it is told; its lights are never switched."""
+    """The rover, which records the speeds that it receives; its lights are never switched."""
 
     def __init__(self, options: AdapterOptions) -> None:
         super().__init__(read_source("rover"), options)
@@ -178,7 +178,7 @@ class Watched(Rover):
 
 @contextmanager
 def rover() -> Iterator[Robot]:
-    """The embedded rover, served here; its command is rosld's own."""
+    """Serve the embedded rover here; rosld itself commands it."""
     adapter = Watched(AdapterOptions())
     with served(adapter, call_deadline=30.0) as client:
         address = client.base_url.netloc.decode()
@@ -191,7 +191,7 @@ def rover() -> Iterator[Robot]:
 
 @contextmanager
 def rospy(options: Sequence[str]) -> Iterator[Robot]:
-    """A rospy base under a rosmaster."""
+    """Run a rospy base under a rosmaster."""
     with tempfile.TemporaryDirectory() as folder, ros1.running(Path(folder)) as system:
         python = [ros1.PYTHON, "-c"]
         with (
@@ -204,7 +204,7 @@ def rospy(options: Sequence[str]) -> Iterator[Robot]:
 
 @contextmanager
 def rclpy(name: str, options: Sequence[str]) -> Iterator[Robot]:
-    """An rclpy base of a distro."""
+    """Run an rclpy base of a distro."""
     python = distros.made(name).python
     with distros.free_domain() as domain:
         environment = distros.environment(domain)
@@ -218,7 +218,7 @@ def rclpy(name: str, options: Sequence[str]) -> Iterator[Robot]:
 
 @contextmanager
 def node(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """A process that has said that it is ready, and is killed in the end."""
+    """Run a process, wait until it reports that it is ready, and kill it at the end."""
     with subprocess.Popen(
         command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
     ) as process:
@@ -237,7 +237,7 @@ def of_nodes(
     commander: subprocess.Popen[str],
     options: Sequence[str],
 ) -> Iterator[Robot]:
-    """The base and its commander behind a rosld of its own process."""
+    """Run the base and its commander with a rosld in its own process."""
     for each in (base, commander):
         assert each.stdout is not None
         assert each.stdout.readline().strip() == "ready"
@@ -281,7 +281,7 @@ ROBOTS: dict[str, Callable[[Sequence[str]], AbstractContextManager[Robot]]] = {
 
 
 def load(address: str, service: str, topic: str) -> None:
-    """Everything at once, for ever."""
+    """Generate the whole load, for ever."""
 
     def again(path: str) -> None:
         client = Client(address)
@@ -303,7 +303,7 @@ def load(address: str, service: str, topic: str) -> None:
 
 
 def press(address: str) -> None:
-    """Stop the robot at each line that comes, and print when that was asked for; then release it."""
+    """Stop the robot at each input line, print the time of the request, then release it."""
     client = Client(address)
     for _ in sys.stdin:
         moment = time.monotonic()
@@ -320,7 +320,7 @@ def press(address: str) -> None:
 
 
 def measured(robot: Robot, rounds: int) -> list[float]:
-    """Milliseconds from each request to the base's being told to stand."""
+    """Return the milliseconds from each request until the base received zero."""
     found = []
     with subprocess.Popen(
         [sys.executable, __file__, "--press", robot.address],
@@ -343,7 +343,7 @@ def measured(robot: Robot, rounds: int) -> list[float]:
 
 
 def measure(name: str, rounds: int, options: Sequence[str]) -> bool:
-    """Print the rows of a robot; whether it stood in time, every time."""
+    """Print the rows of a robot; return whether it always stopped in time."""
     with ROBOTS[name](options) as robot:
         rows = {"alone": measured(robot, rounds)}
         command = [sys.executable, __file__, "--load", robot.address, robot.service, robot.topic]
@@ -361,7 +361,7 @@ def measure(name: str, rounds: int, options: Sequence[str]) -> bool:
 
 
 def main() -> None:
-    """Print the table; ends with 1 where a base was told later than that."""
+    """Print the table; return 1 if a base stopped too late."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--rounds", type=int, default=100)
     parser.add_argument("--robots", nargs="+", choices=list(ROBOTS), default=list(ROBOTS))

@@ -1,7 +1,7 @@
-"""SPARQL updates that publish to a real rospy subscriber, beside a plain PUT of the same message, in one run.
+"""SPARQL updates that publish to a real rospy subscriber, compared to a plain PUT of the same message, in one run.
 
 Run: python bench/update.py [seconds]. Needs `wrk` and ROS 1 (Debian: apt-get install wrk ros-core python3-rospy). The
-aim is 1,000 updates a second on sixteen connections, and 20 ms for 99 of 100 at 100 a second.
+targets are 1,000 updates per second on sixteen connections, and 20 ms for 99 of 100 at 100 per second.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ end
 
 
 class Way(NamedTuple):
-    """A way to publish: what is sent where, `body` being made of the words to be published."""
+    """A way to publish: a request whose `body` is made from the text to publish."""
 
     name: str
     method: str
@@ -66,14 +66,14 @@ class Way(NamedTuple):
     body: Callable[[str], str]
 
     def script(self, folder: Path) -> Path:
-        """A script for wrk, every body of which publishes other words."""
+        """Return a script for wrk, each body of which publishes a different text."""
         path = folder / f"{self.method.lower()}.lua"
         path.write_text(SCRIPT.format(method=self.method, media_type=self.media_type, body=self.body("WORDS")))
         return path
 
 
 class Subscriber:
-    """A rospy node, and when it heard what (seconds since 1970)."""
+    """A rospy node, and the times when it received texts (seconds since 1970)."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self.heard: dict[str, float] = {}
@@ -92,7 +92,7 @@ class Subscriber:
                 self._happened.notify_all()
 
     def wait_for(self, words: str, timeout: float = 10.0) -> None:
-        """Wait until it has heard these words."""
+        """Wait until it has received a text."""
         with self._happened:
             if not self._happened.wait_for(lambda: words in self.heard, timeout):
                 raise SystemExit(f"the subscriber never heard {words!r}")
@@ -100,7 +100,7 @@ class Subscriber:
 
 @contextmanager
 def subscriber(master: str, folder: Path) -> Iterator[Subscriber]:
-    """A real rospy subscriber, ready to hear."""
+    """Run a real rospy subscriber until it is ready."""
     environment = {
         "ROS_MASTER_URI": master,
         "ROS_HOME": str(folder),
@@ -120,7 +120,7 @@ def subscriber(master: str, folder: Path) -> Iterator[Subscriber]:
 
 
 def ways(rosld: str) -> tuple[Way, Way]:
-    """An update, and a PUT."""
+    """Return an update and a PUT."""
     graph = f"{rosld}topics{TOPIC}"
 
     def update(words: str) -> str:
@@ -136,14 +136,14 @@ def ways(rosld: str) -> tuple[Way, Way]:
 
 
 class Delay(NamedTuple):
-    """Seconds from sending to the answer, and to the subscriber's callback."""
+    """Seconds from sending to the response, and to the subscriber's callback."""
 
     answer: list[float]
     heard: list[float]
 
 
 def delays(way: Way, hears: Subscriber, seconds: int, turn: int) -> Delay:
-    """One request after the other, a hundred a second, on one connection."""
+    """Send requests in sequence, a hundred per second, on one connection."""
     where = urlsplit(way.url)
     connection = http.client.HTTPConnection(where.hostname or "", where.port or 80)
     sent: dict[str, float] = {}
@@ -172,7 +172,7 @@ def _at(share: float, found: list[float]) -> float:
 
 
 def rates(found: tuple[Way, Way], seconds: int, folder: Path) -> None:
-    """Print requests a second on sixteen connections."""
+    """Print requests per second on sixteen connections."""
     print(f"{'sixteen connections':28}{'requests':>10}{'of PUT':>9}")
     measured: dict[str, list[Rate]] = {way.name: [] for way in found}
     for _ in range(ROUNDS):
@@ -188,7 +188,7 @@ def rates(found: tuple[Way, Way], seconds: int, folder: Path) -> None:
 
 
 def latencies(found: tuple[Way, Way], hears: Subscriber, seconds: int) -> None:
-    """Print the milliseconds at a hundred a second."""
+    """Print the latencies in milliseconds at a hundred requests per second."""
     measured: dict[str, Delay] = {way.name: Delay([], []) for way in found}
     turns = itertools.count()
     for _ in range(ROUNDS):
@@ -226,7 +226,7 @@ def main() -> None:
 
 
 def _until_heard(way: Way, hears: Subscriber) -> None:
-    """Publish until the subscriber hears it: it takes a moment until rosld knows of it, and it of rosld."""
+    """Publish until the subscriber receives it, as rosld and the subscriber need some time to discover each other."""
     until = time.monotonic() + 30
     headers = {"Content-Type": way.media_type}
     while not hears.heard:

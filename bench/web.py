@@ -1,6 +1,6 @@
-"""GET and PUT through HTTP, as ratios to a bare Starlette on the same server (uvloop, httptools), in one run.
+"""GET and PUT over HTTP, as ratios to a bare Starlette on the same server (uvloop, httptools), in one run.
 
-No two requests are the same, so that each is answered by itself.
+No two requests are the same, so that each is answered separately.
 
 Run: python bench/web.py [seconds]. Needs `wrk` (Debian: apt-get install wrk).
 """
@@ -47,7 +47,7 @@ request = function()
   return wrk.format()
 end
 """
-"""No two requests the same."""
+"""No two requests are the same."""
 PUT = """
 local number = 0
 request = function()
@@ -57,11 +57,11 @@ request = function()
   <https://w3id.org/rosld/types/std_msgs/msg/String#data> "climb to ]] .. number .. [[" .]])
 end
 """
-"""No two messages the same."""
+"""No two messages are the same."""
 
 
 class Rate(NamedTuple):
-    """What wrk measured."""
+    """Results of wrk."""
 
     per_second: float
     failures: int
@@ -69,7 +69,7 @@ class Rate(NamedTuple):
 
 @contextmanager
 def serving(*command: str) -> Iterator[str]:
-    """A server as a process; its URL is the first line it prints."""
+    """Run a server as a process; its URL is the first line it prints."""
     process = subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
@@ -80,7 +80,7 @@ def serving(*command: str) -> Iterator[str]:
 
 
 def measure(url: str, seconds: int, *options: str) -> Rate:
-    """Requests a second on sixteen connections."""
+    """Return the requests per second on sixteen connections."""
     command = ["wrk", "-t1", "-c16", f"-d{seconds}s", *options, url]
     output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     found = re.search(r"Requests/sec:\s+([\d.]+)", output)
@@ -90,7 +90,7 @@ def measure(url: str, seconds: int, *options: str) -> Rate:
 
 
 def heading(width: int, other: str) -> None:
-    """Print the names of the columns of `compare`."""
+    """Print the column headings of `compare`."""
     print(f"{'':{width}}{'rosld/s':>10}{other + '/s':>12}{'ratio':>8}")
 
 
@@ -104,7 +104,7 @@ def compare(width: int, label: str, ours: str, theirs: str, seconds: int, *optio
 
 
 def compare_anew(width: int, label: str, ours: str, theirs: str, seconds: int, *options: str, anew: str = ANEW) -> None:
-    """The same for requests of which no two are the same, as the Lua program `anew` makes them."""
+    """Print the same for unique requests, which the Lua program `anew` creates."""
     with tempfile.NamedTemporaryFile("w", suffix=".lua") as script:
         script.write(anew)
         script.flush()

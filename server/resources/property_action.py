@@ -94,13 +94,13 @@ class MemberResource(TimeGate):
             raise self._missing(tree)
 
     @property
-    def _tree(self) -> ResourceTree | None:
-        return self.affordances.cached_tree()
+    def _plans(self) -> tuple[PropertyPlan | None, ActionPlan | None]:
+        """The plans of the property and of the action, as far as they are known."""
+        tree = self.affordances.cached_tree()
+        return (None, None) if tree is None else (tree.property(self.name), tree.action(self.name))
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        tree = self._tree
-        plan = None if tree is None else tree.property(self.name)
-        action = None if tree is None else tree.action(self.name)
+        plan, action = self._plans
         value = sent = None
         if plan is not None:
             shape = self.affordances.member_affordance(plan.member, write=True).shape
@@ -130,14 +130,12 @@ class MemberResource(TimeGate):
 
     def methods(self) -> frozenset[str]:
         """Return the methods by the kind of resource; unmet conditions are 409."""
-        tree = self._tree
-        if tree is None or self.session.settings.read_only:
+        if self.session.settings.read_only:
             return READ
         methods = READ
-        plan = tree.property(self.name)
+        plan, action = self._plans
         if plan is not None and self.affordances.is_writable(plan.source):
             methods |= {"PUT", "PATCH"}
-        action = tree.action(self.name)
         if action is not None and self.affordances.is_callable(action):
             methods |= {"POST"}
         if action is not None and self.affordances.can_cancel(action):
@@ -162,17 +160,16 @@ class MemberResource(TimeGate):
         return methods if offered else methods - {"GET", "HEAD"}
 
     def deny_reason(self, method: str) -> str:
-        tree = self._tree
         if self.session.settings.read_only:
             return "This server is read-only."
-        plan = tree.property(self.name) if tree is not None else None
+        plan, _ = self._plans
         if plan is not None and method in ("PUT", "PATCH"):
             return not_writable_reason(self.session.adapter, self.session.settings, plan.source)
         return f"{self.name} does not answer {method}."
 
     @property
     def deny_about(self) -> Sequence[str]:
-        plan = self._tree.property(self.name) if self._tree is not None else None
+        plan, _ = self._plans
         return () if plan is None else not_writable_about(self.session, plan.source)
 
     @property
@@ -182,9 +179,7 @@ class MemberResource(TimeGate):
     @property
     def _has_shape(self) -> bool:
         """Whether there is a shape of what may be written here."""
-        tree = self._tree
-        action = tree.action(self.name) if tree is not None else None
-        plan = tree.property(self.name) if tree is not None else None
+        plan, action = self._plans
         is_invoked = action is not None and action.request is not None
         return is_invoked or (plan is not None and has_property_shape(self.session, plan))
 
@@ -198,9 +193,8 @@ class MemberResource(TimeGate):
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        tree = self._tree
-        is_property = tree is None or tree.property(self.name) is not None
-        return (self.space.document_shape("Property" if is_property else "ActionResource"),)
+        plan, action = self._plans
+        return (self.space.document_shape("ActionResource" if plan is None and action is not None else "Property"),)
 
     # Reading
 

@@ -87,7 +87,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         "space": partial(SpaceResource, session, scene, factory.history, broadcasters, goals),
     }
     changing: dict[str, Callable[[], Resource]] = {
-        "status": partial(StatusResource, space, lambda: session.graph, services.problems, watchdog),
+        "status": partial(StatusResource, session, services.problems, watchdog),
         **({} if mirror is None else {"mirror": partial(ReplicationResource, space, mirror)}),
     }
     frames = partial(FramesResource, space, session.adapter, scene)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Sequence
+from functools import partial
 from urllib.parse import quote
 
 import orjson
@@ -141,15 +142,7 @@ class BagMessage(BagBase):
                 raise Problem(406, f"The message cannot be read: {decoded.reason}.")
             return lift_sample(self.space, self.session.lifting, decoded).lifter.json(decoded.message, self.url)
 
-        def describe() -> Document:
-            return record_document(
-                self.space,
-                self.session.lifting,
-                recording,
-                DecodedRecord(message, decoded),
-                simulated_time=self.session.graph.simulated_time,
-            )
-
+        describe = partial(record_document, self.session, recording, DecodedRecord(message, decoded))
         shapes = () if decoded.schema is None else self.space.shapes_of(decoded.schema)
         return self.states.put(self.url, 0, State(describe, plain, shapes=shapes))
 

@@ -20,10 +20,8 @@ from rosld.adapters.base import FOR_EVER, MessageFilter, MessagePage, RecordedMe
 from rosld.adapters.model import UnknownType
 from rosld.ontology.describe_bags import bag_message_document, bag_selection_document
 from rosld.ontology.document import Document
-from rosld.ontology.lift import LiftSettings
 from rosld.ontology.literals import date_time
 from rosld.ontology.triples import date_time_literal
-from rosld.ontology.urls import Space
 from rosld.server.auth.permissions import Permissions
 from rosld.server.html.page import Cell, MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
@@ -39,6 +37,7 @@ from rosld.server.rest.path_item import QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE
 from rosld.server.rest.state import State
 from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.session import Session
 
 
 class DecodedRecord(Struct, frozen=True, eq=False):
@@ -67,26 +66,17 @@ async def decode_records(
     return found
 
 
-def record_document(
-    space: Space, lifting: LiftSettings, recording: Recording, one: DecodedRecord, *, simulated_time: bool
-) -> Document:
+def record_document(session: Session, recording: Recording, one: DecodedRecord) -> Document:
     """Return the document of a recorded message."""
+    space, lifting = session.space, session.lifting
     lifted = lift_sample(space, lifting, one.decoded) if one.decoded.message is not None else None
     said = bag_message_document(recording, one.message, space, lifted, unreadable=one.decoded.reason)
-    return replace(said, simulated_time=simulated_time)
+    return replace(said, simulated_time=session.graph.simulated_time)
 
 
-def record_triples(
-    space: Space,
-    lifting: LiftSettings,
-    recording: Recording,
-    records: Iterable[DecodedRecord],
-    *,
-    simulated_time: bool,
-) -> list[Triple]:
-    """Return the same of many. It takes a while: for a thread."""
-    describe = partial(record_document, space, lifting, recording, simulated_time=simulated_time)
-    return [triple for one in records for triple in describe(one).all_triples()]
+def record_triples(session: Session, recording: Recording, records: Iterable[DecodedRecord]) -> list[Triple]:
+    """Return the triples of recorded messages. It takes a while: for a thread."""
+    return [triple for one in records for triple in record_document(session, recording, one).all_triples()]
 
 
 LIMIT, MAX_LIMIT = 100, 1000
@@ -147,14 +137,7 @@ class BagSelection(BagBase):
         if self._detail is Detail.JSON:
             data = await asyncio.to_thread(self._json, records)
             return State(describe, lambda: data, token=token)
-        said = await asyncio.to_thread(
-            record_triples,
-            self.space,
-            self.session.lifting,
-            self.recording,
-            records,
-            simulated_time=self.session.graph.simulated_time,
-        )
+        said = await asyncio.to_thread(record_triples, self.session, self.recording, records)
         triples = (*describe().triples, *said)
         return State(lambda: Document(self.url, triples), token=token, is_long=True)
 

@@ -23,13 +23,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Property
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.json_schema import (
-    Json,
-    JsonSchema,
-    MessageSchemas,
-    nullable,
-    patch_schema,
-)
+from rosld.server.hypermedia.json_schema import Json, JsonSchema, MessageSchemas, nullable, patch_schema
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
 from rosld.server.hypermedia.thing_description import MEDIA_TYPE
 from rosld.server.hypermedia.value import shape_url

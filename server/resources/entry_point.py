@@ -25,7 +25,7 @@ from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import OBJECT, TEXT, JsonSchema, MessageSchemas, nullable
+from rosld.server.hypermedia.json_schema import OBJECT, TEXT, JsonSchema, json_array, json_object, nullable
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
@@ -196,42 +196,38 @@ do next: 409 a condition does not hold, 422 a value does not fit (`violations`),
 ROUTE = "status"
 
 
+_SECONDS: JsonSchema = {"type": "number", "minimum": 0}
+_STATE = json_object(
+    optional={"state": {"enum": ["Live", "Stale"]}, "staleSince": nullable(TEXT), "reason": nullable(TEXT)}
+)
+_STATUS = json_object(
+    optional={
+        **dict.fromkeys(("longestPause", "longestWork", "recentPause"), _SECONDS),
+        **dict.fromkeys(("longestPauseEnd", "longestPauseCode", "longestWorkCode"), nullable(TEXT)),
+        "robot": _STATE,
+        "interruptedHold": json_array(TEXT),
+    }
+)
+
+
 class StatusResource(Resource):
     """The pauses of the event loop, the state of the robot's graph, and the problems of storage."""
 
     kind = "Server status"
     shape = "ServerStatus"
+    item = PathItem(
+        "How promptly the server itself answers, whether it sees the robot, what is wrong with its storage",
+        plain=_STATUS,
+    )
 
-    def __init__(
-        self,
-        space: Space,
-        graph: Callable[[], Graph],
-        problems: Callable[[], ServerProblems],
-        watchdog: Watchdog,
-    ) -> None:
-        super().__init__(space, space.base + ROUTE)
-        self._graph = graph
+    def __init__(self, session: Session, problems: Callable[[], ServerProblems], watchdog: Watchdog) -> None:
+        super().__init__(session.space, session.space.base + ROUTE)
+        self.session = session
         self._problems = problems
         self._watchdog = watchdog
 
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        seconds: JsonSchema = {"type": "number", "minimum": 0}
-        told: JsonSchema = dict.fromkeys(("longestPause", "longestWork", "recentPause"), seconds)
-        told = {**told, **dict.fromkeys(("longestPauseEnd", "longestPauseCode", "longestWorkCode"), nullable(TEXT))}
-        told["robot"] = {
-            "type": "object",
-            "properties": {
-                "state": {"enum": ["Live", "Stale"]},
-                "staleSince": nullable(TEXT),
-                "reason": nullable(TEXT),
-            },
-        }
-        told["interruptedHold"] = {"type": "array", "items": TEXT}
-        summary = "How promptly the server itself answers, whether it sees the robot, what is wrong with its storage"
-        return PathItem(summary, plain={"type": "object", "properties": told})
-
     async def state(self) -> State:
-        pauses, problems, graph = self._watchdog.pauses, self._problems(), self._graph()
+        pauses, problems, graph = self._watchdog.pauses, self._problems(), self.session.graph
         return State(
             lambda: status_document(self.space, pauses, graph, problems), lambda: _plain(pauses, graph, problems)
         )

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import Hashable, Iterator, Sequence
-from functools import partial
 from typing import NamedTuple
 
 from rosld.adapters.base import MessageFilter, Recording
@@ -159,18 +158,17 @@ class EventStreamResource(BagBase):
         """Return all messages of a page: those of many bytes are read and lifted some at a time."""
         found: list[Document] = []
         start: int | None = page.start
-        describe = partial(self._member, simulated_time=self.session.graph.simulated_time)
         while start is not None:
             wanted = MessageFilter(start=max(start, self.recording.first), end=page.end)
             some = await asyncio.to_thread(self.recording.select, wanted, MEMBERS)
             records = await decode_records(self.session.schemas, self.recording, some.messages)
-            found += await asyncio.to_thread(list, map(describe, records))
+            found += await asyncio.to_thread(list, map(self._member, records))
             start = some.next
         return found
 
-    def _member(self, one: DecodedRecord, *, simulated_time: bool) -> Document:
+    def _member(self, one: DecodedRecord) -> Document:
         space, lifting = self.space, self.session.lifting
-        said = record_document(space, lifting, self.recording, one, simulated_time=simulated_time)
+        said = record_document(self.session, self.recording, one)
         if self._profile is StreamProfile.RECORD or one.decoded.message is None:
             return said.joined() if said.parts else Document(said.url, tuple(said.all_triples()))
         lifted = lift_sample(space, lifting, one.decoded).triples(said)

@@ -208,9 +208,7 @@ class GraphStore(Resource):
         exchange.redirect_internally(self._scope(exchange, graph, others))
         if not exchange.permissions.is_unrestricted:
             enforcement.require_path(
-                exchange.permissions,
-                exchange.method,
-                enforcement.location_of(exchange.request.scope, self.space),
+                exchange.permissions, exchange.method, enforcement.location_of(exchange.request.scope, self.space)
             )
         resource = self._resolve(exchange.request.scope)
         if resource is self:

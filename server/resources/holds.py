@@ -238,10 +238,7 @@ class HoldResource(KeptResource[Hold]):
             return ()
         last = f"What it was told to say last is then published on {self.require().topic}."
         renewed = f"It goes on for {self.require().lease:g} s from then."
-        return (
-            DeleteForm("End the hold", "End", last),
-            DeleteForm("Renew the hold", "Renew", renewed, method="PATCH"),
-        )
+        return (DeleteForm("End the hold", "End", last), DeleteForm("Renew the hold", "Renew", renewed, method="PATCH"))
 
     def keep_alive(self, exchange: Exchange) -> contextlib.AbstractContextManager[float | None]:
         """`?keep=true`: the stream keeps the hold, and says twice a lease that it is alive.

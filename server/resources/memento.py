@@ -64,11 +64,7 @@ def is_recorded(history: History, topic: str) -> bool:
 
 def timegate_links(url: str) -> tuple[Link, ...]:
     """The links of an original resource that is its own TimeGate, and of its mementos (RFC 7089 2.2)."""
-    return (
-        Link(url, "original"),
-        Link(url, "timegate"),
-        Link(f"{url}?timemap", "timemap", type=LINK_FORMAT),
-    )
+    return (Link(url, "original"), Link(url, "timegate"), Link(f"{url}?timemap", "timemap", type=LINK_FORMAT))
 
 
 def memento_url(url: str, time_ns: int) -> str:

@@ -44,23 +44,6 @@ _THUMBNAIL_WIDTH = 192
 """Pixels: it is drawn half as wide, for screens that have two of them where others have one."""
 
 
-def member_outlines(
-    space: Space,
-    latest_of: Callable[[str], LatestValue | None],
-    things: Mapping[str, object],
-    route: str,
-    namespace: tuple[str, ...],
-    members: Members,
-) -> tuple[MemberOutline, ...]:
-    """Return in brief these members of a namespace, which are among `things`: names, types, latest values of topics."""
-    leaves = ((*namespace, leaf) for leaf in members.leaves)
-    below = ((*namespace, inner) for inner in members.namespaces)
-    return (
-        *(_outline(latest_of, things, names.join(path), space.url(route, path)) for path in leaves),
-        *(MemberOutline(space.container(route, path), None, names.join(path)) for path in below),
-    )
-
-
 def _outline(
     latest_of: Callable[[str], LatestValue | None], things: Mapping[str, object], name: str, url: str
 ) -> MemberOutline:
@@ -355,8 +338,14 @@ class NamespaceContainer(NamespaceBase):
     def _outlines(
         self, now: ListedNamespace, told: Members, latest_of: Callable[[str], LatestValue | None]
     ) -> tuple[MemberOutline, ...]:
-        things = things_of(now.graph, self.route)
-        return member_outlines(self.space, latest_of, things, self.route, self.namespace, told)
+        """Return in brief these members: names, types, latest values of topics."""
+        things, space = things_of(now.graph, self.route), self.space
+        leaves = ((*self.namespace, leaf) for leaf in told.leaves)
+        below = ((*self.namespace, inner) for inner in told.namespaces)
+        return (
+            *(_outline(latest_of, things, names.join(path), space.url(self.route, path)) for path in leaves),
+            *(MemberOutline(space.container(self.route, path), None, names.join(path)) for path in below),
+        )
 
     def _values_below(self) -> Sequence[tuple[str, LatestValue | None]]:
         """The values at hand of all topics below, which the page lists, too: it is another one when one of them is."""

@@ -20,13 +20,7 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.resources.limit_checks import LimitChecks
 from rosld.server.resources.named_resource import NamedResource
-from rosld.server.resources.namespaces import (
-    ListedNamespace,
-    NamespaceBase,
-    count_members,
-    is_of_hidden,
-    with_hidden,
-)
+from rosld.server.resources.namespaces import ListedNamespace, NamespaceBase, count_members, is_of_hidden, with_hidden
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, page_of_names
 from rosld.server.rest.resource import Answer, ShownAnswer
@@ -216,11 +210,7 @@ class ParameterContainer(NamespaceBase, ParameterBase):
     route = "parameters"
 
     def __init__(
-        self,
-        session: Session,
-        limit_checks: LimitChecks,
-        states: VersionCache[State],
-        namespace: tuple[str, ...],
+        self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], namespace: tuple[str, ...]
     ) -> None:
         ParameterBase.__init__(self, session, limit_checks, states, names.join(namespace))
         self.url = session.space.container("parameters", namespace)

@@ -67,8 +67,7 @@ class RecordedPast:
         named = asked.recordings & set(graphs) if graphs else asked.recordings
         if graphs and not named:
             raise Problem(
-                400,
-                "ros:past is asked for in a dataset without a recording: name one, as in FROM </bags/history/>.",
+                400, "ros:past is asked for in a dataset without a recording: name one, as in FROM </bags/history/>."
             )
         unknown = sorted(named - by_url.keys())
         if unknown:

@@ -139,11 +139,7 @@ class PlotResource(Resource):
     references: tuple[str, ...] = ()
 
     def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        history: History,
-        broadcasters: Broadcasters,
+        self, session: Session, affordances: AffordanceService[State], history: History, broadcasters: Broadcasters
     ) -> None:
         super().__init__(session.space, f"{session.space.base}plot")
         self.session = session

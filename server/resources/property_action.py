@@ -25,13 +25,7 @@ from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Property
 from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.json_schema import (
-    ANYTHING,
-    OBJECT,
-    MessageSchemas,
-    nullable,
-    patch_schema,
-)
+from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, MessageSchemas, nullable, patch_schema
 from rosld.server.hypermedia.property_writer import (
     PlannedWrite,
     WriteOutcome,

@@ -159,12 +159,7 @@ class QueryRunner(Struct, frozen=True):
         return {**lacking, **given}
 
     async def _page(
-        self,
-        exchange: Exchange,
-        resource: Resource,
-        query: StoredQuery,
-        given: Mapping[str, str],
-        asked: QueryRequest,
+        self, exchange: Exchange, resource: Resource, query: StoredQuery, given: Mapping[str, str], asked: QueryRequest
     ) -> Response:
         """Return the page: with results where all parameters are there, with the reason where they are not."""
         results: PageResults | None = None
@@ -390,9 +385,7 @@ def _list(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str
     """Return the container with its queries' purposes; their classes are in their own graphs only."""
     container = NamedNode(document.url)
     more = triples_about(
-        container,
-        (dcterms.title, text(_TITLE) if titled else None),
-        *statements(ldp.contains, map(NamedNode, shipped)),
+        container, (dcterms.title, text(_TITLE) if titled else None), *statements(ldp.contains, map(NamedNode, shipped))
     )
     purposes = {**shipped, **kept}.items()
     said = [

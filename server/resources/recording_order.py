@@ -81,10 +81,7 @@ _TRIGGER: JsonSchema = {
     "description": "It begins as a condition comes to hold.",
     "properties": {
         "resource": {**TEXT, "description": "The URL of the value that the condition is about."},
-        "condition": {
-            **TEXT,
-            "description": "As in ?until=: percentage < 0.2; or the IRI of one of a mapping.",
-        },
+        "condition": {**TEXT, "description": "As in ?until=: percentage < 0.2; or the IRI of one of a mapping."},
         "limit": {
             "type": "integer",
             "minimum": 1,

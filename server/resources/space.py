@@ -180,12 +180,7 @@ class SpaceResource(Resource):
     is_3d = False
 
     def __init__(
-        self,
-        session: Session,
-        scene: Scene,
-        history: History,
-        broadcasters: Broadcasters,
-        goals: GoalTargets,
+        self, session: Session, scene: Scene, history: History, broadcasters: Broadcasters, goals: GoalTargets
     ) -> None:
         super().__init__(session.space, f"{session.space.base}space")
         self.session = session

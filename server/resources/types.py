@@ -20,7 +20,6 @@ from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import dcterms, rdf
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.policies import active_limits
 from rosld.server.resources.accepted_shape import datatypes_of_limits, load_limited_types
 from rosld.server.resources.ldp.base import Documents
@@ -155,23 +154,15 @@ class TypeContainer(Resource):
     shape = "Container"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(
-        self,
-        space: Space,
-        adapter: AuditedAdapter,
-        states: VersionCache[State],
-        route: str,
-        namespace: tuple[str, ...],
-    ) -> None:
-        super().__init__(space, space.container(route, namespace))
-        self.adapter = adapter
+    def __init__(self, session: Session, states: VersionCache[State], route: str, namespace: tuple[str, ...]) -> None:
+        super().__init__(session.space, session.space.container(route, namespace))
+        self.adapter = session.adapter
         self.states = states
         self.route = route
         self.namespace = namespace
 
-    def path_item(self, schemas: MessageSchemas) -> PathItem:
-        of = ("", " of a package", " of a kind")[len(self.namespace)]
-        return PathItem(f"{self.route.capitalize()}{of}")
+        of = ("", " of a package", " of a kind")[min(len(namespace), 2)]
+        self.item = PathItem(f"{route.capitalize()}{of}")
 
     async def state(self) -> State:
         listed = sorted({ref.name for ref in known_types(self.adapter)})
@@ -214,7 +205,7 @@ def child_names(listed: Sequence[str], route: str, namespace: tuple[str, ...]) -
 def type_route(session: Session, states: VersionCache[State], location: Location) -> Resource:
     """`/types/` and below."""
     if location.is_container or len(location.segments) < 3:
-        return _container(session.space, session.adapter, states, "types", location)
+        return _container(session, states, "types", location)
     return TypeResource(session, states, "/".join(location.segments))
 
 
@@ -232,7 +223,7 @@ def shape_route(limit_checks: LimitChecks, documents: Documents, location: Locat
         if not location.is_container:
             return stored_route(documents, location)
     if location.is_container or len(location.segments) < 3:
-        return _container(session.space, session.adapter, documents.states, "shapes", location)
+        return _container(session, documents.states, "shapes", location)
     return ShapeResource(session.space, session.schemas, documents.states, "/".join(location.segments))
 
 
@@ -323,13 +314,10 @@ def _deny_reason(space: Space, settings: Settings, url: str, method: str) -> str
     )
 
 
-def _container(
-    space: Space, adapter: AuditedAdapter, states: VersionCache[State], route: str, location: Location
-) -> Resource:
+def _container(session: Session, states: VersionCache[State], route: str, location: Location) -> Resource:
     if not location.is_container:
-        url = space.container(route, location.segments)
-        raise permanent_redirect(url)
-    return TypeContainer(space, adapter, states, route, location.segments)
+        raise permanent_redirect(session.space.container(route, location.segments))
+    return TypeContainer(session, states, route, location.segments)
 
 
 class OntologyResource(Resource):

@@ -162,10 +162,7 @@ class GraphDescriptions:
         shapes = types.shapes_document(self._session.adapter, self._services.documents)
         yield _described(shapes.url, IdentityKey(shapes), lambda: shapes)
         for name in SHAPES_GRAPHS:
-            yield _described(
-                space.shape(name),
-                *shapes_graph(self._factory.limit_checks, name),
-            )
+            yield _described(space.shape(name), *shapes_graph(self._factory.limit_checks, name))
         variants = known_types(self._session.adapter)
         for schema in self._session.schemas.all():
             yield from self._type(schema, variants)

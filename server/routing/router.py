@@ -257,15 +257,7 @@ class Router:
             self.at,
         )
         cockpits = CockpitSources(
-            session,
-            affordances,
-            documents,
-            queries,
-            history,
-            services.software_stop,
-            service,
-            self.at,
-            QueryTables(),
+            session, affordances, documents, queries, history, services.software_stop, service, self.at, QueryTables()
         )
         runner, level_times, receipts = QueryRunner(service, pages, space.base), LevelTimes(), services.receipts
         stored = partial(stored_route, documents)

@@ -35,17 +35,8 @@ class SparqlServices:
         self.graphs = RobotGraphs(factory)
         """Source of the dataset."""
         kept = RecordGraphs(services.documents.records, space.base, services.queries.description, OTHER_ROUTES)
-        self.materializer = Materializer(
-            self.process,
-            self.graphs,
-            kept,
-            ReceiptGraphs(services.receipts, space),
-        )
-        self._analyser = Analyser(
-            space.base,
-            space.types,
-            reach=ServiceAllowlist(frozenset(settings.allow_service)),
-        )
+        self.materializer = Materializer(self.process, self.graphs, kept, ReceiptGraphs(services.receipts, space))
+        self._analyser = Analyser(space.base, space.types, reach=ServiceAllowlist(frozenset(settings.allow_service)))
         self.queries = QueryService(
             self.process,
             self.materializer,

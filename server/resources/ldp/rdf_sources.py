@@ -266,14 +266,7 @@ class RdfSourceResource(StoredResource):
         member = await self._member(record, stated)
         difference = stated.difference(record, url, times) if expected == record.version else None
         return Put(
-            record.path,
-            record.model,
-            kept,
-            record.blob,
-            record.membership,
-            member,
-            expected,
-            difference=difference,
+            record.path, record.model, kept, record.blob, record.membership, member, expected, difference=difference
         )
 
     async def _member(self, record: Record, stated: Statements) -> str | None:

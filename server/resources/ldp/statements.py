@@ -57,10 +57,7 @@ class Statements(Sequence[Triple]):
     """
 
     def __init__(
-        self,
-        given: bytes | list[Triple],
-        managed: Sequence[Triple] | None = None,
-        changed: TripleChanges | None = None,
+        self, given: bytes | list[Triple], managed: Sequence[Triple] | None = None, changed: TripleChanges | None = None
     ) -> None:
         self._given = given
         self._managed = managed

@@ -178,10 +178,7 @@ class UpdateService:
         operations = without_silent_failures(operations, self._require_manageable)
         settings = self._session.settings
         operations = await load_documents(
-            operations,
-            frozenset(settings.allow_load),
-            seconds=settings.query_time_limit,
-            limit=settings.body_limit,
+            operations, frozenset(settings.allow_load), seconds=settings.query_time_limit, limit=settings.body_limit
         )
         async with self._serialize_updates(operations) if has_where(operations) else contextlib.nullcontext():
             while True:

@@ -162,7 +162,7 @@ class DiagnosticsResource(Resource):
 
 
 def _part(state: DiagnosticState, topic: str) -> PartState:
-    said = state.name, state.hardware, state.level.name, int(state.said), state.message, dict(state.values)
+    said = state.name, state.hardware, state.level.name, int(state.reported_level), state.message, dict(state.values)
     return PartState(topic, *said, state.received_ns, state.since_ns)
 
 

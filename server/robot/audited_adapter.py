@@ -233,18 +233,20 @@ class AuditedAdapter:
         return await self.inner.get_parameters(names, deadline=deadline)
 
 
-async def has_other_values(adapter: AuditedAdapter, asked: Mapping[str, ParameterValue], *, deadline: float) -> bool:
+async def has_other_values(
+    adapter: AuditedAdapter, requested: Mapping[str, ParameterValue], *, deadline: float
+) -> bool:
     """Whether a node changed a requested value.
 
     Only parameters that nodes declare are read again: others always retain the value set. A value that cannot be read
     now counts as set.
     """
     parameters = adapter.graph.parameters
-    declared = [name for name in asked if name in parameters and parameters[name].descriptor is not None]
+    declared = [name for name in requested if name in parameters and parameters[name].descriptor is not None]
     if not declared:
         return False
     try:
-        made = await adapter.get_parameters(declared, deadline=deadline)
+        current = await adapter.get_parameters(declared, deadline=deadline)
     except RosError:
         return False
-    return any(made[name] != asked[name] for name in declared if name in made)
+    return any(current[name] != requested[name] for name in declared if name in current)

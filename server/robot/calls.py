@@ -83,7 +83,7 @@ class Calls:
         self._limit = limit
         self._age_ns = int(age * 1e9)
         self._calls: OrderedDict[str, Call] = OrderedDict()
-        self._gone: OrderedDict[str, None] = OrderedDict()
+        self._removed: OrderedDict[str, None] = OrderedDict()
         self._running: set[asyncio.Task[RosError | None]] = set()
         self._keyed: OrderedDict[tuple[str, str], tuple[bytes, asyncio.Task[CallOutcome]]] = OrderedDict()
         self.revision = 0
@@ -97,14 +97,14 @@ class Calls:
     def find(self, id: str) -> Call:
         """Return a call by its id. Raises Gone for a deleted or expired call, KeyError for an unknown one."""
         self._forget_old()
-        if id in self._gone:
+        if id in self._removed:
             raise Gone(id)
         return self._calls[id]
 
     def service_of(self, id: str) -> str | None:
         """Return the service of a call, "" for a removed call, None for an unknown one (thread-safe)."""
         call = self._calls.get(id)
-        return call.service if call is not None else "" if id in self._gone else None
+        return call.service if call is not None else "" if id in self._removed else None
 
     def delete(self, id: str) -> None:
         """Remove a call; the response of a running one is dropped. Raises as `find`."""
@@ -219,10 +219,10 @@ class Calls:
 
     def _drop(self, id: str) -> None:
         self._calls.pop(id, None)
-        self._gone[id] = None
+        self._removed[id] = None
         self._revise()
-        while len(self._gone) > _REMEMBERED_IDS:
-            self._gone.popitem(last=False)
+        while len(self._removed) > _REMEMBERED_IDS:
+            self._removed.popitem(last=False)
 
     def _forget_old(self) -> None:
         horizon = time.time_ns() - self._age_ns

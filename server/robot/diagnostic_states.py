@@ -14,7 +14,7 @@ from rosld.adapters.model import Message
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 STALE_SECONDS = 5.0
 """Seconds without a report after which a part is stale, as in the aggregator of ROS."""
-_MAX_KEPT = 10_000
+_MAX_PARTS = 10_000
 
 
 class Level(IntEnum):
@@ -40,13 +40,13 @@ class KeyValue(NamedTuple):
 class DiagnosticState(Struct, frozen=True):
     """The latest state of a part: its topic, name, hardware, and the time since it has this level.
 
-    `said` is the reported level, `level` the effective one: a part that is silent becomes stale.
+    `reported_level` is the reported level, `level` the effective one: a part that is silent becomes stale.
     """
 
     topic: str
     name: str
     hardware: str
-    said: Level
+    reported_level: Level
     message: str
     values: tuple[KeyValue, ...]
     received_ns: int
@@ -68,8 +68,8 @@ def read_states(topic: str, message: Message, times: Mapping[str, int], received
     for each in cast("Iterable[Any]", getattr(message, "status", ())):
         name, level = str(each.name), _level(each.level)
         values = tuple(KeyValue(str(pair.key), str(pair.value)) for pair in each.values)
-        heard = times.get(each.name, received_ns)
-        state = DiagnosticState(topic, name, str(each.hardware_id), level, str(each.message), values, heard, level)
+        newest_ns = times.get(each.name, received_ns)
+        state = DiagnosticState(topic, name, str(each.hardware_id), level, str(each.message), values, newest_ns, level)
         found.append(state)
     return found
 
@@ -91,12 +91,12 @@ def worst_first(states: Iterable[DiagnosticState]) -> Sequence[DiagnosticState]:
     return sorted(states, key=lambda each: (-SEVERITY[each.level], -each.since_ns, each.name))
 
 
-def changes_of(said: Iterable[tuple[int, DiagnosticState]]) -> Sequence[LevelChange]:
-    """Return the changes in the reports of one part, newest first; `said` is in order of time."""
+def changes_of(reports: Iterable[tuple[int, DiagnosticState]]) -> Sequence[LevelChange]:
+    """Return the changes in the reports of one part, newest first; `reported_level` is in order of time."""
     found: list[LevelChange] = []
-    for time_ns, state in said:
-        if not found or (found[-1].level, found[-1].message) != (state.said, state.message):
-            found.append(LevelChange(time_ns, state.said, state.message))
+    for time_ns, state in reports:
+        if not found or (found[-1].level, found[-1].message) != (state.reported_level, state.message):
+            found.append(LevelChange(time_ns, state.reported_level, state.message))
     return found[::-1]
 
 
@@ -113,6 +113,6 @@ class LevelTimes:
         if known is None or known[0] is not state.level:
             known = state.level, now_ns if state.level is Level.STALE and known is not None else state.received_ns
         self._since[key] = known
-        if len(self._since) > _MAX_KEPT:
+        if len(self._since) > _MAX_PARTS:
             self._since.pop(next(iter(self._since)))
         return replace(state, since_ns=known[1])

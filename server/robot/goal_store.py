@@ -71,7 +71,7 @@ class GoalStore:
         self._age_ns = int(age * 1e9)
         self._goals: OrderedDict[str, Goal] = OrderedDict()
         self._ids: dict[GoalId, str] = {}
-        self._gone: OrderedDict[str, GoalId | None] = OrderedDict()
+        self._removed: OrderedDict[str, GoalId | None] = OrderedDict()
         self._dropped: set[GoalId] = set()
         self.revision = 0
         self.changes = Signal()
@@ -84,7 +84,7 @@ class GoalStore:
     def find(self, id: str) -> Goal:
         """Return a goal by its id. Raises Gone for a deleted or expired goal, KeyError for an unknown one."""
         self._forget_old()
-        if id in self._gone:
+        if id in self._removed:
             raise Gone(id)
         return self._goals[id]
 
@@ -100,7 +100,7 @@ class GoalStore:
     def action_of(self, id: str) -> str | None:
         """Return the action of a goal, "" for a removed goal, None for an unknown one (thread-safe)."""
         goal = self._goals.get(id)
-        return goal.action if goal is not None else "" if id in self._gone else None
+        return goal.action if goal is not None else "" if id in self._removed else None
 
     def of_key(self, key: GoalId) -> Goal | None:
         """Return the goal with this key."""
@@ -130,9 +130,9 @@ class GoalStore:
         if goal.key is not None:
             self._ids.pop(goal.key, None)
             self._dropped.add(goal.key)
-        self._gone[id] = goal.key
-        while len(self._gone) > MAX_REMEMBERED:
-            _, key = self._gone.popitem(last=False)
+        self._removed[id] = goal.key
+        while len(self._removed) > MAX_REMEMBERED:
+            _, key = self._removed.popitem(last=False)
             if key is not None:
                 self._dropped.discard(key)
         self._revise(goal)
@@ -149,7 +149,7 @@ class GoalStore:
 
     def new_id(self, key: GoalId) -> str:
         """Return the id of a goal in URLs: its own if that is safe and unused, else one derived from it."""
-        if _PLAIN.fullmatch(key.id) and key.id not in self._goals and key.id not in self._gone:
+        if _PLAIN.fullmatch(key.id) and key.id not in self._goals and key.id not in self._removed:
             return key.id
         whole = f"{key.action}\0{key.id}".encode("utf-8", "surrogatepass")
         begin = _NOT_PLAIN.sub("-", key.id)[:_MAX_ID_LENGTH].strip("-")

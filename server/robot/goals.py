@@ -157,7 +157,7 @@ class Goals:
         self._store = GoalStore(limit=limit, age=age)
         self._follower = GoalFollower(adapter, idle)
         self._keyed: OrderedDict[tuple[str, str], tuple[bytes, asyncio.Task[GoalSubmission]]] = OrderedDict()
-        self._heard: OrderedDict[GoalId, tuple[GoalEvent, int]] = OrderedDict()
+        self._pending: OrderedDict[GoalId, tuple[GoalEvent, int]] = OrderedDict()
         self._lock = threading.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -303,20 +303,20 @@ class Goals:
     def on_event(self, key: GoalId, event: GoalEvent) -> None:
         """Queue an update about a goal (thread-safe). Pending updates are delivered in one batch."""
         with self._lock:
-            before = self._heard.get(key)
+            before = self._pending.get(key)
             count = (1 if event.feedback is not None else 0) + (before[1] if before else 0)
-            self._heard[key] = (event if before is None else _merge(before[0], event), count)
-            while len(self._heard) > MAX_REMEMBERED:
-                self._heard.popitem(last=False)
-            is_first = len(self._heard) == 1 and before is None
+            self._pending[key] = (event if before is None else _merge(before[0], event), count)
+            while len(self._pending) > MAX_REMEMBERED:
+                self._pending.popitem(last=False)
+            is_first = len(self._pending) == 1 and before is None
         if is_first and self._loop is not None and not self._loop.is_closed():
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._drain)
 
     def _drain(self) -> None:
         with self._lock:
-            heard, self._heard = self._heard, OrderedDict()
-        for key, (event, count) in heard.items():
+            pending, self._pending = self._pending, OrderedDict()
+        for key, (event, count) in pending.items():
             try:
                 self._take(key, event, count)
             except Exception:  # the events of other goals are still processed

@@ -48,8 +48,10 @@ class Stopped(RosError):
     """The robot is stopped: nothing was sent (`sent` is NO), or sending was interrupted (MAYBE)."""
 
     def __init__(self, stop_state: StopState, *, sent: Sent = Sent.NO) -> None:
-        what = "This write was refused" if sent is Sent.NO else "This write was cut off, and may have been carried out"
-        super().__init__(f"{stop_state.sentence}. {what}.", sent=sent)
+        effect = (
+            "This write was refused" if sent is Sent.NO else "This write was cut off, and may have been carried out"
+        )
+        super().__init__(f"{stop_state.sentence}. {effect}.", sent=sent)
         self.stop_state = stop_state
 
 

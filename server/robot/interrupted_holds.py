@@ -198,5 +198,5 @@ async def _publish(session: Session, topic: Topic, note: HoldNote, data: bytes) 
         interlock.held.pop(topic.name, None)
     if not subscribers:
         return Outcome("what ends it reached no subscriber", is_final=False)
-    what = "zero" if note.then == "zero" else f"what ends it ({note.then})"
-    return Outcome(f"{what} was published to {subscribers} subscriber{'s' if subscribers > 1 else ''}", subscribers)
+    words = "zero" if note.then == "zero" else f"what ends it ({note.then})"
+    return Outcome(f"{words} was published to {subscribers} subscriber{'s' if subscribers > 1 else ''}", subscribers)

@@ -63,7 +63,7 @@ class _Look(Struct):
     insisted: bool = False
 
     @property
-    def is_kept(self) -> bool:
+    def is_exempt(self) -> bool:
         """Whether the subscription is currently exempt from closing."""
         return self.eager or self.recorded or self.watches > 0
 
@@ -124,8 +124,8 @@ class LiveTopics:
     def always_subscribed(self) -> Sequence[str]:
         """Return the topics that stay subscribed to without being read, as far as they have a value."""
         there = self._adapter.graph.topics
-        kept = ((topic, look) for topic, look in self._looks.items() if look.eager or look.watches)
-        looks = [(topic, look) for topic, look in kept if topic in there]
+        subscribed = ((topic, look) for topic, look in self._looks.items() if look.eager or look.watches)
+        looks = [(topic, look) for topic, look in subscribed if topic in there]
         return [topic for topic, look in looks if look.subscription.latest()]
 
     def find_view(self, topic: str) -> TopicView | None:
@@ -275,7 +275,7 @@ class LiveTopics:
         """Close idle subscriptions to make room for a new one."""
         over = len(self._looks) + 1 - self._settings.budget
         if over > 0:
-            idlest = sorted((look.looked_at, topic) for topic, look in self._looks.items() if not look.is_kept)
+            idlest = sorted((look.looked_at, topic) for topic, look in self._looks.items() if not look.is_exempt)
             for _, topic in idlest[:over]:
                 self._close(topic)
 
@@ -295,7 +295,7 @@ class LiveTopics:
                 measured = now
             for topic, look in list(self._looks.items()):
                 is_gone = topic not in self._adapter.graph.topics
-                if not look.is_kept and (look.looked_at < horizon or is_gone):
+                if not look.is_exempt and (look.looked_at < horizon or is_gone):
                     self._close(topic)
                     continue
                 if look.awaited:  # publishers that return are awaited again

@@ -22,7 +22,7 @@ from rosld.server.space.frame_buffer import STATIC_TOPIC, TOPICS, TYPES, FrameBu
 
 _LARGE = 64 * 1024
 """Minimum number of bytes of a message that is drawn in a thread."""
-_MAX_KEPT = 256
+_MAX_CACHED = 256
 
 
 class DrawnSample(Struct, frozen=True, eq=False):
@@ -40,7 +40,7 @@ class Drawings:
     def __init__(self, topics: LiveTopics, schemas: Schemas) -> None:
         self._topics = topics
         self._schemas = schemas
-        self._kept: dict[str, DrawnSample] = {}
+        self._cached: dict[str, DrawnSample] = {}
         self._turns: dict[str, asyncio.Lock] = {}
 
     async def newest(self, topic: str) -> DrawnSample | None:
@@ -49,20 +49,20 @@ class Drawings:
         sample = None if view is None else view.newest
         if sample is None:
             return None
-        kept = self._kept.get(topic)
-        if kept is not None and kept.sample is sample:
-            return kept
+        cached = self._cached.get(topic)
+        if cached is not None and cached.sample is sample:
+            return cached
         async with self._turns.setdefault(topic, asyncio.Lock()):
-            kept = self._kept.get(topic)  # another task may have drawn it in the meantime
-            if kept is None or kept.sample is not sample:
-                kept = await self._draw(sample)
-                self._kept.pop(topic, None)
-                self._kept[topic] = kept
-                while len(self._kept) > _MAX_KEPT:
-                    oldest = next(iter(self._kept))
-                    del self._kept[oldest]
+            cached = self._cached.get(topic)  # another task may have drawn it in the meantime
+            if cached is None or cached.sample is not sample:
+                cached = await self._draw(sample)
+                self._cached.pop(topic, None)
+                self._cached[topic] = cached
+                while len(self._cached) > _MAX_CACHED:
+                    oldest = next(iter(self._cached))
+                    del self._cached[oldest]
                     self._turns.pop(oldest, None)
-        return kept
+        return cached
 
     async def _draw(self, sample: Sample) -> DrawnSample:
         try:

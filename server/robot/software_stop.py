@@ -49,7 +49,7 @@ class StepStatus(Enum):
 class StopStep(Struct, frozen=True):
     """A step of the stop: a description, the URLs of its subjects, the outcome, and the reason.
 
-    `subscribers` is the number of receivers of a message, None without a message or before it is known. `tells` is
+    `subscribers` is the number of receivers of a message, None without a message or before it is known. `sends` is
     False if the step sends the robot nothing.
     """
 
@@ -58,7 +58,7 @@ class StopStep(Struct, frozen=True):
     status: StepStatus = StepStatus.PLANNED
     words: str | None = None
     subscribers: int | None = None
-    tells: bool = True
+    sends: bool = True
 
 
 class StopCommand(Struct, frozen=True):
@@ -139,14 +139,14 @@ class SoftwareStop:
         steps = self.steps
         if self.stop_state is None:
             return None if steps else f"A stop would publish and call nothing: {_NOTHING}."
-        telling = [step for step in steps if step.tells]
-        failed = sum(step.status is StepStatus.FAILED for step in telling)
-        if self._running or (telling and not failed):
+        sending = [step for step in steps if step.sends]
+        failed = sum(step.status is StepStatus.FAILED for step in sending)
+        if self._running or (sending and not failed):
             return None
-        if not telling:
+        if not sending:
             return f"The robot may go on moving, for nothing was told to stand still: {_NOTHING}."
-        said = "nothing could be told" if failed == len(telling) else "not everything could be told"
-        return f"The robot may go on moving, for {said} to stand still: {failed} of {len(telling)} steps failed."
+        failure = "nothing could be told" if failed == len(sending) else "not everything could be told"
+        return f"The robot may go on moving, for {failure} to stand still: {failed} of {len(sending)} steps failed."
 
     def start(self) -> None:
         """Advertise the topics of a stop in advance, if the settings require that."""
@@ -174,11 +174,11 @@ class SoftwareStop:
             self._begin(_zero_on(topic.name), self._publish_zero(topic), space.topic(topic.name))
         for each, iri in self._mapped():
             at_rest = partial(self._is_at_rest, each)
-            self._begin(_words(each), self._tell(each, deadline), *self._touched_urls(each, iri), is_at_rest=at_rest)
+            self._begin(_words(each), self._send(each, deadline), *self._touched_urls(each, iri), is_at_rest=at_rest)
         silent = {topic.name for topic in commanded}  # the stop itself publishes zero there
         for hold, ended in self._holds.end_all(stop_state.sentence, silent):
-            tells = hold.release_message is not None and hold.topic not in silent
-            self._begin(_end_of(hold), ended, space.hold(hold.id), space.topic(hold.topic), tells=tells)
+            sends = hold.release_message is not None and hold.topic not in silent
+            self._begin(_end_of(hold), ended, space.hold(hold.id), space.topic(hold.topic), sends=sends)
         ended_actions = {action.name for action in self._ended_actions(graph)}
         for name in sorted(ended_actions):
             canceled = session.adapter.cancel_goals(name, deadline=deadline)
@@ -252,11 +252,11 @@ class SoftwareStop:
         does: str,
         work: Awaitable[Receivers | None],
         *touches: str,
-        tells: bool = True,
+        sends: bool = True,
         is_at_rest: Callable[[], Awaitable[bool]] | None = None,
     ) -> None:
         """Begin a step. If it fails, `is_at_rest` decides whether its target is at rest anyway, which is no failure."""
-        self._steps[does] = StopStep(does, touches, StepStatus.RUNNING, tells=tells)
+        self._steps[does] = StopStep(does, touches, StepStatus.RUNNING, sends=sends)
         task = asyncio.ensure_future(self._follow(does, work, is_at_rest))
         self._running.add(task)
         task.add_done_callback(self._over)
@@ -273,11 +273,11 @@ class SoftwareStop:
             reached = await work
             words = _missed_subscribers(reached)
         except (RosError, LoweringError, ValueError) as error:
-            said = one_line(str(error))  # may include text of the robot
+            reason = one_line(str(error))  # may include text of the robot
             if is_at_rest is not None and await is_at_rest():
-                words = f"it is at rest already: {said}"
+                words = f"it is at rest already: {reason}"
             else:
-                fate, words = StepStatus.FAILED, said
+                fate, words = StepStatus.FAILED, reason
                 _log.error("while the robot was stopped: %s: %s", does, words)
         except Exception as error:
             fate, words = StepStatus.FAILED, "the server failed; its log says more"
@@ -311,7 +311,7 @@ class SoftwareStop:
         _log.warning("while the robot was stopped: %s: %s", step.description, words)
         self._revise()
 
-    async def _tell(self, mapped: StopCommand, deadline: float) -> Receivers | None:
+    async def _send(self, mapped: StopCommand, deadline: float) -> Receivers | None:
         """Call or publish what a mapping names, past the interlock."""
         session, encoding = self._session, self._session.adapter.capabilities.encoding
         if mapped.service is not None:

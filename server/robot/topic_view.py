@@ -39,17 +39,17 @@ class FoldedTopic:
     def __init__(self, fold: Fold) -> None:
         self._fold = fold
         self._elements: dict[str, tuple[Sample, object]] = {}
-        self._seen: dict[str, tuple[int, int]] = {}
+        self._positions: dict[str, tuple[int, int]] = {}
         self._last: tuple[Sample, Message] | None = None
 
     def take(self, samples: Iterable[Sample], decode: Callable[[Sample], Message]) -> bool:
         """Fold in new samples (oldest first); return whether there were any. Raises ValueError from `decode`."""
         changed = False
         for sample in samples:
-            place = (sample.epoch, sample.sequence)
-            if place <= self._seen.get(sample.publisher, (-1, -1)):
+            position = (sample.epoch, sample.sequence)
+            if position <= self._positions.get(sample.publisher, (-1, -1)):
                 continue
-            self._seen[sample.publisher] = place
+            self._positions[sample.publisher] = position
             self._add(sample, decode(sample))
             changed = True
         return changed
@@ -144,8 +144,8 @@ class RateEstimator(Struct):
         """Return the rate over all publishers in messages per second after these samples; None until measured."""
         for sample in samples:
             self._observe(sample)
-        gone = self._anchors.keys() - {sample.publisher for sample in samples}
-        for publisher in gone:
+        departed = self._anchors.keys() - {sample.publisher for sample in samples}
+        for publisher in departed:
             self._anchors.pop(publisher)
             self._rates.pop(publisher, None)
         return round(sum(self._rates.values()), 3) if self._rates else None

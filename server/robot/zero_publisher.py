@@ -74,7 +74,7 @@ class ZeroPublisher:
         if name not in session.adapter.published:
             self._advertised.add(name)
         before = self._running.get(name)
-        if before is not None and not before.is_heard:
+        if before is not None and not before.is_received:
             return await before.wait_received()  # stopping the robot again does not make it faster
         if before is not None:
             before.cancel()
@@ -116,37 +116,37 @@ class Repetition:
         self._until = 0.0
         self._patient_until = 0.0
         self._reached = Receivers(0, expected)
-        self._heard: asyncio.Future[None] = self._loop.create_future()
-        self._heard_by_all = asyncio.Event()
+        self._received: asyncio.Future[None] = self._loop.create_future()
+        self._received_by_all = asyncio.Event()
         self._error: Exception | None = None
         self._try_longer()
         self._task = self._loop.create_task(self._run())
 
     async def wait_received(self) -> Receivers:
         """Wait until the message is received; return by how many. Raises Unreachable, or the adapter's last error."""
-        if not self._heard.done():
+        if not self._received.done():
             self._try_longer()
-            await asyncio.wait([self._heard], timeout=_PATIENCE)
-        if not self._heard.done():
-            raise self._unheard()
-        self._heard.result()
+            await asyncio.wait([self._received], timeout=_PATIENCE)
+        if not self._received.done():
+            raise self._reception_error()
+        self._received.result()
         with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
-            await asyncio.wait_for(self._heard_by_all.wait(), _ALL_SECONDS)
+            await asyncio.wait_for(self._received_by_all.wait(), _ALL_SECONDS)
         return self._reached
 
     async def wait_received_late(self) -> Receivers | None:
         """Wait until the message is received, without a time limit; return None if publishing ended before."""
-        await asyncio.wait([self._heard])
-        return self._reached if self._heard.exception() is None else None
+        await asyncio.wait([self._received])
+        return self._reached if self._received.exception() is None else None
 
     @property
-    def is_heard(self) -> bool:
+    def is_received(self) -> bool:
         """Whether a subscriber received the message, or none is awaited any more."""
-        return self._heard.done()
+        return self._received.done()
 
     async def over(self) -> None:
         """Wait until the end of the publishing, or of the attempts to reach a subscriber."""
-        if not self._heard.done() and self._loop.time() >= self._patient_until:
+        if not self._received.done() and self._loop.time() >= self._patient_until:
             self.cancel()
         await asyncio.wait([self._task])
 
@@ -159,7 +159,7 @@ class Repetition:
         now = self._loop.time()
         self._until, self._patient_until = now + _TRIES, now + _PATIENCE
 
-    def _unheard(self) -> Exception:
+    def _reception_error(self) -> Exception:
         return self._error or Unreachable(f"no subscriber of {self._topic} could be reached")
 
     async def _run(self) -> None:
@@ -174,9 +174,9 @@ class Repetition:
         finally:
             for one in pending:
                 one.cancel()
-            if not self._heard.done():
-                self._heard.set_exception(self._unheard())
-                self._heard.exception()  # retrieved, because there may be no waiter
+            if not self._received.done():
+                self._received.set_exception(self._reception_error())
+                self._received.exception()  # retrieved, because there may be no waiter
 
     async def _publish(self) -> None:
         session, zero = self._session, self._zero
@@ -196,10 +196,10 @@ class Repetition:
         reached = self._reached
         self._reached = Receivers(max(matched, reached.subscribers), reached.expected)
         if matched >= reached.expected:
-            self._heard_by_all.set()
-        if not self._heard.done():
+            self._received_by_all.set()
+        if not self._received.done():
             self._until = self._loop.time() + SECONDS
-            self._heard.set_result(None)
+            self._received.set_result(None)
             self._session.announce_write(Kind.TOPIC, self._topic)
 
 

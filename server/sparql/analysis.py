@@ -27,7 +27,7 @@ from rosld.server.sparql.syntax.query import parse_query
 from rosld.server.sparql.syntax.token import Kind
 from rosld.server.sparql.syntax.tree import TYPE, Group, Iri, Pattern, Query, Variable, graphs_around
 
-_KEPT = 512
+_CACHE_SIZE = 512
 _OFFERS = (td.iri, hctl.iri, htv.iri)
 """Namespaces of affordances and forms."""
 
@@ -73,7 +73,7 @@ class Analyser:
         self.prefixes = dict(prefixes)
         self._types = types
         self._reach = reach
-        self.analyse = lru_cache(maxsize=_KEPT)(self.analyse_once)
+        self.analyse = lru_cache(maxsize=_CACHE_SIZE)(self.analyse_once)
         """Cached `analyse_once`."""
 
     def analyse_once(self, text: str) -> Analysis:

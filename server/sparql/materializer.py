@@ -97,7 +97,7 @@ This covers changes that the robot makes by itself: after a write through the se
 """
 
 
-class SeenVersions(NamedTuple):
+class DatasetVersions(NamedTuple):
     """Versions that a query sees: the tokens of graphs with live values, and the version of the stored graphs."""
 
     tokens: Mapping[str, Hashable]
@@ -184,12 +184,12 @@ class Materializer:
                 self._pinned.subtract(pins)
                 self._pinned = +self._pinned
 
-    def versions_of(self, graphs: frozenset[str] | None) -> SeenVersions:
+    def versions_of(self, graphs: frozenset[str] | None) -> DatasetVersions:
         """Return the versions of the live values (None: of all graphs) and of the stored graphs in the dataset."""
         live = self._state.live if graphs is None else self._state.live & graphs
         wanted = self.stored.wanted_of_clients
-        kept = wanted[0] if self.stored.is_current(graphs, wanted) else self._state.versions[0]
-        return SeenVersions({iri: self._state.held[iri].token for iri in live}, kept)
+        stored = wanted[0] if self.stored.is_current(graphs, wanted) else self._state.versions[0]
+        return DatasetVersions({iri: self._state.held[iri].token for iri in live}, stored)
 
     async def _bring(
         self, documents: Sequence[LiveDocument], wanted: Sequence[int], scope: frozenset[str] | None, deadline: float
@@ -235,8 +235,8 @@ class Materializer:
             generation = self._state.generation
             texts = await render_in_thread(_renderings(changes))
             self._state.require(generation)
-            kept = {iri: one for iri, one in changes.items() if one.entry is not None or iri not in self._pinned}
-            self._send(reading, revision, kept, {iri: texts[iri] for iri in kept})
+            applied = {iri: one for iri, one in changes.items() if one.entry is not None or iri not in self._pinned}
+            self._send(reading, revision, applied, {iri: texts[iri] for iri in applied})
 
     def _find_changes(self, reading: _Reading) -> tuple[Hashable, dict[str, _Change]]:
         """Return the changes for the target and the revision of the descriptions; newer graphs are left alone."""

@@ -182,7 +182,7 @@ class PastQuery:
         return found
 
     def _of(
-        self, group: Group, outer: _Context, now: Interval, seen: dict[int, frozenset[str]] | None = None
+        self, group: Group, outer: _Context, now: Interval, covered_by_group: dict[int, frozenset[str]] | None = None
     ) -> Iterator[PastSelection]:
         if group.graph is not None:
             return
@@ -192,8 +192,8 @@ class PastQuery:
         ends = {each.object.name for each in own if isinstance(each.object, Variable)}
         below = self._spread(group, outer.covered | ends)
         covered = self._spread(group, below | self._certain_of_children(group))
-        if seen is not None:
-            seen[id(group)] = covered
+        if covered_by_group is not None:
+            covered_by_group[id(group)] = covered
         for pattern in own:
             if not (isinstance(pattern.object, Variable) and pattern.object.name in outer.covered):
                 yield self._selection(pattern, group, known, topics)
@@ -209,10 +209,10 @@ class PastQuery:
                 inner = around
             else:
                 inner = around.restrict(child.given)
-            yield from self._of(child, inner, now, seen)
+            yield from self._of(child, inner, now, covered_by_group)
         bound = _bound(group) | self._certain_of_children(group)
         for child in group.filters:
-            yield from self._of(child, _Context(known, topics, covered).restrict(bound), now, seen)
+            yield from self._of(child, _Context(known, topics, covered).restrict(bound), now, covered_by_group)
 
     # --- selections
 
@@ -264,14 +264,14 @@ class PastQuery:
         predicates = pattern.predicates
         if predicates == _CLASS and isinstance(pattern.object, Iri) and not pattern.repeated:
             return pattern.object.value.startswith(self._terms.types) or pattern.object.value in _CLASSES
-        is_said = predicates is None or any(
+        has_predicate = predicates is None or any(
             each in PREDICATES or each.startswith(self._terms.types) for each in predicates
         )
         if not isinstance(pattern.subject, Iri) or pattern.repeated:
-            return is_said
+            return has_predicate
         place = pattern.subject.value.removeprefix(self._terms.base)
         is_topic = place.startswith("topics/") and (predicates is None or _PAST in predicates)
-        return is_said and (is_topic or place.startswith("bags/"))
+        return has_predicate and (is_topic or place.startswith("bags/"))
 
     def _is_about(self, pattern: Pattern, covered: frozenset[str]) -> bool:
         """Whether a pattern matches only triples of nodes of a covered message."""
@@ -395,7 +395,7 @@ class PastSource(Protocol):
 
     async def read(
         self,
-        asked: PastQuery,
+        query: PastQuery,
         graphs: tuple[str, ...],
         permissions: Permissions,
         now: Interval,

@@ -60,10 +60,10 @@ def query_request(method: str, query_string: bytes, content_type: str | None = N
     """
     if method in ("GET", "HEAD"):
         return _remembered(query_string) if len(query_string) <= _LONGEST_CACHED else _from_url(query_string)
-    asked = posted_request(query_string, content_type, body)
-    if isinstance(asked, UpdateRequest):
+    request = posted_request(query_string, content_type, body)
+    if isinstance(request, UpdateRequest):
         raise Problem(400, "This is an update, and only queries are taken here.")
-    return asked
+    return request
 
 
 def posted_request(query_string: bytes, content_type: str | None, body: bytes) -> QueryRequest | UpdateRequest:

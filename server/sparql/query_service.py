@@ -17,7 +17,7 @@ from rosld.server.sparql import results, row_limit
 from rosld.server.sparql.analysis import Analyser, Analysis, parse_problem
 from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.intervals import Interval
-from rosld.server.sparql.materializer import Materializer, SeenVersions
+from rosld.server.sparql.materializer import DatasetVersions, Materializer
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.past import PastSource
 from rosld.server.sparql.process.client import QueryProcess
@@ -133,7 +133,7 @@ class QueryService:
 
     async def run_on_snapshot(
         self, needs: Needs, graphs: frozenset[str] | None, prepare: Callable[[], Awaitable[Work]]
-    ) -> tuple[bytes, SeenVersions]:
+    ) -> tuple[bytes, DatasetVersions]:
         """Run work over a dataset that satisfies the needs; return its result and the versions that it saw.
 
         `graphs` are the only graphs that are read, None for all. `prepare` creates the work once the dataset is ready.
@@ -144,10 +144,10 @@ class QueryService:
         deadline = loop_time() + limits.seconds
         async with self._materializer.materialize(needs, deadline=deadline, scope=graphs) as unread:
             _require_complete(unread)
-            seen = self._materializer.versions_of(graphs)
+            versions = self._materializer.versions_of(graphs)
             work = await prepare()
             try:
-                return await self._process.result(work, limits, until), seen
+                return await self._process.result(work, limits, until), versions
             except QueryError as error:
                 raise Problem(400, f"A WHERE cannot be answered: {error}.") from error
 

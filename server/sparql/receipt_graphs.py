@@ -31,8 +31,8 @@ class ReceiptGraphs:
         self._space = space
         self._container = space.container("activity")
         self._terms = _terms(space)
-        self._told = 0
-        self._gone: list[tuple[int, str]] = []
+        self._reported = 0
+        self._removed: list[tuple[int, str]] = []
         journal.on_dropped(self._note_dropped)
 
     @property
@@ -50,17 +50,17 @@ class ReceiptGraphs:
 
     def changes(self, after: int) -> Iterator[Changes]:
         """Yield the changes after a version, in parts."""
-        self._gone = [(version, id) for version, id in self._gone if version > after]
+        self._removed = [(version, id) for version, id in self._removed if version > after]
         if after == 0:
             head = serialize(container_document(self._container, (), TITLE), Syntax.N_TRIPLES).decode()
             yield Changes({self._container: lambda: head}, (), len(head))
-        self._told = self._journal.version
-        gone = [id for version, id in self._gone if version > after]
-        yield from self._parts(self._journal.after(after), gone)
+        self._reported = self._journal.version
+        removed_ids = [id for version, id in self._removed if version > after]
+        yield from self._parts(self._journal.after(after), removed_ids)
 
-    def _parts(self, fresh: Sequence[JournalEntry], gone: Sequence[str]) -> Iterator[Changes]:
-        if gone:
-            urls = [self._space.activity(id) for id in gone]
+    def _parts(self, fresh: Sequence[JournalEntry], removed_ids: Sequence[str]) -> Iterator[Changes]:
+        if removed_ids:
+            urls = [self._space.activity(id) for id in removed_ids]
             edit = Edit(self._container, removed="".join(map(self._line, urls)))
             yield Changes(dict.fromkeys(urls), (edit,), len(edit.removed))
         for start in range(0, len(fresh), _PAGE):
@@ -73,15 +73,15 @@ class ReceiptGraphs:
         return f"<{self._container}> {ldp.contains} <{url}> .\n"
 
     def _note_dropped(self, entry: JournalEntry) -> None:
-        if entry.number <= self._told:
-            self._gone.append((self._journal.version, entry.id))
+        if entry.number <= self._reported:
+            self._removed.append((self._journal.version, entry.id))
 
 
 def _terms(space: Space) -> StatedTerms:
     """Return the terms of a receipt that has every property, and of the container."""
     container = container_document(space.container("activity"), [space.activity("0")], TITLE)
-    made = (space.base, space.call("0"))
-    documents = (container, *(activity_document(_EVERYTHING._replace(made=one), space) for one in made))
+    creations = (space.base, space.call("0"))
+    documents = (container, *(activity_document(_EVERYTHING._replace(made=one), space) for one in creations))
     triples = [triple for document in documents for triple in document.all_triples()]
     classes = frozenset(str(one.object)[1:-1] for one in triples if one.predicate == rdf.type)
     return StatedTerms(frozenset(one.predicate.value for one in triples), classes)

@@ -39,7 +39,7 @@ class RestrictedDatasets:
     def __init__(self, process: QueryProcess, revision: Callable[[], Hashable]) -> None:
         self._process = process
         self._revision = revision
-        self._kept: OrderedDict[str, _Restricted] = OrderedDict()
+        self._datasets: OrderedDict[str, _Restricted] = OrderedDict()
         process.on_change(self._note_changes)
 
     async def dataset_for(self, permissions: Permissions, limits: Limits, until: float) -> int:
@@ -48,26 +48,26 @@ class RestrictedDatasets:
         Raises Problems.
         """
         revision = self._revision() if permissions.rights.is_typed else None
-        found = self._kept.get(permissions.rights_key)
+        found = self._datasets.get(permissions.rights_key)
         if found is None or found.revision != revision or found.generation != self._process.generation:
             if found is not None:
                 self._drop(permissions.rights_key)
             names: list[str] = pickle.loads(await self._process.result(ListGraphs(), limits, until))
-            found = self._kept[permissions.rights_key] = _Restricted(self._process, permissions, revision, names)
-            while len(self._kept) > _MAX_DATASETS:
-                self._drop(next(iter(self._kept)))
-        self._kept.move_to_end(permissions.rights_key)
+            found = self._datasets[permissions.rights_key] = _Restricted(self._process, permissions, revision, names)
+            while len(self._datasets) > _MAX_DATASETS:
+                self._drop(next(iter(self._datasets)))
+        self._datasets.move_to_end(permissions.rights_key)
         async with found.turn:
             await found.catch_up(limits, until)
         return found.number
 
     def _drop(self, key: str) -> None:
-        dropped = self._kept.pop(key)
+        dropped = self._datasets.pop(key)
         if dropped.generation == self._process.generation:
             self._process.drop(dropped.number)
 
     def _note_changes(self, graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> None:
-        for each in self._kept.values():
+        for each in self._datasets.values():
             each.behind.update(dict.fromkeys((*graphs, *(edit.graph for edit in edits))))
 
 

@@ -31,12 +31,12 @@ def functions(seconds_since: Callable[[str], float | None]) -> Mapping[str, Func
     `seconds_since` (thread-safe) returns the seconds since the newest message of the topic at a URL was received, None
     if there was none.
     """
-    told: dict[str, float | None] = {}
+    ages: dict[str, float | None] = {}
 
     def age(topic: Term) -> Term:
         if not isinstance(topic, NamedNode):
             raise _NoAnswer
-        seconds = told[topic.value] if topic.value in told else told.setdefault(topic.value, seconds_since(topic.value))
+        seconds = ages[topic.value] if topic.value in ages else ages.setdefault(topic.value, seconds_since(topic.value))
         if seconds is None:
             raise _NoAnswer
         return Literal(seconds)

@@ -45,7 +45,7 @@ OTHER_SETTINGS = {
 """Other parameters in the URL of a query, whatever parameters it declares."""
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _INT64 = range(-(2**63), 2**63)
-_LONGEST_TOLD = 200
+_LONGEST_QUOTED = 200
 _MAX_PARAMETERS = 50
 _MAX_BOUND = 4 * 1024 * 1024
 """Maximum number of characters of a query with its parameters bound (one may occur in many places)."""
@@ -263,7 +263,7 @@ def _offer(parameters: tuple[QueryParameterDeclaration, ...]) -> str:
 
 
 def _brief(value: str) -> str:
-    return repr(value if len(value) <= _LONGEST_TOLD else value[:_LONGEST_TOLD] + "...")
+    return repr(value if len(value) <= _LONGEST_QUOTED else value[:_LONGEST_QUOTED] + "...")
 
 
 # Terms as SPARQL writes them

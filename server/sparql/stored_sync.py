@@ -36,7 +36,7 @@ _POLL_SECONDS = 1.0
 """Maximum number of seconds between checks for changes."""
 _BATCH_SECONDS = 0.01
 """Seconds for which successive changes are gathered: a batch costs less than single changes."""
-_ASKED_SECONDS = 10.0
+_NEEDED_SECONDS = 10.0
 """Seconds after a query during which small changes are sent as well: without queries a write costs half as much."""
 _SHORT_OF_MEMORY = 30.0
 """Seconds until a retry after a lack of memory, unless a query asks earlier."""
@@ -197,7 +197,7 @@ class StoredSync:
         self._state = state
         self._sources = sources
         self._transfer: _Transfer | None = None
-        self._asked = [float("-inf")] * len(sources)
+        self._needed_at = [float("-inf")] * len(sources)
         """The time of the last query that needed each source."""
 
     @property
@@ -237,9 +237,9 @@ class StoredSync:
 
     def _soon_wanted(self) -> Sequence[int]:
         """Return the versions that the next query is likely to need, 0 for sources that no query needed lately."""
-        since = time.monotonic() - _ASKED_SECONDS
-        pairs = zip(self._sources, self._asked, strict=True)
-        return [source.version if asked > since else 0 for source, asked in pairs]
+        since = time.monotonic() - _NEEDED_SECONDS
+        pairs = zip(self._sources, self._needed_at, strict=True)
+        return [source.version if needed_at > since else 0 for source, needed_at in pairs]
 
     async def _sync(self) -> None:
         """Send the stored graphs. Raises NotEnoughMemory, and Problem 503 if the process restarts meanwhile."""
@@ -255,7 +255,7 @@ class StoredSync:
             is_wanted = source.may_match(needs)
             found.append(source.version if is_wanted else 0)
             if is_wanted:
-                self._asked[place] = now
+                self._needed_at[place] = now
         return found
 
     @property

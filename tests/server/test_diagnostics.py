@@ -91,7 +91,7 @@ def state(name: str, level: Level, received: float = 0.0, message: str = "") -> 
 def test_a_part_is_stale_once_it_has_been_silent(silent: float, period: float, is_stale: bool) -> None:
     judged = state_at(state("a", Level.OK, 100.0), int((100 + silent) * 1e9), period)
     assert (judged.level is Level.STALE) == is_stale
-    assert judged.said is Level.OK
+    assert judged.reported_level is Level.OK
 
 
 def test_a_level_has_the_time_since_when_it_lasts() -> None:

@@ -253,7 +253,7 @@ class UpdateService:
     def _unseen(self, delta: Delta) -> frozenset[str]:
         """The graphs that change by themselves, and whose values were not there when the update was evaluated."""
         changed = (change.graph for change in delta.changes)
-        return frozenset(graph for graph in changed if graph not in delta.seen and self._kind(graph) in _LIVE)
+        return frozenset(graph for graph in changed if graph not in delta.tokens and self._kind(graph) in _LIVE)
 
     def _require_manageable(self, operation: Operation) -> None:
         """Raise a 403 Problem where an operation on whole graphs is about one that clients do not keep."""
@@ -373,10 +373,10 @@ class UpdateService:
                     return False
         meant = delta.named | {change.graph for change in delta.changes}
         # All values together never stand still, so only those count that an update means.
-        seen = [each for each in delta.seen.items() if each[0] in meant]
-        return all([await self._is_as_seen(graph, token) for graph, token in seen])
+        tokens = [each for each in delta.tokens.items() if each[0] in meant]
+        return all([await self._has_token(graph, token) for graph, token in tokens])
 
-    async def _is_as_seen(self, graph: str, token: Hashable) -> bool:
+    async def _has_token(self, graph: str, token: Hashable) -> bool:
         try:
             return (await self._at("/" + graph[len(self._session.space.base) :]).state()).tag == token
         except (Problem, RosError, ValueError):

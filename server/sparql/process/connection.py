@@ -71,7 +71,7 @@ class Connection:
         self._on_lost = on_lost
         self._output: deque[tuple[memoryview, int | None]] = deque()
         self._buffer = FrameBuffer()
-        self._taken: asyncio.Future[None] | None = None
+        self._drained: asyncio.Future[None] | None = None
         self._is_paused = False
         loop.add_reader(connection, self._receive)
 
@@ -92,7 +92,7 @@ class Connection:
             if descriptor is not None:
                 os.close(descriptor)
         self._output.clear()
-        self._tell_taken()
+        self._notify_drained()
 
     def send(self, data: bytes, descriptor: int | None = None) -> None:
         """Queue a frame, with a descriptor that is closed after sending. Does nothing on a closed connection."""
@@ -119,18 +119,18 @@ class Connection:
                 self._output[0] = (self._output[0][0][sent:], None)
         else:
             self._loop.remove_writer(self._socket)
-        self._tell_taken()
+        self._notify_drained()
 
     async def wait_drained(self) -> None:
         """Wait until the other side has received most of what was sent, or has closed the connection."""
         while sum(len(view) for view, _ in self._output) > _AHEAD:
-            self._taken = self._taken or self._loop.create_future()
-            await asyncio.shield(self._taken)
+            self._drained = self._drained or self._loop.create_future()
+            await asyncio.shield(self._drained)
 
-    def _tell_taken(self) -> None:
-        taken, self._taken = self._taken, None
-        if taken is not None and not taken.done():
-            taken.set_result(None)
+    def _notify_drained(self) -> None:
+        drained, self._drained = self._drained, None
+        if drained is not None and not drained.done():
+            drained.set_result(None)
 
     def pause(self) -> None:
         """Receive nothing until `resume`; the other side blocks once the socket is full."""
@@ -230,8 +230,8 @@ class ChildProcess(Connection):
 
     def require_memory(self, needed: int, what: str) -> None:
         """Raise NotEnoughMemory if the process lacks memory for this in addition to the pending changes."""
-        made = self._status.changes
-        while self._ahead and self._ahead[0][0] <= made:
+        applied = self._status.changes
+        while self._ahead and self._ahead[0][0] <= applied:
             self._ahead.popleft()
         try:
             self._memory.require(needed + sum(each for _, each in self._ahead), what)

@@ -165,21 +165,23 @@ class EvaluateUpdate(NamedTuple):
     update: bytes
     documents: str | None
 
-    def _is_told_by_change(self, store: MemoryStore, graph: str) -> bool:
+    def _is_sent_as_edit(self, store: MemoryStore, graph: str) -> bool:
         return self.documents is not None and graph.startswith(self.documents) and _is_large(store, graph)
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
-        operations, asked = pickle.loads(self.update)  # from our own server
-        by_where = {id(one.where): one for one in asked}
+        operations, wheres = pickle.loads(self.update)  # from our own server
+        by_where = {id(one.where): one for one in wheres}
         dataset = store if has_dependent_where(operations) else None
-        staging = StagingDataset(store, dataset, partial(self._is_told_by_change, store))
+        staging = StagingDataset(store, dataset, partial(self._is_sent_as_edit, store))
         evaluate(operations, staging, lambda where: by_where[id(where)].solutions(store))
         output.write(pickle.dumps([_write(change) for change in staging.changes()]))
 
 
-def evaluate_work(operations: Sequence[Operation], asked: Sequence[WhereWork], documents: str | None) -> EvaluateUpdate:
+def evaluate_work(
+    operations: Sequence[Operation], wheres: Sequence[WhereWork], documents: str | None
+) -> EvaluateUpdate:
     """Return the work that evaluates operations (thread-safe)."""
-    return EvaluateUpdate(pickle.dumps((operations, asked), protocol=5), documents)
+    return EvaluateUpdate(pickle.dumps((operations, wheres), protocol=5), documents)
 
 
 def _is_large(store: MemoryStore, graph: str) -> bool:

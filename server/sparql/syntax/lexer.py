@@ -88,7 +88,7 @@ _NO_STEPS = frozenset({".", ",", ";", "^^"})
 
 def tokens(text: str, at: int = 0, *, spaces: bool = True) -> Iterator[Token]:
     """Yield the tokens from `at`, comments included; with `spaces`, their texts join to the text, even if invalid."""
-    seen = 0
+    scanned = 0
     while at < len(text):
         if not spaces and (space := _SPACE.match(text, at)):
             at = space.end()
@@ -96,10 +96,10 @@ def tokens(text: str, at: int = 0, *, spaces: bool = True) -> Iterator[Token]:
         if word := _WORD.match(text, at):
             # A prefix may contain dots, so a run must be read to its end to see whether a colon follows. A run without
             # one is not read again from its middle, or `a.a.a.a` would take quadratic time.
-            run = word if at < seen else _RUN.match(text, at) or word
+            run = word if at < scanned else _RUN.match(text, at) or word
             colon = text.startswith(":", run.end())
             token = Token(Kind.NAME, _name(text, at, run.end()), at) if colon else Token(Kind.WORD, word[0], at)
-            seen = max(seen, run.end())
+            scanned = max(scanned, run.end())
         elif text[at] == ":":
             token = Token(Kind.NAME, _name(text, at, at), at)
         else:

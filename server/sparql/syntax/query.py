@@ -75,10 +75,10 @@ class QueryParser(ExpressionParser):
         if name not in FORMS:
             self.fail_at(form, "is no query form: SELECT, ASK, CONSTRUCT or DESCRIBE")
         if name == "SELECT":
-            asked = Group()
-            selection = self._selection(asked)
+            outer = Group()
+            selection = self._selection(outer)
             default, named = self._dataset()
-            where, slice = self._solve(selection, asked, None)
+            where, slice = self._solve(selection, outer, None)
         else:
             slice = None
             self.advance()
@@ -117,9 +117,9 @@ class QueryParser(ExpressionParser):
             self._template("CONSTRUCT WHERE", where, is_matched=True)
         elif self.take("WHERE") or self.key == "{" or form != "DESCRIBE":
             where = self.group(None)
-        asked = Group()
-        self._modifiers(asked)
-        where.filters.extend(asked.filters)
+        outer = Group()
+        self._modifiers(outer)
+        where.filters.extend(outer.filters)
         if is_everything:
             described = [Variable(name) for name in sorted(where.visible)]
         for term in described:
@@ -155,7 +155,7 @@ class QueryParser(ExpressionParser):
 
     # --- SELECT
 
-    def _selection(self, asked: Group) -> _Selection:
+    def _selection(self, outer: Group) -> _Selection:
         select = self.advance()
         self.take("DISTINCT", "REDUCED")
         if self.take("*"):
@@ -165,7 +165,7 @@ class QueryParser(ExpressionParser):
             if self.token.kind is Kind.VARIABLE:
                 items.append((self.advance(), None))
             elif self.take("("):
-                operand = self.expression(asked)
+                operand = self.expression(outer)
                 self.add_expression(operand, ExpressionPurpose.TERM)
                 self.expect("AS", "and a variable")
                 items.append((self.expect_variable(), operand))
@@ -175,12 +175,12 @@ class QueryParser(ExpressionParser):
             else:
                 self.fail_expecting("what to select (variables, expressions as (... AS ?x), or *)")
 
-    def _solve(self, selection: _Selection, asked: Group, graph: Term | None) -> tuple[Group, Slice | None]:
+    def _solve(self, selection: _Selection, outer: Group, graph: Term | None) -> tuple[Group, Slice | None]:
         """Parse the group of a SELECT and its modifiers; return the group with the projection as visible variables."""
         self.take("WHERE")
         group = self.group(graph)
-        solutions = self._modifiers(asked)
-        group.filters.extend(asked.filters)
+        solutions = self._modifiers(outer)
+        group.filters.extend(outer.filters)
         group.visible = self._selected_variables(selection, group.visible, solutions)
         selected = (operand for _, operand in selection.items or () if operand is not None)
         is_grouped = solutions.grouped is not None or any(map(has_aggregate, (*solutions.operands, *selected)))
@@ -199,20 +199,20 @@ class QueryParser(ExpressionParser):
                 raise Problem(400, words)
             return visible
         new: set[str] = set()
-        told: set[str] = set()
+        projected: set[str] = set()
         for variable, operand in items:
             name = variable.text[1:]
             if operand is not None and (name in new or name in (visible if grouped is None else grouped)):
                 self.fail_at(variable, "has a value already: choose another name after AS")
-            if name in told:
+            if name in projected:
                 self.fail_at(variable, "is selected twice")
             if grouped is not None:
                 needed: Iterable[Span] = (variable,) if operand is None else ungrouped(operand)
                 self._check_grouped(needed, grouped | new)
             if operand is not None:
                 new.add(name)
-            told.add(name)
-        return told
+            projected.add(name)
+        return projected
 
     def _check_grouped(self, needed: Iterable[Span], grouped: Collection[str]) -> None:
         for variable in needed:
@@ -221,15 +221,15 @@ class QueryParser(ExpressionParser):
 
     # --- solution modifiers
 
-    def _modifiers(self, asked: Group) -> _Solutions:
+    def _modifiers(self, outer: Group) -> _Solutions:
         grouped: set[str] | None = None
         operands: list[Operand] = []
         if self.take("GROUP"):
             self.expect("BY", "after GROUP")
-            grouped = {name for name in self._group_variables(asked) if name is not None}
+            grouped = {name for name in self._group_variables(outer) if name is not None}
         if self.take("HAVING"):
             while True:
-                operands.append(self.constraint(asked))
+                operands.append(self.constraint(outer))
                 self.add_expression(operands[-1], ExpressionPurpose.TEST)
                 if not self._is_at_condition:
                     break
@@ -237,7 +237,7 @@ class QueryParser(ExpressionParser):
         if self.take("ORDER"):
             self.expect("BY", "after ORDER")
             is_descending = self.key == "DESC"
-            ordered = self._order_operands(asked)
+            ordered = self._order_operands(outer)
             first = ordered[0]
             operands += ordered
         numbers: dict[str, int] = {}
@@ -254,22 +254,22 @@ class QueryParser(ExpressionParser):
             slice = Slice(numbers["LIMIT"], numbers.get("OFFSET", 0), first, is_descending)
         return _Solutions(None if grouped is None else frozenset(grouped), tuple(operands), slice)
 
-    def _group_variables(self, asked: Group) -> list[str | None]:
+    def _group_variables(self, outer: Group) -> list[str | None]:
         """Parse the variables of GROUP BY, None for expressions without a name."""
         names: list[str | None] = []
         while True:
             if self.token.kind is Kind.VARIABLE:
                 names.append(self.advance().text[1:])
             elif self.take("("):
-                self.add_expression(self.expression(asked), ExpressionPurpose.TERM)
+                self.add_expression(self.expression(outer), ExpressionPurpose.TERM)
                 names.append(self.expect_variable().text[1:] if self.take("AS") else None)
                 self.expect(")", "after the expression")
             else:
-                self.add_expression(self.call(asked, "a variable or an expression to group by"), ExpressionPurpose.TERM)
+                self.add_expression(self.call(outer, "a variable or an expression to group by"), ExpressionPurpose.TERM)
             if not self._is_at_condition:
                 return names
 
-    def _order_operands(self, asked: Group) -> list[Operand]:
+    def _order_operands(self, outer: Group) -> list[Operand]:
         operands: list[Operand] = []
         while True:
             start, direction = self.token.start, "ASC"
@@ -279,9 +279,9 @@ class QueryParser(ExpressionParser):
             elif self.key in ("ASC", "DESC"):
                 direction = self.key
                 self.advance()
-                operand = self.bracketed(asked, "the expression to order by")
+                operand = self.bracketed(outer, "the expression to order by")
             else:
-                operand = self.constraint(asked, "a variable, ASC(...), DESC(...) or an expression in brackets")
+                operand = self.constraint(outer, "a variable, ASC(...), DESC(...) or an expression in brackets")
             operands.append(operand)
             self.add_expression(operand, ExpressionPurpose.ORDER, start, direction)
             if not self._is_at_condition:
@@ -309,8 +309,8 @@ class QueryParser(ExpressionParser):
         return group
 
     def _subquery(self, graph: Term | None) -> Group:
-        asked = Group(graph)
-        inner, _ = self._solve(self._selection(asked), asked, graph)
+        outer = Group(graph)
+        inner, _ = self._solve(self._selection(outer), outer, graph)
         inner.scoped = True
         if self.take("VALUES"):
             self._values(Group())

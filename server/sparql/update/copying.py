@@ -31,16 +31,16 @@ def _model(own: Sequence[Triple]) -> Model:
 
 def _membership_triples(own: Sequence[Triple], triples: Sequence[Triple]) -> Iterator[Triple]:
     """Yield the membership triples of a Direct or an Indirect container (LDP 5.2.1.4)."""
-    said = {each.predicate: each.object for each in own}
-    constant = said.get(ldp.membershipResource)
-    content = said.get(ldp.insertedContentRelation, ldp.MemberSubject)
+    properties = {each.predicate: each.object for each in own}
+    constant = properties.get(ldp.membershipResource)
+    content = properties.get(ldp.insertedContentRelation, ldp.MemberSubject)
     members = None  # the members of an Indirect container are unknown here: any object may be one
     if content == ldp.MemberSubject:
         members = {each.object for each in own if each.predicate == ldp.contains}
     for each in triples:
-        if each.predicate == said.get(ldp.hasMemberRelation) and each.subject == constant:
+        if each.predicate == properties.get(ldp.hasMemberRelation) and each.subject == constant:
             member = each.object
-        elif each.predicate == said.get(ldp.isMemberOfRelation) and each.object == constant:
+        elif each.predicate == properties.get(ldp.isMemberOfRelation) and each.object == constant:
             member = each.subject
         else:
             continue

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from rosld.server.http.problem import Problem
 from rosld.server.sparql.analysis import Analyser, Analysis
-from rosld.server.sparql.materializer import SeenVersions
+from rosld.server.sparql.materializer import DatasetVersions
 from rosld.server.sparql.needs import Needs, needs_of_documents
 from rosld.server.sparql.process.work import WhereWork, Work, evaluate_work, read_changes
 from rosld.server.sparql.query_service import QueryService
@@ -25,17 +25,17 @@ _INLINE_BYTES = 128 * 1024
 class Delta(NamedTuple):
     """The changes that operations make.
 
-    They are valid while the graphs with live values in `seen` have these tokens, and the stored content of the changed
+    They are valid while the graphs with live values have these `tokens`, and the stored content of the changed
     graphs is not newer than version `stored`. `named` are the graphs that the operations name.
     """
 
     changes: tuple[GraphChange, ...]
-    seen: Mapping[str, Hashable]
+    tokens: Mapping[str, Hashable]
     stored: int
     named: frozenset[str]
 
 
-class _Asked(NamedTuple):
+class _PlannedWhere(NamedTuple):
     """A WHERE with its needs, and the only graphs that it can read (None for all)."""
 
     where: Where
@@ -59,33 +59,33 @@ class UpdateEvaluator:
         For large graphs whose names begin with `documents` the changes are differences. Raises Problems as a query
         does, and those of `evaluate.evaluate`.
         """
-        asked = [self._ask_where(each) for each in _wheres(operations)]
+        wheres = [self._plan_where(each) for each in _wheres(operations)]
         graphs = named_graphs(operations) | more
-        needs = _together(asked, graphs)
+        needs = _all_needs(wheres, graphs)
         templates = sum(len(each.inserts) + len(each.deletes) for each in operations if isinstance(each, Modify))
 
         async def prepare() -> Work:
-            queries = [self._ask(one.where) for one in asked]
+            queries = [self._where_work(one.where) for one in wheres]
             if templates > _INLINE:
                 return await asyncio.to_thread(evaluate_work, operations, queries, documents)
             return evaluate_work(operations, queries, documents)
 
-        result, seen = await self._service.run_on_snapshot(needs, _scope(asked, graphs), prepare)
+        result, versions = await self._service.run_on_snapshot(needs, _scope(wheres, graphs), prepare)
         changes = (
             read_changes(result) if len(result) <= _INLINE_BYTES else await asyncio.to_thread(read_changes, result)
         )
-        return Delta(changes, _read(needs, seen), seen.stored, graphs | needs.documents)
+        return Delta(changes, _read_tokens(needs, versions), versions.stored, graphs | needs.documents)
 
-    def _ask_where(self, where: Where) -> _Asked:
+    def _plan_where(self, where: Where) -> _PlannedWhere:
         analysis = self._analyser.analyse(where.query)
         if analysis.past is not None:
             raise Problem(400, "ros:past is for queries, and this is an update: ask first, then write what you found.")
         graphs = where.default_graphs + where.named_graphs
         needs = analysis.needs.restrict_to(graphs) if graphs else analysis.needs
         scope = frozenset(graphs) if graphs else analysis.is_enclosed
-        return _Asked(where, analysis, needs, scope if where.with_graph is None else None)
+        return _PlannedWhere(where, analysis, needs, scope if where.with_graph is None else None)
 
-    def _ask(self, where: Where) -> WhereWork:
+    def _where_work(self, where: Where) -> WhereWork:
         query = self._service.prepare(where.query, where.default_graphs, where.named_graphs)
         return WhereWork(
             where, query, None if where.with_graph is None else self._service.prepare(where.with_graph.query)
@@ -96,19 +96,19 @@ def _wheres(operations: Sequence[Operation]) -> Iterator[Where]:
     return (each.where for each in operations if isinstance(each, Modify))
 
 
-def _scope(asked: Sequence[_Asked], graphs: frozenset[str]) -> frozenset[str] | None:
+def _scope(wheres: Sequence[_PlannedWhere], graphs: frozenset[str]) -> frozenset[str] | None:
     """Return the only graphs that an update can read, None for all."""
-    scopes = [one.scope for one in asked]
+    scopes = [one.scope for one in wheres]
     return None if None in scopes else graphs.union(*(scope for scope in scopes if scope is not None))
 
 
-def _together(asked: Sequence[_Asked], graphs: frozenset[str]) -> Needs:
-    return reduce(Needs.__or__, (one.needs for one in asked), needs_of_documents(graphs))
+def _all_needs(wheres: Sequence[_PlannedWhere], graphs: frozenset[str]) -> Needs:
+    return reduce(Needs.__or__, (one.needs for one in wheres), needs_of_documents(graphs))
 
 
-def _read(needs: Needs, seen: SeenVersions) -> Mapping[str, Hashable]:
+def _read_tokens(needs: Needs, versions: DatasetVersions) -> Mapping[str, Hashable]:
     """Return the tokens of the graphs that may have been read."""
     named = [one.graph or one.document for one in needs.patterns]
     if None in named:
-        return seen.tokens
-    return {graph: token for graph, token in seen.tokens.items() if graph in named or graph in needs.documents}
+        return versions.tokens
+    return {graph: token for graph, token in versions.tokens.items() if graph in named or graph in needs.documents}

@@ -17,7 +17,7 @@ from pyoxigraph import NamedNode
 from rosld.ontology.describe_holds import CONFIRM, CONFIRM_PARAMETER, HOLD, MAX_LEASE, MAX_RATE, MEANINGS, PARAMETERS
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.vocab import mapping, qudt, ros
-from rosld.server.hypermedia.json_schema import message_schema, value_schema
+from rosld.server.hypermedia.json_schema import OBJECT, TEXT, JsonSchema, json_object, message_schema, value_schema
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 
 MEDIA_TYPE = "application/td+json"
@@ -127,35 +127,30 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
     assert one.request is not None
     has_input = bool(one.request.type.fields)
     schema = message_schema(one.request, lifting, read=False, sent=True) if has_input else None
-    return _fragment(
-        {
-            **_without_none(title=one.title, input=schema),
-            "output": {"type": "object"},
-            "safe": False,
-            "idempotent": False,
-            "synchronous": one.goals is None,
-            **_led_to("map:relation", one.relation),
-            "forms": [_form(one.url, "invokeaction", "POST"), *_goal_forms(one)],
-        }
-    )
+    forms = [_form(one.url, "invokeaction", "POST"), *_goal_forms(one)]
+    members = _action_members(schema, forms, synchronous=one.goals is None)
+    return _fragment({**_without_none(title=one.title), **members, **_led_to("map:relation", one.relation)})
 
 
-def _hold(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment:
+def _action_members(
+    schema: JsonSchema | None, forms: Sequence[Members], *, synchronous: bool, idempotent: bool = False
+) -> Members:
+    """Return the members of an action that takes what `schema` says, or nothing."""
+    return {
+        **_without_none(input=schema),
+        "output": OBJECT,
+        "safe": False,
+        "idempotent": idempotent,
+        "synchronous": synchronous,
+        "forms": forms,
+    }
+
+
+def _hold(one: PropertyAffordance, lifting: LiftSettings) -> Members:
     """Return the action that holds the topic behind a property while the client renews the hold."""
-    assert one.hold is not None
-    return _fragment(
-        {
-            "title": f"Hold {one.name}",
-            "description": HOLD,
-            "uriVariables": _HOLD_VARIABLES,
-            "input": value_schema(one.shape, lifting, read=False, sent=True),
-            "output": {"type": "object"},
-            "safe": False,
-            "idempotent": False,
-            "synchronous": False,
-            "forms": [_form(f"{one.hold}{PARAMETERS}", "invokeaction", "POST")],
-        }
-    )
+    schema = value_schema(one.shape, lifting, read=False, sent=True)
+    members = _action_members(schema, [_form(f"{one.hold}{PARAMETERS}", "invokeaction", "POST")], synchronous=False)
+    return {"title": f"Hold {one.name}", "description": HOLD, "uriVariables": _HOLD_VARIABLES, **members}
 
 
 def _goal_forms(one: ActionAffordance) -> Iterator[Members]:
@@ -166,25 +161,18 @@ def _goal_forms(one: ActionAffordance) -> Iterator[Members]:
         yield _form(one.url, "cancelaction", "DELETE")
 
 
-def _stop(url: str) -> orjson.Fragment:
+def _stop(url: str) -> Members:
     """Return the action that stops the whole robot; querying it returns the stop, canceling it releases the robot."""
-    reason = {"type": "object", "properties": {"reason": {"type": "string", "maxLength": 500}}}
-    return _fragment(
-        {
-            "title": "Stop the whole robot",
-            "uriVariables": {"confirm": {"description": CONFIRM, "type": "string"}},
-            "input": reason,
-            "output": {"type": "object"},
-            "safe": False,
-            "idempotent": True,
-            "synchronous": True,
-            "forms": [
-                _form(url, "invokeaction", "POST"),
-                _form(url, "queryaction", "GET"),
-                _form(f"{url}{CONFIRM_PARAMETER}", "cancelaction", "DELETE"),
-            ],
-        }
+    forms = [
+        _form(url, "invokeaction", "POST"),
+        _form(url, "queryaction", "GET"),
+        _form(f"{url}{CONFIRM_PARAMETER}", "cancelaction", "DELETE"),
+    ]
+    members = _action_members(
+        json_object(optional={"reason": {**TEXT, "maxLength": 500}}), forms, synchronous=True, idempotent=True
     )
+    variables = {"confirm": {"description": CONFIRM, **TEXT}}
+    return {"title": "Stop the whole robot", "uriVariables": variables, **members}
 
 
 def _form(url: str, operation: str | Sequence[str], method: str, **more: str) -> Members:

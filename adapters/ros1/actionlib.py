@@ -47,14 +47,14 @@ def actions_of(
         if not (name and slash and last == "goal" and short.endswith("ActionGoal")):
             continue
         kind = short.removesuffix("ActionGoal")
-        wanted = {
+        expected = {
             "cancel": _GOAL_ID,
             "status": _STATUSES,
             "feedback": f"{package}/{kind}ActionFeedback",
             "result": f"{package}/{kind}ActionResult",
         }
-        are_there = all(f"{name}/{end}" in publishers or f"{name}/{end}" in subscribers for end in wanted)
-        if kind and are_there and all(types.get(f"{name}/{end}") == each for end, each in wanted.items()):
+        are_there = all(f"{name}/{end}" in publishers or f"{name}/{end}" in subscribers for end in expected)
+        if kind and are_there and all(types.get(f"{name}/{end}") == each for end, each in expected.items()):
             servers = tuple(publishers.get(f"{name}/status", ()))
             unusable = None if servers else "no node serves it: nobody publishes its status"
             clients = tuple(publishers.get(topic, ()))

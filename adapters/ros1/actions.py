@@ -50,7 +50,7 @@ from rosld.adapters.ros1.types import Types
 
 _DEPTH = 256
 _TICK = 0.25
-_GONE = 2.0
+_LOST_AFTER = 2.0
 """Seconds after which a goal is lost if its server is disconnected or no longer lists it."""
 _RESULT = 5.0
 """Maximum seconds between the status and the result of a goal."""
@@ -58,10 +58,10 @@ _RESULT_SOON = 0.5
 """Seconds that the end of a goal is delayed for its result, which is read as soon as the end is reported."""
 _DECISION = 0.3
 """Seconds for a server that has just accepted a goal to reject it."""
-_ASKED, _ASKED_AGAIN = 4, 0.5
+_CANCELLATIONS, _CANCELLATION_PAUSE = 4, 0.5
 """Number of times that an ignored cancellation is sent, and the seconds between."""
 _UNHEEDED = (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
-_MAX_KNOWN = 1000
+_MAX_GOALS = 1000
 _CANCEL = TypeRef("actionlib_msgs/msg/GoalID")
 _PARTS = ("status", "result", "feedback", "goal")
 
@@ -74,11 +74,11 @@ class _Sending(Struct, frozen=True):
     links: frozenset[SubscriberConnection]
 
 
-class _Known(Struct):
+class _Goal(Struct):
     """A known goal with its latest status. `listed_at` is when its server last listed it."""
 
     listed_at: float
-    told: Status | None = None
+    latest: Status | None = None
     ended_at: float | None = None
     has_result: bool = False
     goal: bytes | None = None
@@ -86,7 +86,7 @@ class _Known(Struct):
     is_own: bool = False
     is_refused: bool = False
     sending: _Sending | None = None
-    held: list[GoalEvent] = field(default_factory=list)
+    pending: list[GoalEvent] = field(default_factory=list)
     ending: GoalEvent | None = None
     """The pending event of its end, while the result is awaited: they use two connections and arrive in any order."""
 
@@ -106,9 +106,9 @@ class _Followed(Struct):
 
     readers: dict[str, TopicReader] = field(default_factory=dict)
     looks: int = 0
-    heard: asyncio.Event = field(default_factory=asyncio.Event)
+    status_event: asyncio.Event = field(default_factory=asyncio.Event)
     connected_at: float = 0.0
-    told_at: float = 0.0
+    statuses_at: float = 0.0
 
     @property
     def is_ready(self) -> bool:
@@ -135,7 +135,7 @@ class Actions:
         self._system = system
         self._sink = sink
         self._followed: dict[str, _Followed] = {}
-        self._known: dict[str, OrderedDict[str, _Known]] = {}
+        self._by_action: dict[str, OrderedDict[str, _Goal]] = {}
         self._numbers = itertools.count(1)
         self._ticking: asyncio.TimerHandle | None = None
 
@@ -157,7 +157,7 @@ class Actions:
         followed.looks += 1
         left = until - asyncio.get_running_loop().time()
         try:
-            await asyncio.wait_for(followed.heard.wait(), max(left, 0.0))
+            await asyncio.wait_for(followed.status_event.wait(), max(left, 0.0))
         except asyncio.TimeoutError:
             pass
 
@@ -174,31 +174,31 @@ class Actions:
         now = asyncio.get_running_loop().time
         stamp = time.time_ns()
         id = f"{self._caller}-{next(self._numbers)}-{stamp // 1_000_000_000}.{stamp % 1_000_000_000:09d}"
-        known = _Known(now(), goal=goal, decided=asyncio.get_running_loop().create_future(), is_own=True)
+        entry = _Goal(now(), goal=goal, decided=asyncio.get_running_loop().create_future(), is_own=True)
         # Before sending, so that early events of the goal are held until it is accepted or rejected.
-        self._goals(action)[id] = known
+        self._goals(action)[id] = entry
         followed = self._begin(action)
         try:
             publication = await self._publication(action, schema, followed, until)
             message = goal_message(id, stamp, goal)
-            known.sending = _Sending(message, publication, publication.links_to(self._servers(action)))
+            entry.sending = _Sending(message, publication, publication.links_to(self._servers(action)))
             publication.send(message, False)
         except BaseException:
             del self._goals(action)[id]
             self._stop_if_idle(action)
             raise
-        known.listed_at = now()
-        assert known.decided is not None
+        entry.listed_at = now()
+        assert entry.decided is not None
         try:
-            status = await asyncio.wait_for(asyncio.shield(known.decided), max(until - now(), 0.0))
+            status = await asyncio.wait_for(asyncio.shield(entry.decided), max(until - now(), 0.0))
         except asyncio.TimeoutError as error:
-            known.decided = None
-            self._flush(action, id, known)
+            entry.decided = None
+            self._flush(action, id, entry)
             raise TimedOut(f"{action} has not said whether it takes the goal", sent=Sent.YES) from error
         if status.status is GoalStatus.REJECTED:
             words = status.words or None
             raise Refused(f"{action} rejected the goal", words=words, sent=Sent.YES)
-        self._flush(action, id, known)
+        self._flush(action, id, entry)
         return GoalId(action, id)
 
     async def cancel(self, goal: GoalId, until: float) -> None:
@@ -206,13 +206,13 @@ class Actions:
         self._require(goal.action)
         if not goal.id:  # actionlib cancels all goals for an empty id
             raise NotFound(f"{goal.action} has no goal without an id")
-        self._ask_to_cancel(goal, await self._cancellation(goal.action, until), _ASKED)
+        self._request_cancellation(goal, await self._cancellation(goal.action, until), _CANCELLATIONS)
 
     async def cancel_all(self, action: str, until: float) -> None:
         """Request the cancellation of all goals of an action, with an empty id. Raises NotFound, Unreachable."""
         self._require(action)
         publication = await self._cancellation(action, until)
-        for seconds in (0.0, _ASKED_AGAIN):  # repeated once, as for one goal; more would cancel later goals
+        for seconds in (0.0, _CANCELLATION_PAUSE):  # repeated once, as for one goal; more would cancel later goals
             asyncio.get_running_loop().call_later(seconds, publication.send, cancel_message(""), False)
 
     async def _cancellation(self, action: str, until: float) -> Publication:
@@ -222,16 +222,18 @@ class Actions:
             raise Unreachable(f"no goal was canceled: no server of {action} listens")
         return publication
 
-    def _ask_to_cancel(self, goal: GoalId, publication: Publication, times: int) -> None:
+    def _request_cancellation(self, goal: GoalId, publication: Publication, times: int) -> None:
         """Send a cancellation repeatedly: a server that reconnects to its publishers loses messages."""
         if times and publication.matched:
             publication.send(cancel_message(goal.id), False)
-            asyncio.get_running_loop().call_later(_ASKED_AGAIN, self._ask_again, goal, publication, times - 1)
+            asyncio.get_running_loop().call_later(
+                _CANCELLATION_PAUSE, self._repeat_cancellation, goal, publication, times - 1
+            )
 
-    def _ask_again(self, goal: GoalId, publication: Publication, times: int) -> None:
-        known = self._goals(goal.action).get(goal.id) if goal.action in self._followed else None
-        if known is not None and known.told is not None and known.told.status in _UNHEEDED:
-            self._ask_to_cancel(goal, publication, times)
+    def _repeat_cancellation(self, goal: GoalId, publication: Publication, times: int) -> None:
+        entry = self._goals(goal.action).get(goal.id) if goal.action in self._followed else None
+        if entry is not None and entry.latest is not None and entry.latest.status in _UNHEEDED:
+            self._request_cancellation(goal, publication, times)
 
     # Sending
 
@@ -263,8 +265,8 @@ class Actions:
         """Return the publication of goals, with its server connected both ways, so that no message is missed."""
         learn = self._types.library.learn_message
         name, definition = goal_definition(schema)
-        learnt = await asyncio.get_running_loop().run_in_executor(None, learn, name, definition)
-        publication = await self._publications.advertise(f"{action}/goal", learnt.ref, until)
+        message = await asyncio.get_running_loop().run_in_executor(None, learn, name, definition)
+        publication = await self._publications.advertise(f"{action}/goal", message.ref, until)
         if not await publication.connected_to(self._servers(action), until):
             raise Unreachable(f"no goal was sent: the server of {action} did not connect in time")
         now = asyncio.get_running_loop().time
@@ -276,15 +278,15 @@ class Actions:
 
     # Following
 
-    def _goals(self, action: str) -> OrderedDict[str, _Known]:
-        return self._known.setdefault(action, OrderedDict())
+    def _goals(self, action: str) -> OrderedDict[str, _Goal]:
+        return self._by_action.setdefault(action, OrderedDict())
 
     def _begin(self, action: str) -> _Followed:
         followed = self._followed.get(action)
         if followed is None:
             followed = self._followed[action] = _Followed(connected_at=asyncio.get_running_loop().time())
-            for known in self._goals(action).values():
-                known.listed_at = followed.connected_at
+            for entry in self._goals(action).values():
+                entry.listed_at = followed.connected_at
             takes = (self._take_statuses, self._take_result, self._take_feedback, self._take_goal)
             for part, take in zip(_PARTS, takes, strict=True):
                 feed = MessageFeed(f"{action}/{part}", partial(take, action), _DEPTH)
@@ -298,7 +300,7 @@ class Actions:
         followed = self._followed.get(action)
         if followed is None or followed.looks > 0:
             return
-        if not any(known.is_own and not _is_over(known) for known in self._goals(action).values()):
+        if not any(entry.is_own and not _is_over(entry) for entry in self._goals(action).values()):
             self._stop(action)
 
     def _stop(self, action: str) -> None:
@@ -310,95 +312,95 @@ class Actions:
         for status in read_statuses(data):
             self._note(action, status, now, waits_for_result=True)
         if (followed := self._followed.get(action)) is not None:
-            followed.told_at = now
-            followed.heard.set()
+            followed.statuses_at = now
+            followed.status_event.set()
 
     def _take_result(self, action: str, data: bytes) -> None:
         status, result = read_feedback_or_result(data)
-        known = self._note(action, status, asyncio.get_running_loop().time())
-        if known is not None:
-            known.has_result = True
-            ending, known.ending = known.ending, None
+        entry = self._note(action, status, asyncio.get_running_loop().time())
+        if entry is not None:
+            entry.has_result = True
+            ending, entry.ending = entry.ending, None
             event = (
                 GoalEvent(time.time_ns(), result=result)
                 if ending is None
                 else dataclasses.replace(ending, result=result)
             )
-            self._tell(action, status.id, known, event)
+            self._report(action, status.id, entry, event)
 
     def _take_feedback(self, action: str, data: bytes) -> None:
         status, feedback = read_feedback_or_result(data)
-        known = self._note(action, status, asyncio.get_running_loop().time())
-        if known is not None:
-            self._tell(action, status.id, known, GoalEvent(time.time_ns(), feedback=feedback))
+        entry = self._note(action, status, asyncio.get_running_loop().time())
+        if entry is not None:
+            self._report(action, status.id, entry, GoalEvent(time.time_ns(), feedback=feedback))
 
     def _take_goal(self, action: str, data: bytes) -> None:
         id, goal = read_goal(data)
         if not id:
             return
-        known = self._goals(action).get(id)
-        if known is None:
-            known = self._goals(action)[id] = _Known(asyncio.get_running_loop().time())
+        entry = self._goals(action).get(id)
+        if entry is None:
+            entry = self._goals(action)[id] = _Goal(asyncio.get_running_loop().time())
             self._bound(action)
-        if known.goal is None:
-            known.goal = goal
-            if known.told is not None:
-                self._tell(action, id, known, GoalEvent(time.time_ns(), goal=goal))
+        if entry.goal is None:
+            entry.goal = goal
+            if entry.latest is not None:
+                self._report(action, id, entry, GoalEvent(time.time_ns(), goal=goal))
 
-    def _note(self, action: str, status: Status, now: float, *, waits_for_result: bool = False) -> _Known | None:
+    def _note(self, action: str, status: Status, now: float, *, waits_for_result: bool = False) -> _Goal | None:
         """Record and report the status of a goal; return None for an unknown status."""
         if not status.id or status.status is None:
             return None
-        known = self._goals(action).get(status.id)
-        if known is None:
-            known = self._goals(action)[status.id] = _Known(now)
+        entry = self._goals(action).get(status.id)
+        if entry is None:
+            entry = self._goals(action)[status.id] = _Goal(now)
             self._bound(action)
-        known.listed_at = now
-        if known.told is not None and (known.told == status or (known.is_final and not status.status.is_final)):
-            return known
-        is_first = known.told is None
-        known.told = status
-        if status.status.is_final and known.ended_at is None:
-            known.ended_at = now
-        self._decide(known, status)
-        event = GoalEvent(time.time_ns(), status.status, status.words, goal=known.goal if is_first else None)
-        if waits_for_result and status.status.is_final and not known.has_result:
-            known.ending = event
-            asyncio.get_running_loop().call_later(_RESULT_SOON, self._end, action, status.id, known)
+        entry.listed_at = now
+        if entry.latest is not None and (entry.latest == status or (entry.is_final and not status.status.is_final)):
+            return entry
+        is_first = entry.latest is None
+        entry.latest = status
+        if status.status.is_final and entry.ended_at is None:
+            entry.ended_at = now
+        self._decide(entry, status)
+        event = GoalEvent(time.time_ns(), status.status, status.words, goal=entry.goal if is_first else None)
+        if waits_for_result and status.status.is_final and not entry.has_result:
+            entry.ending = event
+            asyncio.get_running_loop().call_later(_RESULT_SOON, self._end, action, status.id, entry)
         else:
-            self._tell(action, status.id, known, event)
-        return known
+            self._report(action, status.id, entry, event)
+        return entry
 
-    def _end(self, action: str, id: str, known: _Known) -> None:
+    def _end(self, action: str, id: str, entry: _Goal) -> None:
         """Report the end of a goal, unless it was reported with its result."""
-        if known.ending is not None:
-            event, known.ending = known.ending, None
-            self._tell(action, id, known, event)
+        if entry.ending is not None:
+            event, entry.ending = entry.ending, None
+            self._report(action, id, entry, event)
 
-    def _decide(self, known: _Known, status: Status) -> None:
+    def _decide(self, entry: _Goal, status: Status) -> None:
         """Resolve the sender's wait: at once, or after `_DECISION` if the goal may still be rejected."""
-        if known.decided is None or known.decided.done():
+        if entry.decided is None or entry.decided.done():
             return
         if status.status is GoalStatus.ACCEPTED:
-            asyncio.get_running_loop().call_later(_DECISION, _settle, known.decided, status)
+            asyncio.get_running_loop().call_later(_DECISION, _settle, entry.decided, status)
         else:
-            known.is_refused = status.status is GoalStatus.REJECTED
-            known.decided.set_result(status)
+            entry.is_refused = status.status is GoalStatus.REJECTED
+            entry.decided.set_result(status)
 
-    def _tell(self, action: str, id: str, known: _Known, event: GoalEvent) -> None:
+    def _report(self, action: str, id: str, entry: _Goal, event: GoalEvent) -> None:
         """Report an event of an accepted goal. A rejection is returned to the sender instead."""
-        if known.is_refused:
+        if entry.is_refused:
             return
-        if known.is_undecided:
-            known.held.append(event)
+        if entry.is_undecided:
+            entry.pending.append(event)
             return
-        self._flush(action, id, known)
-        self._sink.goal_changed(GoalId(action, id), dataclasses.replace(event, own=known.is_own))
+        self._flush(action, id, entry)
+        self._sink.goal_changed(GoalId(action, id), dataclasses.replace(event, own=entry.is_own))
 
-    def _flush(self, action: str, id: str, known: _Known) -> None:
-        held, known.held = known.held, []
-        for event in held:
-            self._tell(action, id, known, event)
+    def _flush(self, action: str, id: str, entry: _Goal) -> None:
+        events, entry.pending = entry.pending, []
+        for event in events:
+            self._report(action, id, entry, event)
 
     def _tick(self) -> None:
         """Detect lost goals, and stop following actions without followers."""
@@ -407,52 +409,52 @@ class Actions:
         for action, followed in list(self._followed.items()):
             if followed.readers["status"].is_connected:
                 followed.connected_at = now
-            is_gone = now - followed.connected_at > _GONE
-            for id, known in list(self._goals(action).items()):
-                self._send_again(action, known)
-                self._judge(action, id, known, now, is_gone=is_gone)
+            is_disconnected = now - followed.connected_at > _LOST_AFTER
+            for id, entry in list(self._goals(action).items()):
+                self._send_again(action, entry)
+                self._judge(action, id, entry, now, is_disconnected=is_disconnected)
             self._stop_if_idle(action)
         if self._followed:
             self._ticking = asyncio.get_running_loop().call_later(_TICK, self._tick)
 
-    def _send_again(self, action: str, known: _Known) -> None:
+    def _send_again(self, action: str, entry: _Goal) -> None:
         """Send a goal again that its server does not list, once all connections that it was sent on are closed.
 
         rospy may connect twice and drop the first connection with its unread messages. A server that did read the goal
         ignores a second one with the same id.
         """
-        sending = known.sending
-        if sending is None or known.told is not None or not known.is_undecided:
+        sending = entry.sending
+        if sending is None or entry.latest is not None or not entry.is_undecided:
             return
         links = sending.publication.links_to(self._servers(action))
         if links and not links & sending.links:
-            known.sending = replace(sending, links=links)
+            entry.sending = replace(sending, links=links)
             sending.publication.send(sending.message, False)
 
-    def _judge(self, action: str, id: str, known: _Known, now: float, *, is_gone: bool) -> None:
+    def _judge(self, action: str, id: str, entry: _Goal, now: float, *, is_disconnected: bool) -> None:
         """Report a goal that is lost, and forget one that is over."""
-        if known.is_final:
-            if _is_over(known) and now - known.listed_at > _RESULT:
+        if entry.is_final:
+            if _is_over(entry) and now - entry.listed_at > _RESULT:
                 del self._goals(action)[id]
             return
-        if is_gone:
-            self._lose(action, id, known, now, f"the server of {action} is gone")
-        elif self._followed[action].told_at - known.listed_at > _GONE and not known.is_undecided:
-            self._lose(action, id, known, now, f"the server of {action} no longer knows the goal")
+        if is_disconnected:
+            self._lose(action, id, entry, now, f"the server of {action} is gone")
+        elif self._followed[action].statuses_at - entry.listed_at > _LOST_AFTER and not entry.is_undecided:
+            self._lose(action, id, entry, now, f"the server of {action} no longer knows the goal")
 
-    def _lose(self, action: str, id: str, known: _Known, now: float, words: str) -> None:
-        known.ended_at, known.has_result = now, True
-        known.told = Status(id, 9, words)
-        if known.decided is not None and not known.decided.done():
-            known.is_refused = True
-            known.decided.set_exception(Unreachable(f"the goal was sent, but {words}", sent=Sent.MAYBE))
-        self._tell(action, id, known, GoalEvent(time.time_ns(), GoalStatus.LOST, words))
+    def _lose(self, action: str, id: str, entry: _Goal, now: float, words: str) -> None:
+        entry.ended_at, entry.has_result = now, True
+        entry.latest = Status(id, 9, words)
+        if entry.decided is not None and not entry.decided.done():
+            entry.is_refused = True
+            entry.decided.set_exception(Unreachable(f"the goal was sent, but {words}", sent=Sent.MAYBE))
+        self._report(action, id, entry, GoalEvent(time.time_ns(), GoalStatus.LOST, words))
 
     def _bound(self, action: str) -> None:
         """Forget the oldest goals of others above the limit."""
         goals = self._goals(action)
-        while len(goals) > _MAX_KNOWN:
-            oldest = next((id for id, known in goals.items() if not known.is_own or _is_over(known)), None)
+        while len(goals) > _MAX_GOALS:
+            oldest = next((id for id, entry in goals.items() if not entry.is_own or _is_over(entry)), None)
             if oldest is None:
                 return
             del goals[oldest]
@@ -475,8 +477,8 @@ def _settle(decided: asyncio.Future[Status], status: Status) -> None:
         decided.set_result(status)
 
 
-def _is_over(known: _Known) -> bool:
+def _is_over(entry: _Goal) -> bool:
     """Whether a goal has ended, and its result was received or did not arrive in time."""
-    if known.ended_at is None:
+    if entry.ended_at is None:
         return False
-    return known.has_result or asyncio.get_running_loop().time() - known.ended_at > _RESULT
+    return entry.has_result or asyncio.get_running_loop().time() - entry.ended_at > _RESULT

@@ -21,7 +21,7 @@ from rosld.adapters.ros1.services import Services
 from rosld.adapters.ros1.sources import Nodes, TopicReader
 from rosld.adapters.ros1.stale_registrations import StaleRegistrations
 from rosld.adapters.ros1.subscription import Feed
-from rosld.adapters.ros1.types import EndpointFacts, LearntFacts, Types
+from rosld.adapters.ros1.types import EndpointFacts, Facts, Types
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 
 _EVERY = 1.0
@@ -46,7 +46,7 @@ class Client:
         self._hosts = Hosts(options.host_map, host)
         client = XmlRpcClient(f"http://{host}:{port}", "/RPC2", self._dial(host, port), keep_alive=True)
         self.master = MasterApi(client, own_node)
-        self.facts = LearntFacts(self.refresh_soon)
+        self.facts = Facts(self.refresh_soon)
         self.types = Types(library, self.refresh_soon)
         self.parameters = Parameters(self.master, self._parameters_changed)
         self.services = Services(own_node, self.master, self._hosts, self.types, self.facts, options.message_limit)
@@ -65,10 +65,10 @@ class Client:
         self._readers: dict[str, TopicReader] = {}
         self._epochs: dict[str, int] = {}
         self._local: str | None = None
-        self._looked: MasterSnapshot | None = None
+        self._snapshot: MasterSnapshot | None = None
         self._system = SystemState()
         self._identity: tuple[int, ParameterValue | None] | None = None
-        self._wanted = asyncio.Event()
+        self._poll_requested = asyncio.Event()
         self._refreshing = False
         self._tasks: list[asyncio.Task[None]] = []
         self._checked: dict[str, float] = {}
@@ -82,9 +82,11 @@ class Client:
         try:
             await asyncio.wait_for(self._first_look(), patience)
         except asyncio.TimeoutError:
-            self._lost(TimedOut(f"the ROS 1 master at {self.master.uri} does not answer in time"))
+            self._mark_stale(TimedOut(f"the ROS 1 master at {self.master.uri} does not answer in time"))
         except RosError as error:
-            self._lost(Unreachable(f"no ROS 1 master yet: {error}; start roscore, or name another: ros1://HOST:PORT"))
+            self._mark_stale(
+                Unreachable(f"no ROS 1 master yet: {error}; start roscore, or name another: ros1://HOST:PORT")
+            )
         loop = asyncio.get_running_loop()
         self._tasks += [loop.create_task(self._watch_system()), loop.create_task(self._watch_parameters())]
 
@@ -94,7 +96,7 @@ class Client:
             await asyncio.wait([self._removing], timeout=_FIRST_PATIENCE)
         await self.parameters.look()
         self.refresh()
-        await self.services.asked(1.0)
+        await self.services.wait_probed(1.0)
         await self.reconfigurables.wait_described(_FIRST_PATIENCE)
         self.refresh()
 
@@ -114,23 +116,23 @@ class Client:
         try:
             await self._look()
         except RosError as error:
-            self._lost(error)
+            self._mark_stale(error)
         self.refresh()
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], until: float) -> None:
         """Set parameters: those that nodes declare at the nodes, all others at the master. Raises Refused."""
         self.parameters.check(values)
         try:
-            made = await self.reconfigurables.set(parts_of(values), until)
-            self.parameters.note_set(made)
-            rest = {name: with_parts(name, value, made) for name, value in values.items() if name not in made}
+            accepted = await self.reconfigurables.set(parts_of(values), until)
+            self.parameters.note_set(accepted)
+            rest = {name: with_parts(name, value, accepted) for name, value in values.items() if name not in accepted}
             await self.parameters.set(rest, until)
         finally:
             self.refresh()
 
     def look_soon(self) -> None:
         """Poll the master within a second."""
-        self._wanted.set()
+        self._poll_requested.set()
 
     def refresh_soon(self) -> None:
         """Rebuild the graph once for all changes in this iteration of the loop."""
@@ -183,14 +185,14 @@ class Client:
             for reader in self._readers.values():
                 reader.fit_buffers()
             took = time.monotonic() - started
-            live = self._looked is not None  # an unreachable master has no load: notice its return soon
+            live = self._snapshot is not None  # an unreachable master has no load: notice its return soon
             pause = min(max(_EVERY, _SHARE * took), _SELDOM) - took if live else _EVERY
             await asyncio.sleep(_SOON)
             try:
-                await asyncio.wait_for(self._wanted.wait(), max(pause - _SOON, 0.0))
+                await asyncio.wait_for(self._poll_requested.wait(), max(pause - _SOON, 0.0))
             except asyncio.TimeoutError:
                 pass
-            self._wanted.clear()
+            self._poll_requested.clear()
 
     async def _watch_parameters(self) -> None:
         while True:
@@ -203,21 +205,24 @@ class Client:
 
     async def _look(self) -> None:
         async with self._looking:
-            asked_at = asyncio.get_running_loop().time()
-            looked = await self.master.snapshot()
-            if self._looked is None or (looked.state, looked.types) != (self._looked.state, self._looked.types):
-                self._system = self.master.system_state(looked)
-            if self._looked is None or looked.pid != self._looked.pid:
+            requested_at = asyncio.get_running_loop().time()
+            snapshot = await self.master.snapshot()
+            if self._snapshot is None or (snapshot.state, snapshot.types) != (
+                self._snapshot.state,
+                self._snapshot.types,
+            ):
+                self._system = self.master.system_state(snapshot)
+            if self._snapshot is None or snapshot.pid != self._snapshot.pid:
                 self._forget_addresses()
-            self._looked = looked
+            self._snapshot = snapshot
             self._note_identity()
-            self._follow(asked_at)
+            self._follow(requested_at)
 
     def _note_identity(self) -> None:
         """Forget the addresses if the master was restarted: as another process, or with another run id."""
-        if self._looked is None:
+        if self._snapshot is None:
             return
-        identity = self._looked.pid, self.parameters.value("/run_id")
+        identity = self._snapshot.pid, self.parameters.value("/run_id")
         if self._identity is not None and identity != self._identity:
             self._forget_addresses()
             self.refresh_soon()
@@ -227,7 +232,7 @@ class Client:
         self._checked.clear()
         self.services.forget()
 
-    def _follow(self, asked_at: float) -> None:
+    def _follow(self, requested_at: float) -> None:
         """Update everything after a new state of the master."""
         system = self._system
         for topic, reader in self._readers.items():
@@ -235,7 +240,7 @@ class Client:
         self.actions.follow(system)
         self.reconfigurables.follow(system)
         self.services.follow(system.services.items())
-        self.publications.register_again(system.publishers, asked_at)
+        self.publications.register_again(system.publishers, requested_at)
         nodes = system.nodes()
         endpoints = {(topic, node) for topic, of in system.publishers.items() for node in of}
         self.facts.retain(nodes, endpoints, set(system.services))
@@ -281,8 +286,8 @@ class Client:
         if any(removed):
             await self.look()
 
-    def _lost(self, error: RosError) -> None:
-        self._looked = None
+    def _mark_stale(self, error: RosError) -> None:
+        self._snapshot = None
         self._identity = None
         self._show(stale(self.graph, time.time_ns(), str(error)))
 

@@ -10,11 +10,11 @@ from msgspec import Struct, field
 
 from rosld.adapters.model import Endpoint, Graph, Live, Master, Node, Parameter, Service, Stale, Topic, TypeRef, freeze
 from rosld.adapters.ros1.actionlib import actions_of
-from rosld.adapters.ros1.types import EndpointFacts, LearntFacts, ServiceFacts, message_type
+from rosld.adapters.ros1.types import EndpointFacts, Facts, ServiceFacts, message_type
 
 _V = TypeVar("_V")
 _NOTHING = EndpointFacts()
-_NOT_ASKED = ServiceFacts(None, "its type is not known yet: its node is being asked")
+_UNPROBED = ServiceFacts(None, "its type is not known yet: its node is being asked")
 
 
 class SystemState(Struct, frozen=True):
@@ -42,32 +42,32 @@ class Observation(Struct, frozen=True):
     simulated_time: bool = False
 
 
-def compose(previous: Graph, seen: Observation, learnt: LearntFacts, unreadable: Mapping[TypeRef, str]) -> Graph:
+def compose(previous: Graph, observation: Observation, facts: Facts, unreadable: Mapping[TypeRef, str]) -> Graph:
     """Return the graph of an observation, which is `previous` itself if nothing changed."""
-    system = seen.system
+    system = observation.system
 
     def topic(name: str) -> Topic:
-        return _topic(name, system, learnt, unreadable)
+        return _topic(name, system, facts, unreadable)
 
     def service(name: str) -> Service:
-        facts = learnt.services.get(name, _NOT_ASKED)
-        return Service(name, facts.type, system.services[name], facts.uncallable)
+        fact = facts.services.get(name, _UNPROBED)
+        return Service(name, fact.type, system.services[name], fact.uncallable)
 
     def node(name: str) -> Node:
-        return Node(name, learnt.uris.get(name), learnt.unreachable.get(name))
+        return Node(name, facts.uris.get(name), facts.unreachable.get(name))
 
     actions = actions_of(system.publishers, system.subscribers, system.topic_types)
     graph = replace(
         previous,
         state=Live(),
-        master=seen.master,
-        own_node=seen.own_node,
-        simulated_time=seen.simulated_time,
+        master=observation.master,
+        own_node=observation.own_node,
+        simulated_time=observation.simulated_time,
         nodes=_shared(previous.nodes, system.nodes(), node),
         topics=_shared(previous.topics, _topic_names(system), topic),
         services=_shared(previous.services, system.services, service),
         actions=_shared(previous.actions, actions, lambda name: actions[name]),
-        parameters=_shared(previous.parameters, seen.parameters, lambda name: seen.parameters[name]),
+        parameters=_shared(previous.parameters, observation.parameters, lambda name: observation.parameters[name]),
     )
     return previous if graph == previous else replace(graph, revision=previous.revision + 1)
 
@@ -83,24 +83,25 @@ def _topic_names(system: SystemState) -> set[str]:
     return {*system.publishers, *system.subscribers}  # the master never forgets the types of former topics
 
 
-def _topic(name: str, system: SystemState, learnt: LearntFacts, unreadable: Mapping[TypeRef, str]) -> Topic:
+def _topic(name: str, system: SystemState, facts: Facts, unreadable: Mapping[TypeRef, str]) -> Topic:
     nodes = system.publishers.get(name, ())
-    facts = [learnt.endpoints.get((name, node), _NOTHING) for node in nodes]
+    endpoints = [facts.endpoints.get((name, node), _NOTHING) for node in nodes]
     publishers = tuple(
-        Endpoint(node, fact.type, fact.latched, fact.unreachable) for node, fact in zip(nodes, facts, strict=True)
+        Endpoint(node, endpoint.type, endpoint.latched, endpoint.unreachable)
+        for node, endpoint in zip(nodes, endpoints, strict=True)
     )
     subscribers = tuple(Endpoint(node) for node in system.subscribers.get(name, ()))
-    types = _types(system.topic_types.get(name), [fact.type for fact in facts])
+    types = _types(system.topic_types.get(name), [endpoint.type for endpoint in endpoints])
     words = next((unreadable[each] for each in types if each in unreadable), None)
     if not types and (stated := system.topic_types.get(name)) and stated != "*":
         words = f"{stated!r} is no name of a type"
     return Topic(name, types, publishers, subscribers, words)
 
 
-def _types(stated: str | None, said: list[TypeRef | None]) -> tuple[TypeRef, ...]:
+def _types(stated: str | None, reported: list[TypeRef | None]) -> tuple[TypeRef, ...]:
     """Return every type in use: those stated by publishers and, while one is unknown, the master's."""
-    types = dict.fromkeys(each for each in said if each is not None)
-    if None in said or not said:
+    types = dict.fromkeys(each for each in reported if each is not None)
+    if None in reported or not reported:
         name = message_type(stated) if stated else None
         if name and all(each.name != name for each in types):
             types[TypeRef(name)] = None
@@ -109,10 +110,10 @@ def _types(stated: str | None, said: list[TypeRef | None]) -> tuple[TypeRef, ...
 
 def _shared(previous: Mapping[str, _V], names: Iterable[str], make: Callable[[str], _V]) -> Mapping[str, _V]:
     """Return the values of these names, sorted; reuse equal previous values, and the mapping if all are equal."""
-    made: dict[str, _V] = {}
+    values: dict[str, _V] = {}
     for name in sorted(names):
         new, old = make(name), previous.get(name)
-        made[name] = old if old is not None and old == new else new
-    if len(made) == len(previous) and all(previous.get(name) is value for name, value in made.items()):
+        values[name] = old if old is not None and old == new else new
+    if len(values) == len(previous) and all(previous.get(name) is value for name, value in values.items()):
         return previous
-    return freeze(made)
+    return freeze(values)

@@ -43,7 +43,7 @@ class Hosts:
     def __init__(self, host_map: Mapping[str, str], master_host: str) -> None:
         self._map = host_map
         self._master_host = master_host
-        self._known: dict[str, tuple[float, Address]] = {}
+        self._addresses: dict[str, tuple[float, Address]] = {}
 
     async def streams(self, host: str, port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         """Return streams connected to `port` of `host`. Raises Unreachable with the addresses tried."""
@@ -58,29 +58,29 @@ class Hosts:
         address = await self.resolve(host)
         loop = asyncio.get_running_loop()
         try:
-            _, made = await asyncio.wait_for(loop.create_connection(protocol, address.ip, port), CONNECT)
+            _, connection = await asyncio.wait_for(loop.create_connection(protocol, address.ip, port), CONNECT)
         except (OSError, asyncio.TimeoutError) as error:
             raise Unreachable(_story(host, port, address, error)) from error
-        return made
+        return connection
 
     async def resolve(self, host: str) -> Address:
         """Return the address of a host name, cached for half a minute."""
         now = time.monotonic()
-        known = self._known.get(host)
-        if known is None or known[0] < now:
-            known = (now + _REMEMBER, await self._look_up(host))
-            self._known[host] = known
-        return known[1]
+        entry = self._addresses.get(host)
+        if entry is None or entry[0] < now:
+            entry = (now + _REMEMBER, await self._look_up(host))
+            self._addresses[host] = entry
+        return entry[1]
 
     async def _look_up(self, host: str) -> Address:
-        wanted = self._map.get(host, host)
+        name = self._map.get(host, host)
         try:
-            return Address(await _first_ip(wanted))
+            return Address(await _first_ip(name))
         except (OSError, UnicodeError, asyncio.TimeoutError):
             if host == self._master_host:
                 raise Unreachable(f"the master's host name {host!r} does not resolve") from None
             guess = await self.resolve(self._master_host)
-            return Address(guess.ip, f"the host name {wanted!r} does not resolve")
+            return Address(guess.ip, f"the host name {name!r} does not resolve")
 
 
 async def _first_ip(host: str) -> str:

@@ -46,10 +46,10 @@ class MasterApi:
         types = await self._client.request(encode_call("getTopicTypes", self._caller), timeout=LOOK)
         return MasterSnapshot(pid.value if isinstance(pid.value, int) else 0, state, types)
 
-    def system_state(self, looked: MasterSnapshot) -> SystemState:
+    def system_state(self, snapshot: MasterSnapshot) -> SystemState:
         """Return the decoded system state. Raises Unreachable if it is not from a ROS master."""
-        state = self._client.decode(looked.state)
-        types = self._client.decode(looked.types)
+        state = self._client.decode(snapshot.state)
+        types = self._client.decode(snapshot.types)
         if state.code != 1 or types.code != 1:
             words = f"{state.words}, {types.words}"
             raise Unreachable(f"the master at {self.uri} does not tell its state", words=words)
@@ -106,11 +106,11 @@ class MasterApi:
         return answer.value
 
 
-def _error(method: str, what: ParameterValue, answer: Answer) -> RosError:
+def _error(method: str, subject: ParameterValue, answer: Answer) -> RosError:
     """Return the error for a code other than 1: -1 is an unknown name, 0 a failure of the master."""
     if answer.code == -1:
-        return NotFound(f"the master knows no {what!r}", words=answer.words)
-    return Refused(f"the master refused {method} of {what!r}", words=answer.words, sent=Sent.YES)
+        return NotFound(f"the master knows no {subject!r}", words=answer.words)
+    return Refused(f"the master refused {method} of {subject!r}", words=answer.words, sent=Sent.YES)
 
 
 def _list(value: ParameterValue) -> list[ParameterValue]:

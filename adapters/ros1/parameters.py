@@ -72,8 +72,8 @@ def find(tree: ParameterValue, rest: str) -> ParameterValue | None:
 
 def differences(old: Mapping[str, Leaf], new: Mapping[str, Leaf]) -> list[str]:
     """Return the names of the leaves that were added, removed or changed."""
-    came = [name for name, leaf in new.items() if name not in old or not _equal(old[name].value, leaf.value)]
-    return [*came, *(old.keys() - new.keys())]
+    changed = [name for name, leaf in new.items() if name not in old or not _equal(old[name].value, leaf.value)]
+    return [*changed, *(old.keys() - new.keys())]
 
 
 def _equal(one: ParameterValue, other: ParameterValue) -> bool:
@@ -84,9 +84,9 @@ def assign(named: Mapping[str, Leaf], name: str, value: ParameterValue) -> dict[
     """Return the leaves after the master sets `name`, which replaces everything at or below it, and a leaf above it."""
     path = tuple(name[1:].split("/")) if name != "/" else ()
     above = {"/" + "/".join(path[:length]) for length in range(1, len(path))}
-    kept = {each: leaf for each, leaf in without(named, name).items() if each not in above}
+    remaining = {each: leaf for each, leaf in without(named, name).items() if each not in above}
     new = leaves(value, path) if isinstance(value, dict) and value else iter([Leaf(path, value)])
-    return {**kept, **(by_name(new) if path or value else {})}
+    return {**remaining, **(by_name(new) if path or value else {})}
 
 
 def without(named: Mapping[str, Leaf], name: str) -> dict[str, Leaf]:

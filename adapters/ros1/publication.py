@@ -13,7 +13,7 @@ from rosld.adapters.ros1.tcpros import LENGTH, MAX_HEADER, BadFrame, Header, dec
 from rosld.adapters.ros1.types import ros_name
 
 _HIGH_WATER = 256 * 1024
-_MAX_WAITING = 8 * 1024 * 1024
+_MAX_QUEUED = 8 * 1024 * 1024
 _MAX_PENDING = 64 * 1024 * 1024
 
 
@@ -37,20 +37,20 @@ class Outbox:
 
     def take(self, max_bytes: int) -> bytes:
         """Remove and return the oldest frames, joined: at least one, and within `max_bytes` if possible."""
-        taken = [self._frames.popleft()]
-        size = len(taken[0])
+        frames = [self._frames.popleft()]
+        size = len(frames[0])
         while self._frames and size + len(self._frames[0]) <= max_bytes:
-            taken.append(self._frames.popleft())
-            size += len(taken[-1])
+            frames.append(self._frames.popleft())
+            size += len(frames[-1])
         self._bytes -= size
-        return b"".join(taken)
+        return b"".join(frames)
 
     def take_all(self) -> list[bytes]:
         """Remove and return all frames, oldest first."""
-        taken = list(self._frames)
+        frames = list(self._frames)
         self._frames.clear()
         self._bytes = 0
-        return taken
+        return frames
 
 
 class Publication:
@@ -88,10 +88,10 @@ class Publication:
             "type": self.type_name,
         }
 
-    def objection(self, asked: Header) -> str | None:
+    def objection(self, header: Header) -> str | None:
         """Return why a subscriber with this header is refused, or None."""
-        if asked.get("md5sum", "*") not in ("*", self.ref.hash):
-            return f"{self.topic} is published as {self.type_name} with md5sum {self.ref.hash}, not {asked['md5sum']}"
+        if header.get("md5sum", "*") not in ("*", self.ref.hash):
+            return f"{self.topic} is published as {self.type_name} with md5sum {self.ref.hash}, not {header['md5sum']}"
         return None
 
     def send(self, data: bytes, latch: bool) -> None:
@@ -103,11 +103,11 @@ class Publication:
             self._flushing = True
             asyncio.get_running_loop().call_soon(self._flush)
 
-    async def wait_matched(self, wanted: int, until: float, patience: float) -> None:
-        """Wait until `wanted` subscribers are connected, or one has been for `patience` seconds, or until a time."""
+    async def wait_matched(self, count: int, until: float, patience: float) -> None:
+        """Wait until `count` subscribers are connected, or one has been for `patience` seconds, or until a time."""
         now = asyncio.get_running_loop().time
         patient: float | None = None
-        while self.matched < wanted:
+        while self.matched < count:
             if self.matched and patient is None:
                 patient = min(until, now() + patience)
             left = (until if patient is None else patient) - now()
@@ -189,7 +189,7 @@ class SubscriberConnection(asyncio.Protocol):
         self._publications = publications
         self._publication: Publication | None = None
         self._received = bytearray()
-        self._waiting = Outbox(_MAX_WAITING)
+        self._outbox = Outbox(_MAX_QUEUED)
         self._paused = False
         self._ended = False
         self._drained: asyncio.Future[None] | None = None
@@ -198,7 +198,7 @@ class SubscriberConnection(asyncio.Protocol):
     async def wait_written(self, until: float) -> None:
         """Wait until the subscriber has received its queued messages, or until a time."""
         left = until - asyncio.get_running_loop().time()
-        if self._waiting and left > 0:
+        if self._outbox and left > 0:
             self._drained = asyncio.get_running_loop().create_future()
             await asyncio.wait([self._drained], timeout=left)
 
@@ -232,7 +232,7 @@ class SubscriberConnection(asyncio.Protocol):
     def send(self, frames: Iterable[bytes]) -> None:
         """Write frames, or queue them until the subscriber reads."""
         for each in frames:
-            self._waiting.add(each)
+            self._outbox.add(each)
         self._write()
 
     def end(self) -> None:
@@ -246,9 +246,9 @@ class SubscriberConnection(asyncio.Protocol):
         self._transport.close()
 
     def _write(self) -> None:
-        while self._waiting and not (self._paused or self._ended or self._transport.is_closing()):
-            self._transport.write(self._waiting.take(_HIGH_WATER))
-        if self._drained is not None and not self._waiting and not self._drained.done():
+        while self._outbox and not (self._paused or self._ended or self._transport.is_closing()):
+            self._transport.write(self._outbox.take(_HIGH_WATER))
+        if self._drained is not None and not self._outbox and not self._drained.done():
             self._drained.set_result(None)
 
     def _header(self) -> dict[str, str] | None:

@@ -84,12 +84,12 @@ class Publications:
 
         Raises UnknownType, and Refused if our address does not respond or the topic has another type.
         """
-        wanted = 1
+        expected = 1
         async with self._changing.setdefault(topic, asyncio.Lock()):
             publication = self.by_topic.get(topic)
             if publication is None:
                 publication, subscribers = await self._advertise(topic, type, until)
-                wanted = max(1, len(subscribers))
+                expected = max(1, len(subscribers))
                 if subscribers:
                     self._begin(self._remind(publication, len(subscribers)), self._reminding)
             elif not publication.carries(type):
@@ -97,7 +97,7 @@ class Publications:
                     f"rosld publishes {topic} as {publication.ref.name} ({publication.ref.hash}), not {type.name}"
                 )
         # Outside of the lock, so that a topic whose subscribers never connect does not delay others.
-        await publication.wait_matched(wanted, until, _PATIENCE)
+        await publication.wait_matched(expected, until, _PATIENCE)
         return publication
 
     async def unadvertise(self, topic: str) -> None:
@@ -112,13 +112,13 @@ class Publications:
                 await publication.close(_GOODBYE)
                 self._changed()
 
-    def register_again(self, listed: Mapping[str, tuple[str, ...]], asked_at: float) -> None:
-        """Register topics that the master does not list as ours in a response requested at `asked_at`.
+    def register_again(self, listed: Mapping[str, tuple[str, ...]], requested_at: float) -> None:
+        """Register topics that the master does not list as ours in a response requested at `requested_at`.
 
         Later registrations are skipped: when notified twice, rospy connects twice and drops the first connection.
         """
         for topic, publication in self.by_topic.items():
-            if publication.registered_at is None or publication.registered_at >= asked_at:
+            if publication.registered_at is None or publication.registered_at >= requested_at:
                 continue
             if self._node not in listed.get(topic, ()) and not self._registering:
                 self._begin(self._register_again(publication), self._registering)
@@ -192,7 +192,7 @@ class Publications:
 
     async def _try(self, address: str) -> Servers | None:
         """Return servers that were verified to answer at an address, or None."""
-        slave = XmlRpcServer(SlaveApi(self._master.uri, address, self, self._asked_to_leave).answer)
+        slave = XmlRpcServer(SlaveApi(self._master.uri, address, self, self._leave_all).answer)
         try:
             bind, port = await _bind(slave, address)
             tcpros = await asyncio.get_running_loop().create_server(
@@ -208,7 +208,7 @@ class Publications:
         tcpros.close()
         return None
 
-    def _asked_to_leave(self, words: str) -> None:
+    def _leave_all(self, words: str) -> None:
         """Stop publishing everything after `rosnode kill` or the takeover of our name; a later publish starts again."""
         for topic in list(self.by_topic):
             self._begin(self._leave(topic), self._registering)

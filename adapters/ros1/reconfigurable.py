@@ -41,7 +41,7 @@ class _Followed(Struct):
     readers: dict[str, TopicReader] = field(default_factory=dict)
     descriptors: Mapping[str, Descriptor] = field(default_factory=dict)
     values: Mapping[str, Scalar] = field(default_factory=dict)
-    heard: asyncio.Event = field(default_factory=asyncio.Event)
+    description_event: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class Reconfigurables:
@@ -88,9 +88,9 @@ class Reconfigurables:
 
     async def wait_described(self, patience: float) -> None:
         """Wait until every server has described its parameters, for at most `patience` seconds."""
-        waiting = [asyncio.ensure_future(each.heard.wait()) for each in self._followed.values()]
-        if waiting:
-            _, late = await asyncio.wait(waiting, timeout=patience)
+        waits = [asyncio.ensure_future(each.description_event.wait()) for each in self._followed.values()]
+        if waits:
+            _, late = await asyncio.wait(waits, timeout=patience)
             for each in late:
                 each.cancel()
 
@@ -104,16 +104,16 @@ class Reconfigurables:
 
         Raises Refused for a value of another type, before anything is sent, and what `Services.call` raises.
         """
-        asked = {namespace: own for namespace in self._followed if (own := self._own(namespace, values))}
-        made: dict[str, ParameterValue] = {}
-        for namespace, own in asked.items():
+        requests = {namespace: own for namespace in self._followed if (own := self._own(namespace, values))}
+        accepted: dict[str, ParameterValue] = {}
+        for namespace, own in requests.items():
             answer = await self._services.call(f"{namespace}/{SET}", SERVICE, request_of(own), until)
             try:
                 config = read_config(answer)
             except ValueError as error:
                 raise Refused(f"the answer of {namespace}/{SET} cannot be read: {error}", sent=Sent.YES) from error
-            made |= {f"{namespace}/{name}": config.get(name, value) for name, value in own.items()}
-        return made
+            accepted |= {f"{namespace}/{name}": config.get(name, value) for name, value in own.items()}
+        return accepted
 
     def _own(self, namespace: str, values: Mapping[str, ParameterValue]) -> dict[str, Scalar]:
         """Return the values that a server declares, by its own names and converted to its types. Raises Refused."""
@@ -137,7 +137,7 @@ class Reconfigurables:
 
         def take_description(data: bytes) -> None:
             followed.descriptors = read_descriptors(data)
-            followed.heard.set()
+            followed.description_event.set()
             self._describe()
 
         def take_update(data: bytes) -> None:

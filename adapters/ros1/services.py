@@ -9,11 +9,11 @@ from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, Ty
 from rosld.adapters.ros1.hosts import Hosts, host_and_port
 from rosld.adapters.ros1.master import MasterApi
 from rosld.adapters.ros1.tcpros import MAX_HEADER, BadFrame, Header, decode_header, encode_header, frame, read_frame
-from rosld.adapters.ros1.types import LearntFacts, ServiceFacts, Types, service_type
+from rosld.adapters.ros1.types import Facts, ServiceFacts, Types, service_type
 
 _AT_ONCE = 4
 _PROBE = 5.0
-_ASK_AGAIN = 30.0
+_PROBE_PAUSE = 30.0
 
 
 class Services:
@@ -23,15 +23,15 @@ class Services:
     """
 
     def __init__(
-        self, caller: str, master: MasterApi, hosts: Hosts, types: Types, learnt: LearntFacts, message_limit: int
+        self, caller: str, master: MasterApi, hosts: Hosts, types: Types, facts: Facts, message_limit: int
     ) -> None:
         self._message_limit = message_limit
         self._caller = caller
         self._master = master
         self._hosts = hosts
         self._types = types
-        self._learnt = learnt
-        self._asked: dict[str, tuple[tuple[str, ...], float]] = {}
+        self._known_facts = facts
+        self._probed: dict[str, tuple[tuple[str, ...], float]] = {}
         self._few = asyncio.Semaphore(_AT_ONCE)
         self._probes: set[asyncio.Task[None]] = set()
 
@@ -39,21 +39,21 @@ class Services:
         """Request the types of services (with providers) that are new, have moved, or could not be reached."""
         now = asyncio.get_running_loop().time()
         listed = dict(services)
-        self._asked = {name: asked for name, asked in self._asked.items() if name in listed}
+        self._probed = {name: probed for name, probed in self._probed.items() if name in listed}
         for name, providers in listed.items():
-            asked = self._asked.get(name)
-            unknown = self._learnt.services.get(name, ServiceFacts()).type is None
-            if asked is None or asked[0] != providers or (unknown and now - asked[1] > _ASK_AGAIN):
-                self._asked[name] = providers, now
-                probe = asyncio.get_running_loop().create_task(self._ask(name))
+            probed = self._probed.get(name)
+            unknown = self._known_facts.services.get(name, ServiceFacts()).type is None
+            if probed is None or probed[0] != providers or (unknown and now - probed[1] > _PROBE_PAUSE):
+                self._probed[name] = providers, now
+                probe = asyncio.get_running_loop().create_task(self._probe(name))
                 self._probes.add(probe)
                 probe.add_done_callback(self._probes.discard)
 
     def forget(self) -> None:
         """Request the types of all services again at the next poll."""
-        self._asked.clear()
+        self._probed.clear()
 
-    async def asked(self, patience: float) -> None:
+    async def wait_probed(self, patience: float) -> None:
         """Wait until pending requests for types have ended, for at most `patience` seconds."""
         if self._probes:
             await asyncio.wait(tuple(self._probes), timeout=patience)
@@ -67,7 +67,7 @@ class Services:
         except asyncio.TimeoutError as error:
             raise TimedOut(f"{service} did not answer in time", sent=progress[0]) from error
         except (OSError, EOFError) as error:
-            self._asked.pop(service, None)
+            self._probed.pop(service, None)
             sent = Sent.NO if progress[0] is Sent.NO else Sent.MAYBE
             words = "its node went away" + (" before the request was sent" if sent is Sent.NO else "")
             raise Unreachable(f"{service} cannot be called: {words}", sent=sent) from error
@@ -82,7 +82,7 @@ class Services:
             writer.write(encode_header(hello))
             header = decode_header(await read_frame(reader, MAX_HEADER))
             if "error" in header:
-                self._asked.pop(service, None)
+                self._probed.pop(service, None)
                 raise Refused(f"{service} refuses the call", words=header["error"])
             progress[0] = Sent.YES
             writer.write(frame(request))
@@ -109,16 +109,16 @@ class Services:
         except NotFound as error:
             raise NotFound(f"there is no service {service}", words=error.words) from error
 
-    async def _ask(self, service: str) -> None:
+    async def _probe(self, service: str) -> None:
         async with self._few:
             try:
                 facts = await asyncio.wait_for(self._facts(service), _PROBE)
             except (RosError, OSError, EOFError, BadFrame, asyncio.TimeoutError) as error:
-                before = self._learnt.services.get(service, ServiceFacts())
+                before = self._known_facts.services.get(service, ServiceFacts())
                 words = str(error) or "no answer in time"
                 facts = ServiceFacts(before.type, f"its node does not tell its type: {words}")
-            if service in self._asked:
-                self._learnt.set_service(service, facts)
+            if service in self._probed:
+                self._known_facts.set_service(service, facts)
 
     async def _facts(self, service: str) -> ServiceFacts:
         reader, writer = await self._connect(service)

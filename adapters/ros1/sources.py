@@ -9,7 +9,7 @@ from rosld.adapters.model import Refused, RosError, TypeRef, Unreachable
 from rosld.adapters.ros1.hosts import Hosts, host_and_port
 from rosld.adapters.ros1.subscription import Feed, Slot
 from rosld.adapters.ros1.tcpros import Deliver, Frame, FrameReceiver, Header, encode_header
-from rosld.adapters.ros1.types import EndpointFacts, LearntFacts, Types, message_type
+from rosld.adapters.ros1.types import EndpointFacts, Facts, Types, message_type
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 
 _TIMEOUT = 5.0
@@ -28,20 +28,20 @@ class Nodes:
         self,
         caller: str,
         hosts: Hosts,
-        learnt: LearntFacts,
+        facts: Facts,
         look_up: Callable[[str], Awaitable[str]],
         message_limit: int,
     ) -> None:
         self.caller = caller
         self.message_limit = message_limit
         self.hosts = hosts
-        self.learnt = learnt
+        self.facts = facts
         self._look_up = look_up
 
     async def address(self, node: str) -> str:
         """Return a node's URI from the master, because a restarted node has a new one."""
         uri = await self._look_up(node)
-        self.learnt.set_node_uri(node, uri)
+        self.facts.set_node_uri(node, uri)
         return uri
 
     async def request_topic(self, uri: str, topic: str) -> tuple[str, int]:
@@ -93,7 +93,7 @@ class PublisherReader:
             if now() - began > _LONG_ENOUGH or words is None:
                 wait = _FIRST_WAIT
             if words is not None:
-                self._nodes.learnt.set_endpoint_unreachable(self._feed.topic, self.slot.publisher, words)
+                self._nodes.facts.set_endpoint_unreachable(self._feed.topic, self.slot.publisher, words)
             await asyncio.sleep(wait)
             wait = min(2 * wait, _LONGEST_WAIT)
 
@@ -104,9 +104,9 @@ class PublisherReader:
             receiver = await self._connect(uri)
         except (RosError, OSError, ValueError, asyncio.TimeoutError) as error:
             if isinstance(error, Unreachable):
-                self._nodes.learnt.set_node_reachable(self.slot.publisher, str(error))
+                self._nodes.facts.set_node_reachable(self.slot.publisher, str(error))
             return str(error) or f"{self.slot.publisher} did not answer in time"
-        self._nodes.learnt.set_node_reachable(self.slot.publisher, None)
+        self._nodes.facts.set_node_reachable(self.slot.publisher, None)
         try:
             await receiver.closed
         finally:
@@ -158,7 +158,7 @@ class PublisherReader:
         self._types.learn(ref, header.get("message_definition", ""))
         latched = header.get("latching") == "1"
         self.slot.schema, self.slot.latched = ref, latched
-        self._nodes.learnt.set_endpoint(self._feed.topic, self.slot.publisher, EndpointFacts(ref, latched))
+        self._nodes.facts.set_endpoint(self._feed.topic, self.slot.publisher, EndpointFacts(ref, latched))
         return self._deliver
 
     def _deliver(self, frames: Sequence[Frame], count: int) -> None:
@@ -180,12 +180,12 @@ class TopicReader:
 
     def follow(self, publishers: Iterable[str]) -> None:
         """Update the publishers that are read."""
-        wanted = [each for each in publishers if each != self._nodes.caller]
-        for gone in self._sources.keys() - set(wanted):
-            source, task = self._sources.pop(gone)
+        names = [each for each in publishers if each != self._nodes.caller]
+        for former in self._sources.keys() - set(names):
+            source, task = self._sources.pop(former)
             task.cancel()
             self._left.append(source.slot)
-        for name in wanted:
+        for name in names:
             if name not in self._sources:
                 self._begin(name)
         self._arrange()

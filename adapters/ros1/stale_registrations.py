@@ -53,17 +53,17 @@ class StaleRegistrations:
         self._hosts = hosts
         self._own_node = own_node
         self._own_uri = own_uri
-        self._looked_at: dict[str, float] = {}
+        self._checked_at: dict[str, float] = {}
 
     def nodes_to_check(self, publishers: Mapping[str, tuple[str, ...]]) -> Mapping[str, tuple[str, ...]]:
         """Return the topics of each node that must be checked now; `publishers` are the nodes by topic."""
         named = {node for nodes in publishers.values() for node in nodes if pids(node)}
         if self._own_uri() is not None:
             named.discard(self._own_node)
-        self._looked_at = {node: at for node, at in self._looked_at.items() if node in named}
+        self._checked_at = {node: at for node, at in self._checked_at.items() if node in named}
         now = time.monotonic()
-        chosen = [node for node in named if now - self._looked_at.get(node, -_AGAIN) >= _AGAIN]
-        self._looked_at.update(dict.fromkeys(chosen, now))
+        chosen = [node for node in named if now - self._checked_at.get(node, -_AGAIN) >= _AGAIN]
+        self._checked_at.update(dict.fromkeys(chosen, now))
         return {node: tuple(topic for topic, nodes in publishers.items() if node in nodes) for node in chosen}
 
     async def remove(self, node: str, topics: tuple[str, ...]) -> bool:

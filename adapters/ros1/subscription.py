@@ -68,11 +68,11 @@ class Slot:
         now = time.time_ns()
         self.sequence += count
         first = self.sequence - len(frames) + 1
-        taken = tuple(
+        values = tuple(
             Value(data, self.schema, self.publisher, now, first + offset, self.epoch, self.latched)
             for offset, data in enumerate(frames)
         )
-        self.values = taken[-depth:] if len(taken) >= depth else (*self.values, *taken)[-depth:]
+        self.values = values[-depth:] if len(values) >= depth else (*self.values, *values)[-depth:]
 
     def restart(self, epoch: int) -> None:
         """Restart the count, because the publisher is another process."""
@@ -148,19 +148,19 @@ class MessageFeed(Feed):
         super().__init__(topic, asyncio.get_running_loop(), {})
         self.depth = depth
         self._take = take
-        self._seen: dict[Slot, tuple[int, int]] = {}
+        self._positions: dict[Slot, tuple[int, int]] = {}
 
     def arrived(self) -> None:
         """Pass on new messages."""
         for slot in self.slots:
-            epoch, sequence = self._seen.get(slot, (-1, 0))
+            epoch, sequence = self._positions.get(slot, (-1, 0))
             for value in slot.values:
                 if value.epoch != epoch or value.sequence > sequence:
                     with contextlib.suppress(ValueError):
                         self._take(bytes(value.data))
             if slot.values:
-                self._seen[slot] = slot.values[-1].epoch, slot.values[-1].sequence
-        self._seen = {slot: seen for slot, seen in self._seen.items() if slot in self.slots}
+                self._positions[slot] = slot.values[-1].epoch, slot.values[-1].sequence
+        self._positions = {slot: position for slot, position in self._positions.items() if slot in self.slots}
 
 
 class WakingWatch:
@@ -182,15 +182,15 @@ class TopicSubscription:
         self.depth = depth
         self._release = release
         self._closed = False
-        self._seen: tuple[tuple[Value, ...], ...] = ()
+        self._values: tuple[tuple[Value, ...], ...] = ()
         self._latest: Sequence[Sample] = ()
         self._watches: list[WakingWatch] = []
 
     def latest(self) -> Sequence[Sample]:
         """Return the newest `depth` samples of each publisher, oldest first; the same object if nothing is new."""
         values = self.feed.values()
-        if not _same(values, self._seen):
-            self._seen = values
+        if not _same(values, self._values):
+            self._values = values
             newest = [value for each in values for value in each[-self.depth :]]
             newest.sort(key=_received_ns)
             samples = [value.sample() for value in newest]

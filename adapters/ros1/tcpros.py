@@ -28,7 +28,7 @@ _FORCE = 33 if sys.platform == "linux" else None
 """SO_RCVBUFFORCE, which `socket` does not define: exceeds net.core.rmem_max with CAP_NET_ADMIN."""
 
 
-def wanted_bytes(highest_rate: float) -> int:
+def buffer_size(highest_rate: float) -> int:
     """Return the buffer size for a topic of this many bytes per second."""
     return min(max(int(SECONDS * highest_rate), MIN_BYTES), MAX_BYTES)
 
@@ -38,21 +38,21 @@ class ReceiveBuffer:
 
     def __init__(self, sock: socket.socket, now: float) -> None:
         self._socket = sock
-        self._seen = (now, 0)
+        self._measured = (now, 0)
         self._highest = 0.0
-        self._asked = 0
+        self._size = 0
 
     def fit(self, received: int, now: float) -> None:
         """Adapt the buffer to a total of `received` bytes at `now` (seconds); called about once a second."""
-        then, before = self._seen
+        then, before = self._measured
         if now - then < 0.5:
             return
-        self._seen = (now, received)
+        self._measured = (now, received)
         self._highest = max(self._highest, (received - before) / (now - then))
-        wanted = wanted_bytes(self._highest)
-        if wanted > self._asked:
-            self._asked = max(wanted, self._asked * 5 // 4)  # rates vary: larger steps avoid a call each time
-            enlarge(self._socket, self._asked)
+        size = buffer_size(self._highest)
+        if size > self._size:
+            self._size = max(size, self._size * 5 // 4)  # rates vary: larger steps avoid a call each time
+            enlarge(self._socket, self._size)
 
 
 def enlarge(sock: socket.socket, size: int) -> None:

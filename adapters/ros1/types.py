@@ -35,7 +35,7 @@ def ros_name(name: str) -> str:
     return f"{package}/{short.partition('/')[2] or short}"
 
 
-def definition_folders(given: Iterable[Path], environment: Mapping[str, str] = os.environ) -> Sequence[Path]:
+def definition_folders(folders: Iterable[Path], environment: Mapping[str, str] = os.environ) -> Sequence[Path]:
     """Return the folders that may contain definitions: those given, then those of a local ROS installation.
 
     These are `ROS_PACKAGE_PATH`, `/usr/share` (Debian's packages) and `/opt/ros/*/share`; in folders named `share`,
@@ -44,7 +44,7 @@ def definition_folders(given: Iterable[Path], environment: Mapping[str, str] = o
     sources = [Path(each) for each in environment.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if each]
     shares = [Path("/usr/share"), *sorted(Path("/opt/ros").glob("*/share"), reverse=True)]
     shares += [each for each in sources if each.name == "share"]
-    found = [*given, *(each for each in sources if each.name != "share")]
+    found = [*folders, *(each for each in sources if each.name != "share")]
     for share in dict.fromkeys(shares):
         found += [folder for kind in ("msg", "srv") for folder in sorted(share.glob(f"*/{kind}"))]
     return [folder for folder in found if folder.is_dir()]
@@ -61,11 +61,11 @@ class Types:
         self.unreadable: dict[TypeRef, str] = {}
         self._changed = changed
         self._learning: dict[TypeRef, asyncio.Task[None]] = {}
-        self._learnt: set[TypeRef] = set()
+        self._readable: set[TypeRef] = set()
 
     def learn(self, ref: TypeRef, definition: str) -> None:
         """Start learning a message type from a connection header; called on the reading thread."""
-        if ref not in self._learnt and ref not in self._learning and ref not in self.unreadable:
+        if ref not in self._readable and ref not in self._learning and ref not in self.unreadable:
             self._learning[ref] = asyncio.get_running_loop().create_task(self._learn(ref, definition))
 
     async def schema(self, ref: TypeRef) -> Schema:
@@ -87,7 +87,7 @@ class Types:
         loop = asyncio.get_running_loop()
         try:
             await loop.run_in_executor(None, self.library.learn_message, ref.name, definition, ref.hash)
-            self._learnt.add(ref)
+            self._readable.add(ref)
         except Exception as error:  # any error of a hostile definition: the topic stays listed
             self.unreadable[ref] = str(error) or type(error).__name__
         finally:
@@ -110,7 +110,7 @@ class ServiceFacts(NamedTuple):
     uncallable: str | None = None
 
 
-class LearntFacts(Struct):
+class Facts(Struct):
     """Learnt facts by name; written only on the reading thread. `changed` is called after each change."""
 
     changed: Callable[[], None]
@@ -154,11 +154,11 @@ class LearntFacts(Struct):
 
     def retain(self, nodes: set[str], endpoints: set[tuple[str, str]], services: set[str]) -> None:
         """Remove facts about things that the master no longer lists."""
-        for gone in self.uris.keys() - nodes:
-            del self.uris[gone]
-        for gone in self.unreachable.keys() - nodes:
-            del self.unreachable[gone]
-        for lost in self.endpoints.keys() - endpoints:
-            del self.endpoints[lost]
-        for gone in self.services.keys() - services:
-            del self.services[gone]
+        for name in self.uris.keys() - nodes:
+            del self.uris[name]
+        for name in self.unreachable.keys() - nodes:
+            del self.unreachable[name]
+        for key in self.endpoints.keys() - endpoints:
+            del self.endpoints[key]
+        for name in self.services.keys() - services:
+            del self.services[name]

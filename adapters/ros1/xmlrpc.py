@@ -171,15 +171,15 @@ class XmlRpcClient:
         self, connection: tuple[asyncio.StreamReader, asyncio.StreamWriter], document: bytes, progress: list[Sent]
     ) -> bytes:
         reader, writer = connection
-        kept = False
+        is_reusable = False
         try:
             progress[0] = Sent.MAYBE
             writer.write(self._head(len(document)) + document)
-            body, kept = await _read_response(reader)
-            kept = kept and self._keep_alive and len(self._idle) < MAX_IDLE
+            body, is_reusable = await _read_response(reader)
+            is_reusable = is_reusable and self._keep_alive and len(self._idle) < MAX_IDLE
             return body
         finally:
-            if kept:
+            if is_reusable:
                 self._idle.append(connection)
             else:
                 writer.close()

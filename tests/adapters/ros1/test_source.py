@@ -13,7 +13,7 @@ from rosld.adapters.ros1 import Ros1Adapter
 from rosld.adapters.ros1.adapter import master_address, node_name
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
 from rosld.adapters.ros1.publications import addresses
-from rosld.adapters.ros1.types import EndpointFacts, LearntFacts
+from rosld.adapters.ros1.types import EndpointFacts, Facts
 
 
 def test_a_source_names_its_master() -> None:
@@ -50,15 +50,15 @@ def observed(**topics: tuple[str, ...]) -> Observation:
     return Observation(Master("http://m:1"), "/rosld", system)
 
 
-def nothing_learnt() -> LearntFacts:
-    return LearntFacts(lambda: None)
+def no_facts() -> Facts:
+    return Facts(lambda: None)
 
 
 def test_the_same_observation_is_the_same_graph_and_a_change_shares_all_that_did_not_change() -> None:
-    first = compose(Graph(0), observed(a=("/n",), b=("/n",)), nothing_learnt(), {})
+    first = compose(Graph(0), observed(a=("/n",), b=("/n",)), no_facts(), {})
     assert first.revision == 1
-    assert compose(first, observed(a=("/n",), b=("/n",)), nothing_learnt(), {}) is first
-    second = compose(first, observed(a=("/n",), b=("/n", "/m")), nothing_learnt(), {})
+    assert compose(first, observed(a=("/n",), b=("/n",)), no_facts(), {}) is first
+    second = compose(first, observed(a=("/n",), b=("/n", "/m")), no_facts(), {})
     assert second.revision == 2
     assert second.topics["/a"] is first.topics["/a"]
     assert second.topics["/b"] is not first.topics["/b"]
@@ -66,7 +66,7 @@ def test_the_same_observation_is_the_same_graph_and_a_change_shares_all_that_did
 
 
 def test_what_all_publishers_say_of_themselves_is_believed_before_the_masters_word() -> None:
-    learnt = nothing_learnt()
+    learnt = no_facts()
     said = TypeRef("std_msgs/msg/Int32", "da5909fbe378aeaf85e547e830cc1bb7")
     learnt.set_endpoint("/a", "/n", EndpointFacts(said, True))
     graph = compose(Graph(0), observed(a=("/n",)), learnt, {said: "odd"})
@@ -78,9 +78,9 @@ def test_what_all_publishers_say_of_themselves_is_believed_before_the_masters_wo
 
 
 def test_a_stale_graph_keeps_what_is_known_and_its_first_reason() -> None:
-    graph = compose(Graph(0), observed(a=("/n",)), nothing_learnt(), {})
+    graph = compose(Graph(0), observed(a=("/n",)), no_facts(), {})
     gone = stale(graph, 5, "why")
     assert gone.state == Stale(5, "why")
     assert gone.topics is graph.topics
     assert stale(gone, 9, "later") is gone
-    assert compose(gone, observed(a=("/n",)), nothing_learnt(), {}).revision == gone.revision + 1
+    assert compose(gone, observed(a=("/n",)), no_facts(), {}).revision == gone.revision + 1

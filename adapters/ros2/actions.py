@@ -41,7 +41,7 @@ _HEAD, _UUID = 4, 16
 _FEEDBACK_DEPTH = 32
 _RESULT = 5.0
 _MATCHED = 0.5
-_TOLD = 0.2
+_STATUS_WAIT = 0.2
 _PAUSE = 0.005
 _MAX_REMEMBERED = 1000
 
@@ -49,13 +49,13 @@ _MAX_REMEMBERED = 1000
 class _Goal(Struct):
     """A known goal: its status, and whether the request for its result is pending.
 
-    `held` are events of our own goal from before its acceptance; None after it.
+    `pending` are events of our own goal from before its acceptance; None after it.
     """
 
     own: bool
     status: GoalStatus | None = None
     ending: bool = False
-    held: list[GoalEvent] | None = None
+    pending: list[GoalEvent] | None = None
 
 
 class _Line(Struct):
@@ -66,7 +66,7 @@ class _Line(Struct):
     status: Reader
     feedback: Reader
     followers: int = 0
-    heard: bool = False
+    has_status: bool = False
     goals: dict[str, _Goal] = field(default_factory=dict)
 
     @property
@@ -76,15 +76,15 @@ class _Line(Struct):
 
 
 class Actions:
-    """Actions of a system; `tell` is called with events of their goals."""
+    """Actions of a system; `report` is called with events of their goals."""
 
     def __init__(
-        self, participant: Participant, calls: Calls, waiter: Waiter, tell: Callable[[GoalId, GoalEvent], None]
+        self, participant: Participant, calls: Calls, waiter: Waiter, report: Callable[[GoalId, GoalEvent], None]
     ) -> None:
         self._participant = participant
         self._calls = calls
         self._waiter = waiter
-        self._tell = tell
+        self._report = report
         self._loop = asyncio.get_running_loop()
         self._lines: dict[str, _Line] = {}
         self._tasks: set[asyncio.Task[None]] = set()
@@ -93,15 +93,15 @@ class Actions:
         """Send a goal. Raises Refused if it is rejected, TimedOut, Unreachable, UnknownType."""
         type = _type_of(action)
         try:
-            asked = deserialize(f"{type}_Goal", goal)
+            message = deserialize(f"{type}_Goal", goal)
         except ValueError as error:
             raise Refused(f"no goal was sent to {action.name}: {error}") from error
         line = self._listen(action.name, type)
         id = secrets.token_bytes(_UUID)
-        line.goals[id.hex()] = known = _Goal(own=True, held=[])
+        line.goals[id.hex()] = entry = _Goal(own=True, pending=[])
         try:
             await self._wait_for_server(line, min(until, self._loop.time() + _MATCHED))
-            fields: dict[str, object] = {"goal_id": _uuid(id), "goal": asked}
+            fields: dict[str, object] = {"goal_id": _uuid(id), "goal": message}
             request = make_message(f"{type}_SendGoal", fields, "Request")
             answer = cast(
                 Any, await self._calls.call(f"{action.name}/_action/send_goal", f"{type}_SendGoal", request, until)
@@ -112,11 +112,11 @@ class Actions:
             line.goals.pop(id.hex(), None)
             self._leave(line)
             raise
-        known.status = known.status or GoalStatus.ACCEPTED
-        held, known.held = known.held or [], None
-        for event in (GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True), *held):
+        entry.status = entry.status or GoalStatus.ACCEPTED
+        events, entry.pending = entry.pending or [], None
+        for event in (GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True), *events):
             self._event(line, id.hex(), event)
-        self._begin(self._end(line, id.hex(), known, math.inf))
+        self._begin(self._end(line, id.hex(), entry, math.inf))
         return GoalId(action.name, id.hex())
 
     async def cancel(self, goal: GoalId, until: float) -> None:
@@ -129,7 +129,7 @@ class Actions:
             raise NotFound(
                 f"{goal.action} has no goal {goal.id!r}: a goal's id is {2 * _UUID} hex digits, not all zero"
             )
-        answer = await self._ask_to_cancel(goal.action, id, until)
+        answer = await self._request_cancellation(goal.action, id, until)
         if answer.return_code == 2:
             raise NotFound(f"{goal.action} knows no goal {goal.id}")
         if answer.return_code != 0 or not answer.goals_canceling:
@@ -141,12 +141,12 @@ class Actions:
 
         Raises Refused, TimedOut, Unreachable.
         """
-        answer = await self._ask_to_cancel(action, bytes(_UUID), until)
+        answer = await self._request_cancellation(action, bytes(_UUID), until)
         if answer.return_code == 1:
             words = _CANCELED_NOT[1]
             raise Refused(f"the goals of {action} are not canceled: {words}", sent=Sent.YES)
 
-    async def _ask_to_cancel(self, action: str, id: bytes, until: float) -> Any:
+    async def _request_cancellation(self, action: str, id: bytes, until: float) -> Any:
         info = make_message("action_msgs/msg/GoalInfo", {"goal_id": _uuid(id)})
         request = make_message(_CANCEL, {"goal_info": info}, "Request")
         return await self._calls.call(f"{action}/_action/cancel_goal", _CANCEL, request, until)
@@ -156,9 +156,9 @@ class Actions:
         line = self._listen(action.name, _type_of(action))
         line.followers += 1
         await self._wait_for_server(line, until)
-        enough = min(until, self._loop.time() + _TOLD)
-        while self._loop.time() < (until if line.heard else enough):
-            if line.heard and not any(goal.ending for goal in line.goals.values()):
+        enough = min(until, self._loop.time() + _STATUS_WAIT)
+        while self._loop.time() < (until if line.has_status else enough):
+            if line.has_status and not any(goal.ending for goal in line.goals.values()):
                 break
             await asyncio.sleep(_PAUSE)
 
@@ -168,7 +168,7 @@ class Actions:
 
         return stop
 
-    def drop_gone_servers(self, actions: Mapping[str, Action]) -> None:
+    def drop_missing_servers(self, actions: Mapping[str, Action]) -> None:
         """End the goals of servers that have disappeared."""
         for line in list(self._lines.values()):
             action = actions.get(line.name)
@@ -178,7 +178,7 @@ class Actions:
                         goal.status = GoalStatus.LOST
                         words = "its action server went away"
                         self._event(line, id, GoalEvent(time.time_ns(), GoalStatus.LOST, words))
-                line.heard = False
+                line.has_status = False
 
     def close(self) -> None:
         """Stop following all actions."""
@@ -191,10 +191,10 @@ class Actions:
     def _listen(self, name: str, type: str) -> _Line:
         line = self._lines.get(name)
         if line is None:
-            kept = Qos("reliable", "transient_local", "keep_last", 1)
-            passing = Qos("best_effort", "volatile", "keep_last", _FEEDBACK_DEPTH)
-            status = self._participant.reader(f"{name}/_action/status", _STATUS, kept)
-            feedback = self._participant.reader(f"{name}/_action/feedback", f"{type}_FeedbackMessage", passing)
+            latched = Qos("reliable", "transient_local", "keep_last", 1)
+            volatile = Qos("best_effort", "volatile", "keep_last", _FEEDBACK_DEPTH)
+            status = self._participant.reader(f"{name}/_action/status", _STATUS, latched)
+            feedback = self._participant.reader(f"{name}/_action/feedback", f"{type}_FeedbackMessage", volatile)
             line = self._lines[name] = _Line(name, type, status, feedback)
             self._arm(line, status, self._take_status)
             self._arm(line, feedback, self._take_feedback)
@@ -230,13 +230,13 @@ class Actions:
             self._arm(line, reader, take)
 
     def _take_status(self, line: _Line) -> None:
-        taken = None
+        message = None
         while (newer := line.status.take()) is not None:
-            taken = newer
-        if taken is None:
+            message = newer
+        if message is None:
             return
-        line.heard = True
-        for each in cast(Any, deserialize(_STATUS, taken.data)).status_list:
+        line.has_status = True
+        for each in cast(Any, deserialize(_STATUS, message.data)).status_list:
             status = _STATUSES.get(each.status)
             if status is not None:
                 self._note_status(line, bytes(each.goal_info.goal_id.uuid).hex(), status)
@@ -258,38 +258,39 @@ class Actions:
             self._begin(self._end(line, id, goal, self._loop.time() + _RESULT, status))
 
     def _take_feedback(self, line: _Line) -> None:
-        while (taken := line.feedback.take()) is not None:
-            id = taken.data[_HEAD : _HEAD + _UUID].hex()
+        while (message := line.feedback.take()) is not None:
+            id = message.data[_HEAD : _HEAD + _UUID].hex()
             goal = line.goals.get(id)
             if goal is not None and not _is_over(goal):
-                feedback = taken.data[:_HEAD] + taken.data[_HEAD + _UUID :]  # removing 16 bytes preserves the alignment
-                self._event(line, id, GoalEvent(taken.received_ns, feedback=feedback, own=goal.own))
+                # Removing 16 bytes preserves the alignment.
+                feedback = message.data[:_HEAD] + message.data[_HEAD + _UUID :]
+                self._event(line, id, GoalEvent(message.received_ns, feedback=feedback, own=goal.own))
 
-    async def _end(self, line: _Line, id: str, goal: _Goal, until: float, known: GoalStatus | None = None) -> None:
+    async def _end(self, line: _Line, id: str, goal: _Goal, until: float, final: GoalStatus | None = None) -> None:
         """Report the end of a goal, with its result if the server returns it."""
-        goal.ending = known is not None
+        goal.ending = final is not None
         words = result = None
-        status = known or GoalStatus.LOST
+        status = final or GoalStatus.LOST
         try:
             request = make_message(f"{line.type}_GetResult", {"goal_id": _uuid(bytes.fromhex(id))}, "Request")
             name = f"{line.name}/_action/get_result"
             answer = cast(Any, await self._calls.call(name, f"{line.type}_GetResult", request, until))
             if answer.status in _STATUSES:
                 status, result = _STATUSES[answer.status], serialize(answer.result)
-            elif known is None:
+            elif final is None:
                 words = "its action server no longer knows it"
         except (RosError, ValueError) as error:
-            words = f"its result is not known: {error}" if known else f"its action server went away: {error}"
+            words = f"its result is not known: {error}" if final else f"its action server went away: {error}"
         goal.ending, goal.status = False, status
         self._event(line, id, GoalEvent(time.time_ns(), status, words, result=result, own=goal.own))
         self._leave(line)
 
     def _event(self, line: _Line, id: str, event: GoalEvent) -> None:
         goal = line.goals.get(id)
-        if goal is not None and goal.held is not None:
-            goal.held.append(event)
+        if goal is not None and goal.pending is not None:
+            goal.pending.append(event)
             return
-        self._tell(GoalId(line.name, id), event)
+        self._report(GoalId(line.name, id), event)
 
     def _begin(self, coroutine: Coroutine[Any, Any, None]) -> None:
         task = self._loop.create_task(coroutine)

@@ -54,7 +54,7 @@ class _Own(Struct):
 
     ref: TypeRef
     epoch: int
-    kept: deque[Sample] = field(default_factory=lambda: deque(maxlen=1))
+    samples: deque[Sample] = field(default_factory=lambda: deque(maxlen=1))
     sequence: int = 0
 
 
@@ -143,7 +143,7 @@ class Ros2Adapter(ThreadAdapter[System]):
             epoch = self._epochs.get(topic, -1) + 1
             feed = self._feeds[topic] = Feed(topic, self.graph.own_node, epoch, system.waiter)
             feed.deepen(depth)
-            for sample in self._own[topic].kept if topic in self._own else ():
+            for sample in self._own[topic].samples if topic in self._own else ():
                 feed.add_own_sample(sample)
             thread.post(partial(system.read, feed))
         subscription = TopicSubscription(feed, depth, self._release)
@@ -244,13 +244,13 @@ class Ros2Adapter(ThreadAdapter[System]):
             own = self._own[topic] = _Own(publication.ref, next(self._own_epochs))
         feed = self._feeds.get(topic)
         depth = feed.depth if feed else 1
-        if own.kept.maxlen != depth:
-            own.kept = deque(own.kept, maxlen=depth)
+        if own.samples.maxlen != depth:
+            own.samples = deque(own.samples, maxlen=depth)
         own.sequence += 1
         node = self.graph.own_node
         now = time.time_ns()
         sample = Sample(data, Encoding.CDR, own.ref, node, now, own.sequence, own.epoch, publication.latched)
-        own.kept.append(sample)
+        own.samples.append(sample)
         if feed:
             feed.own = node
             feed.add_own_sample(sample)

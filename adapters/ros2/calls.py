@@ -56,7 +56,7 @@ class Calls:
             line.users -= 1
             line.used = self._loop.time()
 
-    def drop_gone_servers(self) -> None:
+    def drop_missing_servers(self) -> None:
         """Fail calls to servers that have disappeared, and drop unused clients."""
         now = self._loop.time()
         for key, line in list(self._lines.items()):
@@ -144,8 +144,8 @@ class Calls:
             pass  # the thread's event loop has ended
 
     def _take(self, line: _Line) -> None:
-        while (taken := line.client.take()) is not None:
-            number, response = taken
+        while (reply := line.client.take()) is not None:
+            number, response = reply
             future = line.pending.get(number)
             if future is not None and not future.done():
                 future.set_result(response)

@@ -26,11 +26,11 @@ class LiveGraph:
         self._sink = sink
         self._before_leaving: tuple[Graph, float] | None = None
 
-    def update(self, seen: Observation, known: GraphInputs, *, has_robot: bool) -> None:
+    def update(self, observation: Observation, inputs: GraphInputs, *, has_robot: bool) -> None:
         """Rebuild the graph from an observation; it is stale if all nodes of the robot have disappeared."""
         if has_robot or not self.has_robot:
             self.has_robot = has_robot
-            graph = compose(self.current, seen, known)
+            graph = compose(self.current, observation, inputs)
             self._note_leaving(graph)
             self._show(graph)
         else:
@@ -74,29 +74,29 @@ _AT_ONCE = 25
 
 
 class Discovery:
-    """Polls the system through one participant; `seen` is the last observation. Belongs to the ROS thread."""
+    """Polls the system through one participant; `observation` is the last one. Belongs to the ROS thread."""
 
     def __init__(self, participant: Participant) -> None:
-        self.seen = Observation()
+        self.observation = Observation()
         self._participant = participant
         self._counts: dict[str, tuple[int, int]] = {}
         self._all_at = 0.0
         self._counted_at = 0.0
         self._took = 0.0
-        self._wanted = asyncio.Event()
+        self._poll_requested = asyncio.Event()
         self._looking = asyncio.Lock()
 
     def look_soon(self) -> None:
         """End the pause before the next poll."""
-        self._wanted.set()
+        self._poll_requested.set()
 
     async def pause(self) -> None:
         """Wait until the next poll is due."""
         try:
-            await asyncio.wait_for(self._wanted.wait(), min(max(_EVERY, _SHARE * self._took), _ALL))
+            await asyncio.wait_for(self._poll_requested.wait(), min(max(_EVERY, _SHARE * self._took), _ALL))
         except asyncio.TimeoutError:
             pass
-        self._wanted.clear()
+        self._poll_requested.clear()
 
     async def look(self, topics: Sequence[str] = ()) -> None:
         """Poll now, always including the endpoints of these topics."""
@@ -105,23 +105,23 @@ class Discovery:
             await self._look(topics)
             self._took = time.monotonic() - started
 
-    async def _look(self, wanted: Sequence[str]) -> None:
-        participant, before, now = self._participant, self.seen, asyncio.get_running_loop().time()
+    async def _look(self, required: Sequence[str]) -> None:
+        participant, before, now = self._participant, self.observation, asyncio.get_running_loop().time()
         nodes, topics, services = participant.node_names(), participant.topics(), participant.services()
-        anew = set(wanted) & topics.keys()
+        due = set(required) & topics.keys()
         whole = now - self._all_at > max(_ALL, _SHARE * self._took)
         if whole or sorted(nodes) != sorted(before.nodes):
-            anew.update(topics)
+            due.update(topics)
             self._all_at = now
         else:
-            anew.update(name for name, types in topics.items() if before.topics.get(name) != types)
-            anew.update(name for name in topics if self._incomplete(name))
+            due.update(name for name, types in topics.items() if before.topics.get(name) != types)
+            due.update(name for name in topics if self._incomplete(name))
             if now - self._counted_at > _COUNTS:
-                anew.update(name for name in topics if self._counts.get(name) != participant.counts(name))
+                due.update(name for name in topics if self._counts.get(name) != participant.counts(name))
                 self._counted_at = now
         publishers = {name: before.publishers[name] for name in topics if name in before.publishers}
         subscribers = {name: before.subscribers[name] for name in topics if name in before.subscribers}
-        for position, name in enumerate(sorted(anew)):
+        for position, name in enumerate(sorted(due)):
             publishers[name], subscribers[name] = participant.publishers(name), participant.subscribers(name)
             self._counts[name] = len(publishers[name]), len(subscribers[name])
             if position % _AT_ONCE == _AT_ONCE - 1:
@@ -132,13 +132,15 @@ class Discovery:
             foreign = foreign_nodes(Observation(nodes), participant.hidden_name)
             providers = {node: participant.services_of(node) for node in foreign}
             callers = {node: participant.clients_of(node) for node in foreign}
-        self.seen = Observation(nodes, topics, services, publishers, subscribers, providers, callers)
+        self.observation = Observation(nodes, topics, services, publishers, subscribers, providers, callers)
 
     def _incomplete(self, topic: str) -> bool:
         """Whether an endpoint was discovered before its node, which follows a moment later."""
-        seen = self.seen
-        return any(not each.node for of in (seen.publishers, seen.subscribers) for each in of.get(topic, ()))
+        observation = self.observation
+        return any(
+            not each.node for of in (observation.publishers, observation.subscribers) for each in of.get(topic, ())
+        )
 
     def _unprovided(self, services: Names) -> bool:
-        provided = {service for of in self.seen.providers.values() for service in of}
+        provided = {service for of in self.observation.providers.values() for service in of}
         return not services.keys() <= provided

@@ -15,7 +15,7 @@ from msgspec import Struct, field
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Encoding, Sample, TypeRef
-from rosld.adapters.ros2.middleware import Reader, TakenMessage
+from rosld.adapters.ros2.middleware import Reader, ReceivedMessage
 from rosld.adapters.ros2.wait_set import Waiter
 from rosld.adapters.slots import LoopWatch, Watches
 
@@ -41,15 +41,15 @@ class _Stream(Struct):
     """One publisher's newest samples, and the state of its count."""
 
     epoch: int
-    kept: deque[Sample]
+    samples: deque[Sample]
     sequence: int = 0
     number: int | None = None
     identities: deque[tuple[int, int | None]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
 
-    def count(self, taken: TakenMessage, *, alone: bool) -> int:
+    def count(self, message: ReceivedMessage, *, alone: bool) -> int:
         """Return the next message's number: by the publisher's own count since the first message, else the next."""
-        if taken.number is not None and alone and self.number is not None:
-            step = taken.number - self.number
+        if message.number is not None and alone and self.number is not None:
+            step = message.number - self.number
             if step <= 0:
                 self.epoch += 1
                 self.sequence = 0
@@ -57,7 +57,7 @@ class _Stream(Struct):
             self.sequence += step
         else:
             self.sequence += 1
-        self.number = taken.number
+        self.number = message.number
         return self.sequence
 
 
@@ -73,7 +73,7 @@ class _Streams:
 
     def put_own(self, sample: Sample) -> None:
         """Add a message that we published."""
-        self._stream(self.own, sample.epoch).kept.append(sample)
+        self._stream(self.own, sample.epoch).samples.append(sample)
         self._views.clear()
 
     def forget_own(self) -> None:
@@ -81,24 +81,24 @@ class _Streams:
         if self._by_publisher.pop(self.own, None) is not None:
             self._views.clear()
 
-    def put(self, taken: TakenMessage, name: str, publishers: Publishers, latched: bool) -> bool:
+    def put(self, message: ReceivedMessage, name: str, publishers: Publishers, latched: bool) -> bool:
         """Add a message of the publisher with this name; return whether it is new."""
         stream = self._stream(name, self.epoch)
         if latched:
-            identity = taken.source_ns, taken.number
+            identity = message.source_ns, message.number
             if identity in stream.identities:
                 return False  # a new reader of a latched topic receives the previous reader's messages again
             stream.identities.append(identity)
-        sequence = stream.count(taken, alone=publishers.nodes[name] == 1)
+        sequence = stream.count(message, alone=publishers.nodes[name] == 1)
         self.epoch = max(self.epoch, stream.epoch)
         schema = publishers.types.get(name) or publishers.type or TypeRef("")
-        stream.kept.append(
+        stream.samples.append(
             Sample(
-                taken.data,
+                message.data,
                 Encoding.CDR,
                 schema,
                 name,
-                taken.received_ns,
+                message.received_ns,
                 sequence,
                 stream.epoch,
                 name in publishers.latched or (latched and not name),  # only latched topics are read with this profile
@@ -111,7 +111,9 @@ class _Streams:
         """Return the newest `depth` samples of each publisher by time of receipt; the same object if nothing is new."""
         view = self._views.get(depth)
         if view is None:
-            newest = [sample for stream in self._current_streams(publishers) for sample in tuple(stream.kept)[-depth:]]
+            newest = [
+                sample for stream in self._current_streams(publishers) for sample in tuple(stream.samples)[-depth:]
+            ]
             view = self._views[depth] = tuple(sorted(newest, key=_received_ns))
         return view
 
@@ -119,8 +121,8 @@ class _Streams:
         """Store this number of the newest samples from now on."""
         self.depth = depth
         for stream in self._by_publisher.values():
-            if stream.kept.maxlen != depth:
-                stream.kept = deque(stream.kept, maxlen=depth)
+            if stream.samples.maxlen != depth:
+                stream.samples = deque(stream.samples, maxlen=depth)
         self._views.clear()
 
     def attribute(self, publishers: Publishers) -> None:
@@ -130,8 +132,8 @@ class _Streams:
         name = next(iter(publishers.nodes), "")
         if nameless is not None and name and len(publishers.nodes) == 1 and name not in self._by_publisher:
             is_latched = name in publishers.latched
-            named = (each._replace(publisher=name, latched=is_latched) for each in nameless.kept)
-            nameless.kept = deque(named, maxlen=self.depth)
+            named = (each._replace(publisher=name, latched=is_latched) for each in nameless.samples)
+            nameless.samples = deque(named, maxlen=self.depth)
             self._by_publisher[name] = self._by_publisher.pop("")
 
     def _stream(self, name: str, epoch: int) -> _Stream:
@@ -143,9 +145,9 @@ class _Streams:
     def _current_streams(self, publishers: Publishers) -> list[_Stream]:
         """Return the streams of current publishers, and the latest one of a former publisher, until a newer message."""
         here = {*publishers.nodes, self.own}
-        present = [stream for name, stream in self._by_publisher.items() if name in here and stream.kept]
-        gone = [stream for name, stream in self._by_publisher.items() if name not in here and stream.kept]
-        last = max(gone, key=_newest, default=None)
+        present = [stream for name, stream in self._by_publisher.items() if name in here and stream.samples]
+        former = [stream for name, stream in self._by_publisher.items() if name not in here and stream.samples]
+        last = max(former, key=_newest, default=None)
         if last is None or any(_newest(stream) >= _newest(last) for stream in present):
             return present
         return [*present, last]
@@ -161,11 +163,11 @@ class _Echoes:
         """Expect the echo of a message."""
         self._published.append((sample.received_ns, sample.data))
 
-    def take(self, taken: TakenMessage) -> bool:
+    def take(self, message: ReceivedMessage) -> bool:
         """Whether this is the echo of our own message: the same bytes, written at about the same time."""
         for published in self._published:
             written, data = published
-            if -_ECHO_NS < taken.source_ns - written < _ECHO_NS and data == taken.data:
+            if -_ECHO_NS < message.source_ns - written < _ECHO_NS and data == message.data:
                 self._published.remove(published)
                 return True
         return False
@@ -185,7 +187,7 @@ class Feed:
         self._streams = _Streams(own, epoch)
         self._echoes = _Echoes()
         self._taking = threading.Lock()
-        self._seen_publishers = self.publishers
+        self._last_publishers = self.publishers
 
     @property
     def depth(self) -> int:
@@ -232,7 +234,7 @@ class Feed:
     def latest(self, depth: int) -> Sequence[Sample]:
         """Return the newest `depth` samples of each publisher by time of receipt; the same object if nothing is new."""
         self._drain()
-        return self._streams.latest(depth, self._seen_publishers)
+        return self._streams.latest(depth, self._last_publishers)
 
     def deepen(self, depth: int) -> None:
         """Store this number of the newest samples from now on."""
@@ -253,29 +255,29 @@ class Feed:
     def _drain(self) -> bool:
         """Take available messages; return whether there were new ones."""
         publishers, reader = self.publishers, self._reader
-        if publishers is not self._seen_publishers:
-            self._seen_publishers = publishers
+        if publishers is not self._last_publishers:
+            self._last_publishers = publishers
             self._streams.attribute(publishers)
         if reader is None:
             return False
         new, latched = False, reader.qos.durability == "transient_local"
         with self._taking:
             for _ in range(max(reader.qos.depth, self.depth)):
-                taken = reader.take()
-                if taken is None:
+                message = reader.take()
+                if message is None:
                     break
-                new = self._put(taken, publishers, latched) or new
+                new = self._put(message, publishers, latched) or new
         return new
 
-    def _put(self, taken: TakenMessage, publishers: Publishers, latched: bool) -> bool:
-        name = self._who(taken, publishers)
-        if name == self.own or self._echoes.take(taken):
+    def _put(self, message: ReceivedMessage, publishers: Publishers, latched: bool) -> bool:
+        name = self._who(message, publishers)
+        if name == self.own or self._echoes.take(message):
             return False
-        return self._streams.put(taken, name, publishers, latched)
+        return self._streams.put(message, name, publishers, latched)
 
-    def _who(self, taken: TakenMessage, publishers: Publishers) -> str:
+    def _who(self, message: ReceivedMessage, publishers: Publishers) -> str:
         """Return the sending node: by its gid if the middleware reports it, else the only publishing node."""
-        if taken.gid is not None and (found := publishers.gids.get(taken.gid)) is not None:
+        if message.gid is not None and (found := publishers.gids.get(message.gid)) is not None:
             return found
         return next(iter(publishers.nodes)) if len(publishers.nodes) == 1 else ""
 
@@ -336,4 +338,4 @@ def _received_ns(sample: Sample) -> int:
 
 
 def _newest(stream: _Stream) -> int:
-    return stream.kept[-1].received_ns
+    return stream.samples[-1].received_ns

@@ -23,7 +23,7 @@ from rosld.adapters.model import (
     freeze,
 )
 from rosld.adapters.model.names import action_of
-from rosld.adapters.ros2.middleware import Names, SeenEndpoint
+from rosld.adapters.ros2.middleware import DiscoveredEndpoint, Names
 
 _V = TypeVar("_V")
 _SEND_GOAL = "/_action/send_goal"
@@ -36,8 +36,8 @@ class Observation(Struct, frozen=True):
     nodes: tuple[str, ...] = ()
     topics: Names = field(default_factory=dict)
     services: Names = field(default_factory=dict)
-    publishers: Mapping[str, tuple[SeenEndpoint, ...]] = field(default_factory=dict)
-    subscribers: Mapping[str, tuple[SeenEndpoint, ...]] = field(default_factory=dict)
+    publishers: Mapping[str, tuple[DiscoveredEndpoint, ...]] = field(default_factory=dict)
+    subscribers: Mapping[str, tuple[DiscoveredEndpoint, ...]] = field(default_factory=dict)
     providers: Mapping[str, Names] = field(default_factory=dict)
     callers: Mapping[str, Names] = field(default_factory=dict)
 
@@ -63,33 +63,33 @@ class GraphInputs(Struct, frozen=True):
         return frozenset((self.hidden_node, self.own_node))
 
 
-def compose(previous: Graph, seen: Observation, known: GraphInputs) -> Graph:
+def compose(previous: Graph, observation: Observation, inputs: GraphInputs) -> Graph:
     """Return the graph of an observation, which is `previous` itself if nothing changed."""
-    providers = _by_service(seen.providers, known)
-    callers = _by_service(seen.callers, known)
-    topics = _topics(seen, known)
-    actions = _actions(seen, providers, callers, known)
+    providers = _by_service(observation.providers, inputs)
+    callers = _by_service(observation.callers, inputs)
+    topics = _topics(observation, inputs)
+    actions = _actions(observation, providers, callers, inputs)
     services = {
-        name: _service(name, types, providers.get(name, ()), known)
-        for name, types in seen.services.items()
+        name: _service(name, types, providers.get(name, ()), inputs)
+        for name, types in observation.services.items()
         if providers.get(name)
     }
     nodes = {
-        name: Node(name, None, known.unreachable.get(name), known.lifecycles.get(name))
-        for name in foreign_nodes(seen, known.hidden_node)
+        name: Node(name, None, inputs.unreachable.get(name), inputs.lifecycles.get(name))
+        for name in foreign_nodes(observation, inputs.hidden_node)
     }
-    if known.advertised:
-        nodes[known.own_node] = Node(known.own_node)
+    if inputs.advertised:
+        nodes[inputs.own_node] = Node(inputs.own_node)
     graph = replace(
         previous,
         state=Live(),
-        own_node=known.own_node,
-        simulated_time=known.simulated_time,
+        own_node=inputs.own_node,
+        simulated_time=inputs.simulated_time,
         nodes=_shared(previous.nodes, nodes),
         topics=_shared(previous.topics, topics),
         services=_shared(previous.services, services),
         actions=_shared(previous.actions, actions),
-        parameters=_shared(previous.parameters, known.parameters),
+        parameters=_shared(previous.parameters, inputs.parameters),
     )
     return previous if graph == previous else replace(graph, revision=previous.revision + 1)
 
@@ -101,50 +101,50 @@ def stale(previous: Graph, since_ns: int, why: str) -> Graph:
     return replace(previous, state=Stale(since_ns, why), revision=previous.revision + 1)
 
 
-def foreign_nodes(seen: Observation, hidden_node: str) -> tuple[str, ...]:
+def foreign_nodes(observation: Observation, hidden_node: str) -> tuple[str, ...]:
     """Return the distinct names of all nodes except our hidden one."""
-    return tuple(name for name in dict.fromkeys(seen.nodes) if name != hidden_node)
+    return tuple(name for name in dict.fromkeys(observation.nodes) if name != hidden_node)
 
 
-def _topics(seen: Observation, known: GraphInputs) -> dict[str, Topic]:
-    made: dict[str, Topic] = {}
-    for name, types in seen.topics.items():
-        ours = known.ours if name not in known.advertised else {known.hidden_node}
-        publishers = [each for each in seen.publishers.get(name, ()) if each.node not in ours]
-        subscribers = [each for each in seen.subscribers.get(name, ()) if each.node not in ours]
+def _topics(observation: Observation, inputs: GraphInputs) -> dict[str, Topic]:
+    topics: dict[str, Topic] = {}
+    for name, types in observation.topics.items():
+        ours = inputs.ours if name not in inputs.advertised else {inputs.hidden_node}
+        publishers = [each for each in observation.publishers.get(name, ()) if each.node not in ours]
+        subscribers = [each for each in observation.subscribers.get(name, ()) if each.node not in ours]
         if publishers or subscribers:
-            made[name] = _topic(name, types, publishers, subscribers, known)
-    return made
+            topics[name] = _topic(name, types, publishers, subscribers, inputs)
+    return topics
 
 
 def _topic(
     name: str,
     types: tuple[str, ...],
-    publishers: list[SeenEndpoint],
-    subscribers: list[SeenEndpoint],
-    known: GraphInputs,
+    publishers: list[DiscoveredEndpoint],
+    subscribers: list[DiscoveredEndpoint],
+    inputs: GraphInputs,
 ) -> Topic:
     refs = dict.fromkeys(each.type for each in (*publishers, *subscribers))
     hashed = {ref.name for ref in refs if ref.hash is not None}
     used = tuple(ref for ref in refs if ref.hash is not None or ref.name not in hashed)
-    words = next((found for ref in used if (found := known.problems(ref.name)) is not None), None)
+    words = next((found for ref in used if (found := inputs.problems(ref.name)) is not None), None)
     return Topic(name, used, _endpoints(publishers, publish=True), _endpoints(subscribers, publish=False), words)
 
 
-def _endpoints(seen: list[SeenEndpoint], *, publish: bool) -> tuple[Endpoint, ...]:
+def _endpoints(discovered: list[DiscoveredEndpoint], *, publish: bool) -> tuple[Endpoint, ...]:
     """Return the endpoints with known nodes. Only publishers can be latched."""
     found = [
         Endpoint(each.node, each.type, publish and each.qos.durability == "transient_local", None, each.qos)
-        for each in seen
+        for each in discovered
         if each.node
     ]
     return tuple(found if len(found) < 2 else sorted(found, key=lambda each: (each.node, repr(each.qos))))
 
 
-def _service(name: str, types: tuple[str, ...], providers: tuple[str, ...], known: GraphInputs) -> Service:
+def _service(name: str, types: tuple[str, ...], providers: tuple[str, ...], inputs: GraphInputs) -> Service:
     if len(types) != 1:
         return Service(name, None, providers, f"it has several types: {', '.join(types)}")
-    return Service(name, TypeRef(types[0]), providers, of_action(name) or known.problems(types[0]))
+    return Service(name, TypeRef(types[0]), providers, of_action(name) or inputs.problems(types[0]))
 
 
 def of_action(service: str) -> str | None:
@@ -154,23 +154,27 @@ def of_action(service: str) -> str | None:
 
 
 def _actions(
-    seen: Observation,
+    observation: Observation,
     providers: Mapping[str, tuple[str, ...]],
     callers: Mapping[str, tuple[str, ...]],
-    known: GraphInputs,
+    inputs: GraphInputs,
 ) -> dict[str, Action]:
-    typed = {name.removesuffix(_FEEDBACK): types for name, types in seen.topics.items() if name.endswith(_FEEDBACK)}
-    typed |= {
-        name.removesuffix(_SEND_GOAL): types for name, types in seen.services.items() if name.endswith(_SEND_GOAL)
+    typed = {
+        name.removesuffix(_FEEDBACK): types for name, types in observation.topics.items() if name.endswith(_FEEDBACK)
     }
-    made: dict[str, Action] = {}
+    typed |= {
+        name.removesuffix(_SEND_GOAL): types
+        for name, types in observation.services.items()
+        if name.endswith(_SEND_GOAL)
+    }
+    actions: dict[str, Action] = {}
     for name, types in typed.items():
         servers, clients = (of.get(name + _SEND_GOAL, ()) for of in (providers, callers))
         if servers or clients:
             type = _action_type(types)
-            words = known.problems(type) if type else f"it has the types {', '.join(types)}"
-            made[name] = Action(name, TypeRef(type) if type else None, servers, clients, words)
-    return made
+            words = inputs.problems(type) if type else f"it has the types {', '.join(types)}"
+            actions[name] = Action(name, TypeRef(type) if type else None, servers, clients, words)
+    return actions
 
 
 def _action_type(types: tuple[str, ...]) -> str | None:
@@ -178,24 +182,24 @@ def _action_type(types: tuple[str, ...]) -> str | None:
     return found.pop() if len(found) == 1 else None
 
 
-def _by_service(by_node: Mapping[str, Names], known: GraphInputs) -> dict[str, tuple[str, ...]]:
+def _by_service(by_node: Mapping[str, Names], inputs: GraphInputs) -> dict[str, tuple[str, ...]]:
     found: dict[str, list[str]] = {}
     for node in sorted(by_node):
-        if node not in known.ours:
+        if node not in inputs.ours:
             for service in by_node[node]:
                 found.setdefault(service, []).append(node)
     return {service: tuple(nodes) for service, nodes in found.items()}
 
 
-def _shared(previous: Mapping[str, _V], made: Mapping[str, _V]) -> Mapping[str, _V]:
+def _shared(previous: Mapping[str, _V], values: Mapping[str, _V]) -> Mapping[str, _V]:
     """Return these values, sorted; reuse equal previous values, and the mapping if all are equal."""
-    kept: dict[str, _V] = {}
-    for name in sorted(made):
-        new, old = made[name], previous.get(name)
-        kept[name] = old if old is not None and old == new else new
-    if len(kept) == len(previous) and all(previous.get(name) is value for name, value in kept.items()):
+    shared: dict[str, _V] = {}
+    for name in sorted(values):
+        new, old = values[name], previous.get(name)
+        shared[name] = old if old is not None and old == new else new
+    if len(shared) == len(previous) and all(previous.get(name) is value for name, value in shared.items()):
         return previous
-    return freeze(kept)
+    return freeze(shared)
 
 
 def type_in_use(graph: Graph, ref: TypeRef) -> TypeRef:

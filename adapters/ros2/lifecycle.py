@@ -51,9 +51,9 @@ class _Managed(Struct, eq=False):
 
     lifecycle: Lifecycle
     reader: Reader | None = None
-    ask_at: float = 0.0
+    query_at: float = 0.0
     wait: float = _FIRST_RETRY
-    asking: bool = False
+    is_querying: bool = False
 
     @property
     def is_underway(self) -> bool:
@@ -77,17 +77,17 @@ class Lifecycles(Struct):
 
     def follow(self, providers: Mapping[str, Names], ours: Iterable[str]) -> None:
         """Set the present nodes (with their services); query those that are new, did not respond, or are due."""
-        there = {node for node, services in providers.items() if _is_managed(node, services)} - set(ours)
-        for gone in self._managed.keys() - there:
-            self._leave(self._managed.pop(gone))
+        present = {node for node, services in providers.items() if _is_managed(node, services)} - set(ours)
+        for former in self._managed.keys() - present:
+            self._leave(self._managed.pop(former))
         now = self._loop.time()
-        for node in there:
+        for node in present:
             one = self._managed.get(node)
             if one is None:
                 one = self._managed[node] = self._begin_following(node)
-            if not one.asking and now >= one.ask_at:
-                self._ask_soon(node, one)
-        self._list_anew()
+            if not one.is_querying and now >= one.query_at:
+                self._query_soon(node, one)
+        self._refresh_list()
 
     async def wait_settled(self, seconds: float) -> None:
         """Wait until pending queries have ended, for at most `seconds`."""
@@ -107,11 +107,11 @@ class Lifecycles(Struct):
         transition = _legal(one, label)
         if transition is None:
             raise Refused(f"{label!r} is no legal transition of {node} now")
-        wanted = make_message(_TRANSITION, {"id": transition.id, "label": transition.label})
+        transition_message = make_message(_TRANSITION, {"id": transition.id, "label": transition.label})
         try:
-            answer = await self._call(node, "change_state", _CHANGE, {"transition": wanted}, until)
+            answer = await self._call(node, "change_state", _CHANGE, {"transition": transition_message}, until)
         finally:
-            one.ask_at = 0.0
+            one.query_at = 0.0
         try:
             await self._learn(node, one, until)
         except RosError as error:  # the transition may have been made nevertheless
@@ -143,7 +143,7 @@ class Lifecycles(Struct):
         """Return a new managed node, followed from now on if its types are known here."""
         problem = class_problem(_STATE)
         if problem is not None:
-            return _Managed(Lifecycle(f"{node}/change_state", unknown=problem), ask_at=float("inf"))
+            return _Managed(Lifecycle(f"{node}/change_state", unknown=problem), query_at=float("inf"))
         one = _Managed(Lifecycle(f"{node}/change_state"))
         try:
             one.reader = self.participant.reader(f"{node}/transition_event", _EVENT, _EVENTS_QOS)
@@ -166,9 +166,9 @@ class Lifecycles(Struct):
         """Process events. A transition is shown at once, because the node may not respond during it."""
         if _take_events(one):
             if one.is_underway:
-                self._list_anew()
-            if not one.asking:
-                self._ask_soon(node, one)
+                self._refresh_list()
+            if not one.is_querying:
+                self._query_soon(node, one)
         self._arm(node, one)
 
     def _leave(self, one: _Managed) -> None:
@@ -179,25 +179,25 @@ class Lifecycles(Struct):
 
     # Queries
 
-    def _ask_soon(self, node: str, one: _Managed) -> None:
-        one.asking = True
-        task = self._loop.create_task(self._ask(node, one))
+    def _query_soon(self, node: str, one: _Managed) -> None:
+        one.is_querying = True
+        task = self._loop.create_task(self._query(node, one))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _ask(self, node: str, one: _Managed) -> None:
+    async def _query(self, node: str, one: _Managed) -> None:
         try:
             async with self._few:
                 await self._learn(node, one, self._loop.time() + _PATIENCE)
         except (RosError, ValueError) as error:
-            one.ask_at = self._loop.time() + one.wait
+            one.query_at = self._loop.time() + one.wait
             one.wait = min(2 * one.wait, _AGAIN)
             self._silent(one, error)
         else:
-            one.ask_at, one.wait = self._loop.time() + _AGAIN, _FIRST_RETRY
+            one.query_at, one.wait = self._loop.time() + _AGAIN, _FIRST_RETRY
         finally:
-            one.asking = False
-        self._list_anew()
+            one.is_querying = False
+        self._refresh_list()
 
     def _silent(self, one: _Managed, error: Exception) -> None:
         """Record that a node does not respond, unless it is in transition."""
@@ -225,12 +225,12 @@ class Lifecycles(Struct):
             if each.transition.label and each.start_state.id == state.id
         )
         one.lifecycle = Lifecycle(one.lifecycle.service, state, transitions)
-        self._list_anew()
+        self._refresh_list()
 
     async def _call(self, node: str, service: str, type: str, fields: dict[str, object], until: float) -> Any:
         return cast(Any, await self.calls.call(f"{node}/{service}", type, make_message(type, fields, "Request"), until))
 
-    def _list_anew(self) -> None:
+    def _refresh_list(self) -> None:
         lifecycles = {node: one.lifecycle for node, one in sorted(self._managed.items())}
         if lifecycles != self.by_node:
             self.by_node = freeze(lifecycles)
@@ -245,15 +245,15 @@ def _is_managed(node: str, services: Names) -> bool:
 
 def _take_events(one: _Managed) -> bool:
     """Process transition events of a node; return whether there were any."""
-    heard = False
-    while one.reader is not None and (taken := one.reader.take()) is not None:
+    has_events = False
+    while one.reader is not None and (message := one.reader.take()) is not None:
         try:
-            event = cast(Any, deserialize(_EVENT, taken.data))
+            event = cast(Any, deserialize(_EVENT, message.data))
         except (ValueError, UnknownType):
             continue
-        heard = True
+        has_events = True
         one.lifecycle = replace(one.lifecycle, state=_state(event.goal_state), transitions=(), unknown=None)
-    return heard
+    return has_events
 
 
 def _state(message: Any) -> LifecycleState:

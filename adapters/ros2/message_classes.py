@@ -51,8 +51,8 @@ def _deserialize(kind: Any, data: bytes) -> object:
 
 def message_class(type: str) -> Any:
     """Return the Python class of a type, with its type support. Raises UnknownType with the missing part."""
-    if (known := _classes.get(type)) is not None:
-        return known
+    if (cached := _classes.get(type)) is not None:
+        return cached
     package, _, rest = type.partition("/")
     kind, _, name = rest.partition("/")
     if not (package.isidentifier() and kind in ("msg", "srv", "action") and name.isidentifier()):

@@ -37,7 +37,7 @@ class Handle(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
-class SeenEndpoint(NamedTuple):
+class DiscoveredEndpoint(NamedTuple):
     """An endpoint known to the middleware; `node` is empty while its node is unknown."""
 
     node: str
@@ -46,7 +46,7 @@ class SeenEndpoint(NamedTuple):
     gid: bytes
 
 
-class TakenMessage(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """A message as taken: times in nanoseconds (wall clock), 0 if the middleware does not report them.
 
     `number` is the publisher's sequence number and `gid` its id, None if the middleware does not report them.
@@ -79,18 +79,18 @@ class Reader:
         self._type = subscription.msg_type
         self._take = subscription.handle.take_message
 
-    def take(self) -> TakenMessage | None:
+    def take(self) -> ReceivedMessage | None:
         """Return the next message in the history, or None if there is none or the subscription has ended."""
         try:
             with self.handle:
-                taken = self._take(self._type, True)
+                message = self._take(self._type, True)
         except _invalid_handle():
             return None
-        if taken is None:
+        if message is None:
             return None
-        data, info = taken
+        data, info = message
         gid = info.get("publisher_gid")
-        return TakenMessage(
+        return ReceivedMessage(
             bytes(data),
             info.get("source_timestamp") or 0,
             info.get("received_timestamp") or time.time_ns(),
@@ -120,16 +120,16 @@ class ParameterEvents:
         """Return the next change in the history, or None."""
         try:
             with self.handle:
-                taken = self._subscription.handle.take_message(self._subscription.msg_type, False)
+                message = self._subscription.handle.take_message(self._subscription.msg_type, False)
         except _invalid_handle():
             return None
-        if taken is None:
+        if message is None:
             return None
-        event = taken[0]
-        came = (*event.new_parameters, *event.changed_parameters)
+        event = message[0]
+        values = (*event.new_parameters, *event.changed_parameters)
         return ParameterChange(
             global_name(event.node),
-            tuple(each.name for each in came),
+            tuple(each.name for each in values),
             tuple(each.name for each in event.deleted_parameters),
             tuple(each.name for each in event.new_parameters),
         )
@@ -246,9 +246,9 @@ class Participant:
         except BaseException:
             context.try_shutdown()
             raise
-        self._shown: Any = None
+        self._visible: Any = None
         self.hidden_name = _full_name(name, namespace)
-        self.shown_name: str | None = None
+        self.visible_name: str | None = None
 
     def wakeup(self) -> Wakeup:
         """Return a new guard condition."""
@@ -286,24 +286,24 @@ class Participant:
         except Exception:  # releases raise different errors for a name that another middleware accepts
             return 0, 0
 
-    def publishers(self, topic: str) -> tuple[SeenEndpoint, ...]:
+    def publishers(self, topic: str) -> tuple[DiscoveredEndpoint, ...]:
         """Return the publishers of a topic."""
         return _endpoints(self._hidden.get_publishers_info_by_topic, topic)
 
-    def subscribers(self, topic: str) -> tuple[SeenEndpoint, ...]:
+    def subscribers(self, topic: str) -> tuple[DiscoveredEndpoint, ...]:
         """Return the subscribers of a topic, including ours."""
         return _endpoints(self._hidden.get_subscriptions_info_by_topic, topic)
 
     def show(self, name: str) -> None:
         """Create a visible node of this name, to publish from."""
-        if self._shown is None:
-            self._shown = _node(name, self.namespace, self.context)
-            self.shown_name = _full_name(name, self.namespace)
+        if self._visible is None:
+            self._visible = _node(name, self.namespace, self.context)
+            self.visible_name = _full_name(name, self.namespace)
 
     def hide(self) -> None:
         """Remove the visible node."""
-        if self._shown is not None:
-            node, self._shown, self.shown_name = self._shown, None, None
+        if self._visible is not None:
+            node, self._visible, self.visible_name = self._visible, None, None
             node.destroy_node()
 
     def reader(self, topic: str, type: str, qos: Qos) -> Reader:
@@ -317,10 +317,10 @@ class Participant:
     def writer(self, topic: str, type: str, qos: Qos) -> Writer:
         """Return a new publisher of the visible node. Raises UnknownType, ValueError."""
         events = _no_events("PublisherEventCallbacks")
-        publisher = self._shown.create_publisher(
+        publisher = self._visible.create_publisher(
             message_class(type), topic, profile_of_qos(qos), event_callbacks=events
         )
-        return Writer(self._shown, publisher, qos)
+        return Writer(self._visible, publisher, qos)
 
     def client(self, service: str, type: str) -> Client:
         """Return a new client of a service. Raises UnknownType, ValueError."""
@@ -336,10 +336,10 @@ class Participant:
         self._hidden.destroy_node()
         self.context.try_shutdown()
 
-    def _of(self, ask: Any, node: str) -> Names:
+    def _of(self, query: Any, node: str) -> Names:
         namespace, _, name = node.rpartition("/")
         try:
-            return {each: tuple(types) for each, types in ask(name, namespace or "/")}
+            return {each: tuple(types) for each, types in query(name, namespace or "/")}
         except Exception:  # the node has disappeared, for which releases raise different errors
             return {}
 
@@ -372,18 +372,18 @@ def _no_events(name: str) -> Any:
     return getattr(events, name)(use_default_callbacks=False)
 
 
-def _endpoints(ask: Any, topic: str) -> tuple[SeenEndpoint, ...]:
+def _endpoints(query: Any, topic: str) -> tuple[DiscoveredEndpoint, ...]:
     try:
-        return tuple(map(_endpoint, ask(topic)))
+        return tuple(map(_endpoint, query(topic)))
     except Exception:  # see `counts`
         return ()
 
 
-def _endpoint(info: Any) -> SeenEndpoint:
+def _endpoint(info: Any) -> DiscoveredEndpoint:
     stated = str(getattr(info, "topic_type_hash", ""))
-    known = info.node_name != _UNKNOWN
-    return SeenEndpoint(
-        _full_name(info.node_name, info.node_namespace) if known else "",
+    has_node = info.node_name != _UNKNOWN
+    return DiscoveredEndpoint(
+        _full_name(info.node_name, info.node_namespace) if has_node else "",
         TypeRef(info.topic_type, stated if stated.startswith("RIHS") else None),
         qos_of_profile(info.qos_profile),
         bytes(info.endpoint_gid)[:16],
@@ -394,9 +394,9 @@ def _full_name(name: str, namespace: str) -> str:
     return f"{namespace.rstrip('/')}/{name}"
 
 
-def _room(wanted: int) -> int:
+def _room(count: int) -> int:
     """Return a capacity with some reserve, so that a wait set can be reused."""
-    return 0 if wanted == 0 else 1 << (wanted - 1).bit_length()
+    return 0 if count == 0 else 1 << (count - 1).bit_length()
 
 
 def _ignore(_: object) -> None:

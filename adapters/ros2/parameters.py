@@ -56,16 +56,16 @@ class _Owner(Struct):
     descriptors: dict[str, Descriptor] = field(default_factory=dict)
     new: frozenset[str] = frozenset()
     describes: bool = False
-    ask_at: float = 0.0
+    query_at: float = 0.0
     wait: float = _FIRST_RETRY
-    asking: bool = False
+    is_querying: bool = False
     uses_simulated_time: bool = False
     generation: int = 0
 
     def learn(self, names: Set[str], descriptors: Mapping[str, Descriptor]) -> None:
         """Set the complete declarations of these names."""
-        known = {name: each for name, each in self.descriptors.items() if name not in names}
-        self.descriptors = {name: each for name, each in {**known, **descriptors}.items() if name in self.names}
+        others = {name: each for name, each in self.descriptors.items() if name not in names}
+        self.descriptors = {name: each for name, each in {**others, **descriptors}.items() if name in self.names}
 
 
 class Parameters(Struct):
@@ -91,19 +91,19 @@ class Parameters(Struct):
 
     def follow(self, providers: Mapping[str, Names], ours: Iterable[str]) -> None:
         """Set the present nodes (with their services); query those that are new, did not respond, or are due."""
-        there = {node for node in providers if _provides(providers, node, "list_parameters")} - set(ours)
-        for gone in self.owners.keys() - there:
-            del self.owners[gone]
-        for quiet in self.unreachable.keys() - there:
-            del self.unreachable[quiet]
+        present = {node for node in providers if _provides(providers, node, "list_parameters")} - set(ours)
+        for former in self.owners.keys() - present:
+            del self.owners[former]
+        for former in self.unreachable.keys() - present:
+            del self.unreachable[former]
         now = asyncio.get_running_loop().time()
-        for node in there:
+        for node in present:
             owner = self.owners.setdefault(node, _Owner())
             owner.describes = _provides(providers, node, "describe_parameters")
-            if not owner.asking and now >= owner.ask_at:
-                owner.asking = True
+            if not owner.is_querying and now >= owner.query_at:
+                owner.is_querying = True
                 self._begin(self._list(node, owner))
-        self._list_anew()
+        self._refresh_list()
 
     async def wait_settled(self, seconds: float) -> None:
         """Wait until pending queries have ended, for at most `seconds`."""
@@ -116,14 +116,14 @@ class Parameters(Struct):
         if owner is not None:
             self._became(change.node, owner, change.set, change.deleted, change.new)
             if "use_sim_time" in change.set:
-                owner.ask_at = 0.0
+                owner.query_at = 0.0
         self.changed([f"{change.node}/{name}" for name in (*change.set, *change.deleted)])
 
     def owner_of(self, name: str) -> tuple[str, str] | None:
         """Return node and parameter for a name: the known pair, else the longest node name that is a prefix."""
-        known = self._listed.get(name)
-        if known is not None and known.node is not None:
-            return known.node, name[len(known.node) + 1 :]
+        existing = self._listed.get(name)
+        if existing is not None and existing.node is not None:
+            return existing.node, name[len(existing.node) + 1 :]
         fits = [node for node in self.owners if name.startswith(f"{node}/") and len(name) > len(node) + 1]
         node = max(fits, key=len, default=None)
         return None if node is None else (node, name[len(node) + 1 :])
@@ -131,9 +131,9 @@ class Parameters(Struct):
     async def get(self, names: Sequence[str], until: float) -> dict[str, ParameterValue]:
         """Return the values of existing names; that of a prefix of other names is a dict."""
         trees = {name: self._below(name) for name in names if name not in self._listed}
-        wanted: dict[str, None] = dict.fromkeys(name for name in names if self.owner_of(name) is not None)
-        wanted.update(dict.fromkeys(each for below in trees.values() for each in below))
-        found = await self._values(wanted, until, strict=frozenset(names))
+        requested: dict[str, None] = dict.fromkeys(name for name in names if self.owner_of(name) is not None)
+        requested.update(dict.fromkeys(each for below in trees.values() for each in below))
+        found = await self._values(requested, until, strict=frozenset(names))
         return {
             name: found[name] if name in found else _tree(name, {each: found[each] for each in below if each in found})
             for name in names
@@ -150,7 +150,7 @@ class Parameters(Struct):
             if value != []:
                 to_fields(name, value)
             by_node.setdefault(node, {})[parameter] = name, value
-        await _all_done(*(self._set(node, given, until) for node, given in by_node.items()))
+        await _all_done(*(self._set(node, changes, until) for node, changes in by_node.items()))
 
     async def delete(self, names: Sequence[str], until: float) -> None:
         """Delete parameters, or those below a prefix. Raises NotFound, Refused."""
@@ -162,7 +162,7 @@ class Parameters(Struct):
             for leaf in leaves:
                 node, parameter = self._owner(leaf)
                 by_node.setdefault(node, []).append(parameter)
-        await _all_done(*(self._delete(node, given, until) for node, given in by_node.items()))
+        await _all_done(*(self._delete(node, parameters, until) for node, parameters in by_node.items()))
 
     def close(self) -> None:
         """Cancel pending queries."""
@@ -171,8 +171,8 @@ class Parameters(Struct):
 
     def _as_declared(self, name: str, value: ParameterValue) -> ParameterValue:
         """Return the value converted to the declared type if possible; the node checks other values."""
-        known = self._listed.get(name)
-        type = None if known is None or known.descriptor is None else known.descriptor.type
+        existing = self._listed.get(name)
+        type = None if existing is None or existing.descriptor is None else existing.descriptor.type
         fit = None if type is None else coerce(value, type)
         return value if fit is None else fit
 
@@ -194,56 +194,56 @@ class Parameters(Struct):
             node, parameter = self._owner(name)
             by_node.setdefault(node, []).append((name, parameter))
 
-        async def ask(node: str, wanted: list[tuple[str, str]]) -> dict[str, ParameterValue]:
+        async def query(node: str, pairs: list[tuple[str, str]]) -> dict[str, ParameterValue]:
             try:
-                return await self._ask_values(node, wanted, until)
+                return await self._query_values(node, pairs, until)
             except (TimedOut, Unreachable):
-                if any(name in strict for name, _ in wanted):
+                if any(name in strict for name, _ in pairs):
                     raise
                 return {}
 
-        answers = await _all(*(ask(node, wanted) for node, wanted in by_node.items()))
+        answers = await _all(*(query(node, pairs) for node, pairs in by_node.items()))
         return {name: value for answer in answers for name, value in answer.items()}
 
-    async def _ask_values(self, node: str, wanted: list[tuple[str, str]], until: float) -> dict[str, ParameterValue]:
-        response = await self._ask(node, "get_parameters", {"names": [parameter for _, parameter in wanted]}, until)
-        if len(response.values) != len(wanted):  # a parameter is undeclared, which makes the whole response empty
-            if len(wanted) == 1:
+    async def _query_values(self, node: str, pairs: list[tuple[str, str]], until: float) -> dict[str, ParameterValue]:
+        response = await self._query(node, "get_parameters", {"names": [parameter for _, parameter in pairs]}, until)
+        if len(response.values) != len(pairs):  # a parameter is undeclared, which makes the whole response empty
+            if len(pairs) == 1:
                 return {}
-            halves = (wanted[: len(wanted) // 2], wanted[len(wanted) // 2 :])
-            answers = await _all(*(self._ask_values(node, half, until) for half in halves))
+            halves = (pairs[: len(pairs) // 2], pairs[len(pairs) // 2 :])
+            answers = await _all(*(self._query_values(node, half, until) for half in halves))
             return {name: value for answer in answers for name, value in answer.items()}
-        found = {name: from_message(message) for (name, _), message in zip(wanted, response.values, strict=True)}
+        found = {name: from_message(message) for (name, _), message in zip(pairs, response.values, strict=True)}
         return {name: value for name, value in found.items() if value is not None}
 
-    async def _set(self, node: str, given: Mapping[str, tuple[str, ParameterValue]], until: float) -> None:
-        current = await self._tags(node, [parameter for parameter, (_, value) in given.items() if value == []], until)
+    async def _set(self, node: str, changes: Mapping[str, tuple[str, ParameterValue]], until: float) -> None:
+        current = await self._tags(node, [parameter for parameter, (_, value) in changes.items() if value == []], until)
         messages = [
             _parameter(parameter, to_fields(name, value, current.get(parameter)))
-            for parameter, (name, value) in given.items()
+            for parameter, (name, value) in changes.items()
         ]
-        response = await self._ask(node, "set_parameters_atomically", {"parameters": messages}, until)
+        response = await self._query(node, "set_parameters_atomically", {"parameters": messages}, until)
         if not response.result.successful:
-            names = ", ".join(name for name, _ in given.values())
+            names = ", ".join(name for name, _ in changes.values())
             raise _refusal(names, node, response.result.reason)
-        self._note(node, set=given.keys())
+        self._note(node, set=changes.keys())
 
-    async def _delete(self, node: str, given: Sequence[str], until: float) -> None:
-        messages = [_parameter(parameter, {"type": int(Tag.NOT_SET)}) for parameter in given]
-        response = await self._ask(node, "set_parameters", {"parameters": messages}, until)
-        for parameter, result in zip(given, response.results, strict=False):
+    async def _delete(self, node: str, parameters: Sequence[str], until: float) -> None:
+        messages = [_parameter(parameter, {"type": int(Tag.NOT_SET)}) for parameter in parameters]
+        response = await self._query(node, "set_parameters", {"parameters": messages}, until)
+        for parameter, result in zip(parameters, response.results, strict=False):
             if not result.successful:
                 raise _refusal(f"{node}/{parameter}", node, result.reason)
         left = await self._names(node, until)
-        for parameter in given:
+        for parameter in parameters:
             if parameter in left:
                 raise _refusal(f"{node}/{parameter}", node, "it was declared by its node, which keeps it")
-        self._note(node, deleted=given)
+        self._note(node, deleted=parameters)
 
     async def _tags(self, node: str, parameters: Sequence[str], until: float) -> dict[str, int]:
         if not parameters:
             return {}
-        response = await self._ask(node, "get_parameters", {"names": list(parameters)}, until)
+        response = await self._query(node, "get_parameters", {"names": list(parameters)}, until)
         return {name: value.type for name, value in zip(parameters, response.values, strict=False)}
 
     def _note(self, node: str, *, set: Iterable[str] = (), deleted: Iterable[str] = ()) -> None:
@@ -259,14 +259,14 @@ class Parameters(Struct):
         """Process added and deleted parameters; request the declarations of new ones soon."""
         owner.generation += 1
         room = max(0, _MAX_PARAMETERS - len(owner.names))
-        came = [name for name in dict.fromkeys(set) if name not in owner.names][:room]
-        owner.names = owner.names.union(came).difference(deleted)
+        added = [name for name in dict.fromkeys(set) if name not in owner.names][:room]
+        owner.names = owner.names.union(added).difference(deleted)
         for name in deleted:
             owner.descriptors.pop(name, None)
-        self._list_anew()
-        begun = bool(owner.new)
-        owner.new = owner.names.intersection(owner.new.union(came, new))
-        if owner.new and not begun and owner.describes:
+        self._refresh_list()
+        is_running = bool(owner.new)
+        owner.new = owner.names.intersection(owner.new.union(added, new))
+        if owner.new and not is_running and owner.describes:
             self._begin(self._describe_new(node, owner))
 
     async def _list(self, node: str, owner: _Owner) -> None:
@@ -280,51 +280,51 @@ class Parameters(Struct):
                     self._describe(node, owner, names),
                 )
         except (RosError, ValueError) as error:
-            self._ask_again(owner)
+            self._retry_later(owner)
             if self.owners.get(node) is owner:
                 self.unreachable[node] = f"it does not tell its parameters: {error}"
         else:
-            owner.ask_at = loop.time() + _AGAIN
+            owner.query_at = loop.time() + _AGAIN
             if descriptors is not None:
                 owner.wait = _FIRST_RETRY
             owner.uses_simulated_time = simulated
             if generation == owner.generation:  # else an event was newer than this response
                 owner.names = names
             else:
-                owner.ask_at = loop.time() + _FIRST_RETRY
+                owner.query_at = loop.time() + _FIRST_RETRY
             if descriptors is None:
-                self._ask_again(owner)
+                self._retry_later(owner)
             else:
                 owner.learn(names, descriptors)
             self.unreachable.pop(node, None)
         finally:
-            owner.asking = False
-        self._list_anew()
+            owner.is_querying = False
+        self._refresh_list()
         self.changed([])
 
     async def _names(self, node: str, until: float) -> frozenset[str]:
-        response = await self._ask(node, "list_parameters", {"prefixes": [], "depth": 0}, until)
+        response = await self._query(node, "list_parameters", {"prefixes": [], "depth": 0}, until)
         return frozenset(list(response.result.names)[:_MAX_PARAMETERS])
 
-    def _ask_again(self, owner: _Owner) -> None:
+    def _retry_later(self, owner: _Owner) -> None:
         """Schedule another query of a node, with an increasing delay."""
-        owner.ask_at = asyncio.get_running_loop().time() + owner.wait
+        owner.query_at = asyncio.get_running_loop().time() + owner.wait
         owner.wait = min(2 * owner.wait, _LONGEST_RETRY)
 
     async def _describe(self, node: str, owner: _Owner, names: Iterable[str]) -> dict[str, Descriptor] | None:
         """Return a node's declarations of parameters, or None if it does not respond in time."""
         found: dict[str, Descriptor] = {}
-        waiting = [sorted(names)] if owner.describes else []
+        pending = [sorted(names)] if owner.describes else []
         until = asyncio.get_running_loop().time() + _PATIENCE
         try:
-            while waiting:
-                some = waiting.pop()
-                response = await self._ask(node, "describe_parameters", {"names": some}, until)
+            while pending:
+                some = pending.pop()
+                response = await self._query(node, "describe_parameters", {"names": some}, until)
                 if len(response.descriptors) == len(some):
-                    told = zip(some, map(descriptor_of, response.descriptors), strict=True)
-                    found.update((name, descriptor) for name, descriptor in told if descriptor is not None)
+                    descriptors = zip(some, map(descriptor_of, response.descriptors), strict=True)
+                    found.update((name, descriptor) for name, descriptor in descriptors if descriptor is not None)
                 elif len(some) > 1:  # one of them is undeclared, which makes the whole response empty
-                    waiting += (some[: len(some) // 2], some[len(some) // 2 :])
+                    pending += (some[: len(some) // 2], some[len(some) // 2 :])
         except (RosError, ValueError):
             return None
         return found
@@ -337,24 +337,24 @@ class Parameters(Struct):
                 descriptors = await self._describe(node, owner, names)
             if descriptors is None:
                 owner.new = frozenset()
-                self._ask_again(owner)
+                self._retry_later(owner)
                 return
             owner.new = (owner.new - names) & owner.names
             owner.learn(names, descriptors)
-            self._list_anew()
+            self._refresh_list()
             self.changed([])
 
     async def _simulated(self, node: str, names: frozenset[str], until: float) -> bool:
         if "use_sim_time" not in names:
             return False
-        response = await self._ask(node, "get_parameters", {"names": ["use_sim_time"]}, until)
+        response = await self._query(node, "get_parameters", {"names": ["use_sim_time"]}, until)
         return [from_message(value) for value in response.values] == [True]
 
-    async def _ask(self, node: str, service: str, fields: dict[str, object], until: float) -> Any:
+    async def _query(self, node: str, service: str, fields: dict[str, object], until: float) -> Any:
         type = _SERVICES[service]
         return cast(Any, await self.calls.call(f"{node}/{service}", type, make_message(type, fields, "Request"), until))
 
-    def _list_anew(self) -> None:
+    def _refresh_list(self) -> None:
         names = {
             f"{node}/{parameter}": Parameter(f"{node}/{parameter}", node, owner.descriptors.get(parameter))
             for node, owner in sorted(self.owners.items())

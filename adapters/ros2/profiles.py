@@ -24,9 +24,9 @@ def reading_profile(publishers: Sequence[Endpoint], depth: int, override: Qos = 
 
     If all publishers are transient local and reliable, so is the profile, to receive their earlier messages.
     """
-    known = [each.qos for each in publishers if each.qos is not None]
+    profiles = [each.qos for each in publishers if each.qos is not None]
     profile = Qos("best_effort", "volatile", "keep_last", depth)
-    if known and all(qos.durability == "transient_local" and qos.reliability == "reliable" for qos in known):
+    if profiles and all(qos.durability == "transient_local" and qos.reliability == "reliable" for qos in profiles):
         profile = Qos("reliable", "transient_local", "keep_last", max(depth, _LATCHED_DEPTH))
     return apply_override(profile, override)
 
@@ -36,24 +36,24 @@ def publishing_profile(subscribers: Sequence[Endpoint], *, latch: bool, override
 
     DDS 1.4, 2.2.3: the offer must be at least what is requested, so it is reliable, with the strictest values.
     """
-    known = [each.qos for each in subscribers if each.qos is not None]
-    keeps = latch or any(qos.durability == "transient_local" for qos in known)
+    profiles = [each.qos for each in subscribers if each.qos is not None]
+    keeps = latch or any(qos.durability == "transient_local" for qos in profiles)
     profile = Qos(
         "reliable",
         "transient_local" if keeps else "volatile",
         "keep_last",
         1 if latch else 10,
-        deadline_ns=_least(qos.deadline_ns for qos in known),
-        liveliness="manual_by_topic" if any(qos.liveliness == "manual_by_topic" for qos in known) else "automatic",
-        lease_ns=_least(qos.lease_ns for qos in known),
+        deadline_ns=_least(qos.deadline_ns for qos in profiles),
+        liveliness="manual_by_topic" if any(qos.liveliness == "manual_by_topic" for qos in profiles) else "automatic",
+        lease_ns=_least(qos.lease_ns for qos in profiles),
     )
     return apply_override(profile, override)
 
 
 def apply_override(profile: Qos, override: Qos) -> Qos:
     """Return the profile with the values of the override."""
-    said = {each.name: value for each in fields(Qos) if (value := getattr(override, each.name)) not in (None, 0)}
-    return replace(profile, **said)
+    policies = {each.name: value for each in fields(Qos) if (value := getattr(override, each.name)) not in (None, 0)}
+    return replace(profile, **policies)
 
 
 def is_compatible(reader: Qos, writer: Qos) -> bool:
@@ -98,7 +98,7 @@ def profile_of_qos(qos: Qos) -> Any:
     """Return rclpy's profile; the defaults are reliable, volatile, and a history of one."""
     module = importlib.import_module("rclpy.qos")
     duration = importlib.import_module("rclpy.duration").Duration
-    given: dict[str, object] = {
+    policies: dict[str, object] = {
         "history": module.HistoryPolicy[(qos.history or "keep_last").upper()],
         "depth": max(qos.depth, 1),
         "reliability": module.ReliabilityPolicy[(qos.reliability or "reliable").upper()],
@@ -111,5 +111,5 @@ def profile_of_qos(qos: Qos) -> Any:
         ("liveliness_lease_duration", qos.lease_ns),
     ):
         if value is not None:
-            given[name] = duration(nanoseconds=value)
-    return module.QoSProfile(**given)
+            policies[name] = duration(nanoseconds=value)
+    return module.QoSProfile(**policies)

@@ -54,13 +54,13 @@ class Publication:
         """Whether the topic accepts messages of this type."""
         return type.name == self.ref.name and type.hash in (None, self.ref.hash)
 
-    async def wait_matched(self, wanted: int, until: float, patience: float) -> None:
-        """Wait for one subscriber until a time, then at most `patience` seconds for `wanted` subscribers."""
+    async def wait_matched(self, count: int, until: float, patience: float) -> None:
+        """Wait for one subscriber until a time, then at most `patience` seconds for `count` subscribers."""
         loop = asyncio.get_running_loop()
         while self.matched == 0 and loop.time() < until:  # noqa: ASYNC110 - no event reports a match
             await asyncio.sleep(_PAUSE)
         enough = min(until, loop.time() + patience)
-        while self.matched < wanted and loop.time() < enough:  # noqa: ASYNC110
+        while self.matched < count and loop.time() < enough:  # noqa: ASYNC110
             await asyncio.sleep(_PAUSE)
 
     async def wait_settled(self, until: float) -> None:
@@ -112,24 +112,24 @@ class Publications:
 
         Raises Refused if we publish the topic with another type, UnknownType, Unreachable.
         """
-        wanted = 1
+        expected = 1
         async with self._advertising:
             publication = self._by_topic.get(topic)
             if publication is not None and not publication.carries(type):
                 raise Refused(f"rosld publishes {topic} as {publication.ref.name}, not {type.name}")
             if publication is None or not self.suits(publication, latch):
                 publication = await self._advertise(topic, type, latch, until)
-                known = self._graph().topics.get(topic)
-                wanted = max(1, len(known.subscribers) if known else 0)
+                existing = self._graph().topics.get(topic)
+                expected = max(1, len(existing.subscribers) if existing else 0)
         # Outside of the lock, so that a topic whose subscribers never match does not delay others.
-        await publication.wait_matched(wanted, until, _PATIENCE)
+        await publication.wait_matched(expected, until, _PATIENCE)
         await publication.wait_settled(until)
         return publication
 
     def suits(self, publication: Publication, latch: bool) -> bool:
         """Whether all subscribers still accept a publication's profile (thread-safe)."""
-        wanted = self._profile(publication.topic, latch or publication.latched)
-        return replace(wanted, depth=publication.qos.depth) == publication.qos
+        required = self._profile(publication.topic, latch or publication.latched)
+        return replace(required, depth=publication.qos.depth) == publication.qos
 
     async def unadvertise(self, topic: str) -> None:
         """Stop publishing. Raises NotFound."""

@@ -11,7 +11,7 @@ from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Endpoint, Graph, Qos, TypeRef, UnknownType
 from rosld.adapters.ros2.feeds import Feed, Publishers
 from rosld.adapters.ros2.graph import nodes_using
-from rosld.adapters.ros2.middleware import Participant, Reader, SeenEndpoint
+from rosld.adapters.ros2.middleware import DiscoveredEndpoint, Participant, Reader
 from rosld.adapters.ros2.profiles import override_for, reading_profile
 from rosld.adapters.ros2.types import Types
 
@@ -55,17 +55,17 @@ class Readers:
             if (reader := feed.read_with(None)) is not None:
                 reader.close()
 
-    def follow_all(self, graph: Graph, seen: Callable[[str], Sequence[SeenEndpoint]]) -> None:
-        """Read all topics with profiles that match their current publishers, returned by `seen`."""
+    def follow_all(self, graph: Graph, endpoints_of: Callable[[str], Sequence[DiscoveredEndpoint]]) -> None:
+        """Read all topics with profiles that match their current publishers, returned by `endpoints_of`."""
         for feed in list(self._feeds.values()):
-            self.follow(feed, graph, seen(feed.topic))
+            self.follow(feed, graph, endpoints_of(feed.topic))
 
-    def follow(self, feed: Feed, graph: Graph, seen: Sequence[SeenEndpoint]) -> None:
+    def follow(self, feed: Feed, graph: Graph, discovered: Sequence[DiscoveredEndpoint]) -> None:
         """Read a feed's topic with a profile that matches its current publishers."""
         if self._feeds.get(feed.topic) is not feed:
             return
         feed.own = graph.own_node
-        others = [each for each in seen if each.node != graph.own_node]
+        others = [each for each in discovered if each.node != graph.own_node]
         publishers = self._publishers(feed.topic, graph, [each for each in others if each.node])
         if publishers != feed.publishers:
             feed.publishers = publishers
@@ -74,12 +74,12 @@ class Readers:
             return
         self._prove(type, graph)
         endpoints = [Endpoint(each.node, qos=each.qos) for each in others]
-        wanted = reading_profile(endpoints, feed.depth, override_for(feed.topic, self._options.qos))
+        profile = reading_profile(endpoints, feed.depth, override_for(feed.topic, self._options.qos))
         reader = feed.reader
-        if reader is not None and reader.qos.depth >= wanted.depth:
-            wanted = replace(wanted, depth=reader.qos.depth)
-        if reader is None or reader.qos != wanted:
-            self._read_with(feed, type, wanted)
+        if reader is not None and reader.qos.depth >= profile.depth:
+            profile = replace(profile, depth=reader.qos.depth)
+        if reader is None or reader.qos != profile:
+            self._read_with(feed, type, profile)
 
     def _prove(self, type: TypeRef, graph: Graph) -> None:
         """Check once whether messages of a type can be decoded; if not, its topics are marked as unreadable."""
@@ -99,24 +99,24 @@ class Readers:
 
         self._proofs.add(loop.create_task(prove()))
 
-    def _read_with(self, feed: Feed, type: TypeRef, wanted: Qos) -> None:
+    def _read_with(self, feed: Feed, type: TypeRef, profile: Qos) -> None:
         try:
-            reader: Reader | None = self._participant.reader(feed.topic, type.name, wanted)
+            reader: Reader | None = self._participant.reader(feed.topic, type.name, profile)
         except Exception:  # a name that ROS 2 does not allow, or a profile that the middleware refuses
             return
         if (before := feed.read_with(reader)) is not None:
             before.close()
 
-    def _publishers(self, name: str, graph: Graph, seen: Sequence[SeenEndpoint]) -> Publishers:
+    def _publishers(self, name: str, graph: Graph, discovered: Sequence[DiscoveredEndpoint]) -> Publishers:
         topic = graph.topics.get(name)
-        types = {each.node: self._types.with_hash(each.type) for each in seen}
+        types = {each.node: self._types.with_hash(each.type) for each in discovered}
         first = next(iter(types.values()), None)
         if first is None and topic is not None and topic.types:
             first = self._types.with_hash(topic.types[0])
         return Publishers(
-            Counter(each.node for each in seen),
-            {each.gid: each.node for each in seen if each.gid},
+            Counter(each.node for each in discovered),
+            {each.gid: each.node for each in discovered if each.gid},
             types,
-            frozenset(each.node for each in seen if each.qos.durability == "transient_local"),
+            frozenset(each.node for each in discovered if each.qos.durability == "transient_local"),
             first,
         )

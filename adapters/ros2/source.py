@@ -35,15 +35,15 @@ def read_source(text: str) -> Source:
     if rest and not rest.startswith("?"):
         raise ValueError(f"{text!r} names no ROS 2 system: write ros2: or ros2:?domain=42&namespace=/robot1")
     try:
-        given = parse_qsl(rest[1:], keep_blank_values=True, strict_parsing=bool(rest[1:]))
+        pairs = parse_qsl(rest[1:], keep_blank_values=True, strict_parsing=bool(rest[1:]))
     except ValueError as error:
         raise ValueError(f"the options of {text!r} cannot be read: write ros2:?domain=42&namespace=/robot1") from error
-    for name, _ in given:
+    for name, _ in pairs:
         if name not in _OPTIONS:
             raise ValueError(f"{name!r} is no option of ros2: there are {' and '.join(_OPTIONS)}")
-    if len({name for name, _ in given}) < len(given):
+    if len({name for name, _ in pairs}) < len(pairs):
         raise ValueError(f"an option is given twice in {text!r}")
-    options = dict(given)
+    options = dict(pairs)
     return Source(
         _domain(options["domain"]) if "domain" in options else None, _namespace(options.get("namespace", "/"))
     )

@@ -70,9 +70,9 @@ class System:
         changed = loop.time()
         until = min(until, changed + _DISCOVERY)
         while loop.time() < until:
-            before = self._discovery.seen
+            before = self._discovery.observation
             await self.look()
-            if self._discovery.seen != before:
+            if self._discovery.observation != before:
                 changed = loop.time()
             if self._graph.has_robot and loop.time() - changed > _STABLE:
                 break
@@ -111,7 +111,7 @@ class System:
         self._follow(feed)
 
     def _follow(self, feed: Feed) -> None:
-        self._readers.follow(feed, self.graph, self._discovery.seen.publishers.get(feed.topic, ()))
+        self._readers.follow(feed, self.graph, self._discovery.observation.publishers.get(feed.topic, ()))
 
     # Services
 
@@ -119,19 +119,19 @@ class System:
         """Call a service. Raises Refused, TimedOut, Unreachable, NotFound, UnknownType."""
         if (words := of_action(service)) is not None:
             raise Refused(f"{service} is not called: {words}")
-        known = self.graph.services.get(service)
-        if known is None:
+        existing = self.graph.services.get(service)
+        if existing is None:
             await self.look()
-            known = self.graph.services.get(service)
-        if known is None:
+            existing = self.graph.services.get(service)
+        if existing is None:
             raise NotFound(f"there is no service {service}")
-        if known.type is not None and known.type.name != type.name:
-            raise Refused(f"{service} has the type {known.type.name}, not {type.name}")
+        if existing.type is not None and existing.type.name != type.name:
+            raise Refused(f"{service} has the type {existing.type.name}, not {type.name}")
         try:
-            asked = request_of(type.name, request)
+            message = request_of(type.name, request)
         except ValueError as error:
             raise Refused(f"{service} was not called: {error}") from error
-        return serialize(await self.calls.call(service, type.name, asked, until))
+        return serialize(await self.calls.call(service, type.name, message, until))
 
     # Actions
 
@@ -178,7 +178,7 @@ class System:
     async def look(self, topics: Sequence[str] = ()) -> None:
         """Poll the system now, always including the endpoints of these topics."""
         await self._discovery.look(topics)
-        providers = self._discovery.seen.providers
+        providers = self._discovery.observation.providers
         self.parameters.follow(providers, self._ours())
         self.lifecycles.follow(providers, self._ours())
         self.refresh()
@@ -186,10 +186,10 @@ class System:
     def refresh(self) -> None:
         """Rebuild the graph and report changes."""
         self._refreshing = False
-        seen = self._discovery.seen
-        has_robot = any(self._is_robots(name) for name in foreign_nodes(seen, self._participant.hidden_name))
-        self._graph.update(seen, self._graph_inputs(), has_robot=has_robot)
-        self._readers.follow_all(self.graph, lambda topic: seen.publishers.get(topic, ()))
+        observation = self._discovery.observation
+        has_robot = any(self._is_robots(name) for name in foreign_nodes(observation, self._participant.hidden_name))
+        self._graph.update(observation, self._graph_inputs(), has_robot=has_robot)
+        self._readers.follow_all(self.graph, lambda topic: observation.publishers.get(topic, ()))
 
     def refresh_soon(self) -> None:
         """Rebuild the graph once for all changes in this iteration of the loop."""
@@ -202,8 +202,8 @@ class System:
             await self._discovery.pause()
             try:
                 await self.look()
-                self.calls.drop_gone_servers()
-                self.actions.drop_gone_servers(self.graph.actions)
+                self.calls.drop_missing_servers()
+                self.actions.drop_missing_servers(self.graph.actions)
             except Exception as error:  # any error of the middleware: the next poll retries
                 self._graph.mark_stale(f"the system cannot be looked at: {error}")
                 await asyncio.sleep(_EVERY)
@@ -222,12 +222,12 @@ class System:
 
     def _ours(self) -> tuple[str, ...]:
         """Return the nodes of rosld, which are never queried."""
-        shown = self._participant.shown_name
-        return (self._participant.hidden_name,) if shown is None else (self._participant.hidden_name, shown)
+        visible = self._participant.visible_name
+        return (self._participant.hidden_name,) if visible is None else (self._participant.hidden_name, visible)
 
     def _is_robots(self, node: str) -> bool:
         """Whether a node belongs to the robot, not to rosld or to tools, which are hidden."""
-        return node != self._participant.shown_name and not node.rpartition("/")[2].startswith("_")
+        return node != self._participant.visible_name and not node.rpartition("/")[2].startswith("_")
 
     def _parameters_changed(self, names: Sequence[str]) -> None:
         self.refresh_soon()

@@ -19,11 +19,11 @@ from rosld.adapters.ros2.message_classes import class_problem, make_message
 
 _DESCRIPTION = "type_description_interfaces/srv/GetTypeDescription"
 _KINDS = ("msg", "srv", "action")
-_MAX_ASKED = 3
+_MAX_QUERIED = 3
 
 
 def definition_folders(
-    given: Iterable[Path], environment: Mapping[str, str] = os.environ, prefix: str = sys.prefix
+    folders: Iterable[Path], environment: Mapping[str, str] = os.environ, prefix: str = sys.prefix
 ) -> Sequence[Path]:
     """Return the folders that may contain definitions: those given, then the share folders of the sourced ROS.
 
@@ -31,7 +31,7 @@ def definition_folders(
     """
     prefixes = [each for each in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if each]
     shares = [Path(each) / "share" for each in (*prefixes, prefix)]
-    found = list(given)
+    found = list(folders)
     for share in dict.fromkeys(shares):
         if (share / "ament_index").is_dir() or share.parent != Path(prefix):
             found += [folder for kind in _KINDS for folder in sorted(share.glob(f"*/{kind}"))]
@@ -105,12 +105,12 @@ class Types:
         try:
             return await loop.run_in_executor(None, self.library.find, ref)
         except UnknownType as unknown:
-            for node in users[:_MAX_ASKED]:
-                if (found := await self._ask(node, ref, until)) is not None:
+            for node in users[:_MAX_QUERIED]:
+                if (found := await self._query(node, ref, until)) is not None:
                     return found
             raise unknown
 
-    async def _ask(self, node: str, ref: TypeRef, until: float) -> Schema | None:
+    async def _query(self, node: str, ref: TypeRef, until: float) -> Schema | None:
         """Return a node's description of a type with a known hash, or None."""
         if ref.hash is None:
             return None

@@ -38,8 +38,8 @@ class Waiter:
     def disarm(self, handle: Handle) -> None:
         """Stop notifications about a handle."""
         with self._lock:
-            gone = self._armed.pop(id(handle), None)
-        if gone is not None:
+            removed = self._armed.pop(id(handle), None)
+        if removed is not None:
             self._wakeup.trigger()
 
     def stop(self, timeout: float) -> None:
@@ -75,8 +75,8 @@ class Waiter:
             except Exception:  # the context was shut down
                 self._stopping = True
                 return []
-            told = [key for key, handle in entered.items() if handle.pointer in ready]
-        return [armed[key][2] for key in told if self._forget(key, armed[key][0])]
+            notified = [key for key, handle in entered.items() if handle.pointer in ready]
+        return [armed[key][2] for key in notified if self._forget(key, armed[key][0])]
 
     def _forget(self, key: int, handle: Handle) -> bool:
         """Disarm a handle; return False if it was not armed."""

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from rosld.adapters.model import Endpoint, Graph, Live, Parameter, Qos, Stale, TypeRef
 from rosld.adapters.ros2.graph import GraphInputs, Observation, compose, stale
-from rosld.adapters.ros2.middleware import SeenEndpoint
+from rosld.adapters.ros2.middleware import DiscoveredEndpoint
 
 STRING = TypeRef("std_msgs/msg/String", "RIHS01_aa")
 KNOWN = GraphInputs("/_rosld_1", "/rosld")
@@ -14,10 +14,10 @@ SEEN = Observation(
     nodes=("/talker", "/_rosld_1", "/talker"),
     topics={"/chatter": (STRING.name,), "/asked": (STRING.name,)},
     services={"/talker/go": ("std_srvs/srv/Trigger",), "/gone": ("std_srvs/srv/Trigger",)},
-    publishers={"/chatter": (SeenEndpoint("/talker", STRING, Qos("reliable", "transient_local"), b"1"),)},
+    publishers={"/chatter": (DiscoveredEndpoint("/talker", STRING, Qos("reliable", "transient_local"), b"1"),)},
     subscribers={
-        "/chatter": (SeenEndpoint("/_rosld_1", STRING, Qos("best_effort"), b"2"),),
-        "/asked": (SeenEndpoint("/_rosld_1", STRING, Qos("best_effort"), b"3"),),
+        "/chatter": (DiscoveredEndpoint("/_rosld_1", STRING, Qos("best_effort"), b"2"),),
+        "/asked": (DiscoveredEndpoint("/_rosld_1", STRING, Qos("best_effort"), b"3"),),
     },
     providers={"/talker": {"/talker/go": ("std_srvs/srv/Trigger",)}},
 )
@@ -51,8 +51,8 @@ def test_a_type_that_cannot_be_used_is_named_with_the_reason() -> None:
 
 
 def test_two_types_of_a_topic_are_a_conflict_but_one_without_its_hash_is_none() -> None:
-    other = SeenEndpoint("/other", TypeRef("std_msgs/msg/Int8", "RIHS01_bb"), Qos(), b"6")
-    bare = SeenEndpoint("/humble", TypeRef(STRING.name), Qos(), b"7")
+    other = DiscoveredEndpoint("/other", TypeRef("std_msgs/msg/Int8", "RIHS01_bb"), Qos(), b"6")
+    bare = DiscoveredEndpoint("/humble", TypeRef(STRING.name), Qos(), b"7")
     both = replace(SEEN, publishers={"/chatter": (*SEEN.publishers["/chatter"], other)})
     assert compose(Graph(0), both, KNOWN).topics["/chatter"].type is None
     same = replace(SEEN, publishers={"/chatter": (*SEEN.publishers["/chatter"], bare)})

@@ -150,5 +150,5 @@ async def test_a_node_that_describes_nothing_still_has_its_parameters() -> None:
     parameters = await asked(Node(["a"], {"a"}, describes=False))
     assert parameters.graph_parameters["/n/a"].descriptor is None
     assert not parameters.unreachable
-    soon = parameters.owners["/n"].ask_at - asyncio.get_running_loop().time()
+    soon = parameters.owners["/n"].query_at - asyncio.get_running_loop().time()
     assert soon < 10

@@ -34,9 +34,9 @@ class Flight:
 
     def speed_at(self, now_ns: int) -> float:
         """Return the speed at a time not before `since_ns`; exactly the commanded one once it is reached."""
-        way = self.commanded - self.speed
-        gone = ACCELERATION * (now_ns - self.since_ns) / 1e9
-        return self.commanded if abs(way) <= gone else self.speed + math.copysign(gone, way)
+        difference = self.commanded - self.speed
+        change = ACCELERATION * (now_ns - self.since_ns) / 1e9
+        return self.commanded if abs(difference) <= change else self.speed + math.copysign(change, difference)
 
 
 class Declined(Exception):
@@ -79,11 +79,11 @@ def set_heading(flight: Flight, direction: float, now_ns: int) -> Flight:
     return replace(flight, speed=flight.speed_at(now_ns), direction=_positive(direction), since_ns=now_ns)
 
 
-def _on_and_within(flight: Flight, what: str, value: float, limit: float) -> None:
+def _on_and_within(flight: Flight, subject: str, value: float, limit: float) -> None:
     if not flight.on:
-        raise Declined(f"the aircraft is off: start it before setting its {what}")
+        raise Declined(f"the aircraft is off: start it before setting its {subject}")
     if not 0 <= value <= limit:  # false for NaN
-        raise Declined(f"the {what} must be between 0 and {limit:g}, not {value:g}")
+        raise Declined(f"the {subject} must be between 0 and {limit:g}, not {value:g}")
 
 
 def _positive(value: float) -> float:

@@ -38,9 +38,9 @@ def _command(act: Callable[[Flight, Message, int], Flight], done: str) -> Callab
     return answer
 
 
-def _question(ask: Callable[[Flight], object]) -> Callable[[Flight, Message, int], Answer]:
+def _question(query: Callable[[Flight], object]) -> Callable[[Flight, Message, int], Answer]:
     def answer(flight: Flight, _request: Message, _now_ns: int) -> Answer:
-        return flight, {"data": ask(flight)}
+        return flight, {"data": query(flight)}
 
     return answer
 

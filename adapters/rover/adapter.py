@@ -84,7 +84,7 @@ class Rover(EmbeddedRobot):
         self._parameters = DEFAULTS
         self._simulation = Simulation(self._start_state, time.monotonic())
         for topic in LATCHED:
-            self._say(topic)
+            self._publish_current(topic)
         self._tick()
 
     async def close(self) -> None:
@@ -101,7 +101,7 @@ class Rover(EmbeddedRobot):
         subscription = await super().subscribe(topic, depth=depth)
         if is_first and topic in PERIODIC and self._sink is not None:
             self._simulation.advance(time.monotonic())
-            self._say(topic)
+            self._publish_current(topic)
             self._due[topic] = time.monotonic() + self._period(topic)
         return subscription
 
@@ -124,7 +124,7 @@ class Rover(EmbeddedRobot):
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         """Send a goal for navigation. Raises Refused for an invalid pose, and for another type."""
         sent = await super().send_goal(action, type, goal, deadline=deadline)
-        self._tell_feedback(time.monotonic())
+        self._report_feedback(time.monotonic())
         return sent
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
@@ -152,7 +152,7 @@ class Rover(EmbeddedRobot):
         if service != SET_LIGHTS:
             return self._simulation.dock(now)._asdict()
         answer = self._simulation.switch_lights(switch_of(request), now)
-        self._say(LIGHTS)
+        self._publish_current(LIGHTS)
         return answer._asdict()
 
     def _accept(self, action: str, goal: Message) -> str:
@@ -185,9 +185,9 @@ class Rover(EmbeddedRobot):
         self._simulation.advance(now)
         for topic in PERIODIC:
             if now >= self._due.get(topic, now) and self._topics.is_subscribed(topic):
-                self._say(topic)
+                self._publish_current(topic)
                 self._due[topic] = _next(self._due.get(topic, now), self._period(topic), now)
-        self._tell_of_goals(now)
+        self._report_goals(now)
         for line in self._simulation.take_log():
             self._publish(ROSOUT, log(line, time.time_ns()))
         self._timer = asyncio.get_running_loop().call_later(PERIOD, self._tick)
@@ -195,19 +195,19 @@ class Rover(EmbeddedRobot):
     def _period(self, topic: str) -> float:
         return 1 / PERIODIC[topic].rate(self._simulation.settings)
 
-    def _say(self, topic: str) -> None:
+    def _publish_current(self, topic: str) -> None:
         view = View(self._simulation.state, self._simulation.settings, self._simulation.world, time.time_ns())
-        said = PERIODIC.get(topic) or LATCHED[topic]
-        self._publish(topic, said.say(view))
+        entry = PERIODIC.get(topic) or LATCHED[topic]
+        self._publish(topic, entry.compose(view))
 
-    def _tell_of_goals(self, now: float) -> None:
+    def _report_goals(self, now: float) -> None:
         """Report ended goals and, periodically, the progress of the rover."""
         for ended in self._simulation.take_ended():
-            self._tell_end(ended)
+            self._report_end(ended)
         if now >= self._due.get(NAVIGATE_TO, now):
-            self._tell_feedback(now)
+            self._report_feedback(now)
 
-    def _tell_feedback(self, now: float) -> None:
+    def _report_feedback(self, now: float) -> None:
         journey = self._simulation.state.journey
         if journey is None:
             return
@@ -217,7 +217,7 @@ class Rover(EmbeddedRobot):
         data = encode(self._action(NAVIGATE_TO).feedback, feedback)
         self._announce(NAVIGATE_TO, journey.id, GoalEvent(time_ns, GoalStatus.EXECUTING, feedback=data, own=True))
 
-    def _tell_end(self, ended: JourneyEnd) -> None:
+    def _report_end(self, ended: JourneyEnd) -> None:
         time_ns = time.time_ns()
         result = navigation_result(ended, self._simulation.state.motion, time_ns)
         data = encode(self._action(NAVIGATE_TO).result, result)

@@ -105,12 +105,12 @@ def _clamp(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))
 
 
-def _approach(current: float, wanted: float, gain: float, loss: float) -> float:
+def _approach(current: float, target: float, gain: float, loss: float) -> float:
     """Return a speed on its way to another one: at most `gain` faster or `loss` slower, stopping at zero."""
-    if current * wanted < 0:
-        wanted = 0.0
-    limit = gain if abs(wanted) > abs(current) else loss
-    return wanted if abs(wanted - current) <= limit else current + math.copysign(limit, wanted - current)
+    if current * target < 0:
+        target = 0.0
+    limit = gain if abs(target) > abs(current) else loss
+    return target if abs(target - current) <= limit else current + math.copysign(limit, target - current)
 
 
 CAPACITY = 1.0

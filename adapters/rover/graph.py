@@ -56,7 +56,7 @@ class Periodic(NamedTuple):
     """A topic that is published periodically: its type, a function for its message, and the rate in hertz."""
 
     type: str
-    say: Callable[[View], Fields]
+    compose: Callable[[View], Fields]
     rate: Callable[[Settings], float]
 
 
@@ -64,7 +64,7 @@ class Latched(NamedTuple):
     """A latched topic, which is published once and after each change."""
 
     type: str
-    say: Callable[[View], Fields]
+    compose: Callable[[View], Fields]
 
 
 def _always(rate: float) -> Callable[[Settings], float]:
@@ -156,10 +156,10 @@ def read(values: Mapping[str, Value], name: str) -> ParameterValue | None:
     return values.get(name.removeprefix(_PREFIX)) if name.startswith(_PREFIX) else None
 
 
-def with_values(values: Mapping[str, Value], given: Mapping[str, ParameterValue]) -> Mapping[str, Value]:
+def with_values(values: Mapping[str, Value], changes: Mapping[str, ParameterValue]) -> Mapping[str, Value]:
     """Return the values with the given ones set. Raises NotFound, and Refused with the node's reason."""
     changed = dict(values)
-    for name, value in given.items():
+    for name, value in changes.items():
         if not name.startswith(_PREFIX):
             raise NotFound(f"the parameter {name} belongs to no node: those of the rover begin with {_PREFIX}")
         short = name.removeprefix(_PREFIX)

@@ -88,15 +88,15 @@ def check_goal(frame: str, x: float, y: float, heading: float) -> Pose:
 
 def depart(id: str, goal: Pose, motion: Motion, world: World) -> Journey:
     """Return the journey to an accepted goal, with its path on the map."""
-    known = world.as_mapped()
+    mapped = world.as_mapped()
     place = f"({goal.x:g}, {goal.y:g})"
-    if not known.contains(goal.x, goal.y):
+    if not mapped.contains(goal.x, goal.y):
         ends = f"x from {world.left:g} to {world.left + world.width:g}, y from {world.bottom:g} to "
         problem = f"{place} lies outside the map: {ends}{world.bottom + world.height:g}"
         return Journey(id, goal, (), problem)
-    if known.clearance(goal.x, goal.y) < RADIUS:
+    if mapped.clearance(goal.x, goal.y) < RADIUS:
         return Journey(id, goal, (), f"an obstacle stands at {place}")
-    corners = way(grid_of(known), (motion.x, motion.y), (goal.x, goal.y))
+    corners = way(grid_of(mapped), (motion.x, motion.y), (goal.x, goal.y))
     return Journey(id, goal, corners, None if corners else f"no free way leads to {place}")
 
 
@@ -135,8 +135,8 @@ def end_of(journey: Journey, motion: Motion, world: World, is_empty: bool) -> Jo
     if journey.problem is not None:
         return JourneyEnd(journey.id, Outcome.ABORTED, journey.problem)
     if not journey.corners:
-        turned = abs(wrap_angle(journey.goal.heading - motion.heading)) < _ALIGNED
-        return JourneyEnd(journey.id, Outcome.SUCCEEDED, "arrived") if turned else None
+        is_aligned = abs(wrap_angle(journey.goal.heading - motion.heading)) < _ALIGNED
+        return JourneyEnd(journey.id, Outcome.SUCCEEDED, "arrived") if is_aligned else None
     distance = min(_LOOK_AHEAD, math.dist((motion.x, motion.y), journey.corners[0]))
     if motion.velocity.speed > 0 and (motion.is_bumped or is_blocked_ahead(world, motion, distance)):
         place = f"({motion.x:.2f}, {motion.y:.2f})"
@@ -212,8 +212,13 @@ def velocity_of(message: Message | Twist) -> Velocity:
 def goal_of(message: Message | NavigateToGoal) -> Pose:
     """Return the pose of a goal. Raises Declined for an invalid one."""
     stamped = cast(NavigateToGoal, message).pose
-    at, turned = stamped.pose.position, stamped.pose.orientation
-    return check_goal(stamped.header.frame_id, at.x, at.y, heading_of(turned.x, turned.y, turned.z, turned.w))
+    position, orientation = stamped.pose.position, stamped.pose.orientation
+    return check_goal(
+        stamped.header.frame_id,
+        position.x,
+        position.y,
+        heading_of(orientation.x, orientation.y, orientation.z, orientation.w),
+    )
 
 
 def switch_of(message: Message | SetBoolRequest) -> bool:

@@ -100,46 +100,46 @@ def _nearest_free(grid: Grid, cell: Cell) -> Cell | None:
 
 def _neighbours(grid: Grid, cell: Cell) -> Iterator[tuple[Cell, float]]:
     for row, column in _STEPS:
-        beside = (cell[0] + row, cell[1] + column)
-        if _is_free(grid, beside):
-            yield beside, math.hypot(row, column)
+        neighbour = (cell[0] + row, cell[1] + column)
+        if _is_free(grid, neighbour):
+            yield neighbour, math.hypot(row, column)
 
 
 def _cells(grid: Grid, first: Cell, last: Cell) -> Sequence[Cell]:
     """Return the cells of the shortest path, including both ends; empty if there is no path."""
-    came: dict[Cell, Cell] = {}
+    predecessors: dict[Cell, Cell] = {}
     costs = {first: 0.0}
-    waiting = [(math.dist(first, last), first)]
+    queue = [(math.dist(first, last), first)]
     done: set[Cell] = set()
-    while waiting:
-        _, cell = heapq.heappop(waiting)
+    while queue:
+        _, cell = heapq.heappop(queue)
         if cell == last:
-            return _back(came, last)
+            return _back(predecessors, last)
         if cell in done:
             continue
         done.add(cell)
-        for beside, step in _neighbours(grid, cell):
+        for neighbour, step in _neighbours(grid, cell):
             cost = costs[cell] + step
-            if cost < costs.get(beside, math.inf):
-                costs[beside], came[beside] = cost, cell
-                heapq.heappush(waiting, (cost + math.dist(beside, last), beside))
+            if cost < costs.get(neighbour, math.inf):
+                costs[neighbour], predecessors[neighbour] = cost, cell
+                heapq.heappush(queue, (cost + math.dist(neighbour, last), neighbour))
     return ()
 
 
-def _back(came: Mapping[Cell, Cell], last: Cell) -> Sequence[Cell]:
+def _back(predecessors: Mapping[Cell, Cell], last: Cell) -> Sequence[Cell]:
     cells = [last]
-    while cells[-1] in came:
-        cells.append(came[cells[-1]])
+    while cells[-1] in predecessors:
+        cells.append(predecessors[cells[-1]])
     return cells[::-1]
 
 
 def _straighten(grid: Grid, cells: Sequence[Cell]) -> Sequence[Cell]:
     """Return the first and last of these cells, and those where the path bends."""
-    kept = [cells[0]]
+    bends = [cells[0]]
     for previous, cell in pairwise(cells):
-        if not _is_view_free(grid, kept[-1], cell):
-            kept.append(previous)
-    return [*kept, cells[-1]]
+        if not _is_view_free(grid, bends[-1], cell):
+            bends.append(previous)
+    return [*bends, cells[-1]]
 
 
 def _is_view_free(grid: Grid, one: Cell, other: Cell) -> bool:

@@ -23,22 +23,22 @@ _FADING = 0.12
 """Decrease of brightness per metre."""
 _CEILING = (214, 224, 232)
 _FLOOR = (116, 112, 106)
-_BESIDE = np.arctan2(CENTRE[0] - 0.5 - np.arange(WIDTH), FOCAL_LENGTH)
+_BEARINGS = np.arctan2(CENTRE[0] - 0.5 - np.arange(WIDTH), FOCAL_LENGTH)
 _BELOW = np.arange(HEIGHT)[:, None] + 0.5 - CENTRE[1]
 """Distance in pixels of the centre of each row below the horizon."""
 
 
 def image(world: World, motion: Motion, lights: bool) -> NDArray[np.uint8]:
     """Return an image of `HEIGHT` rows, `WIDTH` columns, and red, green and blue."""
-    hits = world.cast(motion.x, motion.y, motion.heading + _BESIDE)
-    depths = np.maximum(hits.distances * np.cos(_BESIDE), _NEAREST)
+    hits = world.cast(motion.x, motion.y, motion.heading + _BEARINGS)
+    depths = np.maximum(hits.distances * np.cos(_BEARINGS), _NEAREST)
     top, bottom = FOCAL_LENGTH * (MOUNTED_AT - WALL_HEIGHT) / depths, FOCAL_LENGTH * MOUNTED_AT / depths
     is_wall = (top <= _BELOW) & (bottom >= _BELOW)
     floor = FOCAL_LENGTH * MOUNTED_AT / np.maximum(_BELOW, 1.0)
     pixels = np.where((_BELOW > 0)[:, :, None], _FLOOR * _light(floor, lights)[:, :, None], _CEILING)
     walls = hits.colours * _light(depths, lights)[:, None]
-    seen: NDArray[np.uint8] = np.where(is_wall[:, :, None], walls[None, :, :], pixels).astype(np.uint8)
-    return seen
+    frame: NDArray[np.uint8] = np.where(is_wall[:, :, None], walls[None, :, :], pixels).astype(np.uint8)
+    return frame
 
 
 def _light(distances: NDArray[np.float64], lights: bool) -> NDArray[np.float64]:

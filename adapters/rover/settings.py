@@ -81,9 +81,9 @@ def problem_of(name: str, value: object) -> str | None:
     declared = PARAMETERS[name]
     if declared.is_read_only:
         return f"the parameter {name} is read-only"
-    wanted = type(declared.default)
-    if type(value) is not wanted:
-        return f"{name} is a {_NAMES[wanted]}, not a {_NAMES.get(type(value), type(value).__name__)}"
+    expected = type(declared.default)
+    if type(value) is not expected:
+        return f"{name} is a {_NAMES[expected]}, not a {_NAMES.get(type(value), type(value).__name__)}"
     least, greatest = declared.least, declared.greatest
     if (
         least is not None

@@ -256,14 +256,14 @@ def read_source(text: str) -> Start:
     if rest and not rest.startswith("?"):
         raise ValueError(f"{text!r} names no rover: write rover or {_EXAMPLE}")
     try:
-        given = parse_qsl(rest[1:], keep_blank_values=True, strict_parsing=bool(rest[1:]))
+        pairs = parse_qsl(rest[1:], keep_blank_values=True, strict_parsing=bool(rest[1:]))
     except ValueError as error:
         raise ValueError(f"the options of {text!r} cannot be read: write {_EXAMPLE}") from error
-    for name, _ in given:
+    for name, _ in pairs:
         if name not in _OPTIONS:
             raise ValueError(f"{name!r} is no option of the rover: there are {', '.join(_OPTIONS)}")
-    options = dict(given)
-    if len(options) < len(given):
+    options = dict(pairs)
+    if len(options) < len(pairs):
         raise ValueError(f"an option is given twice in {text!r}")
     start = Start()
     if "battery" in options:

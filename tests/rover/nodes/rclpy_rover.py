@@ -218,7 +218,7 @@ class Rover(Node):
     def say(self, name: str, each: Periodic | Latched) -> None:
         simulation = self.simulation
         view = View(simulation.state, simulation.settings, simulation.world, time.time_ns())
-        self.voices[name].publish(fill(class_of(each.type)(), each.say(view)))
+        self.voices[name].publish(fill(class_of(each.type)(), each.compose(view)))
 
 
 def main(source: str) -> None:

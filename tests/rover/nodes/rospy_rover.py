@@ -237,7 +237,7 @@ class Rover:
     def say(self, name, each):
         simulation = self.simulation
         view = View(simulation.state, simulation.settings, simulation.world, time.time_ns())
-        self.publishers[name].publish(fill(class_of(each.type)(), each.say(view)))
+        self.publishers[name].publish(fill(class_of(each.type)(), each.compose(view)))
 
 
 def main():

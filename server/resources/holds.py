@@ -43,7 +43,7 @@ from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema,
 from rosld.server.patches.patch import merge_patch
 from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
 from rosld.server.resources.named_resource import READ_ONLY, KeptResource
-from rosld.server.resources.publisher import Publisher
+from rosld.server.resources.publisher import PublishingResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
@@ -66,30 +66,20 @@ Find = Callable[[str], Resource]
 """The resource at a path below the base."""
 
 
-async def create_hold(
-    exchange: Exchange,
-    session: Session,
-    limit_checks: LimitChecks,
-    states: VersionCache[State],
-    holds: Holds,
-    name: str,
-    find: Find,
-) -> Answer:
+async def create_hold(exchange: Exchange, topic: PublishingResource, holds: Holds, find: Find) -> Answer:
     """Carry out a POST to a topic: hold it. Raises all refusals."""
+    session, name = topic.session, topic.name
     rate, (lease, is_timed) = _rate(exchange, session.limiter), _lease(exchange, session) or (LEASE, False)
-    publishing = Publisher(session, limit_checks, name)
-    if rate is None and not publishing.commands_velocity:
+    if rate is None and not topic.commands_velocity:
         raise Problem(400, f"Say how often the message is to be published: ?rate=10 for ten times a second ({_RATES}).")
     rate = rate or min(RATE, session.limiter.rate)
-    schema, message = await publishing.read_message(exchange)
-    await publishing.require_within_limits(schema, message)
-    asked = _command(session, publishing.name, schema, message, restamp=False)
-    then, then_asked = await _then(
-        exchange.query.get("then"), session, publishing, asked, _readable(session.space, find, exchange)
-    )
-    exchange.audit.add_step(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", session.space.topic(name))
+    schema, message = await topic.read_message(exchange)
+    await topic.require_within_limits(schema, message)
+    asked = _command(session, name, schema, message, restamp=False)
+    then, then_asked = await _then(exchange.query.get("then"), topic, asked, _readable(session.space, find, exchange))
+    exchange.audit.add_step(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", topic.url)
     begun = await holds.start(new_hold(name, exchange.agent, rate, lease, asked, then, then_asked, is_timed=is_timed))
-    resource = HoldResource(session, limit_checks, states, holds, begun.id, find)
+    resource = HoldResource(session, topic.limit_checks, topic.states, holds, begun.id, find)
     return CreatedAnswer(resource.url, resource, resource.state_of(begun))
 
 
@@ -265,14 +255,12 @@ class HoldResource(KeptResource[Hold]):
         """
         hold = self.require()
         require_holder(exchange, hold)
-        publishing = Publisher(self.session, self.limit_checks, hold.topic)
-        asked = await self._changed_message(exchange, publishing, hold)
+        topic = PublishingResource(self.session, self.limit_checks, self.states, hold.topic)
+        asked = await self._changed_message(exchange, topic, hold)
         then, then_asked = hold.release_message, hold.release_requested
         if "then" in exchange.query or (asked is not hold.message and then_asked == ZERO):
             words = exchange.query.get("then", then_asked)
-            then, then_asked = await _then(
-                words, self.session, publishing, asked, _readable(self.space, self._find, exchange)
-            )
+            then, then_asked = await _then(words, topic, asked, _readable(self.space, self._find, exchange))
         lease, is_timed = _lease(exchange, self.session) or (hold.lease, hold.is_timed)
         changed = replace(
             self.require(),
@@ -291,7 +279,7 @@ class HoldResource(KeptResource[Hold]):
         self.holds.renew(self.id, changed)
         return Response(status_code=204)
 
-    async def _changed_message(self, exchange: Exchange, publishing: Publisher, hold: Hold) -> HeldMessage:
+    async def _changed_message(self, exchange: Exchange, topic: PublishingResource, hold: Hold) -> HeldMessage:
         """Return the command after the change that a body asks for."""
         data = await exchange.body()
         if not data.strip():
@@ -302,9 +290,9 @@ class HoldResource(KeptResource[Hold]):
             patched = merge_patch(parse_json(present), parse_json(data))
             message = lowerer(schema, self.session.lifting).from_json(patched)
         else:
-            message = await publishing.message_of(exchange, schema, self.url)
-        await publishing.require_within_limits(schema, message)
-        return _command(self.session, publishing.name, schema, message, restamp=False)
+            message = await topic.message_of(exchange, schema, self.url)
+        await topic.require_within_limits(schema, message)
+        return _command(self.session, topic.name, schema, message, restamp=False)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """End the hold, and wait until what it ends with is published.
@@ -376,10 +364,10 @@ def _readable(space: Space, find: Find, exchange: Exchange) -> Find:
 
 
 async def _then(
-    asked: str | None, session: Session, publishing: Publisher, held: HeldMessage, find: Find
+    asked: str | None, topic: PublishingResource, held: HeldMessage, find: Find
 ) -> tuple[HeldMessage | None, str]:
     """Return the message at the end of a hold, and how it was requested; checked against limits and encoded."""
-    schema = held.schema
+    session, schema = topic.session, held.schema
     words = asked or (ZERO if schema.ref.name in TWISTS else NONE)
     if words == NONE:
         return None, NONE
@@ -389,14 +377,14 @@ async def _then(
             if words == ZERO
             else await _message_at(words, session.space, session.lifting, schema, find)
         )
-        await publishing.require_within_limits(schema, message)
+        await topic.require_within_limits(schema, message)
     except LoweringError as error:
         detail = f"?then={words[:500]}: {error}"
         raise Problem(422, detail, title="Does not fit", violations=error.violations) from error
     except Problem as problem:
         problem.detail = f"?then={words[:500]}: {problem.detail}"
         raise
-    return _command(session, publishing.name, schema, message, restamp=True), words
+    return _command(session, topic.name, schema, message, restamp=True), words
 
 
 async def _message_at(url: str, space: Space, lifting: LiftSettings, schema: MessageSchema, find: Find) -> Message:

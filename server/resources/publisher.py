@@ -12,12 +12,14 @@ from rosld.ontology.body import RdfBody, index_triples, parse_body, parse_json
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import lowerer
 from rosld.ontology.neutral_message import COMMANDS
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.patches.patch import apply_update, merge_patch
-from rosld.server.resources.limit_checks import LimitChecks, is_strict
+from rosld.server.resources.limit_checks import is_strict
 from rosld.server.resources.messages import decode
+from rosld.server.resources.named_resource import NamedResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH
 from rosld.server.robot.publication import (
@@ -28,7 +30,6 @@ from rosld.server.robot.publication import (
     prepare,
     publish,
 )
-from rosld.server.robot.session import Session
 
 
 def goes_on_response(exchange: Exchange, topic: str, topic_url: str) -> Response:
@@ -42,24 +43,17 @@ def goes_on_response(exchange: Exchange, topic: str, topic_url: str) -> Response
     return render(goes_on_problem(topic, topic_url), exchange.accept).response()
 
 
-class Publisher:
-    """Publishes on one topic. `plan` and `plan_patch` parse, find the type, lower and encode: nothing moves."""
+class PublishingResource(NamedResource[Topic]):
+    """A topic on which messages are published. `plan` and `plan_patch` parse, lower and encode: nothing moves."""
 
-    def __init__(self, session: Session, limit_checks: LimitChecks, name: str) -> None:
-        self.session = session
-        self.limit_checks = limit_checks
-        self.name = name
-        self.url = session.space.topic(name)
-
-    @property
-    def topic(self) -> Topic | None:
-        """The topic in the computation graph, None where there is none of that name."""
-        return self.session.graph.topics.get(self.name)
+    kind = shape = "Topic"
+    ros_kind = Kind.TOPIC
+    url_of = Space.topic
 
     @property
     def commands_velocity(self) -> bool:
         """Whether its messages are commands of velocities."""
-        topic = self.topic
+        topic = self.found
         return topic is not None and topic.type is not None and topic.type.name in COMMANDS
 
     async def plan(self, exchange: Exchange) -> Publication:
@@ -69,7 +63,7 @@ class Publisher:
 
     async def read_message(self, exchange: Exchange) -> tuple[MessageSchema, Message]:
         """The schema and the message in a body that was sent to the topic. Raises LoweringError, and Problems."""
-        data, topic = await exchange.body(), self.topic
+        data, topic = await exchange.body(), self.found
         if exchange.media_type == JSON:
             if topic is None:
                 raise Problem(
@@ -103,7 +97,7 @@ class Publisher:
 
         An update may name `#message` without its type: that is the topic's.
         """
-        topic, body, node = self.topic, index_triples(triples), NamedNode(f"{self.url}#message")
+        topic, body, node = self.found, index_triples(triples), NamedNode(f"{self.url}#message")
         schema = await self._schema_for(topic, body)
         if node in body.subjects and not body.objects(node, rdf.type):
             class_ = NamedNode(self.session.space.class_of(schema.ref.name))
@@ -119,7 +113,7 @@ class Publisher:
         view = await self.session.topics.read(self.name)
         if view.newest is None:
             raise Problem(409, f"{self.name} has no message yet that a PATCH could change; PUT one.")
-        data, topic = await exchange.body(), self.topic
+        data, topic = await exchange.body(), self.found
         base = await decode(self.session.schemas, view.newest)
         if base.schema is None or base.message is None:
             raise Problem(409, f"The latest message of {self.name} cannot be read: {base.reason}.")
@@ -190,7 +184,7 @@ class Publisher:
 
         A velocity that goes on is 200 with a warning where the client accepts a type in particular.
         """
-        is_new = self.topic is None
+        is_new = self.found is None
         published = await publish(self.session, publication)
         if is_new:
             return Response(status_code=201, headers={"Location": self.url})

@@ -20,7 +20,6 @@ from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
-from rosld.ontology.urls import Space
 from rosld.server.history.history import History
 from rosld.server.html.forms import DeleteForm, Form, message_form
 from rosld.server.html.inputs import Json
@@ -64,8 +63,7 @@ from rosld.server.resources.messages import (
     require_cloud,
     require_picture,
 )
-from rosld.server.resources.named_resource import NamedResource
-from rosld.server.resources.publisher import Publisher
+from rosld.server.resources.publisher import PublishingResource
 from rosld.server.resources.series import PARAMETERS, require_history, series_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
@@ -86,12 +84,9 @@ _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
 _LATCH = QueryParameter("latch", "Whether subscribers that come later get the message.", {"type": "boolean"})
 
 
-class TopicResource(NamedResource[Topic]):
+class TopicResource(PublishingResource):
     """One topic."""
 
-    kind = shape = "Topic"
-    ros_kind = Kind.TOPIC
-    url_of = Space.topic
     accepts: Mapping[str, Sequence[str]] = {
         "PUT": (*RDF_BODIES, JSON),
         "PATCH": (MERGE_PATCH, SPARQL_UPDATE),
@@ -115,7 +110,6 @@ class TopicResource(NamedResource[Topic]):
         self.history = history
         self.holds = holds
         self.pictures = pictures
-        self._publishing = Publisher(session, limit_checks, name)
         self._allowed: tuple[Graph, frozenset[str], str | None] | None = None
 
     async def prepare(self) -> None:
@@ -134,16 +128,40 @@ class TopicResource(NamedResource[Topic]):
             (PICTURE_FORMAT, FIELD, *PARAMETERS, *TIMEMAP, *PICTURE_PARAMETERS)
             if self.is_picture
             else (*(CLOUD_PARAMETERS if self.is_cloud else (FORMAT,)), FIELD, *PARAMETERS, *TIMEMAP),
-            _writes(
-                topic,
-                schema,
-                schemas,
-                commands_velocity=self._publishing.commands_velocity,
-                hold_time=self.session.settings.hold_time,
-            ),
+            self._writes(schema, schemas),
             has_shape=topic is not None and topic.type is not None,
             methods=methods | {"DELETE"} if "PUT" in methods else methods,  # once rosld publishes
         )
+
+    def _writes(self, schema: MessageSchema | None, schemas: MessageSchemas) -> Mapping[str, WriteMethod]:
+        """Return the request and response of each method that writes; `schema` is None for an unknown type."""
+        sent, patch = schemas.write(schema), OBJECT
+        if schema is not None:
+            patch = patch_schema(message_schema(schema, schemas.lifting, read=False, sent=True))
+        hold = hold_parameters(self.session.settings.hold_time, "" if self.commands_velocity else "rate")
+        publishes = "Publishes a message."
+        if self.found is None:
+            publishes = "Makes a topic that is not there yet: RDF that states the type of the message."
+        return {
+            "PUT": WriteMethod(publishes, sent, done=(200, 201, 202, 204), query=(*STRICTNESS, _LATCH)),
+            "PATCH": WriteMethod(
+                "Publishes the latest message with changes.",
+                patch,
+                done=(200, 202, 204),
+                query=(_LATCH,),
+            ),
+            "POST": WriteMethod(
+                "Holds the topic: publishes the message `rate` times a second while the lease is renewed, or `for` a "
+                "time.",
+                sent,
+                done=(201,),
+                shows=hold_schema(schemas, schema),
+                query=(*STRICTNESS, *hold),
+            ),
+            "DELETE": WriteMethod(
+                "Stops to advertise the topic; 405 while this server does not advertise it.", done=(204,)
+            ),
+        }
 
     def methods(self) -> frozenset[str]:
         return self._allowance()[1]
@@ -411,7 +429,7 @@ class TopicResource(NamedResource[Topic]):
             raise self.not_allowed("PUT", 403)
         if triples is None:
             raise Problem(403, f"{self.name} is there for as long as a node has it: it cannot be dropped.")
-        publication = await self._publishing.plan_graph(triples)
+        publication = await self.plan_graph(triples)
 
         async def carried_out() -> bool:
             return (await publish(self.session, publication)).matched > 0
@@ -420,23 +438,21 @@ class TopicResource(NamedResource[Topic]):
 
     async def put(self, exchange: Exchange) -> Answer:
         """Publish the message in the body: 204, 202 where no subscriber is there, 201 where this made the topic."""
-        return await self._publishing.carry_out(await self._publishing.plan(exchange), exchange)
+        return await self.carry_out(await self.plan(exchange), exchange)
 
     async def post(self, exchange: Exchange) -> Answer:
         """Hold the topic: publish the message in the body again and again while the lease is renewed.
 
         Answers 201 with the hold.
         """
-        return await create_hold(
-            exchange, self.session, self.limit_checks, self.states, self.holds, self.name, self._find
-        )
+        return await create_hold(exchange, self, self.holds, self._find)
 
     async def patch(self, exchange: Exchange) -> Answer:
         """Publish the latest message with the changes of a patch. Raises a 428 Problem without If-Match."""
         require_if_match(exchange.header("if-match"), "PATCH changes the latest message, which changes often.")
         description = (await self.state()).document.triples
-        publication = await self._publishing.plan_patch(exchange, description)
-        return await self._publishing.carry_out(publication, exchange)
+        publication = await self.plan_patch(exchange, description)
+        return await self.carry_out(publication, exchange)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Stop advertising the topic."""
@@ -451,41 +467,3 @@ def _writing_methods(graph: Graph, name: str) -> frozenset[str]:
     is_advertised = any(endpoint.node == graph.own_node for endpoint in topic.publishers)
     methods = frozenset({"PUT", "PATCH"} if topic.type is None else {"PUT", "PATCH", "POST"})
     return methods | {"DELETE"} if is_advertised else methods
-
-
-def _writes(
-    topic: Topic | None,
-    schema: MessageSchema | None,
-    schemas: MessageSchemas,
-    *,
-    commands_velocity: bool,
-    hold_time: float,
-) -> Mapping[str, WriteMethod]:
-    """What each method that writes to a topic does and takes, for the description of the API.
-
-    `topic` is None for one that is not there, `schema` where the type of its messages is not known; `hold_time` is the
-    longest that a hold may be asked to last.
-    """
-    sent = schemas.write(schema)
-    publishes = "Publishes a message."
-    if topic is None:
-        publishes = "Makes a topic that is not there yet: RDF that states the type of the message."
-    return {
-        "PUT": WriteMethod(publishes, sent, done=(200, 201, 202, 204), query=(*STRICTNESS, _LATCH)),
-        "PATCH": WriteMethod(
-            "Publishes the latest message with changes.",
-            OBJECT if schema is None else patch_schema(message_schema(schema, schemas.lifting, read=False, sent=True)),
-            done=(200, 202, 204),
-            query=(_LATCH,),
-        ),
-        "POST": WriteMethod(
-            "Holds the topic: publishes the message `rate` times a second while the lease is renewed, or `for` a time.",
-            sent,
-            done=(201,),
-            shows=hold_schema(schemas, schema),
-            query=(*STRICTNESS, *hold_parameters(hold_time, "" if commands_velocity else "rate")),
-        ),
-        "DELETE": WriteMethod(
-            "Stops to advertise the topic; 405 while this server does not advertise it.", done=(204,)
-        ),
-    }

@@ -130,7 +130,7 @@ async def used_in(seconds: float) -> float:
 
 
 async def look(options: argparse.Namespace) -> dict[str, float]:
-    """rosld's adapter: its processor time before and while it is subscribed to all topics, then looks, then memory."""
+    """Print the CPU time of rosld's adapter before and while it subscribes to all topics, then its memory."""
     from rosld.adapters.base import AdapterOptions
     from rosld.adapters.ros2 import adapter
 

@@ -1,6 +1,6 @@
-"""How tests run; and with CI=true none may be skipped.
+"""Configuration of test runs; with CI=true no test may be skipped.
 
-What is missing must be installed then, or the run fails and says what it is.
+A missing dependency then fails the run with its name.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from tests.forked import fork_query_process
 settings.register_profile("whole", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("quick", settings.get_profile("whole"), max_examples=20)
 settings.load_profile("whole")
-"""How long an example takes, to make or to try, is no test: hypothesis' limits of time fail on a busy machine."""
+"""hypothesis' limits of time are disabled, as they fail on a busy machine."""
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
-"""Hundreds of servers are started: one that must compile its modules takes 1.6 times the CPU until it answers."""
+"""Hundreds of servers are started: one that must compile its modules needs 1.6 times the CPU until it answers."""
 
 vars(client)["spawn"] = fork_query_process
-"""A test's own server runs in the test's process: its query process, which takes twice as long to start, is forked."""
+"""A test's own server runs in the test's process; its query process, which takes twice as long to start, is forked."""
 
 vars(httpx_transport)["create_ssl_context"] = functools.cache(httpx.create_ssl_context)
-"""Every client and every `httpx.get` makes one, which takes 30 ms of CPU: most of what a server on a thread does."""
+"""Every client and every `httpx.get` creates one, which takes 30 ms of CPU: most of the work of a server thread."""
 
 NOTHING_SKIPPED = os.environ.get("CI", "").lower() == "true"
 
@@ -62,7 +62,7 @@ def refuse_processes(event: str, arguments: tuple[object, ...]) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave out files of slow tests unread: to import them takes long, too."""
+    """Do not import files of slow tests, as that takes long, too."""
     quick = config.option.quick and collection_path.suffix == ".py"
     return True if quick and SLOW.search(collection_path.read_text("utf-8")) else None
 
@@ -75,7 +75,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
-    """Run a test that is a coroutine on a loop of its own, for three minutes at most."""
+    """Run a test that is a coroutine on its own loop, for three minutes at most."""
     if not inspect.iscoroutinefunction(pyfuncitem.obj):
         return None
     arguments = {name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}

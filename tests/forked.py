@@ -1,8 +1,8 @@
 """`rosld` and its query process in forks of a process that has imported them.
 
-A server takes a fifth of the CPU until it answers, a query process a tenth. They are the same programs otherwise, each
-with a process, a main thread and descriptors of its own. The command itself is run by tests of the command line, and
-whatever runs as a process of its own starts its query process as it does everywhere.
+A server needs a fifth of the CPU until it answers, a query process a tenth. Otherwise they are the same programs, each
+with its own process, main thread and descriptors. Tests of the command line run the command itself, and every other
+separate process starts its query process in the usual way.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _CONTEXT.set_forkserver_preload(["tests.forked_imports"])
 
 
 class _Descriptor:
-    """A file descriptor that a fork is given."""
+    """A file descriptor passed to a fork."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -65,7 +65,7 @@ def _run_query_process(connection: _Descriptor, status: _Descriptor, test: str) 
 
 
 class ForkedProcess:
-    """A process that runs, with what is used of `subprocess.Popen`."""
+    """A running process, with the used part of the interface of `subprocess.Popen`."""
 
     def __init__(self, process: multiprocessing.process.BaseProcess, *args: str) -> None:
         self.args = args
@@ -82,11 +82,11 @@ class ForkedProcess:
         return self._process.exitcode
 
     def poll(self) -> int | None:
-        """Its exit code, None while it runs; what ended by a signal has that number, negative."""
+        """Return its exit code, None while it runs, or the negative number of a signal."""
         return self._process.exitcode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Its exit code once it has ended; raise `subprocess.TimeoutExpired`."""
+        """Return its exit code once it has ended; raise `subprocess.TimeoutExpired`."""
         self._process.join(timeout)
         if self._process.exitcode is None:
             raise subprocess.TimeoutExpired(self.args, timeout or 0)
@@ -95,16 +95,16 @@ class ForkedProcess:
     def send_signal(self, number: signal.Signals) -> None:
         """Send it a signal, unless it has ended."""
         if self.poll() is None:
-            with suppress(ProcessLookupError):  # it has just ended, of which nobody has told yet
+            with suppress(ProcessLookupError):  # it has just ended, which has not been reported yet
                 os.kill(self.pid, number)
 
     def kill(self) -> None:
-        """End it as a crash would."""
+        """Kill it, as a crash would."""
         self.send_signal(signal.SIGKILL)
 
 
 class ForkedCommand(ForkedProcess):
-    """`rosld` with these arguments; what it prints is in `stdout`."""
+    """`rosld` with these arguments; its output is in `stdout`."""
 
     def __init__(self, *arguments: str) -> None:
         sys.audit("subprocess.Popen", "rosld", arguments, None, None)
@@ -121,7 +121,7 @@ class ForkedCommand(ForkedProcess):
 
 
 def fork_query_process() -> SpawnedProcess:
-    """In place of `rosld.server.sparql.process.connection.spawn`."""
+    """Replacement of `rosld.server.sparql.process.connection.spawn`."""
     ours, theirs = socket.socketpair()
     with theirs, tempfile.TemporaryFile() as file:
         file.truncate(SharedStatus.SIZE)

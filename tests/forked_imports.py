@@ -1,4 +1,4 @@
-"""What every server and query process imports, imported once for all that are forked."""
+"""Imports of every server and query process, executed once for all forks."""
 
 import gc
 
@@ -11,4 +11,4 @@ import rosld.server.cli.serve
 import rosld.server.sparql.process.keeper  # noqa: F401
 
 gc.collect()
-gc.freeze()  # what is shared is not written to by each collection
+gc.freeze()  # keeps garbage collections from writing to shared pages

@@ -1,4 +1,4 @@
-"""An adapter that is open on a real system, and what it told, for the tests of an adapter."""
+"""An open adapter on a real system and its events, for the tests of an adapter."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rosld.adapters.model import GoalEvent, GoalId, Graph, MessageSchema, Sample
 
 
 class Told:
-    """A sink that keeps what it was told."""
+    """A sink that records events."""
 
     def __init__(self) -> None:
         self.graphs: list[Graph] = []
@@ -30,7 +30,7 @@ class Told:
 
 
 class Session:
-    """An open adapter with the waiting that tests need."""
+    """An open adapter with the waits that tests need."""
 
     def __init__(self, opened: Adapter, told: Told) -> None:
         self.adapter = opened
@@ -78,7 +78,7 @@ class Session:
         return found
 
     async def first(self, subscription: Subscription, count: int = 1) -> list[Sample]:
-        """The newest samples, once there are as many as this."""
+        """Return the newest samples, once there are this many."""
         await self.until(lambda: len(subscription.latest()) >= count, f"{count} samples")
         return list(subscription.latest())
 

@@ -1,4 +1,4 @@
-"""What a node declares of a parameter: types that values fit, ranges and their steps."""
+"""Declarations of parameters by nodes: matching types of values, ranges and their steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Default values of fields in definitions of ROS 2: read as ROS 2's own parser of them reads them."""
+"""Default values of fields in ROS 2 definitions: parsed as by ROS 2's own parser."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ WITHOUT = (
     "std_msgs/Header x 5",
     "std_msgs/Header[] x []",
 )
-"""Fields with what ROS 2 refuses to build."""
+"""Fields that ROS 2 refuses to build."""
 _PARSED_BY_ROS = """
 import json, sys
 from rosidl_adapter.parser import parse_message_string
@@ -74,7 +74,7 @@ def learnt(definition: str, version: Any = 2, name: str = "made_up/msg/Thing") -
 
 
 def defaults(schema: MessageSchema) -> dict[str, object]:
-    """The defaults of a message's fields, arrays as lists."""
+    """Return the defaults of a message's fields, arrays as lists."""
     return {
         one.name: list(one.default) if isinstance(one.default, tuple) else one.default for one in schema.type.fields
     }

@@ -31,7 +31,7 @@ PUBLISHED = {
     "turtlesim/msg/Pose": "863b248d5016ca62ea2e895ae5265cf9",
     "turtlesim/srv/Spawn": "0b2d2e872a8e2887d5ed626f2bf2c561",
 }
-"""MD5s as seen in recordings and headers of packages that Debian does not have."""
+"""MD5 sums from recordings and headers of packages that Debian lacks."""
 
 SAYS = """
 import importlib, json, sys
@@ -80,7 +80,7 @@ HASHES = {
     "std_srvs/srv/Trigger_Request": "d010825374ce8918e72bfd826c82603e60f45419e932ea976f807b74a863a199",
     "std_srvs/srv/Trigger_Response": "2d946c21e2fc3f1e9ca6986a8191d85fcc70097a8bb7771a053564bc47009cdf",
 }
-"""As ROS 2 ships them, and as the endpoints of a node of Jazzy tell those that are derived."""
+"""As shipped with ROS 2 and, for derived types, as reported by the endpoints of a node of Jazzy."""
 
 
 @pytest.fixture(scope="module")

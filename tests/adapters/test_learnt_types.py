@@ -1,4 +1,4 @@
-"""Types that were learnt from the robot: what they nest is known as well, and ROS 2's descriptions are read."""
+"""Types fetched from the robot: their nested types are known as well, and ROS 2's descriptions are parsed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from rosld.adapters.model import ActionSchema, Array, MessageSchema, Primitive, ServiceSchema, TypeRef, UnknownType
 from rosld.adapters.model.description import definition_of
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
-from rosld.adapters.model.rihs import DUMMY, describe_type  # the same structure, by which hashes are made
+from rosld.adapters.model.rihs import DUMMY, describe_type  # the same structure, which determines the hash
 
 GRIP = f"""Tip left
 Tip right
@@ -85,7 +85,7 @@ class Described:
 
 
 def described(schema: MessageSchema) -> Iterator[Described]:
-    """A schema as a node would describe it."""
+    """Return a schema as a node would describe it."""
     for kind in schema.types.values():
         told = describe_type(kind)
         fields = [Field(each["name"], FieldType(**each["type"])) for each in told["fields"]]  # type: ignore[attr-defined]

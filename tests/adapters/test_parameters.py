@@ -1,4 +1,4 @@
-"""Parameter trees as the master of ROS 1 keeps them."""
+"""Parameter trees as stored by the master of ROS 1."""
 
 from __future__ import annotations
 

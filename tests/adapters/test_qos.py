@@ -1,4 +1,4 @@
-"""Profiles as text, and what of two qualities of service does not fit together (DDS 1.4, 2.2.3)."""
+"""Profiles as text, and incompatibilities of two qualities of service (DDS 1.4, 2.2.3)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slots: the newest samples of each publisher, and the wakes of those who wait."""
+"""Slots: the newest samples of each publisher, and the notification of waiting tasks."""
 
 from __future__ import annotations
 

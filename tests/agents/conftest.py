@@ -16,13 +16,13 @@ from tests.server.conftest import start_server
 from tests.waiting import until
 
 __all__ = ["start_server"]
-"""The fixture that starts servers; it belongs to the server's tests."""
+"""Fixture that starts servers, from the tests of the server."""
 
 HERE = Path(__file__).parent
 
 
 class Aircraft:
-    """An aircraft behind a server. Its plain services, which no mapping guards, stand for another client."""
+    """An aircraft behind a server. Its plain services, which no mapping guards, simulate another client."""
 
     def __init__(self, served: Any) -> None:
         self.url: str = served.url
@@ -44,7 +44,7 @@ class Aircraft:
         return float(read["data"])
 
     def place(self, power: str, speed: float = 0.0) -> None:
-        """Bring it into a state: off, or on and at a speed."""
+        """Set its state: off, or on and at a speed."""
         if self.power == "on":
             self.call("engine/set_speed", data=0.0)
             until(lambda: self.speed == 0.0, "rest")
@@ -70,14 +70,14 @@ def aircraft(served_aircraft: Aircraft) -> Aircraft:
 
 @pytest.fixture(scope="session")
 def node() -> ModuleType:
-    """Node, where there is one."""
+    """Node.js, if it is installed."""
     tests.agents.node.require_node()
     return tests.agents.node
 
 
 @pytest.fixture(scope="session")
 def run_node(node: ModuleType) -> Callable[..., tuple[int, list[Any]]]:
-    """Runs a script of this folder on Node: its exit code, and the lines of JSON that it printed."""
+    """Return a function that runs a script of this folder on Node: its exit code and the JSON lines that it printed."""
 
     def run(script: str, *arguments: str) -> tuple[int, list[Any]]:
         command = node.node(HERE / script, *arguments)

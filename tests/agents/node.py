@@ -1,6 +1,6 @@
-"""Node for tests: the packages of package.json, installed once into `node_modules` beside this file.
+"""Node for tests: the packages of package.json, installed once into `node_modules` next to this file.
 
-Where they come from is npm's own configuration; how they are installed, `.npmrc` says. The W3C's JSON Schema of Thing
+npm's own configuration determines the registry, and `.npmrc` the installation. The W3C's JSON Schema of Thing
 Descriptions is `node_modules() / "wot-thing-description-types/schema/td-json-schema-validation.json"`.
 """
 
@@ -26,7 +26,7 @@ PATIENCE = 300.0
 
 
 def require_node() -> None:
-    """Skip, saying what to install, where there is no Node with npm; fail instead under CI."""
+    """Skip the test, with a hint what to install, without Node and npm; fail instead under CI."""
     if shutil.which("node") is None or shutil.which("npm") is None:
         _missing(f"no Node here: apt-get install --no-install-recommends {' '.join(DEBIAN.read_text().split())}")
     version = subprocess.run(["node", "--version"], capture_output=True, text=True, check=True).stdout.strip()
@@ -35,7 +35,7 @@ def require_node() -> None:
 
 
 def node_modules() -> Path:
-    """The folder of the installed packages. It is filled the first time, and again when package.json has changed."""
+    """Return the folder of the packages, which are installed at first use and again when package.json changes."""
     require_node()
     FOLDER.mkdir(exist_ok=True)
     with _locked(FOLDER / ".lock"):
@@ -51,14 +51,14 @@ def node_modules() -> Path:
 
 
 def node(script: Path, *arguments: str) -> Sequence[str]:
-    """The command that runs a script beside this file, with its packages installed."""
+    """Return the command that runs a script next to this file, with its packages installed."""
     node_modules()
     return ["node", str(script), *arguments]
 
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """One process at a time; the lock ends with the process, however it ends."""
+    """Hold a lock between processes, which ends with the process in any case."""
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

@@ -2,8 +2,8 @@
 
     python pilot.py http://127.0.0.1:8080/
 
-It knows vocabularies and no paths: every URL comes from a link or a form, every body is held against its shape before
-it is sent, and what is not offered is not asked for. What it decides is pure; `Web` alone speaks HTTP.
+It knows vocabularies and no paths: every URL is from a link or a form, every body is validated against its shape before
+it is sent, and only operations on offer are requested. Its decisions are pure; only `Web` speaks HTTP.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ HTV = Namespace("http://www.w3.org/2011/http#")
 TURTLE = "text/turtle"
 CRUISE = 500.0
 OTHERS_WERE_FIRST = frozenset({404, 409, 412, 422, 429, 503, 504})
-"""What is answered when the state is no longer the one that was seen: look again."""
+"""Statuses of requests whose precondition no longer holds: read the state again."""
 
 Tell: TypeAlias = Callable[[str], None]
 
 
 class Lost(Exception):
-    """No way on; its text says why."""
+    """The pilot cannot continue; the message says why."""
 
 
 class Forbidden(Lost):
-    """A value that the shape does not let through: it is not sent."""
+    """A value that violates the shape and is not sent."""
 
 
-# What is read in a representation
+# Parts of a representation
 
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """How an operation is carried out: a request and the media type of its body."""
+    """A form of an operation: a request and the media type of its body."""
 
     method: str
     target: str
@@ -59,7 +59,7 @@ class Form:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demand:
-    """What a shape, found in a graph, demands of a resource that has one value of `datatype` at `path`."""
+    """Constraints of a shape in a graph on a resource with one value of `datatype` at `path`."""
 
     graph: Graph
     shape: Node
@@ -67,7 +67,7 @@ class Demand:
     datatype: URIRef
 
     def body(self, target: str, value: float) -> str:
-        """The value as Turtle. Raises Forbidden where the shape does not let it through."""
+        """Return the value as Turtle. Raises Forbidden if it violates the shape."""
         subject = URIRef(target)
         body = Graph().add((subject, self.path, Literal(str(value), datatype=self.datatype)))
         permissions = Graph() + self.graph
@@ -80,7 +80,7 @@ class Demand:
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """Something that can be set: the form, and the shape of what to send."""
+    """A writable property: the form, and the shape of the body."""
 
     form: Form
     demand: Demand
@@ -88,7 +88,7 @@ class Control:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The aircraft as its representations show it; None is what is not there, or not on offer."""
+    """The aircraft as its representations show it; None for a part that is missing or not on offer."""
 
     power: str | None = None
     speed: float | None = None
@@ -98,7 +98,7 @@ class Seen:
 
 
 def form_of(graph: Graph, affordance: Node | None, operation: URIRef) -> Form | None:
-    """The form of an affordance for an operation, for bodies of Turtle; None where there is none."""
+    """Return the form of an affordance for an operation, for bodies of Turtle, or None."""
     for form in graph.objects(affordance, TD.hasForm):
         if (form, HCTL.hasOperationType, operation) in graph and (form, HCTL.forContentType, Literal(TURTLE)) in graph:
             method, target = graph.value(form, HTV.methodName), graph.value(form, HCTL.hasTarget)
@@ -108,14 +108,14 @@ def form_of(graph: Graph, affordance: Node | None, operation: URIRef) -> Form | 
 
 
 def action(graph: Graph, resource: URIRef, relation: URIRef) -> Form | None:
-    """How to invoke what a resource leads to by a relation; None while that is not on offer."""
+    """Return how to invoke the target of a relation; None if it is not on offer."""
     if (resource, relation, None) not in graph:
         return None
     return form_of(graph, graph.value(predicate=MAP.relation, object=relation), TD.invokeAction)
 
 
 def control(graph: Graph, predicate: URIRef) -> Control | None:
-    """How to set the property of a predicate; None where it cannot be set now, or by no shape that is understood."""
+    """Return how to set the property of a predicate; None if it cannot be set now, or if its shape is unknown."""
     affordance = graph.value(predicate=MAP.predicate, object=predicate)
     form = form_of(graph, affordance, TD.writeProperty)
     demand = demanded(graph, graph.value(affordance, ROS.shape))
@@ -123,7 +123,7 @@ def control(graph: Graph, predicate: URIRef) -> Control | None:
 
 
 def demanded(graph: Graph, shape: Node | None) -> Demand | None:
-    """What a shape of a single literal demands."""
+    """Return the constraints of a shape of a single literal."""
     part = graph.value(shape, SH.property)
     path, datatype = graph.value(part, SH.path), graph.value(part, SH.datatype)
     if shape is None or not isinstance(path, URIRef) or not isinstance(datatype, URIRef):
@@ -132,16 +132,16 @@ def demanded(graph: Graph, shape: Node | None) -> Demand | None:
 
 
 def number(term: Node | None) -> float | None:
-    """A literal as a number."""
+    """Return a literal as a number."""
     return None if term is None else float(str(term))
 
 
-# What is decided
+# Decisions
 
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """What the pilot remembers: the speed to reach, whether it was, what it has ordered, the speed it saw last."""
+    """The pilot's state: the speed to reach, whether it was reached, its last order, the last observed speed."""
 
     cruise: float = CRUISE
     cruised: bool = False
@@ -150,13 +150,13 @@ class Flight:
 
     @property
     def wanted(self) -> float:
-        """The speed to go for: first the cruise, then rest."""
+        """The target speed: first the cruise, then rest."""
         return 0.0 if self.cruised else self.cruise
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Wait a moment and look again."""
+    """Wait a moment and read again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,14 +176,14 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Landed:
-    """Flown and stopped."""
+    """The flight is over and the aircraft stopped."""
 
 
 Step: TypeAlias = Look | Invoke | Order | Landed
 
 
 def noted(flight: Flight, seen: Seen) -> Flight:
-    """What is remembered after a look. An order that somebody else has overruled is forgotten: it is given again."""
+    """Return the state after an observation. An order overruled by another client is forgotten, and given again."""
     if seen.speed is None:
         return replace(flight, ordered=None, speed=None)
     if not flight.cruised and seen.speed == flight.cruise:
@@ -193,7 +193,7 @@ def noted(flight: Flight, seen: Seen) -> Flight:
 
 
 def decide(flight: Flight, seen: Seen) -> Step:
-    """The next step: one of those on offer that leads on, else another look."""
+    """Return the next step: a useful one on offer, or else another observation."""
     if flight.cruised and seen.power == "off":
         return Landed()
     if not flight.cruised and seen.start is not None:
@@ -207,7 +207,7 @@ def decide(flight: Flight, seen: Seen) -> Step:
     return Look()
 
 
-# What is done
+# HTTP
 
 
 class Web:
@@ -218,7 +218,7 @@ class Web:
         self._tell = tell
 
     def read(self, url: str) -> Graph | None:
-        """A resource's representation; None where there is nothing (404)."""
+        """Return a resource's representation; None if it does not exist (404)."""
         answer = self._http.get(url, headers={"Accept": TURTLE})
         if answer.status_code in OTHERS_WERE_FIRST:
             return None
@@ -227,7 +227,7 @@ class Web:
         return Graph().parse(data=answer.text, format="turtle", publicID=url)
 
     def send(self, form: Form, body: str = "") -> bool:
-        """Carry out a form; False where it was refused because the state is another by now."""
+        """Carry out a form; return False if it was refused because the state has changed."""
         headers = {"Content-Type": form.media_type} if body else {}
         answer = self._http.request(form.method, form.target, content=body, headers={"Accept": TURTLE, **headers})
         self._tell(f"{form.method} {form.target} {answer.status_code}")
@@ -239,7 +239,7 @@ class Web:
 
 
 def found(web: Web, entry: str) -> str:
-    """The aircraft: the complex resource, by links from the entry, that has power or can be started."""
+    """Return the aircraft: the complex resource, linked from the entry, that has power or can be started."""
     waiting, known = list(rooms(web, entry)), set[str]()
     while waiting:
         url = waiting.pop(0)
@@ -255,7 +255,7 @@ def found(web: Web, entry: str) -> str:
 
 
 def rooms(web: Web, entry: str) -> Iterator[str]:
-    """What the entry contains; first what it says to be complex resources."""
+    """Yield the containers in the entry, complex resources first."""
     graph = web.read(entry)
     if graph is not None:
         inside = list(graph.objects(URIRef(entry), LDP.contains))
@@ -264,7 +264,7 @@ def rooms(web: Web, entry: str) -> Iterator[str]:
 
 
 def looked(web: Web, aircraft: str) -> Seen:
-    """The aircraft, and its engine where it leads to one."""
+    """Return the aircraft, and its engine if it links to one."""
     graph = web.read(aircraft)
     if graph is None:
         return Seen()
@@ -290,7 +290,7 @@ def fly(
     pause: float = 0.2,
     patience: float = 60.0,
 ) -> None:
-    """Fly, telling each step. Raises Lost where there is no way on, within `patience` seconds."""
+    """Fly, reporting each step. Raises Lost if it cannot continue within `patience` seconds."""
     web, flight, until = Web(http, tell), Flight(cruise), time.monotonic() + patience
     aircraft = found(web, entry)
     tell(f"found {aircraft}")

@@ -1,4 +1,4 @@
-"""What agents are made of: vocabularies, none of the server's paths, and packages of exact versions."""
+"""Dependencies of agents: vocabularies, none of the server's paths, and packages of exact versions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The agent in Python: it knows the entry URL and vocabularies, and flies by what is offered."""
+"""The agent in Python: it knows the entry URL and vocabularies, and flies with the operations on offer."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ pytestmark = pytest.mark.slow
 
 
 class Log(list[str]):
-    """What a pilot told."""
+    """The log of a pilot."""
 
     @property
     def writes(self) -> list[tuple[str, str, int]]:
-        """Its unsafe requests: the method, the last part of the target, the status."""
+        """Return its unsafe requests: the method, the last part of the target, the status."""
         told = [line.split() for line in self if line.startswith(("POST", "PUT"))]
         return [(method, target.rpartition("/")[2], int(status)) for method, target, status in told]
 
 
 def fly(aircraft: Aircraft, http: httpx.Client | None = None, **options: Any) -> Log:
-    """Fly, as told in the log."""
+    """Fly, and return the log."""
     log = Log()
     with http or httpx.Client(timeout=15) as client:
         pilot.fly(client, aircraft.url, tell=log.append, **options)
@@ -56,7 +56,7 @@ def test_what_the_shape_forbids_is_not_sent(aircraft: Aircraft) -> None:
 
 
 class Meddler:
-    """Somebody else who does something once, just before a request of the pilot's arrives."""
+    """Another client that intervenes once, just before a request of the pilot arrives."""
 
     def __init__(self, method: str, last: str, act: Any) -> None:
         self.method, self.last, self.act, self.done = method, last, act, False
@@ -67,7 +67,7 @@ class Meddler:
             self.act()
 
     def client(self) -> httpx.Client:
-        """A client whose requests it watches."""
+        """Return a client whose requests it observes."""
         return httpx.Client(timeout=15, event_hooks={"request": [self]})
 
 

@@ -15,12 +15,12 @@ PILOT = "http://example.org/pilot#"
 
 
 def cruise(speed: float) -> str:
-    """The mission, as a fact."""
+    """Return the mission as a fact."""
     return f"<{PILOT}Cruise> <{PILOT}speed> {speed:g} ."
 
 
 def steps(lines: list[Any]) -> list[tuple[str, str]]:
-    """What was written and remembered, repetitions left out: the last part of the URL, and the body or the status."""
+    """Return the writes without repetitions: the last part of the URL, and the body or the status."""
     told = [
         (line["remembered"].removeprefix(PILOT), "")
         if "remembered" in line

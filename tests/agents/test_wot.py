@@ -1,4 +1,4 @@
-"""node-wot, a Web of Things client made by others, on the Thing Descriptions."""
+"""node-wot, a third-party client of the Web of Things, with the Thing Descriptions."""
 
 from __future__ import annotations
 

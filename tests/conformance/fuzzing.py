@@ -1,4 +1,4 @@
-"""Fuzzing: how many examples are sent in a run, and which."""
+"""Fuzzing: number and choice of examples in a run."""
 
 from __future__ import annotations
 

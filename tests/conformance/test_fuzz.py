@@ -1,7 +1,7 @@
-"""Whatever is sent, the answer is one that `/openapi.json` tells of: no failure of the server, no endless wait.
+"""Fuzzing: every response is one that `/openapi.json` describes, without internal errors and endless waits.
 
-What is sent is made from the description, and, header by header, path by path, from what clients get wrong. The same
-is sent in each run; more of it with `ROSLD_FUZZ_EXAMPLES` (100), other things with `ROSLD_FUZZ_SEED` (0).
+Requests are generated from the description and, header by header and path by path, from common mistakes of clients.
+Each run sends the same requests; `ROSLD_FUZZ_EXAMPLES` (100) sends more, `ROSLD_FUZZ_SEED` (0) others.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ pytestmark = pytest.mark.slow
 
 JSON = ("Content-Type", "application/json")
 PATIENCE = 15.0
-"""Seconds in which every answer has come: a service has 10 at most."""
+"""Maximum duration of a response in seconds: a service has 10 at most."""
 
-# The server, and what may be answered
+# The server and its possible responses
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Answer:
 
 
 class Connection(http.client.HTTPConnection):
-    """Sends what it is given: paths and methods that no proper client sends, too."""
+    """A connection that sends any bytes, including paths and methods that no proper client sends."""
 
     def _validate_path(self, url: str) -> None:
         pass
@@ -74,7 +74,7 @@ class Server:
     def send(
         self, method: str, path: str, headers: Iterable[tuple[str, str]] = (), body: bytes | None = None
     ) -> Answer:
-        """The answer to a request; of an event stream the beginning."""
+        """Return the response to a request; of an event stream the beginning."""
         pairs = list(headers)
         for last in (False, True):
             fresh = self._connection.sock is None
@@ -104,14 +104,14 @@ class Server:
         return Answer(answer.status, found, answer.read())
 
     def judge(self, at: str, method: str, answer: Answer) -> None:
-        """Assert that the description tells of this answer to the operation at a path of it."""
+        """Assert that the description has this response to the operation at one of its paths."""
         sound(answer, method)
         told = self.description.disagreement(at, method, answer.status, answer.headers, answer.body)
         assert not told, told
 
 
 def sound(answer: Answer, method: str) -> None:
-    """That the answer is no failure, and a refusal one that says why."""
+    """Assert that the response is no internal error, and that a refusal has a reason."""
     refusals = (501, 503, 504) if method == "CONNECT" else (503, 504)
     assert answer.status < 500 or answer.status in refusals, f"{answer.status}: {answer.body[:500]!r}"
     if answer.status < 400 or method == "HEAD":
@@ -131,7 +131,7 @@ def server(start_server: Callable[..., Served]) -> Server:
     return Server(start_server("aircraft", "--max-publish-rate", "100000"))
 
 
-# What was found this way, on an aircraft that nothing was done to yet
+# Faults found this way, on an aircraft in its initial state
 
 
 def test_a_write_that_was_done_is_told_as_done_also_to_who_accepts_nothing_that_is_offered(server: Server) -> None:
@@ -152,7 +152,7 @@ def test_a_write_that_was_done_is_told_as_done_also_to_who_accepts_nothing_that_
             assert server.send("GET", f"/{made}").status == 200
 
 
-# What is made from the description
+# Requests generated from the description
 
 TYPES = "https://w3id.org/rosld/types/"
 TERMS = st.sampled_from(
@@ -208,7 +208,7 @@ JSON_LD = st.recursive(
 
 
 def octets(text: st.SearchStrategy[str]) -> st.SearchStrategy[bytes]:
-    """The text as UTF-8, or bytes that are anything."""
+    """Return the text as UTF-8, or arbitrary bytes."""
     return text.map(lambda one: one.encode("utf-8", "surrogatepass")) | st.binary(max_size=40)
 
 
@@ -229,7 +229,7 @@ for _media_type, _bodies in BODIES.items():
 
 @pytest.fixture(scope="module")
 def operations(server: Server) -> list[Any]:
-    """The operations of the description, of a method of a kind of resource that is described alike one."""
+    """Return the operations of the description, one for each group of identically described ones."""
     schema = schemathesis.openapi.from_dict(server.description.document)
     found: dict[tuple[object, ...], Any] = {}
     for each in schema.get_all_operations():
@@ -258,7 +258,7 @@ def test_what_the_description_makes_is_answered_as_it_tells(
         try:
             attempt()
         except Unsatisfiable:
-            assert mode is GenerationMode.NEGATIVE  # any bytes fit: those of a recording
+            assert mode is GenerationMode.NEGATIVE  # any bytes are valid: those of a recording
         except Exception as error:
             failed.append(f"{operation.label}: {error}\n" + "\n".join(getattr(error, "__notes__", ())))
         if operation.tags[0] == "stop":
@@ -268,7 +268,7 @@ def test_what_the_description_makes_is_answered_as_it_tells(
     assert len(operations) > 40
 
 
-# Headers, paths, methods and queries, as no description makes them
+# Headers, paths, methods and queries outside of any description
 
 PRINTABLE = st.text(st.characters(min_codepoint=0x20, max_codepoint=0xFF, exclude_characters="\x7f"), max_size=40)
 MEDIA_TYPES = st.sampled_from(
@@ -385,7 +385,7 @@ READS = (
 
 
 def judged(server: Server, method: str, path: str, answer: Answer) -> None:
-    """Assert that the answer is one of those told of the path; elsewhere, that it is sound."""
+    """Assert that the response is a described one or, for other paths, that it is sound."""
     at = server.description.place(path.partition("?")[0], method)
     if at is None:
         sound(answer, method)

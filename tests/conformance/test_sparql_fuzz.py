@@ -1,8 +1,8 @@
-"""Whatever query or update is sent, the server lives and says why not.
+"""Fuzzing of queries and updates: the server survives and explains every refusal.
 
-They are made of the queries that come with rosld and of a list of what has hurt others. The same is sent in each run;
-more with `ROSLD_FUZZ_EXAMPLES` (100), others with `ROSLD_FUZZ_SEED` (0). `tests/server/sparql/test_differential.py`
-compares the answers to well-formed queries with pyoxigraph's.
+They are derived from the queries shipped with rosld and from a list of known vulnerabilities of others. Each run sends
+the same; `ROSLD_FUZZ_EXAMPLES` (100) sends more, `ROSLD_FUZZ_SEED` (0) others.
+`tests/server/sparql/test_differential.py` compares the answers to well-formed queries with pyoxigraph's.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ __all__ = ["start_server"]
 pytestmark = pytest.mark.slow
 
 LIMIT = 1.0
-"""Seconds a query may take."""
+"""Maximum duration of a query in seconds."""
 PATIENCE = LIMIT + 9.0
-"""Seconds in which every answer has come, on a machine that is busy with other things."""
+"""Maximum duration of a response in seconds, on a busy machine."""
 P, X = "http://p.example/", "http://x.example/"
 TRIPLES = "".join(
     f"<{X}{n}> <{P}next> <{X}{(n * 7 + 3) % 12}> .\n"
@@ -40,7 +40,7 @@ TRIPLES = "".join(
 
 
 class Server:
-    """A served aircraft that keeps the triples in one graph, and a client of it."""
+    """A served aircraft that stores the triples in one graph, and its client."""
 
     def __init__(self, served: Served) -> None:
         self.served = served
@@ -51,13 +51,13 @@ class Server:
         self.before = self.everything()
 
     def everything(self) -> list[str]:
-        """The triples of the graph."""
+        """Return the triples of the graph."""
         query = "CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }"
         parameters = {"query": query, "default-graph-uri": self.graph, "format": "nt"}
         return sorted(self.http.get("/sparql", params=parameters).text.splitlines())
 
     def direct(self, path: str, media_type: str, text: bytes) -> httpx.Response:
-        """The answer to a text of a media type, which is sound."""
+        """Return the response to a text of a media type, after checking that it is sound."""
         return self._sound(lambda: self.http.post(path, content=text, headers={"Content-Type": media_type}))
 
     def _sound(self, send: Callable[[], httpx.Response]) -> httpx.Response:
@@ -85,7 +85,7 @@ def server(start_server: Callable[..., Served]) -> Server:
     return Server(start_server("aircraft", *limits))
 
 
-# What is mangled
+# Mutations
 
 HOSTILE = [
     "SELECT * WHERE " + "{" * 60 + "}" * 60,
@@ -128,13 +128,13 @@ SPLINTERS = [
 
 @lru_cache
 def _cuts(text: str) -> Sequence[str]:
-    """A text in pieces: words, blanks, marks."""
+    """Return a text in pieces: words, blanks, marks."""
     return re.findall(r"\w+|\s+|[^\w\s]", text)
 
 
 @st.composite
 def mangled(draw: Any, texts: st.SearchStrategy[str]) -> str:
-    """A text with pieces dropped, doubled, exchanged and put in from elsewhere."""
+    """Return a text with pieces dropped, doubled, exchanged and inserted from elsewhere."""
     pieces = list(_cuts(draw(texts)))
     for _ in range(draw(st.integers(1, 4))):
         at = draw(st.integers(0, max(0, len(pieces) - 1)))

@@ -15,7 +15,7 @@ HAS = frozenset(["writable", "answering", "acting", "rejecting", "parameter"])
 
 @contextmanager
 def robot(folder: Path) -> Iterator[object]:
-    """An aircraft that nothing can go wrong with: it neither hangs nor vanishes, and is always there."""
+    """Run an aircraft that never fails: it neither hangs nor vanishes, and is always there."""
     yield Robot(
         name="aircraft",
         adapter=lambda: adapter("aircraft", AdapterOptions()),

@@ -1,9 +1,9 @@
-"""The robots of the contract suite: one session-wide system a kind of adapter.
+"""Robots of the contract suite: one session-wide system per kind of adapter.
 
-Each module in `ROBOTS` lies beside this file. It has a context manager `robot(folder: Path) -> Iterator[Robot]`, and
-`HAS`, which names the attributes of `Robot` that are not None there ("read_only" where nothing can be written): tests
-marked `@needs(...)` run only on robots that have what they need. A new adapter joins the suite with one such module
-and one line here.
+Each module in `ROBOTS` is next to this file. It has a context manager `robot(folder: Path) -> Iterator[Robot]`, and
+`HAS`, the names of the attributes of `Robot` that are not None there ("read_only" if nothing can be written): tests
+marked `@needs(...)` run only on robots that have what they need. A new adapter joins the suite with one such module and
+one line here.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the tests of what no robot here has."""
+    """Omit the tests that no robot here can run."""
     has = frozenset[str]().union(*(module.HAS for module in _MODULES.values()))
     vain = [item for item in items if not frozenset(getattr(getattr(item, "function", None), "needed", ())) <= has]
     if vain:

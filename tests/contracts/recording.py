@@ -16,7 +16,7 @@ HAS = frozenset(["nowhere", "trace", "read_only"])
 
 @contextmanager
 def robot(folder: Path) -> Iterator[object]:
-    """A ROS 1 bag of one minute, so that no loop begins while the suite looks; "vanishing" is not for files."""
+    """Play a ROS 1 bag of one minute, so that no loop begins during the suite; files cannot vanish."""
     path = recorder.write_rosbag1(folder / "run.bag", recorder.lines(count=1200, every=0.05), compression="lz4")
     yield Robot(
         name="recording",

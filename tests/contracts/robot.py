@@ -1,4 +1,4 @@
-"""What the contract suite must know of a system to try an adapter on it."""
+"""Description of a system on which the contract suite tests an adapter."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rosld.adapters.model.parameter import ParameterValue
 
 @dataclass(frozen=True)
 class Spoken:
-    """A topic, the name of its type, and the fields of a message that can be published there."""
+    """A topic, the name of its type, and the fields of a message that can be published on it."""
 
     topic: str
     type: str
@@ -20,7 +20,7 @@ class Spoken:
 
 @dataclass(frozen=True)
 class Asked:
-    """A service, the fields of a request, and what comes of it: some fields of the response, or the node's words."""
+    """A service, the fields of a request, and the expected result: some fields of the response, or the node's words."""
 
     service: str
     type: str
@@ -31,9 +31,9 @@ class Asked:
 
 @dataclass(frozen=True)
 class Acted:
-    """An action, and the fields of two goals: one that soon succeeds, with feedback, and one that lasts till canceled.
+    """An action, and the fields of two goals: one that soon succeeds, with feedback, and one that lasts until canceled.
 
-    `before` are services to be called so that goals are taken.
+    `before` are services to call so that goals are accepted.
     """
 
     action: str
@@ -45,15 +45,15 @@ class Acted:
 
 @dataclass(frozen=True)
 class Robot:
-    """A running system and how to reach it. None stands for what it has not, and the tests of that do not run.
+    """A running system and how to reach it. Attributes are None if it lacks them, and their tests do not run.
 
-    `adapter` makes a new adapter, not yet open; `nowhere` one whose source is not there. `readable` is a topic with at
-    least five messages a second. `writable` is a topic that another node subscribes to. `answering`, `raising` and
+    `adapter` creates a new adapter, not yet open; `nowhere` one whose source does not exist. `readable` is a topic with
+    at least five messages per second. `writable` is a topic that another node subscribes to. `answering`, `raising` and
     `hanging` are services. `acting` is an action, `rejecting` one and the fields of a goal that is rejected; `other`
-    has another node send the lasting goal, and returns what ends it. `parameter` is a parameter that is there. `owner`
-    is a node whose parameters are its own and which takes any; `guarded` is a parameter of a node, a value that this
-    node refuses, and its words. `vanish` takes the system away (its name service at least) and `come_back` returns it.
-    `trace` tells what the system knows of its visitors.
+    lets another node send the lasting goal, and returns a function that ends it. `parameter` is an existing parameter.
+    `owner` is a node that has its own parameters and accepts any; `guarded` is a parameter of a node, a value that this
+    node refuses, and its words. `vanish` removes the system (at least its name service) and `come_back` restores it.
+    `trace` returns what the system knows about its clients.
     """
 
     name: str

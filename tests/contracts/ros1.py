@@ -1,4 +1,4 @@
-"""A real ROS 1 system as a robot of the contract suite: the aircraft's twin, its cockpit, and services that fail."""
+"""A real ROS 1 system as a robot of the contract suite: a rospy aircraft, its cockpit, and services that fail."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ HAS = frozenset(
 
 
 class Twin:
-    """The aircraft on a real rosmaster, which can be killed and started anew with all its nodes."""
+    """The aircraft on a real rosmaster, which can be killed and restarted with all its nodes."""
 
     def __init__(self, folder: Path) -> None:
         self.system = RosSystem(folder)
@@ -39,7 +39,7 @@ class Twin:
         self._nodes: list[Any] = []
 
     def start(self) -> None:
-        """A master that knows nothing, and the nodes: those of ROS 1 do not register again by themselves."""
+        """Start an empty master, and the nodes: those of ROS 1 do not register again by themselves."""
         self.system.start_master()
         self._nodes = [
             self.system.node("aircraft_node.py", str(self._classes)),
@@ -49,18 +49,18 @@ class Twin:
         ]
 
     def vanish(self) -> None:
-        """The master dies, and the nodes with it."""
+        """Kill the master and the nodes."""
         self.system.kill_master()
         for node in self._nodes:
             node.kill()
 
     def send(self) -> Callable[[], None]:
-        """Another node sends a goal that lasts."""
+        """Let another node send a goal that lasts."""
         ending: Callable[[], None] = self.system.node("action_client.py", "/simple", "600").kill
         return ending
 
     def trace(self) -> object:
-        """What the master knows, but for the parameters that every node may set."""
+        """Return the state of the master without the parameters that every node may set."""
         publishers, subscribers, services = self.system.master.getSystemState("/test")[2]
         kinds = (publishers, subscribers, services)
         return [sorted((name, sorted(nodes)) for name, nodes in kind) for kind in kinds]
@@ -68,7 +68,7 @@ class Twin:
 
 @contextmanager
 def robot(folder: Path) -> Iterator[object]:
-    """The twin, running."""
+    """Run the system."""
     require_ros()
     twin = Twin(folder)
     try:

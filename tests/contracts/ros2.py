@@ -34,7 +34,7 @@ _SETTLED = 0.5
 
 
 class Onlooker:
-    """A node of the tests' own, which sees what everybody in the domain can see."""
+    """A node of the tests, which sees what every node in the domain can see."""
 
     def __init__(self, domain: int) -> None:
         from rclpy.context import Context
@@ -45,7 +45,7 @@ class Onlooker:
         self._node: Any = Node("_onlooker", context=self._context)
 
     def sees(self) -> object:
-        """The nodes and the publishers of topics but for what hides, once they have stopped changing."""
+        """Return the visible nodes and publishers of topics, once they have stopped changing."""
         seen, since = self._look(), time.monotonic()
         while time.monotonic() - since < _SETTLED:
             time.sleep(0.02)
@@ -54,7 +54,6 @@ class Onlooker:
         return seen
 
     def close(self) -> None:
-        """Look no more."""
         self._node.destroy_node()
         self._context.try_shutdown()
 
@@ -71,7 +70,7 @@ class Onlooker:
 
 @contextmanager
 def robot(folder: Path) -> Iterator[object]:
-    """The nodes, running."""
+    """Run the nodes."""
     with running() as system:
         onlooker = Onlooker(system.domain)
         try:

@@ -21,7 +21,7 @@ TWIST = {"linear": {"x": 0.2, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.
 
 
 def parts(library: TypeLibrary, type: str, fields: Mapping[str, object]) -> Mapping[str, object]:
-    """The fields of a message (of an action its goal), in which nested ones are messages."""
+    """Return the fields of a message (for an action, its goal), with nested messages."""
     schema = library.find(TypeRef(type))
     if isinstance(schema, ActionSchema):
         schema = schema.goal
@@ -31,7 +31,7 @@ def parts(library: TypeLibrary, type: str, fields: Mapping[str, object]) -> Mapp
 
 
 def goal(library: TypeLibrary, x: float, y: float, *, frame: str = "map") -> Mapping[str, object]:
-    """The fields of a goal."""
+    """Return the fields of a goal."""
     pose = pose_stamped(Pose(x, y, 0.0), 0)
     framed = {**pose, "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}}
     return parts(library, ACTION_TYPE, {"pose": framed})
@@ -39,9 +39,9 @@ def goal(library: TypeLibrary, x: float, y: float, *, frame: str = "map") -> Map
 
 @contextmanager
 def robot(folder: Path) -> Iterator[object]:
-    """A rover that nothing can go wrong with: it neither hangs nor vanishes, and is always there.
+    """Run a rover that never fails: it neither hangs nor vanishes, and is always there.
 
-    Its time passes slowly, so that a goal lasts long enough on a busy machine; it stands where the quick goal leads.
+    Its time is slow, so that a goal lasts long enough on a busy machine; it starts at the target of the quick goal.
     """
     library = TypeLibrary(ros_version=2)
     yield Robot(

@@ -39,30 +39,30 @@ Test = TypeVar("Test", bound=Callable[..., object])
 
 PATIENCE = 30.0
 DEADLINE = 10.0
-"""Seconds that anything that should happen at once may take on a busy machine."""
+"""Maximum duration in seconds, on a busy machine, of anything that should be immediate."""
 
 WRITES = frozenset(Operation) - {Operation.SUBSCRIBE, Operation.GET_PARAMETER}
 
 
 class Sink(Told):
-    """Keeps what an adapter tells, from whatever thread."""
+    """A sink that records the events of an adapter, from any thread."""
 
     def told(self, goal: GoalId) -> list[GoalEvent]:
-        """What was told of a goal."""
+        """Return the reported states of a goal."""
         return [event for each, event in self.goals if each == goal]
 
     def statuses(self, goal: GoalId) -> list[GoalStatus]:
-        """How it stood, each status once, in the order of telling."""
+        """Return its statuses without repetitions, in order."""
         return list(dict.fromkeys(event.status for event in self.told(goal) if event.status is not None))
 
 
 def soon(seconds: float = DEADLINE) -> float:
-    """A deadline."""
+    """Return a deadline."""
     return asyncio.get_running_loop().time() + seconds
 
 
 async def until(condition: Callable[[], object], seconds: float = PATIENCE) -> None:
-    """Wait until something holds that no event tells of."""
+    """Wait until a condition holds that no event reports."""
     deadline = soon(seconds)
     while not condition():
         assert asyncio.get_running_loop().time() < deadline, "it did not happen in time"
@@ -71,7 +71,7 @@ async def until(condition: Callable[[], object], seconds: float = PATIENCE) -> N
 
 @asynccontextmanager
 async def opened(robot: Any, sink: Sink | None = None) -> AsyncIterator[Adapter]:
-    """An open adapter of a robot whose readable topic is in the graph."""
+    """Open the adapter of a robot and wait until its readable topic is in the graph."""
     adapter: Adapter = robot.adapter()
     await adapter.open(sink or Sink(), deadline=soon())
     try:
@@ -81,12 +81,12 @@ async def opened(robot: Any, sink: Sink | None = None) -> AsyncIterator[Adapter]
 
 
 async def first_samples(subscription: Subscription) -> Sequence[Sample]:
-    """What a subscription shows as soon as it shows something."""
+    """Return the first non-empty samples of a subscription."""
     return await change(subscription, ())
 
 
 async def change(subscription: Subscription, known: Sequence[Sample]) -> Sequence[Sample]:
-    """What a subscription shows as soon as it is another sequence than `known`."""
+    """Return the samples of a subscription once they differ from `known`."""
     arrived = asyncio.Event()
     watch = subscription.watch(arrived.set)
     try:
@@ -99,7 +99,7 @@ async def change(subscription: Subscription, known: Sequence[Sample]) -> Sequenc
 
 
 async def message(adapter: Adapter, spoken: Any) -> tuple[TypeRef, bytes]:
-    """The type and the bytes of what can be published."""
+    """Return the type and the bytes of a message that can be published."""
     schema = await adapter.schema(TypeRef(spoken.type), deadline=soon())
     assert not isinstance(schema, ServiceSchema)
     made = schema.codec.build(schema.ref.name, spoken.values)
@@ -107,7 +107,7 @@ async def message(adapter: Adapter, spoken: Any) -> tuple[TypeRef, bytes]:
 
 
 async def ask(adapter: Adapter, asked: Any, *, deadline: float | None = None) -> Any:
-    """The response of a service."""
+    """Return the response of the service."""
     said = adapter.graph.services.get(asked.service)
     schema = await adapter.schema(said.type if said and said.type else TypeRef(asked.type), deadline=soon())
     assert isinstance(schema, ServiceSchema)
@@ -118,7 +118,7 @@ async def ask(adapter: Adapter, asked: Any, *, deadline: float | None = None) ->
 
 
 async def act(adapter: Adapter, acted: Any, values: Mapping[str, object], *, deadline: float | None = None) -> GoalId:
-    """Send a goal of the action, after what must be done before."""
+    """Send a goal of the action, after the preparations."""
     for asked in acted.before:
         await ask(adapter, asked)
     return await send(adapter, acted.action, acted.type, values, deadline=deadline)
@@ -127,7 +127,7 @@ async def act(adapter: Adapter, acted: Any, values: Mapping[str, object], *, dea
 async def send(
     adapter: Adapter, action: str, type: str, values: Mapping[str, object], *, deadline: float | None = None
 ) -> GoalId:
-    """Send a goal once the action takes goals."""
+    """Send a goal once the action accepts goals."""
     await until(lambda: Operation.SEND_GOAL in adapter.allows(Ref(Kind.ACTION, action)))
     schema = await action_schema(adapter, type)
     goal = schema.goal.codec.build(schema.goal.ref.name, values)
@@ -136,14 +136,14 @@ async def send(
 
 
 async def action_schema(adapter: Adapter, type: str) -> ActionSchema:
-    """The schema of an action type."""
+    """Return the schema of an action type."""
     schema = await adapter.schema(TypeRef(type), deadline=soon())
     assert isinstance(schema, ActionSchema)
     return schema
 
 
 def needs(*what: str) -> Callable[[Test], Test]:
-    """Run a test only on robots that have all this (see conftest.py)."""
+    """Run a test only on robots with all of these (see conftest.py)."""
 
     def mark(test: Test) -> Test:
         test.needed = what  # type: ignore[attr-defined]
@@ -157,7 +157,7 @@ def needs(*what: str) -> Callable[[Test], Test]:
 
 async def test_an_open_adapter_has_a_live_graph_that_nobody_can_change(robot: Any) -> None:
     async with opened(robot) as adapter:
-        await adapter.open(Sink(), deadline=soon())  # once more is no error
+        await adapter.open(Sink(), deadline=soon())  # closing again is no error
         assert isinstance(adapter.graph.state, Live)
         await until(lambda: robot.readable in adapter.graph.topics)
         assert adapter.graph.topics[robot.readable].types
@@ -189,7 +189,7 @@ async def test_a_source_that_is_not_there_is_told_in_a_sentence_and_nothing_was_
         await adapter.open(Sink(), deadline=soon(3))
     except (Unreachable, NotFound) as error:
         said, sent = error.sentence, error.sent
-    else:  # a robot that is off is waited for
+    else:  # rosld waits for a robot that is off
         assert isinstance(adapter.graph.state, Stale)
         said, sent = adapter.graph.state.why, Sent.NO
     assert sent is Sent.NO
@@ -464,7 +464,7 @@ async def test_a_goal_is_canceled_on_request_and_an_unknown_one_is_not(robot: An
         await until(lambda: any(event.feedback for event in sink.told(goal)))
         with pytest.raises(NotFound):
             await adapter.cancel_goal(GoalId(goal.action, ""), deadline=soon())
-        for id in ("no such goal", "0" * 32):  # which no system may take for all goals
+        for id in ("no such goal", "0" * 32):  # no system may accept it for every goal
             with suppress(NotFound, Refused):
                 await adapter.cancel_goal(GoalId(goal.action, id), deadline=soon())
         before = len(sink.told(goal))
@@ -477,12 +477,12 @@ async def test_a_goal_is_canceled_on_request_and_an_unknown_one_is_not(robot: An
 
 @asynccontextmanager
 async def goals_of_another(robot: Any, sink: Sink) -> AsyncIterator[Callable[[], set[GoalId]]]:
-    """While another client has the robot act: the goals that are pursued since, of which there is one at least."""
+    """Let another client send a goal; return the goals pursued since, at least one."""
     known = {goal for goal, _ in sink.goals}
     end = await asyncio.to_thread(robot.other)
 
     def pursued() -> set[GoalId]:
-        """The ends of earlier goals may still be told of, too: these have feedback."""
+        """Events may include the ends of earlier goals: these have feedback."""
         return {goal for goal, event in sink.goals if event.feedback} - known
 
     try:
@@ -690,7 +690,7 @@ async def test_a_system_that_cannot_be_written_to_refuses_every_write(robot: Any
 
 
 async def test_nothing_blocks_the_loop(robot: Any) -> None:
-    """What blocks does so every time; a busy machine holds the loop up now and then."""
+    """A blocking call is measured every time; a busy machine delays the loop occasionally."""
 
     async def longest_gap() -> float:
         gaps = [0.0]
@@ -720,7 +720,7 @@ async def test_nothing_blocks_the_loop(robot: Any) -> None:
         beating.cancel()
         return max(gaps)
 
-    async with opened(robot) as warm:  # imports and compiled types are paid for once a process
+    async with opened(robot) as warm:  # imports and compiled types cost time once per process
         await warm.schema(warm.known_types()[0], deadline=soon())
     gaps: list[float] = []
     while not gaps or (min(gaps) >= 0.25 and len(gaps) < 5):

@@ -1,4 +1,4 @@
-"""`/openapi.json` as a judge of answers: whether it tells of their status, headers, media type and JSON."""
+"""Checks of responses against `/openapi.json`: their status, headers, media type and JSON."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jsonschema import Draft202012Validator
 
 
 def inlined(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the paths of a description with what their operations refer to in its place."""
+    """Return the paths of a description with all references resolved."""
     resolved = Description(document).resolved
 
     def operation(found: dict[str, Any]) -> dict[str, Any]:
@@ -47,7 +47,7 @@ class Description:
         return found
 
     def disagreement(self, at: str, method: str, status: int, headers: Mapping[str, str], body: str | bytes) -> str:
-        """Say what an answer is that the description does not tell of, or nothing."""
+        """Describe how a response deviates from the description, or return an empty text."""
         responses = self.operation(at, method)["responses"]
         if str(status) not in responses and status < 300:
             return f"{status} is not told of: {body[:300]!r}"
@@ -73,7 +73,7 @@ class Description:
         return self._validators[key]
 
     def resolved(self, value: dict[str, Any]) -> dict[str, Any]:
-        """Follow a reference within the description, if this is one."""
+        """Return the target of a reference within the description; other objects unchanged."""
         reference = value.get("$ref")
         if reference is None:
             return value
@@ -85,5 +85,5 @@ class Description:
 
 
 def _described(method: str) -> str:
-    """Return the method under which another is described: what is said of GET holds for HEAD."""
+    """Return the method whose description applies: HEAD is described by GET."""
     return "get" if method == "HEAD" else method.lower()

@@ -1,4 +1,4 @@
-"""Robots in use: after writes, calls, goals, holds and refusals, so that a crawl finds everything that can be said."""
+"""Robots in use: after writes, calls, goals, holds and refusals, so that a crawl finds all kinds of statements."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ QUERY = "# Everything.\n# @param most integer 5 -- what it is\nSELECT * { ?s ?p 
 
 @contextmanager
 def aircraft(folder: Path) -> Iterator[httpx.Client]:
-    """The embedded aircraft in flight, with everything that a client may keep."""
+    """Run the embedded aircraft in flight, with everything that a client may store."""
     rights = folder / "auth.toml"
     rights.write_text(RIGHTS)
     rights.chmod(0o600)
@@ -64,7 +64,7 @@ def aircraft(folder: Path) -> Iterator[httpx.Client]:
 
 @contextmanager
 def rover(folder: Path) -> Iterator[httpx.Client]:
-    """The embedded rover, stopped while it drives."""
+    """Run the embedded rover, stopped while it drives."""
     with servers() as start:
         http = start("rover").http
         _done(http.post("/topics/cmd_vel", params=HELD, json=AHEAD))
@@ -77,7 +77,7 @@ def rover(folder: Path) -> Iterator[httpx.Client]:
 
 @contextmanager
 def recording(folder: Path) -> Iterator[httpx.Client]:
-    """A recording of an image, of points, and of a string that is no UTF-8."""
+    """Play a recording of an image, of points, and of a string that is not UTF-8."""
     path, types = folder / "walk.bag", get_typestore(Stores.ROS1_NOETIC)
     made = types.types
     header = made["std_msgs/msg/Header"](seq=1, stamp=made["builtin_interfaces/msg/Time"](5, 6), frame_id="eye")
@@ -98,7 +98,7 @@ def recording(folder: Path) -> Iterator[httpx.Client]:
 
 @contextmanager
 def ros1(folder: Path) -> Iterator[httpx.Client]:
-    """A real ROS 1: the aircraft's twin, transforms, services and goals that end in every way, a large string."""
+    """Run a real ROS 1: a rospy aircraft, transforms, services and goals that end in every way, a large string."""
     with ros1_system.running(folder) as system, servers() as start:
         system.node("aircraft_node.py", str(folder / "classes"))
         for script in ("cockpit_node.py", "services_node.py", "action_node.py", "odd_type_node.py"):
@@ -130,7 +130,7 @@ def ros1(folder: Path) -> Iterator[httpx.Client]:
 
 @contextmanager
 def ros2(folder: Path) -> Iterator[httpx.Client]:
-    """A real ROS 2: managed nodes, parameters that are declared, qualities of service, goals and holds."""
+    """Run a real ROS 2: managed nodes, declared parameters, qualities of service, goals and holds."""
     with ros2_system.running("jazzy") as system, servers() as start:
         for script in ("rover.py", "pilot.py", "managed.py"):
             system.node(script)
@@ -159,7 +159,7 @@ ROBOTS: Mapping[str, Robot] = {
 
 
 def _keep(http: httpx.Client) -> None:
-    """Keep data, a mapping, limits and queries; some are refused and one is deleted."""
+    """Store data, a mapping, limits and queries; some are rejected and one is deleted."""
     _done(http.put("/data/notes", content=f"{PREFIXES} <> a rdf:Bag ; av:sign [ ] .", headers=TURTLE))
     _done(http.put("/data/folder/b", content="<#x> <http://ex.org/p> 5 .", headers=TURTLE))
     _done(http.put("/data/picture", content=b"\x89PNG", headers={"Content-Type": "image/png"}))

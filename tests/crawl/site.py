@@ -1,8 +1,8 @@
-"""Everything that a robot serves: read once for each content of the repository, and kept below `.crawl/`.
+"""Everything that a robot serves: crawled once per content of the repository, and cached in `.crawl/`.
 
-Whoever judges documents asks for `site("aircraft")`. The first to ask starts the robot (`robots.py`) and follows every
-link; the others, in any process of any run, wait and read the same answers. Shapes and markup are judged on the first
-documents of each kind (`of_each_kind`), for the others say the same of other names.
+Tests of documents call `site("aircraft")`. The first call starts the robot (`robots.py`) and follows every link;
+others, in any process of any run, wait and read the same responses. Shapes and markup are checked on the first
+documents of each kind (`of_each_kind`), as the others only differ in names.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / ".crawl"
 TURTLE, JSON, HTML = "text/turtle", "application/json", "text/html"
 OTHERS = (*(syntax.media_type for syntax in Syntax if syntax is not Syntax.TURTLE), JSON, TURTLE, HTML)
-"""The representations that the first document of each kind is read in as well; in Turtle once more."""
+"""Further representations of the first document of each kind, including Turtle once more."""
 CONFORMS_TO, CONSTRAINED_BY = "http://purl.org/dc/terms/conformsTo", "http://www.w3.org/ns/ldp#constrainedBy"
 BESIDE = ("stop", "status", "channels/", "sparql", ".well-known/", "find?q=engine", "openapi.json")
 """Paths to which not every robot links."""
@@ -43,7 +43,7 @@ MAX_URLS = 3_000
 
 @dataclass(frozen=True)
 class Answer:
-    """What a GET was answered with; the text is empty where the body is no text."""
+    """The response to a GET; the text is empty for other bodies."""
 
     url: str
     status: int
@@ -55,12 +55,12 @@ class Answer:
         return self.headers.get("content-type", "").partition(";")[0]
 
     def links(self, rel: str | None = None) -> list[str]:
-        """The targets of its Link headers, of all relations or of one."""
+        """Return the targets of its Link headers, of all relations or of one."""
         return [link.target for link in parse_links(self.headers.get("link", "")) if rel in (None, link.rel)]
 
     @cached_property
     def triples(self) -> Sequence[Triple]:
-        """What it says in RDF, with blank nodes of its own; graph names are left out."""
+        """The triples in the response, with separate blank nodes and without graph names."""
         syntax = RdfFormat.from_media_type(self.media_type)
         assert syntax is not None, f"{self.url} is {self.media_type}"
         quads = parse(self.text, format=syntax, base_iri=self.url, rename_blank_nodes=True)
@@ -69,7 +69,7 @@ class Answer:
 
 @dataclass
 class Site:
-    """The answers of a robot: to requests for Turtle by URL, and to those for other media types."""
+    """The responses of a robot: to requests for Turtle by URL, and to those for other media types."""
 
     base: str
     answers: dict[str, Answer] = field(default_factory=dict)
@@ -77,13 +77,14 @@ class Site:
 
     @cached_property
     def documents(self) -> dict[str, Answer]:
-        """The documents in Turtle, by the URLs that redirects have led to."""
+        """The documents in Turtle, by the URLs after redirects."""
         return {each.url: each for each in self.answers.values() if (each.status, each.media_type) == (200, TURTLE)}
 
     def of_each_kind(self, most: int = 1) -> list[str]:
-        """At most so many of the documents that say the same properties of instances of the same classes.
+        """Return at most this number of documents with the same properties of instances of the same classes.
 
-        Of shapes the classes alone count: the shapes of shapes take a hundred times as long as all the others.
+        For shapes only classes count: validating all shapes of shapes takes a hundred times as long as all other
+        documents.
         """
         kinds: dict[frozenset[object], list[str]] = defaultdict(list)
         for url, answer in self.documents.items():
@@ -97,7 +98,7 @@ class Site:
 
 @cache
 def site(name: str) -> Site:
-    """Return the answers of a robot of `robots.ROBOTS`, which is crawled first if nobody has done so yet."""
+    """Return the responses of a robot of `robots.ROBOTS`, crawling it first if necessary."""
     folder = FOLDER / name
     with made_once(folder, _inputs()) as is_there:
         if not is_there:
@@ -116,7 +117,7 @@ def site(name: str) -> Site:
 
 
 def _inputs() -> Iterator[Path]:
-    """All that the answers depend on: the code, the robots, and which libraries are installed."""
+    """Return everything that the responses depend on: the code, the robots, and the installed libraries."""
     for folder in (
         "adapters",
         "ontology",
@@ -134,7 +135,7 @@ def _inputs() -> Iterator[Path]:
 
 
 class _Crawl:
-    """A walk along all links of a server."""
+    """A crawl along all links of a server."""
 
     def __init__(self, http: httpx.Client) -> None:
         self.kept: list[tuple[object, ...]] = []
@@ -168,7 +169,7 @@ class _Crawl:
         return answer
 
     def _add(self, urls: Iterable[str]) -> None:
-        """Read these URLs as well, if they are documents of this server."""
+        """Add these URLs to the crawl, if they are documents of this server."""
         for url in map(document, urls):
             is_new = url.startswith(self._site.base) and url not in self._known
             if is_new and not any(mark in url for mark in NO_DOCUMENTS):
@@ -178,18 +179,18 @@ class _Crawl:
 
 
 def hrefs(page: Answer) -> list[str]:
-    """The URLs that a page links to, without fragments."""
+    """Return the URLs that a page links to, without fragments."""
     found = re.findall(r'<a [^>]*?href="([^"]+)"', page.text)
     return [document(urljoin(page.url, html.unescape(each))) for each in found]
 
 
 def document(url: str) -> str:
-    """A URL without its fragment."""
+    """Return a URL without its fragment."""
     return url.partition("#")[0]
 
 
 def linked(graph: Iterable[Triple]) -> Iterable[str]:
-    """The URLs that triples mention; of those in literals not what a query makes of another."""
+    """Return the URLs that triples mention; of those in literals, none that a query derives from another."""
     for term in (term for triple in graph for term in (triple.subject, triple.object)):
         is_url = isinstance(term, Literal) and term.datatype == xsd.anyURI and "?" not in term.value
         if isinstance(term, NamedNode) or is_url:

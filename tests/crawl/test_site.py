@@ -1,4 +1,4 @@
-"""What holds for all documents of all robots: links lead somewhere, syntaxes say the same, OpenAPI tells of them."""
+"""Rules for all documents of all robots: links resolve, syntaxes have equal triples, OpenAPI describes them."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from tests.crawl.site import HTML, JSON, TURTLE, Answer, Site, hrefs, site
 pytestmark = pytest.mark.slow
 
 NAMES_OF_SCHEMES = ("basic_sc", "bearer_sc", "nosec_sc", "token_sc")
-"""IRIs that a Thing Description refers to by name and that are no documents."""
+"""IRIs without documents that a Thing Description references."""
 NO_STRING = ("base64Binary", "'elided': True")
-"""Objects in place of a string that is not UTF-8 or too large: the description has them in words, not in schemas."""
+"""Objects instead of a string that is not UTF-8 or too large, which descriptions mention only in words."""
 GONE = (
     *("queries/bad", "mappings/bad", "data/log"),
     *("types/odd_msgs/msg/Odd", "shapes/odd_msgs/msg/Odd", "topics/odd?shape"),
 )
-"""What was refused or deleted, to which receipts link, and what tells of a type that nobody knows."""
+"""Refused or deleted resources to which receipts link, and documents about an unknown type."""
 
 
 @pytest.fixture(params=[pytest.param(name, marks=[pytest.mark.ros2] if name == "ros2" else []) for name in ROBOTS])
@@ -45,7 +45,7 @@ def test_every_link_leads_somewhere(robot: Site) -> None:
 
 
 def is_known(robot: Site, answer: Answer) -> bool:
-    """Whether a link to something that is not there is meant."""
+    """Whether a broken link is intended."""
     path = answer.url.removeprefix(robot.base)
     return (
         path.rpartition("/")[2] in NAMES_OF_SCHEMES
@@ -93,7 +93,7 @@ def test_every_syntax_says_the_same(robot: Site) -> None:
 
 
 def state(answer: Answer) -> str:
-    """The part of an entity-tag that all syntaxes of one state share."""
+    """Return the part of an entity-tag that is common to all syntaxes of one state."""
     return answer.headers.get("etag", "").partition(".")[0]
 
 

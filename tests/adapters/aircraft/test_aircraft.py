@@ -1,4 +1,4 @@
-"""The aircraft as an adapter: what the contract suite does not say of it."""
+"""The aircraft as an adapter, beyond the contract suite."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SPEED = "/aircraft/engine/speed"
 
 @asynccontextmanager
 async def fly() -> AsyncIterator[Aircraft]:
-    """An open aircraft."""
+    """Open an aircraft."""
     aircraft = Aircraft(AdapterOptions())
     await aircraft.open(NullSink(), deadline=soon())
     try:

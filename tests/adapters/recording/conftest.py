@@ -1,4 +1,4 @@
-"""Recordings made for the tests, and a clock that stands where it is put."""
+"""Recordings for the tests, and a clock that only moves on request."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rosld.adapters.recording.bag import Bag
 
 
 class Clock:
-    """A clock that only moves when it is told to."""
+    """A clock that only moves on request."""
 
     def __init__(self) -> None:
         self.now = 1_000_000_007
@@ -33,7 +33,7 @@ class Clock:
 
 @pytest.fixture(scope="session")
 def recorder() -> ModuleType:
-    """`recorder.py`, which makes recordings."""
+    """Return `recorder.py`, which creates recordings."""
     return tests.adapters.recording.recorder
 
 
@@ -44,7 +44,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def play(clock: Clock) -> Callable[..., AbstractAsyncContextManager[RecordingAdapter]]:
-    """`async with play(path, once=True) as adapter`: a recording that plays by the standing clock."""
+    """`async with play(path, once=True) as adapter`: a recording that plays by the fixed clock."""
 
     @asynccontextmanager
     async def playing(path: Path, **options: Any) -> AsyncIterator[RecordingAdapter]:
@@ -60,7 +60,7 @@ def play(clock: Clock) -> Callable[..., AbstractAsyncContextManager[RecordingAda
 
 @pytest.fixture
 def opened() -> Callable[[Path], AbstractContextManager[Bag]]:
-    """A context manager that gives the open recording of a path."""
+    """Return a context manager for the open recording at a path."""
 
     @contextmanager
     def open_bag(path: Path) -> Iterator[Bag]:
@@ -81,14 +81,14 @@ def opened() -> Callable[[Path], AbstractContextManager[Bag]]:
 
 
 def run(work: Coroutine[Any, Any, None]) -> None:
-    """Carry out work on a loop of its own, also where another loop runs."""
+    """Run a coroutine on a separate loop, even inside another loop."""
     with ThreadPoolExecutor(1) as thread:
         thread.submit(asyncio.run, work).result()
 
 
 @pytest.fixture
 def said() -> Callable[[Bag, RecordedMessage], str]:
-    """The text of a recorded `std_msgs/msg/String`."""
+    """Return the text of a recorded `std_msgs/msg/String`."""
 
     def text(bag: Bag, recorded: RecordedMessage) -> str:
         schema: Any = bag.schema(recorded.sample.schema)

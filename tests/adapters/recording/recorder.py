@@ -1,4 +1,4 @@
-"""Makes recordings for tests: the same lines in every format, written by rosbags' own writers."""
+"""Recordings for tests: the same lines in every format, written by rosbags' own writers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROS2 = get_typestore(Stores.ROS2_JAZZY)
 
 
 class Line(NamedTuple):
-    """One message: the text of a `std_msgs/msg/String`, said `seconds` after the start by a node."""
+    """One message: the text of a `std_msgs/msg/String`, published `seconds` after the start by a node."""
 
     seconds: float
     topic: str
@@ -28,19 +28,19 @@ class Line(NamedTuple):
 
 
 def lines(topic: str = "/chatter", count: int = 10, every: float = 0.1, node: str = "/talker") -> list[Line]:
-    """`count` lines said at an even pace: "0", "1", ..."""
+    """Return `count` lines at a regular interval: "0", "1", ..."""
     return [Line(each * every, topic, str(each), node) for each in range(count)]
 
 
 def time_of(line: Line) -> int:
-    """When a line was recorded, in ns."""
+    """Return the time when a line was recorded, in ns."""
     return START_NS + round(line.seconds * 1e9)
 
 
 def write_rosbag1(
     path: Path, said: Iterable[Line], *, compression: Literal["none", "bz2", "lz4"] = "none", chunk: int = 1 << 20
 ) -> Path:
-    """A ROS 1 bag of these lines; `chunk` is how many bytes close a chunk."""
+    """Write a ROS 1 bag of these lines; `chunk` is the number of bytes of a chunk."""
     writer = Writer1(path)
     if compression != "none":
         writer.set_compression(Writer1.CompressionFormat[compression.upper()])
@@ -84,7 +84,7 @@ def write_rosbag2(
     compression: Literal["none", "file", "message", "storage"] = "none",
     version: Literal[8, 9] = 9,
 ) -> Path:
-    """A ROS 2 bag of these lines, a folder; the nodes are not recorded there."""
+    """Write a ROS 2 bag of these lines, a folder; it does not record nodes."""
     writer = Writer2(folder, version=version, storage_plugin=StoragePlugin[storage.upper()])
     writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
     kind = ROS2.types["std_msgs/msg/String"]
@@ -102,7 +102,7 @@ def write_rosbag2(
 
 
 class Hidden(NamedTuple):
-    """A message of a topic of a type whose definition is recorded as this text, or not at all (an empty one)."""
+    """A message of a topic whose recorded definition is this text, or missing if it is empty."""
 
     topic: str
     type: str
@@ -112,7 +112,7 @@ class Hidden(NamedTuple):
 
 
 def write_hidden(folder: Path, recorded: Iterable[Hidden], storage: Literal["mcap", "sqlite3"] = "mcap") -> Path:
-    """A ROS 2 bag of these, a folder; a second passes between one and the next."""
+    """Write a ROS 2 bag of these messages, a folder, at intervals of a second."""
     writer = Writer2(folder, version=9, storage_plugin=StoragePlugin[storage.upper()])
     with writer:
         for number, one in enumerate(recorded):

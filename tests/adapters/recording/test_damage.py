@@ -1,4 +1,4 @@
-"""Recordings that are odd, cut short, damaged or none at all."""
+"""Unusual, truncated, damaged and invalid recordings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from rosld.adapters.recording.bag import Bag
 Opened = Callable[[Path], Any]
 Said = Callable[[Any, Any], str]
 MESSAGE, CHUNK = 2, 5
-"""Ops of records of a bag."""
+"""Op codes of records of a bag."""
 
 OLD_HEADER = """Header header
 string[] name
@@ -45,7 +45,7 @@ string frame_id
 
 
 def refused(path: Path) -> str:
-    """The sentence with which a path is refused: one line that names it."""
+    """Return the message with which a path is rejected: one line that contains it."""
 
     async def scenario() -> RosError:
         adapter = RecordingAdapter(path, AdapterOptions())
@@ -60,7 +60,7 @@ def refused(path: Path) -> str:
     return error.sentence
 
 
-# Odd connections
+# Unusual connections
 
 
 def test_the_old_header_is_read(tmp_path: Path, opened: Opened) -> None:
@@ -120,7 +120,7 @@ def test_channels_of_an_mcap_that_are_not_ros_are_listed_and_the_others_read(
 
 
 def _with_json_channel(data: bytes) -> bytes:
-    """An MCAP without summary: that of `data`, and a channel of JSON behind it."""
+    """Return an MCAP without summary: `data`, followed by a channel of JSON."""
 
     def text(value: str) -> bytes:
         return struct.pack("<I", len(value)) + value.encode()
@@ -148,7 +148,7 @@ def test_a_type_defined_in_idl_is_read(recorder: ModuleType, tmp_path: Path, ope
         assert bag.schema(sample.schema).codec.decode(sample.data, sample.encoding).x == 2.5
 
 
-# Cut short and damaged
+# Truncated and damaged
 
 
 def test_a_bag_that_was_cut_short_or_never_finished_gives_all_whole_chunks(
@@ -202,7 +202,7 @@ def test_a_folder_with_a_missing_or_broken_file_gives_the_others(
 
 
 def records(data: bytes | bytearray, at: int) -> Iterator[tuple[int, slice]]:
-    """The op and the place of the data of each record of a bag, from a place on (ROS bag format 2.0)."""
+    """Return the op and the offset of the data of each record of a bag, from an offset on (ROS bag format 2.0)."""
     while at < len(data):
         (length,) = struct.unpack_from("<I", data, at)
         header, at = data[at + 4 : at + 4 + length], at + 4 + length
@@ -266,7 +266,7 @@ def test_what_is_no_recording_is_refused_in_a_sentence(recorder: ModuleType, tmp
 
 
 def encrypted(data: bytes) -> bytes:
-    """A bag whose header says that it is encrypted."""
+    """Return a bag whose header states that it is encrypted."""
     size = int.from_bytes(data[13:17], "little")
     field = b"encryptor=rosbag/AesCbcEncryptor"
     header = data[17 : 17 + size] + struct.pack("<I", len(field)) + field
@@ -285,7 +285,7 @@ def test_a_chunk_that_claims_to_be_huge_is_not_believed(recorder: ModuleType, tm
 
 @pytest.fixture(scope="module")
 def small(recorder: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """The bytes of a small recording of each format."""
+    """Return the bytes of a small recording of each format."""
     folder = tmp_path_factory.mktemp("small")
     lines = recorder.lines(count=8)
     return {

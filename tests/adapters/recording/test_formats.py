@@ -1,4 +1,4 @@
-"""Every format that is a recording gives the same messages."""
+"""Equal messages from every format of recordings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Said = Callable[[Any, Any], str]
 
 
 def some_lines(recorder: ModuleType) -> list[Any]:
-    """Two topics whose messages interleave, written out of their order in time."""
+    """Return two topics whose messages interleave, written out of order."""
     one = recorder.lines("/one", 40, 0.1, "/a")
     two = [recorder.Line(0.05 + each * 0.2, "/two", f"two {each}", "/b") for each in range(20)]
     return [*two, *one]

@@ -22,7 +22,7 @@ Opened = Callable[[Path], Any]
 
 
 def only(bag: Any) -> Any:
-    """The only message, decoded."""
+    """Return the only message, decoded."""
     (topic,) = bag.topics.values()
     assert topic.unreadable is None
     sample = bag.message(0).sample

@@ -1,4 +1,4 @@
-"""Recordings made to cost more than they are: small files that claim, inflate to or index more than there is."""
+"""Malicious recordings: small files that claim, inflate to or index more data than they contain."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def text(value: str) -> bytes:
 
 
 def record(op: int, body: bytes) -> bytes:
-    """A record of an MCAP file (https://mcap.dev/spec)."""
+    """Return a record of an MCAP file (https://mcap.dev/spec)."""
     return struct.pack("<BQ", op, len(body)) + body
 
 
@@ -54,7 +54,7 @@ def chunk(data: bytes, compression: str, claimed: int, crc: int = 0) -> bytes:
 
 
 def peak(work: Callable[[], object]) -> int:
-    """The most memory that Python's objects took while `work` ran, in bytes."""
+    """Return the peak memory of Python's objects during `work`, in bytes."""
     tracemalloc.start()
     try:
         work()
@@ -147,7 +147,7 @@ def test_an_index_that_is_named_again_and_again_is_refused_within_its_budget(tmp
 
 
 def described(definitions: dict[str, str], channels: int = 1, more: bytes = b"") -> bytes:
-    """An MCAP file of these types by their names, each with some channels."""
+    """Return an MCAP file with these types by name, each with some channels."""
     parts, ends = [HEADER], struct.pack("<I", len(more)) + more
     for number, (name, definition) in enumerate(definitions.items(), 1):
         parts.append(record(3, struct.pack("<H", number) + text(name) + text("ros2msg") + text(definition)))
@@ -158,7 +158,7 @@ def described(definitions: dict[str, str], channels: int = 1, more: bytes = b"")
 
 
 def opened(path: Path, data: bytes) -> RecordingAdapter:
-    """The recording that these bytes are. Raises Unreachable."""
+    """Return the recording with these bytes. Raises Unreachable."""
     path.write_bytes(data)
 
     async def open_it() -> RecordingAdapter:
@@ -194,7 +194,7 @@ def test_a_chunk_that_is_named_again_and_again_is_not_read_again_and_again(tmp_p
 
 
 def nested(deep: int) -> str:
-    """A definition each type of which nests the next one twice."""
+    """Return a definition in which each type nests the next one twice."""
     parts = [f"X{number + 1} a\nX{number + 1} b\n" for number in range(deep)]
     return "".join([parts[0], *(f"{'=' * 80}\nMSG: q/X{number}\n{parts[number]}" for number in range(1, deep))]) + (
         f"{'=' * 80}\nMSG: q/X{deep}\nint32 x\n"

@@ -1,4 +1,4 @@
-"""A recording as a playing system: what is newest, and when."""
+"""A recording as a playing system: the newest messages at each time."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Play = Callable[..., AbstractAsyncContextManager[Any]]
 
 
 def texts(samples: Sequence[Any]) -> list[str]:
-    """The texts of ROS 1 strings."""
+    """Return the texts of ROS 1 strings."""
     return [each.data[4 : 4 + struct.unpack("<I", each.data[:4])[0]].decode() for each in samples]
 
 
 @pytest.fixture
 def chatter(recorder: ModuleType, tmp_path: Path) -> Path:
-    """ "0" to "9", ten a second."""
+    """Return the lines "0" to "9", ten per second."""
     return recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines())  # type: ignore[no-any-return]
 
 

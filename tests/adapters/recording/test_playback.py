@@ -1,4 +1,4 @@
-"""Playback of a recording: its clock, and the part that is played."""
+"""Playback of a recording: its clock, and the selected part."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ def test_a_position_is_reached_when_it_says_and_not_before(playback: Playback, e
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten lines, one every 0.1 s from 2023-11-14T22:13:20Z on."""
+    """Return ten lines, one every 0.1 s from 2023-11-14T22:13:20Z on."""
     return write_rosbag1(tmp_path_factory.mktemp("bags") / "talk.bag", lines())
 
 
 def texts(source: str) -> list[str]:
-    """What the messages of a source say."""
+    """Return the texts of the messages of a source."""
 
     async def read() -> list[str]:
         found = adapter(source, AdapterOptions())

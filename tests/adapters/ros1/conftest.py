@@ -1,4 +1,4 @@
-"""Fixtures: a real ROS 1 system a module, and rosld's adapter opened on it."""
+"""Fixtures: a real ROS 1 system per module, and rosld's adapter opened on it."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Opening: TypeAlias = "Callable[..., AbstractAsyncContextManager[Session]]"
 
 @pytest.fixture(scope="module")
 def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RosSystem]:
-    """A real rosmaster, for the tests of one module."""
+    """A real rosmaster for the tests of one module."""
     with ros1.running(tmp_path_factory.mktemp("ros")) as system:
         yield system
 
 
 @pytest.fixture
 def lone_ros(tmp_path: Path) -> Iterator[RosSystem]:
-    """A real rosmaster for one test alone, which may kill it."""
+    """A real rosmaster for one test, which may kill it."""
     with ros1.running(tmp_path) as system:
         yield system
 
@@ -52,5 +52,5 @@ def opened() -> Opening:
 
 @pytest.fixture
 def free_port() -> int:
-    """A port nobody listens on."""
+    """Return a port without a listener."""
     return ros1.free_port()

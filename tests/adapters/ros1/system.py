@@ -1,8 +1,7 @@
 """A real ROS 1 system for tests: Debian's rosmaster on a free port, and nodes on the system's own Python.
 
-A test process has one rosmaster, from which all that a test has registered is removed before the next one gets it; a
-master that a test kills, or that is asked for while the other is in use, is started anew. Every process started here is
-ended by its own handle.
+A test process has one rosmaster, which is cleared between tests; a new one is started if a test has killed it or needs
+a second one at the same time. Every process started here is ended by its own handle.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ PATIENCE = 20.0
 
 
 def require_ros() -> None:
-    """Skip, saying how to install ROS, where there is none; fail instead under CI."""
+    """Skip the test, with a hint how to install ROS, if it is missing; fail instead under CI."""
     if not ROSMASTER.exists():
         _missing("no ROS 1 here")
 
 
 def require(what: str, *modules: str) -> None:
-    """Skip, saying how to install them, where the system's Python lacks modules that something needs; fail under CI."""
+    """Skip the test, with a hint how to install them, if the system's Python lacks modules; fail under CI."""
     if subprocess.run([PYTHON, "-c", f"import {', '.join(modules)}"], capture_output=True, check=False).returncode:
         _missing(f"{what} needs {', '.join(modules)}")
 
@@ -50,7 +49,7 @@ def _missing(why: str) -> None:
 
 
 def free_port() -> int:
-    """A port nobody listens on."""
+    """Return a port without a listener."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -66,7 +65,7 @@ class RosSystem:
         self.use(folder)
 
     def use(self, folder: Path) -> None:
-        """Have the nodes that are started from now on keep their files in a folder."""
+        """Let nodes started later store their files in a folder."""
         self.environment = {
             "ROS_MASTER_URI": f"http://127.0.0.1:{self.port}",
             "ROS_IP": "127.0.0.1",
@@ -82,16 +81,16 @@ class RosSystem:
 
     @property
     def source(self) -> str:
-        """What `rosld serve` is given."""
+        """Return the source argument of `rosld serve`."""
         return f"ros1://127.0.0.1:{self.port}"
 
     @property
     def master(self) -> Any:
-        """The master itself, for asking what it knows."""
+        """Return the master's API, for queries."""
         return xmlrpc.client.ServerProxy(f"http://127.0.0.1:{self.port}")
 
     def start_master(self) -> None:
-        """Start a rosmaster that knows nothing, and wait until it answers."""
+        """Start an empty rosmaster, and wait until it answers."""
         command = [str(ROSMASTER), "--core", "-p", str(self.port)]
         self._master = Process(command, self.environment, patience=PATIENCE)
         until = time.monotonic() + PATIENCE
@@ -111,7 +110,7 @@ class RosSystem:
 
     @property
     def master_process(self) -> subprocess.Popen[str]:
-        """The master's process."""
+        """Return the process of the master."""
         assert self._master is not None
         return self._master.process
 
@@ -122,13 +121,13 @@ class RosSystem:
         return running
 
     def node(self, script: str, *arguments: str, **environment: str) -> Process:
-        """Start one of the nodes beside this file and wait until it is ready."""
+        """Start one of the nodes next to this file and wait until it is ready."""
         running = self.start([PYTHON, str(NODES / script), *arguments], **environment)
         running.line("ready")
         return running
 
     def publish(self, topic: str, type_name: str, value: str, *, rate: float = 10, name: str | None = None) -> Process:
-        """Publish a value (YAML) again and again with rostopic, and wait until the master knows."""
+        """Publish a value (YAML) repeatedly with rostopic, and wait until the master has registered it."""
         before = set(self.publishers(topic))
         named = [f"__name:={name}"] if name else []
         running = self.start(["/usr/bin/rostopic", "pub", "-r", str(rate), topic, type_name, value, *named])
@@ -136,7 +135,7 @@ class RosSystem:
         return running
 
     def run(self, *command: str, timeout: float = PATIENCE) -> str:
-        """What a program of ROS prints."""
+        """Return the output of a ROS program."""
         done = subprocess.run(
             command, env=self.environment, capture_output=True, text=True, timeout=timeout, check=False
         )
@@ -144,21 +143,21 @@ class RosSystem:
         return done.stdout
 
     def yaml(self, text: str) -> Any:
-        """What a YAML document says; read by the system's Python, which has a parser."""
+        """Return the content of a YAML document; parsed by the system's Python, which has a parser."""
         program = "import json, sys, yaml; json.dump(yaml.safe_load(sys.stdin), sys.stdout)"
         done = subprocess.run([PYTHON, "-c", program], input=text, capture_output=True, text=True, check=True)
         return json.loads(done.stdout)
 
     def echo(self, topic: str) -> Any:
-        """A message of a topic as `rostopic echo -n1` prints it."""
+        """Return a message of a topic as `rostopic echo -n1` prints it."""
         return self.yaml(self.run("/usr/bin/rostopic", "echo", "-n1", topic).split("\n---")[0])
 
     def publishers(self, topic: str) -> list[str]:
-        """The nodes that the master lists as publishers of a topic."""
+        """Return the nodes that the master lists as publishers of a topic."""
         return dict(self.master.getSystemState("/test")[2][0]).get(topic, [])
 
     def until(self, true: Any, what: str, timeout: float = PATIENCE) -> None:
-        """Wait until something about the system is so."""
+        """Wait until a condition on the system holds."""
         end = time.monotonic() + timeout
         while not true():
             assert time.monotonic() < end, f"never came: {what}"
@@ -201,7 +200,7 @@ _idle: list[RosSystem] = []
 
 @contextmanager
 def running(folder: Path) -> Iterator[RosSystem]:
-    """A rosmaster that knows nothing; everything started on it is ended at last. Skips where there is no ROS 1."""
+    """Run an empty rosmaster; end everything started on it afterwards. Skip the test without ROS 1."""
     require_ros()
     system = _idle.pop() if _idle else RosSystem(folder)
     master = system._master

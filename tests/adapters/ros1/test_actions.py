@@ -62,7 +62,7 @@ def told(session: Session, goal: GoalId | None = None) -> list[GoalEvent]:
 
 
 def states(session: Session, goal: GoalId) -> list[GoalStatus]:
-    """The states that were told of a goal, each once, in their order."""
+    """Return the reported states of a goal without repetitions, in order."""
     return list(dict.fromkeys(event.status for event in told(session, goal) if event.status is not None))
 
 
@@ -182,7 +182,7 @@ def test_a_truncated_message_is_refused() -> None:
 
 
 def subscribe(uri: str, node: str, topic: str, type: str) -> socket.socket:
-    """A connection to what the node at a URI publishes, as one of this name makes it; its header was answered."""
+    """Return a connection to a node's topic under a given name, after the response header."""
     publisher: Any = xmlrpc.client.ServerProxy(uri)
     _, host, port = publisher.requestTopic(node, topic, [["TCPROS"]])[2]
     fields = (f"callerid={node}", f"topic={topic}", f"type={type}", "md5sum=*")
@@ -198,7 +198,7 @@ def subscribe(uri: str, node: str, topic: str, type: str) -> socket.socket:
 def test_a_goal_reaches_its_server_whoever_else_reads_and_whichever_connection_it_drops(
     lone_ros: RosSystem, opened: Opening, name: str
 ) -> None:
-    """rospy connects twice where it is told twice, and drops the first connection with what it has not read."""
+    """rospy connects twice when it is notified twice, and drops the first connection with its unread data."""
     server = lone_ros.node("action_node.py").process
 
     async def scenario() -> None:
@@ -223,7 +223,7 @@ def test_a_goal_reaches_its_server_whoever_else_reads_and_whichever_connection_i
             watch.close()
 
     def rosld_reads_results() -> bool:
-        """Whether the server has connections by which rosld hears of its goals."""
+        """Whether the server has the connections over which rosld receives the state of its goals."""
         uri = lone_ros.master.lookupNode("/test", "/action_node")[2]
         node: Any = xmlrpc.client.ServerProxy(uri)
         busy = node.getBusInfo("/test")[2]

@@ -1,4 +1,4 @@
-"""Parameter trees as values: names, odd keys, changes, and what is refused before anything is sent."""
+"""Parameter trees as values: names, odd keys, changes, and values rejected before anything is sent."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ scalars = st.integers(-5, 5) | st.booleans() | st.floats(allow_nan=True) | st.te
 
 
 def trees(of: st.SearchStrategy[str]) -> st.SearchStrategy[dict[str, ParameterValue]]:
-    """Made of paths and their values: cheaper by far than to make each namespace by itself."""
+    """Build trees from paths and their values, which is far cheaper than building each namespace."""
     return st.lists(st.tuples(st.lists(of, min_size=1, max_size=4), scalars | st.just({})), max_size=8).map(grown)
 
 
 def grown(leaves: list[tuple[list[str], ParameterValue]]) -> dict[str, ParameterValue]:
-    """The tree that has these leaves; of two that cannot both be there the first stays."""
+    """Return the tree with these leaves; of two conflicting ones, the first remains."""
     tree: dict[str, ParameterValue] = {}
     for (*path, last), value in leaves:
         node: ParameterValue = tree
@@ -92,7 +92,7 @@ CHANGED = (
     *([1, [2**40]], {"a": {"b": None}}, {"\x00": 1}, {1: 1}),
     *(datetime(2026, 1, 1, tzinfo=timezone.utc), datetime(2026, 1, 1, 0, 0, 0, 5)),
 )
-"""Values that XML-RPC cannot carry, or not as they are."""
+"""Values that XML-RPC cannot represent exactly."""
 
 
 def test_a_value_that_the_wire_would_change_is_refused_naming_the_parameter() -> None:

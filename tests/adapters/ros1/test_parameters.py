@@ -1,4 +1,4 @@
-"""Parameters of a real master, both ways, the odd ones included, and changes noticed without a trace."""
+"""Parameters of a real master in both directions, including odd ones, and changes noticed without a trace."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Publishing to a real ROS 1: received, matched, latched only when asked, proved before registered, unregistered."""
+"""Publishing to a real ROS 1: received, matched, latched on request, validated before registration, unregistered."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ STRING = TypeRef("std_msgs/msg/String")
 
 
 def text(words: str) -> bytes:
-    """A std_msgs/String as ROS 1 encodes it."""
+    """Return a std_msgs/String as ROS 1 encodes it."""
     data = words.encode()
     return len(data).to_bytes(4, "little") + data
 
@@ -54,7 +54,7 @@ async def test_what_is_published_is_heard_from_the_first_message_on_and_in_order
 def test_a_subscriber_that_is_slow_to_notice_the_end_of_a_connection_hears_the_next(
     ros: RosSystem, opened: Opening, seconds: float
 ) -> None:
-    """While it has not noticed, it takes itself for connected; above a second it is not waited for, but told again."""
+    """Until it notices, it believes that it is connected; after a second rosld does not wait but notifies it again."""
     listener = ros.node("slow_hangup_node.py", "/slow", str(seconds))
 
     async def publish_twice() -> None:
@@ -103,7 +103,7 @@ def _handshake(port: int, topic: str, **fields: str) -> socket.socket:
 
 
 async def _requested(session: Session, topic: str, *protocols: str) -> Answer:
-    """The answer of our own Slave API to a node that asks for a topic."""
+    """Return the answer of rosld's Slave API to a node that requests a topic."""
     uri = session.graph.nodes[session.graph.own_node].uri or ""
     host, _, port = uri.removeprefix("http://").rstrip("/").partition(":")
     reader, writer = await asyncio.open_connection(host, int(port))
@@ -115,7 +115,7 @@ async def _requested(session: Session, topic: str, *protocols: str) -> Answer:
 
 
 async def _tcp_port(session: Session, topic: str) -> int:
-    """The port that our own Slave API gives for a topic."""
+    """Return the port that rosld's Slave API reports for a topic."""
     match (await _requested(session, topic, "UDPROS", "TCPROS")).value:
         case ["TCPROS", str(), int(port)]:
             return port
@@ -182,7 +182,7 @@ async def test_rosnode_kill_ends_what_we_publish_and_a_later_publish_begins_anew
 
 
 class CountingMaster(MasterApi):
-    """A real master, and the topics whose publisher was registered at it."""
+    """A real master that records the topics with a registered publisher."""
 
     def __init__(self, uri: str) -> None:
         port = int(uri.rpartition(":")[2])
@@ -196,7 +196,7 @@ class CountingMaster(MasterApi):
 
 
 async def test_a_look_that_began_before_a_registration_does_not_have_it_said_again(ros: RosSystem) -> None:
-    """rospy that is told twice of a publisher connects twice, and loses what the first connection brought."""
+    """rospy connects twice when it is notified of a publisher twice, and loses the data of the first connection."""
     now = asyncio.get_running_loop().time
     master = CountingMaster(f"http://127.0.0.1:{ros.port}")
     types = Types(TypeLibrary(ros_version=1, folders=definition_folders(())), lambda: None)

@@ -1,4 +1,4 @@
-"""Parameters of dynamic_reconfigure, with its real server: described by the node, and set so that they take effect."""
+"""Parameters of dynamic_reconfigure, with its real server: described by the node, and set effectively."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def arm(ros: RosSystem) -> RosSystem:
 
 
 async def described(session: Session) -> None:
-    """Wait until everything that the node declares is known."""
+    """Wait until all declarations of the node are known."""
     parameters = lambda: session.graph.parameters  # noqa: E731
     await session.until(lambda: all(one in parameters() and parameters()[one].descriptor for one in DECLARED))
 
@@ -60,7 +60,7 @@ async def set_to(session: Session, **values: Any) -> None:
 
 
 async def value(session: Session, *names: str) -> list[Any]:
-    """The values of parameters of the arm."""
+    """Return the values of parameters of the arm."""
     full = [f"/arm/{name}" for name in names]
     found = await session.get_parameters(full, seconds=20)
     return [found[name] for name in full]
@@ -124,7 +124,7 @@ async def test_a_node_that_comes_later_and_goes_is_noticed(lone_ros: RosSystem, 
 
 
 def genpy(ros: RosSystem, program: str, *arguments: str) -> str:
-    """What a program says that has dynamic_reconfigure's own classes of messages."""
+    """Return the output of a program that uses dynamic_reconfigure's own message classes."""
     return ros.run(
         "/usr/bin/python3", "-c", f"import io, sys\nfrom dynamic_reconfigure.msg import *\n{program}", *arguments
     )

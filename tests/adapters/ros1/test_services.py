@@ -1,4 +1,4 @@
-"""Services of a real ROS 1: called, refused with the node's words, hanging, vanishing, and typed by asking."""
+"""Services of a real ROS 1: called, refused in the node's words, hanging, vanishing, and with a discovered type."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def node(ros: RosSystem) -> RosSystem:
 
 
 async def call(session: Session, service: str, **values: Any) -> Any:
-    """The decoded response of a service called with these values."""
+    """Return the decoded response of a service called with these values."""
     ref = await session.until(lambda: session.graph.services[service].type, f"the type of {service}")
     schema = await session.schema(ref)
     assert isinstance(schema, ServiceSchema)

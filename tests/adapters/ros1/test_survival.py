@@ -1,4 +1,4 @@
-"""What rosld survives: nodes and masters that are killed and restarted, masters that hang, a server that is busy."""
+"""Robustness: nodes and masters that are killed and restarted, masters that hang, a server that is busy."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ async def test_the_graph_goes_stale_with_the_master_and_everything_returns_with_
 
 
 def hang(ros: RosSystem) -> None:
-    """Stop the master; it does nothing more when this returns."""
+    """Suspend the master; it is suspended when this returns."""
     ros.master_process.send_signal(signal.SIGSTOP)
     os.waitid(os.P_PID, ros.master_process.pid, os.WSTOPPED | os.WNOWAIT)
 

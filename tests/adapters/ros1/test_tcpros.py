@@ -1,4 +1,4 @@
-"""The wire of TCPROS: headers and frames, whole, split anywhere, and hostile."""
+"""The wire format of TCPROS: headers and frames, whole, split anywhere, and hostile."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_the_newest_whole_frames_of_a_buffer_are_found(frames: list[bytes], cut:
 
 
 async def _received(pieces: list[bytes], depth: int, count: int) -> tuple[dict[str, str], list[bytes], int]:
-    """What a receiver delivers of these pieces, written one after the other to a real socket."""
+    """Return the frames that a receiver delivers from these pieces, written in sequence to a real socket."""
     header: dict[str, str] = {}
     delivered: list[bytes] = []
     total = 0
@@ -116,7 +116,7 @@ def test_frames_arrive_whole_however_the_stream_is_cut(sizes: list[int], parts: 
     wire = encode_header({"type": "std_msgs/String"}) + b"".join(frame(each) for each in frames)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(wire)), max_size=parts)))
     pieces = [wire[a:b] for a, b in zip([0, *cuts], [*cuts, len(wire)], strict=True)]
-    with mock.patch.object(tcpros, "FIRST_PIECE", FIRST_BUFFER):  # large frames come in more than one piece
+    with mock.patch.object(tcpros, "FIRST_PIECE", FIRST_BUFFER):  # large frames arrive in more than one piece
         header, delivered, total = asyncio.run(_received(pieces, 10, len(frames)))
     assert header == {"type": "std_msgs/String"}
     assert total == len(frames)
@@ -151,7 +151,7 @@ async def test_a_header_or_a_frame_that_claims_four_gigabytes_ends_the_connectio
 
 
 async def until(true: Callable[[], bool]) -> None:
-    """Wait for what a receiver tells nobody."""
+    """Wait for a state that a receiver does not report."""
     end = time.monotonic() + 20
     while not true():
         assert time.monotonic() < end
@@ -159,7 +159,7 @@ async def until(true: Callable[[], bool]) -> None:
 
 
 class Peer:
-    """A publisher's end of a connection whose other end is a receiver."""
+    """The publisher's end of a connection to a receiver."""
 
     def __init__(self, limit: int = MOST) -> None:
         self.delivered: list[bytes] = []

@@ -26,18 +26,18 @@ READ = {
     "/read/fix": ("sensor_msgs/NavSatFix", FIX),
     "/read/text": ("std_msgs/String", "data: 'quotes \" and ümlauts 🤖'"),
 }
-"""The type of each topic that is read, and its message."""
+"""The type and the message of each topic that is read."""
 
 
 @pytest.fixture(scope="module")
 def speaker(ros: RosSystem) -> Process:
-    """A node that speaks."""
+    """A node that publishes."""
     words = [word for topic, (type, value) in READ.items() for word in (topic, type, value)]
     return ros.node("speaking_node.py", "speaker", *words)
 
 
 def plain(value: Any, schema: MessageSchema) -> Any:
-    """A decoded message as nested dicts."""
+    """Return a decoded message as nested dicts."""
     if hasattr(value, "__msgtype__"):
         fields = schema.types[value.__msgtype__].fields
         return {field.name: plain(getattr(value, field.attribute), schema) for field in fields}
@@ -49,7 +49,7 @@ def plain(value: Any, schema: MessageSchema) -> Any:
 
 
 def numbers(value: Any) -> Any:
-    """The value of a YAML document, with the floats that YAML takes for strings as floats."""
+    """Return the value of a YAML document, converting floats that YAML parses as strings."""
     if isinstance(value, dict):
         return {key: numbers(each) for key, each in value.items()}
     if isinstance(value, list):

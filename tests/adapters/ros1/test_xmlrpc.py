@@ -1,4 +1,4 @@
-"""XML-RPC: what is read equals what was written, and hostile documents are refused."""
+"""XML-RPC: values survive a round trip, and hostile documents are rejected."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ async def _serving(answer: Callable[[str, object], Answer]) -> AsyncIterator[tup
 
 
 def _client(port: int, connections: list[Streams] | None = None) -> XmlRpcClient:
-    """A client that notes its `connections`."""
+    """Return a client that records its `connections`."""
 
     async def connect() -> Streams:
         streams = await asyncio.open_connection("127.0.0.1", port)

@@ -1,4 +1,4 @@
-"""Fixtures: a real ROS 2 system, and rosld's adapter opened on it. Without one only pure tests are here."""
+"""Fixtures: a real ROS 2 system, and rosld's adapter opened on it. Without one, only the pure tests run."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ collect_ignore_glob = [] if "ROSLD_ROS2_PYTHON" in os.environ else ["test_live_*
 
 
 class Ros2Session(Session):
-    """An open adapter of ROS 2, whose discovery takes its time."""
+    """An open adapter of ROS 2, whose discovery takes time."""
 
     def deadline(self, seconds: float = 30.0) -> float:
         return super().deadline(seconds)
 
     async def text(self, data: str) -> tuple[TypeRef, bytes]:
-        """A std_msgs/String as it is published."""
+        """Return a published std_msgs/String."""
         schema = await self.adapter.schema(TypeRef("std_msgs/msg/String"), deadline=self.deadline())
         assert isinstance(schema, MessageSchema)
         made = schema.codec.build(schema.ref.name, {"data": data})
         return schema.ref, schema.codec.encode(made, Encoding.CDR)
 
     async def trigger(self, service: str, seconds: float = 30.0) -> str:
-        """Call a std_srvs/Trigger; its message."""
+        """Call a std_srvs/Trigger; return its message."""
         schema = await self.adapter.schema(TypeRef("std_srvs/srv/Trigger"), deadline=self.deadline())
         assert isinstance(schema, ServiceSchema)
         request = schema.request.codec.build(schema.request.ref.name, {})
@@ -47,7 +47,7 @@ Opening: TypeAlias = "Callable[..., AbstractAsyncContextManager[Ros2Session]]"
 
 @pytest.fixture(scope="session")
 def ros() -> Iterator[System]:
-    """A robot, its pilot, and nodes that have a lifecycle, for all tests that end none of them."""
+    """A robot, its pilot, and nodes with a lifecycle, for all tests that end none of them."""
     with running() as system:
         for node in ("robot.py", "pilot.py", "managed.py"):
             system.node(node)
@@ -56,7 +56,7 @@ def ros() -> Iterator[System]:
 
 @pytest.fixture
 def lone_ros() -> Iterator[System]:
-    """An empty domain for one test alone."""
+    """An empty domain for one test."""
     with running() as system:
         yield system
 

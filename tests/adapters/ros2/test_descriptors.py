@@ -1,4 +1,4 @@
-"""Descriptors of parameters, as any node may have filled them."""
+"""Descriptors of parameters with any content."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From what the middleware shows to the graph."""
+"""The graph, derived from the data of the middleware."""
 
 from __future__ import annotations
 

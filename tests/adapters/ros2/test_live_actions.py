@@ -1,4 +1,4 @@
-"""Actions of a real ROS 2 system: goals are sent, watched, canceled and lost."""
+"""Actions of a real ROS 2 system: goals are sent, followed, canceled and lost."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ async def schema_of(session: Any) -> ActionSchema:
 
 
 async def send(session: Any, distance: float) -> GoalId:
-    """Send the pilot so far."""
+    """Send the pilot over a distance."""
     await session.until(lambda: Operation.SEND_GOAL in session.adapter.allows(Ref(Kind.ACTION, "/fly")))
     schema = await schema_of(session)
     goal = schema.goal.codec.encode(schema.goal.codec.build(schema.goal.ref.name, {"distance": distance}), Encoding.CDR)
@@ -43,7 +43,7 @@ async def send(session: Any, distance: float) -> GoalId:
 
 
 async def events(session: Any, goal: GoalId | None) -> list[GoalEvent]:
-    """All that was told of a goal (of the only one), once it has ended."""
+    """Return all reported events of a goal (by default the only one), once it has ended."""
 
     def told() -> list[GoalEvent]:
         return [event for each, event in session.told.goals if goal in (None, each)]
@@ -74,7 +74,7 @@ async def test_the_topics_of_an_action_are_read_and_its_services_are_known_but_n
             known = session.graph.topics[topic]
             assert known.unreadable is None
             assert [each.node for each in known.publishers] == ["/pilot"]
-            assert known.subscribers == ()  # that we follow the goal is nobody's business
+            assert known.subscribers == ()  # rosld's own subscription to the goal is not reported
         feedback, status = [await session.adapter.subscribe(topic) for topic in inner]
         message = await session.decoded((await session.first(feedback))[0])
         assert bytes(message.goal_id.uuid).hex() == goal.id

@@ -1,4 +1,4 @@
-"""Managed nodes of a real ROS 2: their states, their transitions, and those that fail, hang and go away."""
+"""Managed nodes of a real ROS 2: their states, their transitions, and those that fail, hang and disappear."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ pytestmark = pytest.mark.slow
 
 
 def known(session: Any, node: str) -> Lifecycle | None:
-    """The lifecycle of a node as the graph has it."""
+    """Return the lifecycle of a node in the graph."""
     found = session.graph.nodes.get(node)
     return None if found is None else found.lifecycle
 
 
 def standing(session: Any, node: str) -> tuple[str, list[str]] | None:
-    """Its state and what is legal in it."""
+    """Return its state and legal transitions."""
     found = known(session, node)
     return None if found is None or found.state is None else (found.state.label, [e.label for e in found.transitions])
 
@@ -43,7 +43,7 @@ async def test_a_managed_node_goes_through_its_life(ros: Any, opened: Any) -> No
         await other.until(lambda: standing(other, "/camera") == unconfigured)
         await change(session, "/camera", "configure")
         assert standing(session, "/camera") == ("inactive", ["cleanup", "activate", "shutdown"])
-        told_by_the_node = 3.0  # nobody asks that often
+        told_by_the_node = 3.0  # no client requests it that often
         await other.until(lambda: standing(other, "/camera") == standing(session, "/camera"), timeout=told_by_the_node)
         await change(session, "/camera", "activate")
         assert standing(session, "/camera") == ("active", ["deactivate", "shutdown"])

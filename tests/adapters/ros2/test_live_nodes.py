@@ -1,4 +1,4 @@
-"""Nodes of a real ROS 2 system that come, go, and do not answer."""
+"""Nodes of a real ROS 2 system that appear, disappear, and do not answer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ async def test_a_node_that_is_killed_and_started_again_is_missed_and_found_and_c
         assert subscription.latest()
         lone_ros.node("robot.py")
         await session.until(lambda: "/talker" in session.graph.nodes)
-        # A message may come before it is known which node its publisher belongs to.
+        # A message may be received before the node of its publisher is known.
         await session.until(
             lambda: "/talker" in [each.publisher for each in subscription.latest() if each.epoch > before.epoch],
             "a message of the node that is there again",
@@ -54,19 +54,19 @@ async def test_a_node_that_answers_nothing_is_told_as_such_and_holds_up_nobody(l
 
 
 def mapped() -> set[str]:
-    """The files of shared memory that this process has from its middleware, but for those that all processes share."""
+    """Return the shared memory files that this process has mapped, except those common to all processes."""
     lines = Path("/proc/self/maps").read_text("ascii").splitlines()
     found = {line.rpartition("/dev/shm/")[2] for line in lines if "/dev/shm/fast" in line}
     return {name for name in found if re.search(r"_port7\d{3}\b", name) is None}
 
 
 def shared() -> set[str]:
-    """The files of shared memory of all processes."""
+    """Return the shared memory files of all processes."""
     return {path.name for path in Path("/dev/shm").iterdir()}
 
 
 async def test_leaving_leaves_no_shared_memory_behind(lone_ros: Any, opened: Any) -> None:
-    before = mapped() | shared()  # nodes that were killed leave theirs
+    before = mapped() | shared()  # killed nodes leave theirs
     async with opened(lone_ros) as session:
         ref, data = await session.text("is anybody here?")
         await session.adapter.subscribe("/asked")

@@ -1,4 +1,4 @@
-"""What real nodes declare of their parameters, and what they then take."""
+"""Declarations of parameters by real nodes, and the values that they then accept."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DECLARED = {
 
 
 async def described(session: Any, name: str) -> Descriptor:
-    """What is declared of a parameter, once that is known."""
+    """Return the declaration of a parameter, once it is known."""
 
     def found() -> Descriptor | None:
         parameter = session.graph.parameters.get(name)
@@ -100,7 +100,7 @@ async def test_what_a_node_declares_later_or_anew_is_asked_for_soon(ros: Any, op
 
 
 class Node:
-    """A node's services of parameters, of which it declares some less than it lists; or does not describe any."""
+    """A node's parameter services, which declare fewer parameters than they list, or do not describe them."""
 
     def __init__(self, listed: list[str], declared: set[str], *, describes: bool = True) -> None:
         self.listed = listed
@@ -125,7 +125,7 @@ class Node:
 
 
 async def asked(node: Node) -> Parameters:
-    """What is known of the parameters of a node that was asked once."""
+    """Return the declarations of a node that was queried once."""
     services = {
         "/n/list_parameters": ("rcl_interfaces/srv/ListParameters",),
         "/n/describe_parameters": ("rcl_interfaces/srv/DescribeParameters",),

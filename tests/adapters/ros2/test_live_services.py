@@ -1,4 +1,4 @@
-"""Services of a real ROS 2 system, many at once, hanging and vanishing."""
+"""Services of a real ROS 2 system: concurrent, hanging and vanishing."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ async def test_a_server_that_goes_away_while_it_is_waited_for_is_unreachable_and
         hanging = asyncio.create_task(session.trigger("/hangs", 40.0))
         await asyncio.sleep(0.3)
         robot.kill()
-        with pytest.raises(Unreachable) as caught:  # and not TimedOut, which it would be in the end
+        with pytest.raises(Unreachable) as caught:  # and not TimedOut, as it would be in the end
             await hanging
         assert caught.value.sent is Sent.MAYBE
         await session.until(lambda: session.graph.state.__class__.__name__ == "Stale")

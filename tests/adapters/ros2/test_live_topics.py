@@ -1,4 +1,4 @@
-"""Topics of a real ROS 2 system: quality of service, latched messages, several publishers, what is our own."""
+"""Topics of a real ROS 2 system: quality of service, latched messages, several publishers, rosld's own endpoints."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ async def test_a_latched_message_reaches_a_late_look_and_a_second_look_and_count
     async with opened(ros) as session:
         one = await session.adapter.subscribe("/description")
         (early,) = await session.first(one)
-        assert early.latched  # also where it came before it was known who publishes
+        assert early.latched  # even if it was received before its publisher was known
         sample = await session.until(lambda: one.latest()[0].publisher and one.latest()[0])
         assert (await session.decoded(sample)).data == "a robot"
         assert sample.latched
@@ -76,7 +76,7 @@ async def test_two_publishers_of_one_topic_are_both_read(ros: Any, opened: Any) 
         assert texts == {"castor", "pollux"}
         heard = {each.publisher for each in subscription.latest()}
         assert heard <= {"/castor", "/pollux", ""}
-        if heard == {"/castor", "/pollux"}:  # where the middleware tells who sent a message
+        if heard == {"/castor", "/pollux"}:  # where the middleware reports the sender of a message
             for each in subscription.latest():
                 assert each.publisher == "/" + (await session.decoded(each)).data
     for node in twins:
@@ -104,7 +104,7 @@ async def test_an_own_sample_is_one_sample_though_the_middleware_echoes_it(ros: 
         for number in range(5):
             ref, data = await session.text(f"number {number}")
             published = await session.publish("/cockpit/display", ref, data)
-            assert published.matched == 1  # our own reader is nobody
+            assert published.matched == 1  # rosld's own reader does not count
         await asyncio.sleep(0.3)
         samples = subscription.latest()
         assert [each.publisher for each in samples] == [session.graph.own_node] * 5

@@ -1,4 +1,4 @@
-"""Types of a real ROS 2 system: their hashes, and those that are not known here."""
+"""Types of a real ROS 2 system: their hashes, and unknown types."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_every_type_installed_here_has_the_hash_that_came_with_it() -> None:
         hashes = {each["type_name"]: each["hash_string"] for each in stated}
         definition = path.with_suffix(f".{path.parent.name}")
         if name in hashes and definition.exists() and "wstring" not in definition.read_text():
-            for each, hash in hashes.items():  # the type's own, and those of what ROS 2 derives from it
+            for each, hash in hashes.items():  # the type itself, and the types that ROS 2 derives from it
                 checked += 1
                 found = known.find(TypeRef(each)).ref.hash
                 if found != hash:
@@ -81,7 +81,7 @@ def test_what_every_message_installed_here_is_made_with_are_the_defaults_of_its_
         schema = known.find(TypeRef(f"{package}/msg/{name}"))
         assert isinstance(schema, MessageSchema)
         for field in schema.type.fields:
-            if isinstance(field.type, Primitive) and field.type.name != "byte":  # which is bytes in Python
+            if isinstance(field.type, Primitive) and field.type.name != "byte":  # bytes in Python
                 stated = field.default if field.default is not None else type(getattr(made, field.name))()
                 assert getattr(made, field.name) == stated, f"{package}/{name}.{field.name}"
                 checked += field.default is not None

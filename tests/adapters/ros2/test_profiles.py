@@ -1,4 +1,4 @@
-"""Which quality of service is taken for reading and for publishing."""
+"""Choice of the quality of service for reading and publishing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sources of ROS 2, and what is said where there is no rclpy."""
+"""Sources of ROS 2, and the message if rclpy is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The drive: it keeps to its limits, stands soon after it is told to, and never drives into anything."""
+"""The drive: it keeps to its limits, stops soon on command, and never collides."""
 
 from __future__ import annotations
 

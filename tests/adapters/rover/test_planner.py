@@ -1,4 +1,4 @@
-"""The planner: its ways are free, and there is one wherever a flood of the free cells gets to."""
+"""The planner: its paths are free, and it finds one wherever a flood fill of free cells reaches."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def is_free(place: Point) -> bool:
 
 
 def flooded(start: Point) -> np.ndarray:
-    """The cells that free steps lead to from the cell of a place."""
+    """Return the cells that free steps reach from the cell of a place."""
     free = GRID.clearances >= RADIUS + MARGIN
     reached = np.zeros_like(free)
     reached[GRID.cell(*start)] = True

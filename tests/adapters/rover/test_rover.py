@@ -1,4 +1,4 @@
-"""The rover as an adapter: what the contract suite does not say of it."""
+"""The rover as an adapter, beyond the contract suite."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from tests.adapters.session import Session, Told
 
 @asynccontextmanager
 async def live(told: Told | None = None) -> AsyncIterator[Session]:
-    """An open rover."""
+    """Open a rover."""
     opened: Adapter = rover_adapter("rover", AdapterOptions())
     sink = told or Told()
     await opened.open(sink, deadline=asyncio.get_running_loop().time() + 5)
@@ -48,7 +48,7 @@ async def live(told: Told | None = None) -> AsyncIterator[Session]:
 
 
 async def said(session: Session, topic: str) -> Any:
-    """A message of a topic, decoded."""
+    """Return a decoded message of a topic."""
     (sample,) = (await session.adapter.subscribe(topic)).latest()
     return await session.decoded(sample)
 
@@ -142,7 +142,7 @@ async def test_a_goal_that_is_pursued_is_lost_when_the_rover_ends() -> None:
 
 
 async def goal(session: Session, x: float, y: float) -> bytes:
-    """The bytes of a goal."""
+    """Return the bytes of a goal."""
     schema = await session.schema(TypeRef("rosld_rover/action/NavigateTo"))
     return encode(schema.goal, {"pose": pose_stamped(Pose(x, y, 0.0), 0)})
 

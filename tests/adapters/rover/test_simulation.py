@@ -1,4 +1,4 @@
-"""The simulation: the same commands lead to the same state, however often somebody looks."""
+"""The simulation: equal commands lead to equal states, however often it is observed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def texts(simulation: Simulation, severity: Severity) -> str:
 
 
 def ended(simulation: Simulation, now: float, patience: float = 60.0) -> tuple[Outcome, str]:
-    """How the goal that is pursued ends, looked for as often as a clock would."""
+    """Return how the current goal ends, observed as often as a clock would."""
     for turn in range(round(patience / 0.05)):
         simulation.advance(now + 0.05 * turn)
         if found := simulation.take_ended():
@@ -43,7 +43,7 @@ def test_looking_often_changes_nothing(pauses: list[float]) -> None:
         now += pause
         often.advance(now)
     once.advance(now)
-    for each in (once, often):  # to a time by which both have made all steps
+    for each in (once, often):  # until both have made all steps
         each.advance(now + 2 * STEP)
     behind = abs(once.state.motion.driven - often.state.motion.driven)
     assert behind <= 0.5 * STEP + 1e-9

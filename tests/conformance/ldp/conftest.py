@@ -1,4 +1,4 @@
-"""One rosld for the folder, reached over real HTTP; each test has a container of its own under `/data/`."""
+"""One rosld for the folder, over real HTTP; each test has its own container under `/data/`."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class Served:
     http: httpx.Client
 
     def at(self, path: str) -> Place:
-        """What lies under a path of it."""
+        """Return the URL of a path."""
         return Place(self.url + path, self.http)
 
     def place(self, name: str) -> Place:
-        """A new Basic container under `/data/`."""
+        """Create a new Basic container under `/data/`."""
         made = self.at(f"data/{name}-{next(_COUNTED)}/")
         answer = made.send("PUT", model="BasicContainer")
         assert answer.status_code == 201, answer.text
@@ -47,13 +47,13 @@ class Served:
 
 @dataclass(frozen=True)
 class Place:
-    """A container and what is sent to its members; a name that is a whole URL is that URL."""
+    """A container and requests to its members; a name that is a whole URL stands for that URL."""
 
     url: str
     http: httpx.Client
 
     def at(self, name: str) -> str:
-        """The URL of a member."""
+        """Return the URL of a member."""
         return name if name.startswith("http") else self.url + name
 
     def send(
@@ -66,7 +66,7 @@ class Place:
         model: str | None = None,
         **headers: str,
     ) -> httpx.Response:
-        """A request; `model` is asked for by a Link, a header `If_Match="x"` is sent as `If-Match: x`."""
+        """Send a request; a Link header requests `model`, a header `If_Match="x"` is sent as `If-Match: x`."""
         sent = {name.replace("_", "-"): value for name, value in headers.items()}
         if media_type is not None:
             sent["Content-Type"] = media_type
@@ -76,58 +76,57 @@ class Place:
         return self.http.request(method, self.at(name), content=content or None, headers=sent)
 
     def get(self, name: str = "", **headers: str) -> httpx.Response:
-        """GET."""
         return self.send("GET", name, **headers)
 
     def put(self, name: str, turtle: str, *, model: str | None = None, **headers: str) -> httpx.Response:
-        """PUT of Turtle that must succeed."""
+        """Send a PUT of Turtle that must succeed."""
         answer = self.send("PUT", name, turtle, TURTLE, model=model, **headers)
         assert answer.status_code in (200, 201, 204), answer.text
         return answer
 
     def post(self, turtle: str = "", *, to: str = "", model: str | None = None, **headers: str) -> str:
-        """POST of Turtle that must make something; its URL."""
+        """Send a POST of Turtle that must create a resource; return its URL."""
         answer = self.send("POST", to, turtle or "<> <http://ex.org/p> 1 .", TURTLE, model=model, **headers)
         assert answer.status_code == 201, answer.text
         return answer.headers["location"]
 
     def graph(self, name: str = "", **headers: str) -> set[Triple]:
-        """The triples of a resource."""
+        """Return the triples of a resource."""
         answer = self.get(name, **({"Accept": TURTLE} | headers))
         assert answer.status_code == 200, answer.text
         return triples(answer)
 
     def objects(self, name: str, predicate: NamedNode, **headers: str) -> set[object]:
-        """The objects of a predicate of a resource itself; IRIs as text."""
+        """Return the objects of a predicate of the resource itself; IRIs as text."""
         url = NamedNode(self.at(name))
         found = (each for each in self.graph(name, **headers) if each.subject == url and each.predicate == predicate)
         return {each.object.value if isinstance(each.object, NamedNode) else each.object for each in found}
 
     def contained(self, name: str = "", **headers: str) -> set[object]:
-        """The URLs of what a container contains."""
+        """Return the URLs of the members of a container."""
         return self.objects(name, ldp.contains, **headers)
 
 
 def triples(answer: httpx.Response) -> set[Triple]:
-    """The triples of an answer in any RDF syntax."""
+    """Return the triples of a response in any RDF syntax."""
     syntax = RdfFormat.from_media_type(answer.headers["content-type"].partition(";")[0])
     assert syntax is not None, answer.headers["content-type"]
     return {quad.triple for quad in parse(answer.content, format=syntax, base_iri=str(answer.url))}
 
 
 def links(answer: httpx.Response) -> list[Link]:
-    """The links of an answer."""
+    """Return the links of a response."""
     return list(parse_links(", ".join(answer.headers.get_list("link"))))
 
 
 def models(answer: httpx.Response) -> set[str]:
-    """The local names of the LDP types that an answer links to."""
+    """Return the local names of the LDP types that a response links to."""
     return {each.target.removeprefix(ldp.iri) for each in links(answer) if each.rel == "type"}
 
 
 @contextmanager
 def running(*arguments: str) -> Iterator[Served]:
-    """A server that ends afterwards, and in order."""
+    """Run a server and end it in an orderly way."""
     server = ServingThread.of_command(*arguments, "--port", "0")
     try:
         with httpx.Client(timeout=15) as http:
@@ -147,14 +146,14 @@ def served() -> Iterator[Served]:
 
 @pytest.fixture(scope="module")
 def demanding() -> Iterator[Served]:
-    """A server that demands If-Match."""
+    """A server that requires If-Match."""
     with running("aircraft", "--demand-if-match") as one:
         yield one
 
 
 @pytest.fixture
 def place(served: Served, request: pytest.FixtureRequest) -> Place:
-    """A container of the test's own."""
+    """A container for one test."""
     return served.place(re.sub(r"[^a-z0-9]+", "-", request.node.name.lower())[:40].strip("-"))
 
 

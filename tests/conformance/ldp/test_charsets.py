@@ -1,4 +1,4 @@
-"""Bodies in the charset they state (RFC 9110 8.3.2), as Java's clients state ISO-8859-1 with everything."""
+"""Bodies in their declared charset (RFC 9110 8.3.2); Java's clients declare ISO-8859-1 for everything."""
 
 from __future__ import annotations
 

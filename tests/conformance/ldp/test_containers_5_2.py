@@ -77,7 +77,7 @@ def test_5_2_3_4_the_interaction_model_asked_for_is_honoured(place: Place) -> No
     for model in ("Resource", "RDFSource"):
         made = place.post(model=model)
         assert models(place.get(made)) == {"Resource", "RDFSource"}
-        answer = place.send("POST", made, "", TURTLE)  # merged into what is there: nothing is made
+        answer = place.send("POST", made, "", TURTLE)  # merged into the existing resource: nothing is created
         assert (answer.status_code, answer.headers.get("location")) == (204, None)
 
 
@@ -107,7 +107,7 @@ def test_5_2_3_4_the_interaction_model_never_changes(place: Place, kinds: dict[s
 
 
 def test_5_2_3_6_the_content_type_says_what_a_body_is(place: Place) -> None:
-    """The same bytes are Turtle or a text, as Content-Type says; nothing is guessed."""
+    """The same bytes are Turtle or text according to Content-Type; nothing is guessed."""
     body = "<> <http://ex.org/p> 1 ."
     made = [place.send("POST", "", body, kind).headers["location"] for kind in ("text/plain", TURTLE)]
     assert place.get(made[0]).text == body

@@ -56,7 +56,7 @@ def test_5_4_1_4_two_relations_are_refused(place: Place) -> None:
 
 
 def test_5_4_1_5_the_member_is_what_was_put_into_it(place: Place) -> None:
-    """An ldp:insertedContentRelation of ldp:MemberSubject says what is so anyway; any other is refused."""
+    """An ldp:insertedContentRelation of ldp:MemberSubject states the default; any other is rejected."""
     rooms = made(place, f"{FORWARD} <> <{ldp.iri}insertedContentRelation> <{ldp.iri}MemberSubject> .")
     kitchen = place.post(f"<> {PART} <#cupboard> .", to=rooms)
     assert Triple(NamedNode(f"{rooms}#house"), PART, NamedNode(kitchen)) in place.graph(rooms)
@@ -66,7 +66,7 @@ def test_5_4_1_5_the_member_is_what_was_put_into_it(place: Place) -> None:
 
 @pytest.mark.parametrize("said", [FORWARD, BACKWARD, ""])
 def test_5_4_2_1_each_new_member_is_one_by_membership_too(said: str, place: Place) -> None:
-    """Until it is deleted; what was read may be put back."""
+    """Until it is deleted; the document that was read may be put back."""
     rooms = made(place, said)
     kitchen = place.post(to=rooms)
     members = {kitchen, place.send("POST", rooms, b"x", "image/png").headers["location"], f"{rooms}attic"}
@@ -89,7 +89,7 @@ def test_5_4_1_4_what_membership_is_made_of_stays_as_it_was_said(place: Place) -
 
 
 def _members(place: Place, url: str) -> set[str]:
-    """The members that the membership triples of a container tell, as it says these are made."""
+    """Return the members according to the membership triples of a container."""
     said = place.graph(url)
     forward, backward = place.objects(url, ldp.hasMemberRelation), place.objects(url, ldp.isMemberOfRelation)
     (constant,) = place.objects(url, ldp.membershipResource)

@@ -16,7 +16,7 @@ COUNTS = (
     | {"5.4.1": 5, "5.4.1.4": 2, "5.4.2": 1, "5.4.3": 1, "5.5.1": 2, "5.5.2": 1}
     | {"6.1": 2, "6.2": 6, "6.3": 3, "7.1": 2, "7.2.2": 4}
 )
-"""How many clauses each section of LDP 1.0 has."""
+"""Number of clauses in each section of LDP 1.0."""
 CLAUSES = {f"{section}.{number}" for section, count in COUNTS.items() for number in range(1, count + 1)}
 
 

@@ -1,4 +1,4 @@
-"""What the server says of what is kept, as clients say it: kept, passed where it is so, or refused (LDP 4.2.4.3)."""
+"""Server-managed properties in bodies of clients: stored, ignored if they are true, or rejected (LDP 4.2.4.3)."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_managed_the_first_writer_says_when_it_was_created_and_modified(
 def test_managed_another_time_is_refused_from_then_on(way: Callable[..., Write], place: Place, served: Served) -> None:
     place.put("there/", "")
     place.put("said", f"<> <http://ex.org/p> 1 ; <{DCTERMS}created> {YEAR} .")
-    for name in ("said", "there/") if way is not merge else ("said",):  # a POST to a container makes a member
+    for name in ("said", "there/") if way is not merge else ("said",):  # a POST to a container creates a member
         before = place.graph(name)
         for predicate in TIMES:
             answer = way(place, served)(name, f"<> {predicate} {OTHER}")
@@ -101,7 +101,7 @@ def test_managed_a_representation_can_be_put_back(place: Place, kinds: dict[str,
 
 
 def test_managed_an_earlier_state_is_put_back_also_with_times_rounded_to_milliseconds(place: Place) -> None:
-    """The modification time is then one that the resource had, and no other."""
+    """The modification time is then one that the resource had."""
     place.put("a", "<> <http://ex.org/p> 1 .")
     seen = place.get("a", Accept=TURTLE)
     place.put("a", "<> <http://ex.org/p> 2 .")
@@ -171,7 +171,7 @@ def test_managed_the_member_subject_of_a_direct_container_may_be_stated(place: P
 
 
 def _in_queries(place: Place, served: Served, name: str, predicate: NamedNode) -> list[str]:
-    """What a query finds."""
+    """Return the result of a query."""
     query = f"SELECT ?o {{ GRAPH <{place.at(name)}> {{ <{place.at(name)}> {predicate} ?o }} }}"
     answer = served.http.get(
         f"{served.url}sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"}

@@ -1,4 +1,4 @@
-"""A container of 20,000 members: told in pages, and no slower to write to than an empty one (LDP Paging 1.0)."""
+"""A container of 20,000 members: served in pages, and as fast to write to as an empty one (LDP Paging 1.0)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PAGE = 1000
 
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    """A served container of 20,000 members, restored as `rosld load` does, and `/data/empty/` of none."""
+    """A served container of 20,000 members, restored as by `rosld load`, and an empty `/data/empty/`."""
     folder = tmp_path_factory.mktemp("large")
     connection = connect(folder)
     records = [Record(path, Model.BASIC_CONTAINER, 1, 0, 0) for path in ("data/", "data/many/", "data/empty/")]
@@ -44,7 +44,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
 
 
 def contained(page: httpx.Response) -> list[str]:
-    """The URLs of the members that a page of N-Triples tells of, in order."""
+    """Return the URLs of the members on a page of N-Triples, in order."""
     assert page.status_code == 200, page.text
     return re.findall(r"<http://www.w3.org/ns/ldp#contains> <([^>]*)>", page.text)
 
@@ -116,7 +116,7 @@ def test_paging_a_large_container_is_patched_without_its_members(large: Place) -
     assert large.send("PATCH", "", wrong, "application/sparql-update").status_code == 409
 
 
-# Containers of any size in pages, as a client prefers
+# Containers of any size in pages, on a client's preference
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def small(limit: int) -> dict[str, str]:
 
 
 def test_paging_a_page_tells_the_state_of_the_whole(few: Place) -> None:
-    """LDP Paging 1.0, 5.2: who walks on notices by the canonical link that something changed."""
+    """LDP Paging 1.0, 5.2: the canonical link shows clients that follow pages that the container has changed."""
 
     def state() -> str:
         links = few.http.get(few.url, headers=small(3), follow_redirects=True).headers["link"]
@@ -151,7 +151,7 @@ def test_paging_what_a_query_asks_for_is_asked_of_the_page(few: Place) -> None:
     assert len(contained(answer)) == 3
 
 
-# The robot's containers, which are ordered by name
+# The robot's containers, ordered by name
 
 
 PARAMETERS = {f"p{number:04}": number for number in range(2500)} | {"a:b": {"deep": True}}

@@ -32,13 +32,13 @@ def merge(place: Place, text: str, name: str = "a.json") -> httpx.Response:
 
 @pytest.fixture(autouse=True)
 def patched(place: Place) -> None:
-    """Put the resources that are patched."""
+    """Put the resources to be patched."""
     place.put("a", '<> <http://ex.org/p> "old", 1.50 ; <http://ex.org/q> "kept" .')
     assert place.send("PUT", "a.json", '{"a": {"b": 1, "c": 2}, "d": [1, 2]}', "application/json").status_code == 201
 
 
 def test_sparql_update_changes_the_resource(place: Place) -> None:
-    """And sees no other resource."""
+    """It sees no other resource."""
     place.put("b", '<> <http://ex.org/p> "of b" .')
     assert update(place, 'DELETE { <> ?p "old" } INSERT { <> ?p "new" } WHERE { ?s ?p "old" }').is_success
     assert update(place, 'INSERT { <> ?p "seen" } WHERE { ?s ?p "of b" }').is_success

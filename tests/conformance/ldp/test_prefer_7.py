@@ -1,4 +1,4 @@
-"""LDP 6 and 7: what may be beyond the rest, Accept-Post, and preferences."""
+"""LDP 6 and 7: optional extensions, Accept-Post, and preferences."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MINIMAL, EMPTY = f"{ldp.iri}PreferMinimalContainer", f"{ldp.iri}PreferEmptyConta
 
 @pytest.fixture
 def house(place: Place) -> Place:
-    """A Direct container with a member and something of its own."""
+    """A Direct container with a member and a statement of its own."""
     said = f"<> {P} 1 ; <{ldp.iri}membershipResource> <#all> ; <{ldp.iri}hasMemberRelation> {HAS} ."
     place.put("house/", said, model="DirectContainer")
     place.post(to="house/")
@@ -27,7 +27,7 @@ def house(place: Place) -> Place:
 
 
 def told(house: Place, prefer: str) -> set[str]:
-    """Which of its three parts are told."""
+    """Return which of its three parts are in a response."""
     parts = {ldp.contains: "containment", HAS: "membership", P: "minimal"}
     return {parts[each.predicate] for each in house.graph(Prefer=prefer) if each.predicate in parts}
 
@@ -98,7 +98,7 @@ def test_7_2_2_2_omit_says_what_is_not(omit: str, parts: set[str], house: Place)
 
 
 def test_7_2_2_the_answer_says_which_preference_was_applied(house: Place) -> None:
-    """And representations that differ have different ETags."""
+    """Different representations have different ETags."""
     whole = house.get()
     assert "preference-applied" not in whole.headers
     for hint in (MINIMAL, MEMBERSHIP):

@@ -63,7 +63,7 @@ def test_4_3_1_10_nothing_needs_inference(place: Place, kinds: dict[str, str], r
 
 
 def test_4_3_1_11_everything_that_is_got_can_be_put_back(place: Place) -> None:
-    """Spellings, datatypes, languages (in lower case) and triples about other things survive."""
+    """Spellings, datatypes, languages (in lower case) and triples about other things are preserved."""
     said = (
         '<> <http://ex.org/p> "01"^^<http://www.w3.org/2001/XMLSchema#integer> , 1.50 , 1e0 , "x"@en-GB , true , [] ;'
         ' a <http://ex.org/Thing> . <http://ex.org/other> <http://ex.org/p> ( 1 "two" ) .'
@@ -117,5 +117,5 @@ def test_4_3_2_3_json_ld_is_taken(place: Place) -> None:
 
 
 def _grounded(graph: set[Triple]) -> set[Triple]:
-    """Those without blank nodes, whose labels differ from answer to answer."""
+    """Return triples without blank nodes, whose labels differ in every response."""
     return {each for each in graph if "_:" not in str(each)}

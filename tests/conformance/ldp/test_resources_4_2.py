@@ -22,7 +22,7 @@ ROBOTS_OWN = (
     *("resources/aircraft/power", "types/std_msgs/msg/String", "shapes/std_msgs/msg/String", "mappings/aircraft"),
     *("queries/graph", "ontology"),
 )
-"""Resources of the robot that are no containers."""
+"""Resources of the robot that are not containers."""
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_4_2_1_3_every_representation_has_an_etag(everything: list[str], place: 
 
 
 def test_4_2_1_3_a_change_changes_the_etag(place: Place) -> None:
-    """A change of members changes the one of the container."""
+    """A change of members changes the ETag of the container."""
 
     def etags() -> tuple[str, str]:
         return place.get().headers["etag"], place.get("a").headers["etag"]
@@ -163,7 +163,7 @@ def test_4_2_4_1_put_replaces_everything(place: Place) -> None:
 
 
 def test_4_2_4_2_what_was_got_is_put_back_with_a_change(place: Place) -> None:
-    """Server-managed triples come back with it, and are no obstacle."""
+    """Server-managed triples are included, and do not prevent it."""
     place.put("a", "<> <http://ex.org/p> 1 .")
     place.put("basic/", "", model="BasicContainer")
     place.put("basic/m", "<> <http://ex.org/p> 1 .")
@@ -184,7 +184,7 @@ def test_4_2_4_3_properties_that_the_server_manages_cannot_be_changed(place: Pla
 
 
 def test_4_2_4_4_what_cannot_be_kept_is_refused(place: Place, served: Served) -> None:
-    """Under `/data/` these are graphs of other names, for a resource is one graph."""
+    """Under `/data/` these are graphs with other names, as a resource is one graph."""
     body = "<http://ex.org/g> { <> <http://ex.org/p> 1 }"
     answer = place.send("PUT", "a", body, "application/trig")
     assert 400 <= answer.status_code < 500

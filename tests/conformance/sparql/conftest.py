@@ -1,4 +1,4 @@
-"""One rosld for the folder, reached over real HTTP; each test has a container of its own under `/data/`."""
+"""One rosld for the folder, over real HTTP; each test has its own container under `/data/`."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ _COUNTED = itertools.count(1)
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A server: the URL of its entry, a client for it."""
+    """A server: the URL of its entry, and a client for it."""
 
     url: str
     http: httpx.Client
 
     def query(self, text: str, **parameters: str | list[str]) -> httpx.Response:
-        """A query by GET."""
+        """Send a query by GET."""
         return self.http.get(f"{self.url}sparql", params={"query": text, **parameters})
 
     def ask(self, text: str, **parameters: str | list[str]) -> bool:
-        """The answer to an ASK."""
+        """Return the answer to an ASK."""
         return boolean(self.query(text, **parameters))
 
     def post(self, body: bytes | str, media_type: str | None, query: str = "", **headers: str) -> httpx.Response:
-        """A POST to the endpoint."""
+        """Send a POST to the endpoint."""
         content = body.encode() if isinstance(body, str) else body
         typed = {} if media_type is None else {"Content-Type": media_type}
         return self.http.post(f"{self.url}sparql{query}", content=content, headers=typed | headers)
 
     def form(self, beside: str = "", /, **fields: str | list[str]) -> httpx.Response:
-        """A form that is posted to the endpoint; an underscore in a name is a hyphen."""
+        """Post a form to the endpoint; an underscore in a name stands for a hyphen."""
         return self.http.post(
             f"{self.url}sparql{beside}", data={name.replace("_", "-"): value for name, value in fields.items()}
         )
@@ -54,13 +54,13 @@ class Store:
     direct: bool = False
 
     def at(self, name: str) -> str:
-        """The name of a graph; one that is a whole IRI is itself."""
+        """Return the name of a graph; a whole IRI is unchanged."""
         return name if ":" in name else self.url + name
 
     def send(
         self, method: str, name: str, body: bytes | str = b"", media_type: str | None = None, **headers: str
     ) -> httpx.Response:
-        """A request on a graph; a header `If_Match="x"` is sent as `If-Match: x`."""
+        """Send a request for a graph; a header `If_Match="x"` is sent as `If-Match: x`."""
         sent = {key.replace("_", "-"): value for key, value in headers.items()}
         if media_type is not None:
             sent["Content-Type"] = media_type
@@ -71,13 +71,13 @@ class Store:
         return self.endpoint.http.request(method, url, params={"graph": self.at(name)}, content=content, headers=sent)
 
     def put(self, name: str, turtle: str) -> str:
-        """Put a graph; its name."""
+        """Put a graph; return its name."""
         answer = self.send("PUT", name, turtle, TURTLE)
         assert answer.status_code in (201, 204), answer.text
         return self.at(name)
 
     def holds(self, name: str, turtle: str) -> bool:
-        """Whether a graph says what is given and nothing else, the server's own triples about it left out."""
+        """Whether a graph has exactly these triples, besides the server's own about it."""
         answer = self.send("GET", name, Accept=TURTLE)
         assert answer.status_code == 200, answer.text
         url = NamedNode(self.at(name))
@@ -87,7 +87,7 @@ class Store:
 
 
 def boolean(answer: httpx.Response) -> bool:
-    """The answer to an ASK, in JSON."""
+    """Return the answer to an ASK in JSON."""
     assert answer.status_code == 200, answer.text
     assert answer.headers["content-type"] == "application/sparql-results+json"
     found = answer.json()["boolean"]
@@ -96,7 +96,7 @@ def boolean(answer: httpx.Response) -> bool:
 
 
 def canonical(graph: Iterable[Triple]) -> set[str]:
-    """A graph with its blank nodes named alike in all graphs that are isomorphic to it."""
+    """Return a graph with canonical blank nodes: equal for isomorphic graphs."""
     dataset = Dataset(Quad(each.subject, each.predicate, each.object) for each in graph)
     dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
     return {str(quad) for quad in dataset}
@@ -118,30 +118,30 @@ def endpoint() -> Iterator[Endpoint]:
 
 @pytest.fixture(scope="module")
 def read_only() -> Iterator[Endpoint]:
-    """A server that only reads."""
+    """A read-only server."""
     with running("aircraft", "--read-only") as served:
         yield Endpoint(served.url, served.http)
 
 
 def new_store(endpoint: Endpoint, *, direct: bool = False) -> Store:
-    """A container that is not used yet."""
+    """Create a new container."""
     return Store(endpoint, f"{endpoint.url}data/of-{next(_COUNTED)}/", direct)
 
 
 @pytest.fixture
 def store(endpoint: Endpoint) -> Store:
-    """A container of the test's own, its graphs named by `?graph=`."""
+    """A container for one test, with graphs named by `?graph=`."""
     return new_store(endpoint)
 
 
 @pytest.fixture(params=("indirect", "direct"))
 def graphs(request: pytest.FixtureRequest, endpoint: Endpoint) -> Store:
-    """A container of the test's own, its graphs named by `?graph=`, and by their own URLs."""
+    """A container for one test, with graphs named by `?graph=`, and by their own URLs."""
     return new_store(endpoint, direct=request.param == "direct")
 
 
 @pytest.fixture
 def three(store: Store) -> tuple[str, str, str]:
-    """The names of three graphs, each with one triple of its own: `ex:data1 a ex:Kind1` and so on."""
+    """The names of three graphs with one triple each: `ex:data1 a ex:Kind1` and so on."""
     one, two, three = (store.put(f"{n}", f"<{EX}data{n}> a <{EX}Kind{n}> .") for n in (1, 2, 3))
     return one, two, three

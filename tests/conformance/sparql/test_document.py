@@ -9,11 +9,11 @@ from pathlib import Path
 HERE = Path(__file__).parent
 PAGE = HERE.parents[2] / "docs" / "reference" / "conformance.md"
 COUNT = 53
-"""How many cases the manifests of W3C have."""
+"""Number of cases in the manifests of W3C."""
 
 
 def told() -> Iterator[str]:
-    """The cases in the rows of the page."""
+    """Yield the cases in the rows of the page."""
     section = PAGE.read_text("utf-8").partition("## SPARQL Protocol")[2].partition("\n## ")[0]
     for line in section.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
@@ -22,7 +22,7 @@ def told() -> Iterator[str]:
 
 
 def test_every_case_has_one_row_and_a_test_that_names_it() -> None:
-    """By its own name, or in the docstring of a test of several cases; cases of GET are in the test of the write."""
+    """The name of the test, or its docstring for several cases; the test of a write includes its GET."""
     cases = list(told())
     assert len(cases) == len(set(cases)) == COUNT
     tests = "".join(path.read_text("utf-8") for path in HERE.glob("test_*_*.py"))

@@ -1,6 +1,6 @@
-"""W3C's tests of the SPARQL 1.1 Graph Store HTTP Protocol, by their names: graphs named by `?graph=` and by their URLs.
+"""W3C's tests of the SPARQL 1.1 Graph Store HTTP Protocol, by name: graphs identified by `?graph=` and by their URLs.
 
-Where the server answers otherwise on purpose, the test says so.
+Tests state where the server deviates on purpose.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MULTIPART = [
 
 
 def posted(store: Store, name: str, files: list[tuple[str, tuple[str, str, str]]]) -> httpx.Response:
-    """A POST of multipart/form-data to a graph."""
+    """Send a POST of multipart/form-data to a graph."""
     http = store.endpoint.http
     if store.direct:
         return http.post(store.at(name), files=files)
@@ -49,7 +49,7 @@ def test_put__graph_already_in_store(graphs: Store) -> None:
 
 
 def test_put__default_graph(endpoint: Endpoint, store: Store) -> None:
-    """What is written to the default graph goes to one document."""
+    """Data for the default graph is stored in one document."""
     url, typed = f"{endpoint.url}graphs?default", {"Content-Type": TURTLE}
     endpoint.http.delete(url)
     made = endpoint.http.put(url, content=JOHN, headers=typed)
@@ -63,7 +63,7 @@ def test_put__default_graph(endpoint: Endpoint, store: Store) -> None:
 
 
 def test_get_of_put__default_graph(endpoint: Endpoint, store: Store) -> None:
-    """What is put into any graph is in the default graph."""
+    """Data in any graph is in the default graph."""
     store.put("a", "<http://example.org/in-any> <http://example.org/p> 1 .")
     url, accept = f"{endpoint.url}graphs?default", {"Accept": "application/n-triples"}
     answer = endpoint.http.get(url, headers=accept)
@@ -135,7 +135,7 @@ def test_head_on_a_nonexisting_graph(graphs: Store) -> None:
     assert [graphs.send(method, "person/4").status_code for method in ("HEAD", "DELETE")] == [404, 404]
 
 
-# Beyond the tests of W3C: how graphs are named
+# Beyond the tests of W3C: names of graphs
 
 
 def test_relative_names_are_resolved_against_the_store(endpoint: Endpoint, store: Store) -> None:
@@ -173,7 +173,7 @@ def test_graphs_of_other_places_are_not_here_and_cannot_be(endpoint: Endpoint, s
             assert f"{endpoint.url}data/" in answer.json()["detail"]
 
 
-# What is kept
+# Stored data
 
 
 def test_post_to_a_container_makes_a_graph_in_it(graphs: Store) -> None:

@@ -1,4 +1,4 @@
-"""W3C's tests of the SPARQL 1.1 Protocol for queries, by their names; then what else it demands of an endpoint."""
+"""W3C's tests of the SPARQL 1.1 Protocol for queries, by name, and its other requirements for endpoints."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SD = "http://www.w3.org/ns/sparql-service-description#"
 
 
 def answered(endpoint: Endpoint, method: str, text: str, **graphs: list[str]) -> bool:
-    """The answer to an ASK with a dataset beside it; an underscore in a name is a hyphen."""
+    """Return the answer to an ASK with a dataset; an underscore in a name stands for a hyphen."""
     named = {name.replace("_", "-"): value for name, value in graphs.items()}
     if method == "get":
         return endpoint.ask(text, **named)

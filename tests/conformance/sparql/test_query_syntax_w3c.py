@@ -1,7 +1,7 @@
-"""W3C's syntax tests of SPARQL 1.0 and 1.1 Query: what is a query is taken, and what is none is refused in a sentence.
+r"""W3C's syntax tests of SPARQL 1.0 and 1.1 Query: valid queries are accepted, others rejected with a sentence.
 
-Two positive tests are left out: `syntax-lit-08` (SPARQL 1.1 ended decimals without digits after the point) and
-`qname-escape-01` (its `\\:` is not in the grammar).
+Two positive tests are omitted: `syntax-lit-08` (SPARQL 1.1 removed decimals without digits after the point) and
+`qname-escape-01` (its `\:` is not in the grammar).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""W3C's evaluation tests of SPARQL 1.1 Query, by the query process: the suite's own files (`w3c/query-evaluation`).
+"""W3C's evaluation tests of SPARQL 1.1 Query, run by the query process: the suite's own files (`w3c/query-evaluation`).
 
-They are asked of the process, not of the server, whose graphs say when they were made, too. Numbers are compared by
-value: what is computed may be written in any form.
+They query the process, not the server, whose graphs also state when they were created. Numbers are compared by value,
+as computed ones may have any form.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ MF = Namespace("http://www.w3.org/2001/sw/DataAccess/tests/test-manifest#")
 QT = Namespace("http://www.w3.org/2001/sw/DataAccess/tests/test-query#")
 DAWGT = Namespace("http://www.w3.org/2001/sw/DataAccess/tests/test-dawg#")
 DIFFERENT = frozenset({"agg-empty-group", "strdt03", "strlang03", "strbefore01", "strafter01"})
-"""Of what SPARQL and RDF 1.1 said in the end: the page has the reasons."""
+"""Deviations from the final versions of SPARQL and RDF 1.1; the page has the reasons."""
 NUMERIC = re.compile(r"#(?:integer|decimal|double|float)$")
 Results: TypeAlias = "bool | Counter[tuple[object, ...]] | frozenset[Quad]"
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A test of the suite: the query, the graphs of its dataset by their names, and its results."""
+    """A test of the suite: the query, the graphs of its dataset by name, and its results."""
 
     name: str
     query: Path
@@ -71,7 +71,7 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """All tests of evaluation that W3C approved, as the manifests list them."""
+    """Return all approved evaluation tests from the manifests of W3C."""
     for path in sorted(SUITE.glob("*/manifest.ttl")):
         manifest = Graph().parse(path, format="turtle", publicID=f"{BASE}{path.parent.name}/")
         for entries in manifest.objects(None, MF.entries):
@@ -92,7 +92,7 @@ def case_of(manifest: Graph, entry: Node) -> Case:
 
 
 def file_of(url: str) -> Path:
-    """The file of the suite that a manifest names."""
+    """Return the file of the suite that a manifest names."""
     return SUITE / unquote(url.removeprefix(BASE))
 
 
@@ -112,18 +112,18 @@ def loop() -> Iterator[asyncio.AbstractEventLoop]:
 
 @pytest.fixture(scope="module")
 def process(loop: asyncio.AbstractEventLoop) -> Iterator[QueryProcess]:
-    """A query process, which all tests ask."""
+    """A query process shared by all tests."""
     one = QueryProcess(2, 4)
     loop.run_until_complete(one.start())
     yield one
     loop.run_until_complete(one.close())
 
 
-# Asking
+# Queries
 
 
 async def answer(process: QueryProcess, case: Case) -> tuple[str, bytes]:
-    """The media type and the results."""
+    """Return the media type and the results."""
     analysis = Analyser(BASE, "http://types.example/", prefixes={}).analyse_once(
         f"BASE <{url_of(case.query)}>\n{case.query.read_text('utf-8')}"
     )
@@ -147,7 +147,7 @@ MEDIA_TYPES = {
 
 
 def text_of(path: Path, url: str) -> str:
-    """A document of the suite as N-Triples."""
+    """Return a document of the suite as N-Triples."""
     return "".join(f"{quad.triple} .\n" for quad in parse(path.read_bytes(), syntax_of(path), base_iri=url))
 
 
@@ -155,11 +155,11 @@ def syntax_of(path: Path) -> RdfFormat:
     return RdfFormat.RDF_XML if path.suffix == ".rdf" else RdfFormat.TURTLE
 
 
-# Comparing
+# Comparison
 
 
 def read(media_type: str, data: bytes) -> Results:
-    """Results, to be compared."""
+    """Return results for comparison."""
     if media_type == "application/n-triples":
         return canonical([quad.triple for quad in parse(data, RdfFormat.N_TRIPLES)])
     if media_type == "text/csv":
@@ -170,7 +170,7 @@ def read(media_type: str, data: bytes) -> Results:
 
 
 def row_of(row: Mapping[str, str]) -> tuple[object, ...]:
-    """A row of CSV, which has no types."""
+    """Return a row of CSV, which has no types."""
     return tuple((name, cell_of(cell)) for name, cell in sorted(row.items()))
 
 
@@ -189,7 +189,7 @@ def counted(found: QueryBoolean | QuerySolutions) -> Results:
 
 
 def expected(case: Case) -> Results:
-    """What W3C expects."""
+    """Return the results that W3C expects."""
     path = case.result
     if path.suffix in MEDIA_TYPES:
         return read(MEDIA_TYPES[path.suffix], path.read_bytes())
@@ -197,7 +197,7 @@ def expected(case: Case) -> Results:
 
 
 def value_of(term: object) -> object:
-    """A term, where it is a number its value, and where it has no name nothing."""
+    """Return a term for comparison: the value of a number, and None for a blank node."""
     if isinstance(term, Literal) and NUMERIC.search(term.datatype.value):
         return term.datatype.value, float(term.value)
     return "_:" if isinstance(term, BlankNode) else str(term)

@@ -1,4 +1,4 @@
-"""W3C's tests of the SPARQL 1.1 Protocol for updates, by their names, on graphs under `/data/`."""
+"""W3C's tests of the SPARQL 1.1 Protocol for updates, by name, on graphs under `/data/`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DONE = "<http://example.org/update> <http://example.org/is> 'done'"
 
 
 def done(endpoint: Endpoint, graph: str) -> bool:
-    """Whether the update did what it was to do in a graph."""
+    """Whether the update had its effect on a graph."""
     return endpoint.ask(f"ASK {{ GRAPH <{graph}> {{ {DONE} }} }}")
 
 
@@ -31,7 +31,7 @@ def succeeded(answer: httpx.Response) -> bool:
 
 
 def direct(endpoint: Endpoint, text: str, **graphs: list[str]) -> httpx.Response:
-    """An update by direct POST with a dataset beside it; an underscore in a name is a hyphen."""
+    """Send an update by direct POST with a dataset; an underscore in a name stands for a hyphen."""
     named = {name.replace("_", "-"): value for name, value in graphs.items()}
     url = f"{endpoint.url}sparql"
     return endpoint.http.post(url, params=named, content=text.encode(), headers={"Content-Type": UPDATE})

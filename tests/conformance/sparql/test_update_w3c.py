@@ -1,8 +1,7 @@
 """W3C's tests of SPARQL 1.1 Update, over HTTP: the suite's own files (`w3c/`), with its graphs moved below `/data/`.
 
-The default graph that is written is the default document. A WHERE reads the union of all graphs, so WITH names the
-default document there. What comes to something else here is in `DIFFERENT`, and in `docs/reference/conformance.md`
-with the reason.
+The default graph for writes is the default document. A WHERE reads the union of all graphs, so WITH names the default
+document there. Deviations are in `DIFFERENT`, and in `docs/reference/conformance.md` with the reason.
 """
 
 from __future__ import annotations
@@ -33,23 +32,23 @@ MF = Namespace("http://www.w3.org/2001/sw/DataAccess/tests/test-manifest#")
 UT = Namespace("http://www.w3.org/2009/sparql/tests/test-update#")
 EXAMPLE = "http://example.org/"
 DEFAULT = ""
-"""The name of the default graph, where graphs are told by their names."""
+"""Name of the default graph in dictionaries of graphs."""
 GRAPHS = (
     *(f"{EXAMPLE}g{number}" for number in range(1, 5)),
     *(f"http://www.example.com/g{number}" for number in range(1, 3)),
     "http://www.example.org",
     "http://www.example.org/",
 )
-"""The names of all other graphs of the suite."""
+"""Names of all other graphs of the suite."""
 
 SERVER_TRIPLES = frozenset({*(f"insert-where-0{number}" for number in range(1, 5)), "insert-using-01", "insert-05a"})
-"""Their `?s ?p ?o` finds what the server says of the graph, too: it is left out by a FILTER."""
+"""Tests whose `?s ?p ?o` also matches the server's own statements about a graph: a FILTER removes them."""
 DIFFERENT = SERVER_TRIPLES
 
 
 @dataclass(frozen=True)
 class Case:
-    """A test of the suite: its request, the graphs before and after it (files in Turtle by their names)."""
+    """A test of the suite: its request, the graphs before and after it (Turtle files by name)."""
 
     name: str
     kind: str
@@ -62,7 +61,7 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """All tests, as the manifests list them."""
+    """Return all tests from the manifests."""
     for path in sorted(SUITE.glob("*/manifest.ttl")):
         manifest = Graph().parse(path, format="turtle", publicID=path.as_uri())
         for entries in manifest.objects(None, MF.entries):
@@ -76,7 +75,7 @@ def cases() -> Iterator[Case]:
 
 
 def graphs_of(manifest: Graph, node: Node | None) -> Mapping[str, Path]:
-    """The graphs of a state of the dataset."""
+    """Return the graphs of a state of the dataset."""
     found = {
         str(manifest.value(each, RDFS.label)): manifest.value(each, UT.graph)
         for each in manifest.objects(node, UT.graphData)
@@ -86,7 +85,7 @@ def graphs_of(manifest: Graph, node: Node | None) -> Mapping[str, Path]:
 
 
 def file_of(node: Node | None) -> Path:
-    """The file of the suite that a manifest names."""
+    """Return the file of the suite that a manifest names."""
     return Path(str(node).removeprefix("file://"))
 
 
@@ -96,11 +95,11 @@ POSITIVE = tuple(case for case in CASES if case.kind == "PositiveUpdateSyntaxTes
 NEGATIVE = tuple(case for case in CASES if case.kind.startswith("Negative"))
 
 
-# A request, moved
+# Renaming of graphs in requests
 
 
 def moved(text: str, names: Mapping[str, str]) -> str:
-    """An update about the graphs that it names under other names, of which a WHERE reads the default document."""
+    """Return an update with its graphs renamed, whose WHERE reads the default document."""
     default, read = f"<{names[DEFAULT]}>", [each for each in tokens(text) if each.kind is not Kind.COMMENT]
     found = "".join(_written(each, names) for each in read)
     return "".join(_with(default, part) for part in re.split(r"(;(?=[^{}]*(?:INSERT|DELETE|DROP)))", found))
@@ -112,14 +111,14 @@ def _written(token: Token, names: Mapping[str, str]) -> str:
 
 
 def _with(default: str, operation: str) -> str:
-    """An operation with WITH, where that can stand and does not yet."""
+    """Return an operation with WITH, if that is permitted and missing."""
     if re.search(r"\bWITH\b|\bDATA\b|\bDELETE\s+WHERE\b", operation):
         return operation
     return re.sub(r"\b(INSERT|DELETE)\b", rf"WITH {default} \1", operation, count=1)
 
 
 def filtered(text: str, base: str) -> str:
-    """An update whose WHERE does not find what this server says of its own resources."""
+    """Return an update whose WHERE ignores the server's statements about its own resources."""
     every = re.compile(r"(WHERE\s*\{\s*(?:GRAPH\s+\S+\s*\{)?\s*(\?s) \?p \?o)\b", re.IGNORECASE)
     return every.sub(rf'\1 FILTER(!(isIRI(\2) && STRSTARTS(STR(\2), "{base}")))', text)
 
@@ -135,7 +134,7 @@ def test_an_update_comes_to_what_w3c_expects(endpoint: Endpoint, section: str) -
 
 
 def difference(store: Store, case: Case) -> str:
-    """Carry out a case in an empty store, and say what differs from what W3C expects."""
+    """Run a case in an empty store; return the difference from the result that W3C expects."""
     names = {label: store.at(f"graph-{number}") for number, label in enumerate(GRAPHS)}
     names[DEFAULT] = f"{store.endpoint.url}data/default"
     assert names.keys() >= {*case.before, *case.after}

@@ -1,4 +1,4 @@
-"""Another's goals: a SimpleActionClient of the action named by the first argument, sending the second."""
+"""Goals of another client: a SimpleActionClient of the action in the first argument, which sends the second."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Actions that end in every way there is: `/ways` as its goals say, `/simple` as a SimpleActionServer does."""
+"""Actions that end in every possible way: `/ways` as its goals request, `/simple` as a SimpleActionServer."""
 
 import os
 import threading

@@ -1,9 +1,9 @@
-"""The paper's aircraft as a rospy node: the twin of rosld's embedded one, for tests on a real ROS.
+"""The paper's aircraft as a rospy node, equivalent to rosld's embedded one, for tests on a real ROS.
 
     aircraft_node.py FOLDER_OF_GENERATED_CLASSES
 
-Its service classes come from rosld's own definitions, through Debian's generator, into that folder. Its cockpit is a
-node of its own, `cockpit_node.py`.
+Debian's generator writes its service classes, from rosld's own definitions, into that folder. Its cockpit is a separate
+node, `cockpit_node.py`.
 """
 
 import subprocess
@@ -30,7 +30,7 @@ PARAMETERS = {
 
 
 def generate(folder):
-    """Make the Python package rosld_aircraft in a folder."""
+    """Generate the Python package rosld_aircraft in a folder."""
     package = folder / "rosld_aircraft"
     services = package / "srv"
     if not (package / "__init__.py").exists():
@@ -48,11 +48,11 @@ def generate(folder):
 
 
 class Declined(Exception):
-    """What the aircraft will not do now."""
+    """A command that the aircraft refuses in its current state."""
 
 
 class Aircraft:
-    """Power, speed and direction; the speed follows the command by 100 a second."""
+    """Power, speed and direction; the speed approaches the command by 100 per second."""
 
     def __init__(self):
         self.lock = threading.Lock()
@@ -98,7 +98,7 @@ class Aircraft:
     def settable(self, what, value, limit):
         if not self.on:
             raise Declined(f"the aircraft is off: start it before setting its {what}")
-        if not 0.0 <= value <= limit:  # NaN is within nothing
+        if not 0.0 <= value <= limit:  # NaN is within no range
             raise Declined(f"the {what} must be between 0 and {limit:g}, not {value:g}")
         return value + 0.0
 

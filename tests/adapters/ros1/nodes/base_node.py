@@ -1,6 +1,6 @@
-"""A base without a watchdog: base_node.py [TOPIC]. It drives on at the last speed that it was told.
+"""A base without a watchdog: base_node.py [TOPIC]. It continues at the last speed that it received.
 
-Prints "drive X MOMENT" for each command, X being how fast ahead and MOMENT the seconds of the clock that never jumps.
+Prints "drive X TIME" for each command, where X is the forward speed and TIME the seconds of the monotonic clock.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""The cockpit of the rospy aircraft: shows on its output what is published to /cockpit/display."""
+"""The cockpit of the rospy aircraft, which prints the messages of /cockpit/display."""
 
 import rospy
 from std_msgs.msg import String

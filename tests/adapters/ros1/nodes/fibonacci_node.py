@@ -1,4 +1,4 @@
-"""An action whose feedback and result are arrays: `/fibonacci` of actionlib's tutorials, which Debian does not have."""
+"""An action whose feedback and result are arrays: `/fibonacci` of actionlib's tutorials, which Debian lacks."""
 
 import time
 
@@ -28,7 +28,7 @@ def texts():
 
 
 def classes():
-    """The class of the action, from its text and those of all that it nests."""
+    """Return the class of the action, from its text and those of all nested types."""
     nested = [f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in texts().items()]
     return generate_dynamic("actionlib_tutorials/FibonacciAction", "\n".join([WHOLE, *nested]) + "\n")
 

@@ -1,4 +1,4 @@
-"""A topic of a type that no package has, with a type of its own nested in it: `/grip` of gripper_own/Grip."""
+"""A topic of a type without a package, which nests another type of that kind: `/grip` of gripper_own/Grip."""
 
 import rospy
 from genpy.dynamic import generate_dynamic

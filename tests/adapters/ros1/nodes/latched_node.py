@@ -1,4 +1,4 @@
-"""Publishes one latched string: latched_node.py NODE TOPIC TEXT."""
+"""Publisher of one latched string: latched_node.py NODE TOPIC TEXT."""
 
 import sys
 

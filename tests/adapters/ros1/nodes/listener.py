@@ -1,4 +1,4 @@
-"""Prints each message of a topic as one line of JSON: listener.py TOPIC TYPE."""
+"""Subscriber that prints each message of a topic as one line of JSON: listener.py TOPIC TYPE."""
 
 import json
 import sys
@@ -11,7 +11,7 @@ import yaml
 
 def heard(message):
     value = yaml.safe_load(genpy.message.strify_message(message))
-    print(f"heard {json.dumps(value)}\n", end="", flush=True)  # one write: a thread a publisher runs this
+    print(f"heard {json.dumps(value)}\n", end="", flush=True)  # one write: a thread per publisher runs this
 
 
 topic, type_name = sys.argv[1:3]

@@ -1,4 +1,4 @@
-"""A service of a type that no package on this machine has: made_up_service_node.py CLASSES_FOLDER DEFINITION."""
+"""A service of a type without a package on this machine: made_up_service_node.py CLASSES_FOLDER DEFINITION."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Publishes a topic whose definition cannot be read, as a node with a broken message package would."""
+"""Publisher of a topic whose definition is invalid, like a node with a broken message package."""
 
 import rospy
 from std_msgs.msg import String

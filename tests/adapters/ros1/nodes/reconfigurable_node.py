@@ -1,6 +1,7 @@
-"""A node with two servers of dynamic_reconfigure, `/arm` and `/arm/gripper`, and a parameter that it reads at start.
+"""A node with two servers of dynamic_reconfigure, `/arm` and `/arm/gripper`, and a parameter read only at start.
 
-What `/arm` has is published as JSON on `/arm/state`. Its speed goes in steps of a quarter, and a mode of 3 is refused.
+The configuration of `/arm` is published as JSON on `/arm/state`. Its speed has steps of a quarter, and a mode of 3 is
+refused.
 """
 
 import json
@@ -12,12 +13,12 @@ from dynamic_reconfigure.parameter_generator_catkin import ParameterGenerator
 from dynamic_reconfigure.server import Server
 from std_msgs.msg import String
 
-sys.argv[1:] = ["", "", "", ""]  # the generator insists on the folders that it would write files to
+sys.argv[1:] = ["", "", "", ""]  # the generator requires the folders that it would write files to
 INFINITE = float("inf")
 
 
 def config_of(generator):
-    """What dynamic_reconfigure generates of a .cfg."""
+    """Return the module that dynamic_reconfigure generates from a .cfg."""
     description = generator.group.to_dict()
 
     def members(group):
@@ -70,7 +71,7 @@ Server(gripper(), lambda config, level: config, namespace="gripper")
 
 
 def heard(message):
-    """What the node decides by itself."""
+    """Adjust the configuration as the node decides."""
     server.update_configuration(json.loads(message.data))
 
 

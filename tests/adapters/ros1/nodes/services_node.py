@@ -1,4 +1,4 @@
-"""Services that answer, fail and hang in the ways services do."""
+"""Services that answer, fail and hang in various ways."""
 
 import threading
 

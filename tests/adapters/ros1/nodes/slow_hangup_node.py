@@ -1,4 +1,4 @@
-"""A rospy listener that takes its time to notice that a publisher has ended a connection: `TOPIC SECONDS`."""
+"""A rospy listener that is slow to notice the end of a publisher's connection: `TOPIC SECONDS`."""
 
 import sys
 import time
@@ -12,7 +12,7 @@ close = TCPROSTransport.close
 
 
 def close_late(transport):
-    """Close a connection after a while, as on a machine that is busy."""
+    """Close a connection after a delay, as on a busy machine."""
     if not transport.done and transport.name == topic:
         time.sleep(seconds)
     close(transport)

@@ -1,6 +1,6 @@
-"""Publishes messages 20 times a second: speaking_node.py NODE (TOPIC TYPE VALUE)..., each value as YAML.
+"""Publisher of messages at 20 Hz: speaking_node.py NODE (TOPIC TYPE VALUE)..., each value as YAML.
 
-Prints each message as `rostopic echo` has it: "says TOPIC JSON".
+Prints each message in the format of `rostopic echo`: "says TOPIC JSON".
 """
 
 import json

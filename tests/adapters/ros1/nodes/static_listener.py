@@ -1,4 +1,4 @@
-"""Prints the size of the map and the frames that stand still, each once it is heard."""
+"""Subscriber that prints the size of the map and the static frames on receipt."""
 
 import rospy
 from nav_msgs.msg import OccupancyGrid

@@ -1,8 +1,8 @@
-"""Publishes messages without a queue, and says each half second the longest time that one took.
+"""Publisher without a queue, which prints the longest duration of a publish every half second.
 
     steady_node.py TOPIC [BYTES [RATE]]
 
-A publisher with queue_size=None writes to its subscribers itself: one that does not read makes it wait.
+A publisher with queue_size=None writes to its subscribers itself: one that does not read blocks it.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Publishes one transform on /tf, ten times a second, or once and latched on /tf_static: tf_node.py CHILD [static]."""
+"""Publisher of one transform on /tf at 10 Hz, or latched on /tf_static: tf_node.py CHILD [static]."""
 
 import sys
 

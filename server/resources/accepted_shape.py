@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import suppress
 
 from msgspec.structs import replace
@@ -44,6 +44,7 @@ class AcceptedShape(Resource):
     """The shape of what may be written to a resource."""
 
     kind = "Shape"
+    shape = SHACL_SHACL
     item = PathItem("The shape of what may be written", has_shape=True)
     is_cacheable = False
 
@@ -51,10 +52,6 @@ class AcceptedShape(Resource):
         super().__init__(of.space, shape_query(of.url))
         self._of = of
         self._describe = describe
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (SHACL_SHACL,)
 
     async def state(self) -> State:
         if await self._of.current_methods() == ABSENT:

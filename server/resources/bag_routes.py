@@ -243,6 +243,7 @@ class BagContainer(BagBase):
 
     kind = "Recordings"
     shape = "Container"
+    constraint = "recording"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"POST": MEDIA_TYPES}
 
@@ -271,10 +272,6 @@ class BagContainer(BagBase):
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         post = WriteMethod("Records topics, the last seconds of the history before them", sends=SCHEMA, done=(201,))
         return PathItem("The recordings", writes={"POST": post})
-
-    @property
-    def constrained_by(self) -> str | None:
-        return self.space.shape("recording")
 
     async def state(self) -> State:
         members = bag_urls(self.space, self.recordings)

@@ -67,6 +67,7 @@ class ComplexResource(TimeGate):
 
     kind = "Complex resource"
     shape = "ComplexResource"
+    constraint = "limits"
     accepts: Mapping[str, Sequence[str]] = {"PATCH": (MERGE_PATCH, SPARQL_UPDATE)}
 
     def _own_links(self) -> tuple[Link, ...]:
@@ -78,10 +79,6 @@ class ComplexResource(TimeGate):
         tree = self.affordances.cached_tree() or self.affordances.last_tree
         plan = None if tree is None else tree.complex(self.name)
         return () if plan is None else [url_of(one.url_name or one.source.name, self.space) for one in plan.members]
-
-    @property
-    def constrained_by(self) -> str | None:
-        return self.space.shape("limits")
 
     async def prepare(self) -> None:
         await self._plan()

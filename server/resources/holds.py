@@ -47,7 +47,7 @@ from rosld.server.resources.publisher import PublishingResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
-from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
+from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Find, Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.robot.hold_store import HeldMessage, Hold, Holds, held_message, new_hold
@@ -61,9 +61,6 @@ from rosld.shapes.value import Bounds, MessageShape
 ZERO, NONE = "zero", "none"
 _FORM_TIME = 5.0
 """Seconds that a hold lasts which begins by a form, where nothing else is typed."""
-
-Find = Callable[[str], Resource]
-"""The resource at a path below the base."""
 
 
 async def create_hold(exchange: Exchange, topic: PublishingResource, holds: Holds, find: Find) -> Answer:

@@ -91,6 +91,7 @@ class ParameterBase(NamedResource[Parameter]):
     """Base of the resources of a parameter and of a tree of them."""
 
     shape = "Parameter"
+    constraint = "limits"
     is_found_by_state = True
     ros_kind = Kind.PARAMETER
     url_of = Space.parameter
@@ -99,10 +100,6 @@ class ParameterBase(NamedResource[Parameter]):
     def deny_reason(self, method: str) -> str:
         system = self.session.adapter.capabilities.system
         return self.closed_reason or f"The parameters of this {system} do not answer {method} here."
-
-    @property
-    def constrained_by(self) -> str | None:
-        return self.space.shape("limits")
 
     @property
     def changes_subtree(self) -> bool:

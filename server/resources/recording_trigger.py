@@ -24,7 +24,7 @@ from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mapping import Condition
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.resources.recording_order import order_of
-from rosld.server.rest.resource import Resource
+from rosld.server.rest.resource import Find, Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
@@ -32,8 +32,6 @@ from rosld.server.runtime.tasks import call_every
 from rosld.server.settings import Settings
 
 NOTHING_IS_RECORDED = "Nothing is recorded here: this server is read-only, or serves a recording."
-Find = Callable[[str], Resource]
-"""The resource at a path below the base."""
 
 
 class MappedCondition(Resource):

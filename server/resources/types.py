@@ -90,6 +90,7 @@ class ShapeResource(Resource):
     """The SHACL shape of one type."""
 
     kind = "Shape"
+    shape = SHACL_SHACL
     is_found_by_state = True
     item = PathItem("One of the shapes")
 
@@ -98,10 +99,6 @@ class ShapeResource(Resource):
         self.schemas = schemas
         self.states = states
         self.name = name
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (SHACL_SHACL,)
 
     async def state(self) -> State:
         schema = await schema_of(self.schemas, TypeRef(self.name))
@@ -114,6 +111,7 @@ class ShapesGraphResource(Resource):
     """`/shapes/data`, `/shapes/documents`, `/shapes/limits`, ...: a shapes graph by itself."""
 
     kind = "Shape"
+    shape = SHACL_SHACL
     is_found_by_state = True
 
     def __init__(self, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
@@ -126,10 +124,6 @@ class ShapesGraphResource(Resource):
 
     def deny_reason(self, method: str) -> str:
         return _deny_reason(self.space, self.limit_checks.session.settings, self.url, method)
-
-    @property
-    def conforms_to(self) -> Sequence[str]:
-        return (SHACL_SHACL,)
 
     async def state(self) -> State:
         if self.title == LIMITS:

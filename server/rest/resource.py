@@ -66,6 +66,8 @@ Plan: TypeAlias = "RobotWrite | StorageWrite"
 
 
 R = TypeVar("R", bound="Resource")
+Find: TypeAlias = "Callable[[str], Resource]"
+"""Function that returns the resource at a path below the base."""
 READ = frozenset({"GET", "HEAD", "OPTIONS"})
 ABSENT = frozenset({"OPTIONS"})
 """Methods of a missing resource that a write to its URL would not create."""
@@ -81,7 +83,9 @@ class Resource:
 
     kind = "Resource"
     shape = ""
-    """Name of the shape of its documents, in `/shapes/documents`."""
+    """Name of the shape of its documents, in `/shapes/documents`, or the IRI of another one."""
+    constraint = ""
+    """Name of the shape of the bodies that it takes, below `/shapes/`, if that is always the same."""
     item: PathItem | None = None
     """Path item for `/openapi.json`, if it is constant."""
     links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE)
@@ -203,12 +207,14 @@ class Resource:
     @property
     def conforms_to(self) -> Sequence[str]:
         """URLs of the shapes of the document."""
-        return (self.space.document_shape(self.shape),) if self.shape else ()
+        if not self.shape:
+            return ()
+        return (self.shape if "/" in self.shape else self.space.document_shape(self.shape),)
 
     @property
     def constrained_by(self) -> str | None:
         """URL of the constraints on request bodies, such as the shape of its type."""
-        return None
+        return self.space.shape(self.constraint) if self.constraint else None
 
     def page(
         self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]

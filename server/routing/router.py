@@ -49,7 +49,7 @@ from rosld.server.resources.things import RobotThing, ThingDescriptions
 from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import ontology_route, shape_route, type_route
 from rosld.server.rest.pages import PageRenderer
-from rosld.server.rest.resource import Resource, permanent_redirect
+from rosld.server.rest.resource import Find, Resource, permanent_redirect
 from rosld.server.rest.state import State
 from rosld.server.robot.diagnostic_states import LevelTimes
 from rosld.server.robot.session import Session
@@ -58,8 +58,6 @@ from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.update.base import UpdateRunner
 
-Find = Callable[[str], Resource]
-"""Function that returns the resource at a path below the base."""
 R = TypeVar("R")
 
 

@@ -29,8 +29,8 @@ class IoThread:
         self.loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._tasks: set[asyncio.Task[Any]] = set()
-        self._posted: deque[Callable[[], None]] = deque()
-        self._woken = False
+        self._actions: deque[Callable[[], None]] = deque()
+        self._wake_scheduled = False
         self._stopped = False
 
     def start(self) -> None:
@@ -61,11 +61,11 @@ class IoThread:
 
     def post(self, action: Callable[[], None]) -> None:
         """Run an action on the thread soon, in the order of posts; many posts cost one wake-up."""
-        self._posted.append(action)
-        if not self._woken:
-            self._woken = True
+        self._actions.append(action)
+        if not self._wake_scheduled:
+            self._wake_scheduled = True
             if not _call_soon(self.loop, self._drain):
-                self._posted.clear()
+                self._actions.clear()
 
     async def stop(self, timeout: float) -> None:
         """Cancel everything on the thread and end it; waits at most `timeout` seconds."""
@@ -96,11 +96,11 @@ class IoThread:
         await asyncio.sleep(0)  # let closed transports tell their protocols
 
     def _drain(self) -> None:
-        self._woken = False
-        for _ in range(min(len(self._posted), _MAX_AT_ONCE)):
-            self._posted.popleft()()
-        if self._posted and not self._woken:  # sockets get their turn in between
-            self._woken = True
+        self._wake_scheduled = False
+        for _ in range(min(len(self._actions), _MAX_AT_ONCE)):
+            self._actions.popleft()()
+        if self._actions and not self._wake_scheduled:  # sockets get their turn in between
+            self._wake_scheduled = True
             self.loop.call_soon(self._drain)
 
 
@@ -189,11 +189,11 @@ class ThreadAdapter(Generic[_S]):
             raise Unreachable("the adapter is not open")
         return self._thread, self._system
 
-    async def _schema_in_time(self, name: str, looking: Coroutine[Any, Any, Schema], deadline: float) -> Schema:
-        """Return the schema that `looking` finds on the thread. Raises TimedOut, UnknownType."""
+    async def _schema_in_time(self, name: str, search: Coroutine[Any, Any, Schema], deadline: float) -> Schema:
+        """Return the schema that `search` finds on the thread. Raises TimedOut, UnknownType."""
         thread, _ = self._running()
         try:
-            return await asyncio.wait_for(thread.run(looking), max(seconds_left(deadline), 0.0))
+            return await asyncio.wait_for(thread.run(search), max(seconds_left(deadline), 0.0))
         except asyncio.TimeoutError as error:
             raise TimedOut(f"the definition of {name} was not found in time") from error
 

@@ -148,11 +148,11 @@ class RecordingAdapter:
         budget = OpenBudget(self._options.recording_index_limit)
         reading = asyncio.ensure_future(_on_a_thread(lambda: self._open(budget), lambda bag: bag.close()))
         try:
-            worked = -1
+            previous = -1
             while not (await asyncio.wait({reading}, timeout=span))[0]:
-                if budget.worked <= worked:
+                if budget.work_done <= previous:
                     raise Unreachable(f"nothing was read of {str(self._path)!r} in {span:.0f} s")
-                worked = budget.worked
+                previous = budget.work_done
             bag = reading.result()
         finally:
             reading.cancel()

@@ -198,7 +198,7 @@ class OpenBudget:
         self._limit = limit
         self._spent = 0
         self._allowed = _BASE_WORK
-        self.worked = 0
+        self.work_done = 0
         """Work units done so far."""
         self._is_cancelled = False
 
@@ -223,8 +223,8 @@ class OpenBudget:
     def work(self, units: int = _RECORD_WORK) -> None:
         """Account for work, by default that of a record. Raises OpeningRefused above the limit, or if cancelled."""
         self.check()
-        self.worked += units
-        if self.worked > self._allowed:
+        self.work_done += units
+        if self.work_done > self._allowed:
             raise OpeningRefused("reading it takes more work than a file of its size justifies")
 
     def learn(self, types: int, characters: int) -> None:

@@ -66,7 +66,7 @@ _CANCEL = TypeRef("actionlib_msgs/msg/GoalID")
 _PARTS = ("status", "result", "feedback", "goal")
 
 
-class _Sending(Struct, frozen=True):
+class _SentGoal(Struct, frozen=True):
     """A goal's message, its publication, and the connections to servers that it was sent on."""
 
     message: bytes
@@ -85,7 +85,7 @@ class _Goal(Struct):
     decided: asyncio.Future[Status] | None = None
     is_own: bool = False
     is_refused: bool = False
-    sending: _Sending | None = None
+    sending: _SentGoal | None = None
     pending: list[GoalEvent] = field(default_factory=list)
     ending: GoalEvent | None = None
     """The pending event of its end, while the result is awaited: they use two connections and arrive in any order."""
@@ -101,11 +101,11 @@ class _Goal(Struct):
         return self.ended_at is not None
 
 
-class _Followed(Struct):
+class _FollowedAction(Struct):
     """A followed action, with its readers and number of followers."""
 
     readers: dict[str, TopicReader] = field(default_factory=dict)
-    looks: int = 0
+    followers: int = 0
     status_event: asyncio.Event = field(default_factory=asyncio.Event)
     connected_at: float = 0.0
     statuses_at: float = 0.0
@@ -134,7 +134,7 @@ class Actions:
         self._publications = publications
         self._system = system
         self._sink = sink
-        self._followed: dict[str, _Followed] = {}
+        self._followed: dict[str, _FollowedAction] = {}
         self._by_action: dict[str, OrderedDict[str, _Goal]] = {}
         self._numbers = itertools.count(1)
         self._ticking: asyncio.TimerHandle | None = None
@@ -154,7 +154,7 @@ class Actions:
         """Report all goals of an action until `stop_following`; waits for its server. Raises NotFound."""
         self._require(action)
         followed = self._begin(action)
-        followed.looks += 1
+        followed.followers += 1
         left = until - asyncio.get_running_loop().time()
         try:
             await asyncio.wait_for(followed.status_event.wait(), max(left, 0.0))
@@ -165,7 +165,7 @@ class Actions:
         """Remove a follower of an action."""
         followed = self._followed.get(action)
         if followed is not None:
-            followed.looks -= 1
+            followed.followers -= 1
             self._stop_if_idle(action)
 
     async def send(self, action: str, type: TypeRef, goal: bytes, until: float) -> GoalId:
@@ -181,7 +181,7 @@ class Actions:
         try:
             publication = await self._publication(action, schema, followed, until)
             message = goal_message(id, stamp, goal)
-            entry.sending = _Sending(message, publication, publication.links_to(self._servers(action)))
+            entry.sending = _SentGoal(message, publication, publication.links_to(self._servers(action)))
             publication.send(message, False)
         except BaseException:
             del self._goals(action)[id]
@@ -261,7 +261,9 @@ class Actions:
             raise UnknownType(f"{type.name} is no action type")
         return schema
 
-    async def _publication(self, action: str, schema: ActionSchema, followed: _Followed, until: float) -> Publication:
+    async def _publication(
+        self, action: str, schema: ActionSchema, followed: _FollowedAction, until: float
+    ) -> Publication:
         """Return the publication of goals, with its server connected both ways, so that no message is missed."""
         learn = self._types.library.learn_message
         name, definition = goal_definition(schema)
@@ -281,10 +283,10 @@ class Actions:
     def _goals(self, action: str) -> OrderedDict[str, _Goal]:
         return self._by_action.setdefault(action, OrderedDict())
 
-    def _begin(self, action: str) -> _Followed:
+    def _begin(self, action: str) -> _FollowedAction:
         followed = self._followed.get(action)
         if followed is None:
-            followed = self._followed[action] = _Followed(connected_at=asyncio.get_running_loop().time())
+            followed = self._followed[action] = _FollowedAction(connected_at=asyncio.get_running_loop().time())
             for entry in self._goals(action).values():
                 entry.listed_at = followed.connected_at
             takes = (self._take_statuses, self._take_result, self._take_feedback, self._take_goal)
@@ -298,7 +300,7 @@ class Actions:
 
     def _stop_if_idle(self, action: str) -> None:
         followed = self._followed.get(action)
-        if followed is None or followed.looks > 0:
+        if followed is None or followed.followers > 0:
             return
         if not any(entry.is_own and not _is_over(entry) for entry in self._goals(action).values()):
             self._stop(action)

@@ -170,7 +170,7 @@ class Ros1Adapter(ThreadAdapter[Client]):
 
         async def leave() -> None:
             await client.publications.unadvertise(topic)
-            await client.look()
+            await client.poll()
 
         await thread.run(leave())
 
@@ -237,7 +237,7 @@ class Ros1Adapter(ThreadAdapter[Client]):
 
         async def advertise() -> Publication:
             publication = await client.publications.advertise(topic, type, until)
-            await client.look()
+            await client.poll()
             return publication
 
         return await thread.run(advertise())

@@ -51,7 +51,7 @@ class Client:
         self.parameters = Parameters(self.master, self._parameters_changed)
         self.services = Services(own_node, self.master, self._hosts, self.types, self.facts, options.message_limit)
         self.publications = Publications(
-            self.master, own_node, self.types, lambda: addresses(options.ros_ip, self._local), self.look_soon
+            self.master, own_node, self.types, lambda: addresses(options.ros_ip, self._local), self.poll_soon
         )
         self._nodes = Nodes(own_node, self._hosts, self.facts, self.master.lookup_node, options.message_limit)
         self.actions = Actions(
@@ -72,7 +72,7 @@ class Client:
         self._refreshing = False
         self._tasks: list[asyncio.Task[None]] = []
         self._checked: dict[str, float] = {}
-        self._looking = asyncio.Lock()
+        self._poll_lock = asyncio.Lock()
 
     async def open(self, patience: float) -> None:
         """Poll for the first time, for at most `patience` seconds, and start polling.
@@ -80,7 +80,7 @@ class Client:
         If the robot is off, the graph is Stale until its master responds.
         """
         try:
-            await asyncio.wait_for(self._first_look(), patience)
+            await asyncio.wait_for(self._first_poll(), patience)
         except asyncio.TimeoutError:
             self._mark_stale(TimedOut(f"the ROS 1 master at {self.master.uri} does not answer in time"))
         except RosError as error:
@@ -90,11 +90,11 @@ class Client:
         loop = asyncio.get_running_loop()
         self._tasks += [loop.create_task(self._watch_system()), loop.create_task(self._watch_parameters())]
 
-    async def _first_look(self) -> None:
-        await self._look()
+    async def _first_poll(self) -> None:
+        await self._poll()
         if self._removing is not None:
             await asyncio.wait([self._removing], timeout=_FIRST_PATIENCE)
-        await self.parameters.look()
+        await self.parameters.poll()
         self.refresh()
         await self.services.wait_probed(1.0)
         await self.reconfigurables.wait_described(_FIRST_PATIENCE)
@@ -111,10 +111,10 @@ class Client:
         await self.publications.close()
         self.master.close()
 
-    async def look(self) -> None:
+    async def poll(self) -> None:
         """Poll the master now, so that the graph shows our latest changes."""
         try:
-            await self._look()
+            await self._poll()
         except RosError as error:
             self._mark_stale(error)
         self.refresh()
@@ -130,7 +130,7 @@ class Client:
         finally:
             self.refresh()
 
-    def look_soon(self) -> None:
+    def poll_soon(self) -> None:
         """Poll the master within a second."""
         self._poll_requested.set()
 
@@ -153,7 +153,7 @@ class Client:
         publishers = self._system.publishers.get(feed.topic, ())
         reader.follow(publishers)
         if not publishers:
-            self.look_soon()
+            self.poll_soon()
 
     def deepen(self, topic: str) -> None:
         """Apply a new depth of a topic's feed."""
@@ -181,7 +181,7 @@ class Client:
     async def _watch_system(self) -> None:
         while True:
             started = time.monotonic()
-            await self.look()
+            await self.poll()
             for reader in self._readers.values():
                 reader.fit_buffers()
             took = time.monotonic() - started
@@ -198,13 +198,13 @@ class Client:
         while True:
             await asyncio.sleep(min(max(_EVERY, _SHARE * self.parameters.took), _SELDOM))
             try:
-                await self.parameters.look()
+                await self.parameters.poll()
             except RosError:
                 pass  # the poll of the system reports the loss of the master
             self._note_identity()
 
-    async def _look(self) -> None:
-        async with self._looking:
+    async def _poll(self) -> None:
+        async with self._poll_lock:
             requested_at = asyncio.get_running_loop().time()
             snapshot = await self.master.snapshot()
             if self._snapshot is None or (snapshot.state, snapshot.types) != (
@@ -284,7 +284,7 @@ class Client:
         """Unregister dead instances of rosld from the master, so that the graph does not show them."""
         removed = await asyncio.gather(*(self._leftovers.remove(node, topics) for node, topics in due.items()))
         if any(removed):
-            await self.look()
+            await self.poll()
 
     def _mark_stale(self, error: RosError) -> None:
         self._snapshot = None

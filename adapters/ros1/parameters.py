@@ -195,7 +195,7 @@ class Parameters:
             return frozenset({Operation.GET_PARAMETER})
         return _ROOT if name == "/" else _ALL
 
-    async def look(self) -> None:
+    async def poll(self) -> None:
         """Read the tree and report changes. Raises Unreachable, TimedOut."""
         writes, started = self._writes, time.monotonic()
         document = await self._master.parameters_document()
@@ -217,7 +217,7 @@ class Parameters:
         """Set parameters one by one, after checking all of them. Raises Refused naming the parameter."""
         self.check(values)
         for name, value in values.items():
-            with _Writing(self):
+            with _WriteMark(self):
                 await self._master.set_parameter(name, value, _seconds_left(until))
                 self._see(assign(self.leaves, name, value))
 
@@ -230,7 +230,7 @@ class Parameters:
     def note_set(self, values: Mapping[str, ParameterValue]) -> None:
         """Record values that nodes have set at the master."""
         for name, value in values.items():
-            with _Writing(self):
+            with _WriteMark(self):
                 self._see(assign(self.leaves, name, value))
 
     async def delete(self, names: Sequence[str], until: float) -> None:
@@ -240,7 +240,7 @@ class Parameters:
                 raise Refused("the root of the parameters cannot be deleted; delete what lies in it")
             self._check_settable(name)
         for name in names:
-            with _Writing(self):
+            with _WriteMark(self):
                 await self._delete(name, until)
                 self._see(without(self.leaves, name))
 
@@ -296,7 +296,7 @@ def _trees(named: Mapping[str, Leaf]) -> Iterator[str]:
                 above = above.rpartition("/")[0]
 
 
-class _Writing:
+class _WriteMark:
     """Marks trees as outdated that were requested before the end of a write."""
 
     def __init__(self, parameters: Parameters) -> None:

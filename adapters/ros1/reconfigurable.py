@@ -34,7 +34,7 @@ from rosld.adapters.ros1.types import Types
 _DEPTH = 1
 
 
-class _Followed(Struct):
+class _FollowedServer(Struct):
     """A followed server: its readers, its declarations, and its last reported values."""
 
     node: str
@@ -64,7 +64,7 @@ class Reconfigurables:
         self._services = services
         self._described = described
         self._changed = changed
-        self._followed: dict[str, _Followed] = {}
+        self._followed: dict[str, _FollowedServer] = {}
         self._parameters: Mapping[str, Parameter] = {}
 
     def follow(self, system: SystemState) -> None:
@@ -131,8 +131,8 @@ class Reconfigurables:
                 found[own] = fit
         return found
 
-    def _begin(self, server: Server) -> _Followed:
-        followed = _Followed(server.node)
+    def _begin(self, server: Server) -> _FollowedServer:
+        followed = _FollowedServer(server.node)
         namespace = server.namespace
 
         def take_description(data: bytes) -> None:

@@ -24,7 +24,7 @@ _MAX_CONNECTIONS = 200
 _IDLE = 15.0
 
 
-class Publishing(Protocol):
+class PublishedTopics(Protocol):
     """Our publications, for the Slave API."""
 
     @property
@@ -40,10 +40,12 @@ class Publishing(Protocol):
 class SlaveApi:
     """Responds to calls from the master and from other nodes."""
 
-    def __init__(self, master_uri: str, host: str, publishing: Publishing, shut_down: Callable[[str], None]) -> None:
+    def __init__(
+        self, master_uri: str, host: str, published: PublishedTopics, shut_down: Callable[[str], None]
+    ) -> None:
         self._master_uri = master_uri
         self._host = host
-        self._publishing = publishing
+        self._published = published
         self._shut_down = shut_down
 
     def answer(self, method: str, arguments: Sequence[ParameterValue]) -> Answer:
@@ -54,7 +56,7 @@ class SlaveApi:
             case "getMasterUri", _:
                 return Answer(1, "", self._master_uri)
             case "getPublications", _:
-                return Answer(1, "", [[topic, name] for topic, name in self._publishing.topics()])
+                return Answer(1, "", [[topic, name] for topic, name in self._published.topics()])
             case "getSubscriptions" | "getBusInfo", _:
                 return Answer(1, "", [])
             case "getBusStats", _:
@@ -70,11 +72,11 @@ class SlaveApi:
                 return Answer(-1, f"there is no method {method[:80]!r} that takes these arguments", 0)
 
     def _request_topic(self, topic: str, protocols: list[ParameterValue]) -> Answer:
-        if topic not in dict(self._publishing.topics()):
+        if topic not in dict(self._published.topics()):
             return Answer(0, f"{topic[:200]} is not published here", [])
         if not any(isinstance(each, list) and each[:1] == ["TCPROS"] for each in protocols):
             return Answer(0, "only TCPROS is spoken here", [])
-        return Answer(1, "ready", ["TCPROS", self._host, self._publishing.port])
+        return Answer(1, "ready", ["TCPROS", self._host, self._published.port])
 
 
 class XmlRpcServer:

@@ -212,8 +212,8 @@ class TopicReader:
         self._sources.clear()
 
     def _begin(self, publisher: str) -> None:
-        returned = next((slot for slot in self._left if slot.publisher == publisher), None)
-        slot = returned or Slot(publisher, self._epoch())
+        previous = next((slot for slot in self._left if slot.publisher == publisher), None)
+        slot = previous or Slot(publisher, self._epoch())
         source = PublisherReader(self.feed, slot, self._nodes, self._types, self._epoch)
         self._sources[publisher] = source, asyncio.get_running_loop().create_task(source.run())
 
@@ -223,12 +223,12 @@ class TopicReader:
 
     def _arrange(self) -> None:
         """Publish the slots to readers. Of publishers that left, only the one with the latest message stays visible."""
-        here = [source.slot for source, _ in self._sources.values()]
-        spoke = [slot for slot in self._left if slot.values and slot not in here]
-        self._left = sorted(spoke, key=lambda slot: slot.values[-1].received_ns)[-1:]
-        if self._left and any(_newest(slot) >= _newest(self._left[0]) for slot in here):
+        current = [source.slot for source, _ in self._sources.values()]
+        former = [slot for slot in self._left if slot.values and slot not in current]
+        self._left = sorted(former, key=lambda slot: slot.values[-1].received_ns)[-1:]
+        if self._left and any(_newest(slot) >= _newest(self._left[0]) for slot in current):
             self._left = []
-        self.feed.slots = (*here, *self._left)
+        self.feed.slots = (*current, *self._left)
 
 
 def _newest(slot: Slot) -> int:

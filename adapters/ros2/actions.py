@@ -40,7 +40,7 @@ _CANCELED_NOT = {
 _HEAD, _UUID = 4, 16
 _FEEDBACK_DEPTH = 32
 _RESULT = 5.0
-_MATCHED = 0.5
+_MATCH_WAIT = 0.5
 _STATUS_WAIT = 0.2
 _PAUSE = 0.005
 _MAX_REMEMBERED = 1000
@@ -58,7 +58,7 @@ class _Goal(Struct):
     pending: list[GoalEvent] | None = None
 
 
-class _Line(Struct):
+class _ActionState(Struct):
     """An action that has followers, or pending goals of ours."""
 
     name: str
@@ -86,7 +86,7 @@ class Actions:
         self._waiter = waiter
         self._report = report
         self._loop = asyncio.get_running_loop()
-        self._lines: dict[str, _Line] = {}
+        self._states: dict[str, _ActionState] = {}
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def send(self, action: Action, goal: bytes, until: float) -> GoalId:
@@ -96,11 +96,11 @@ class Actions:
             message = deserialize(f"{type}_Goal", goal)
         except ValueError as error:
             raise Refused(f"no goal was sent to {action.name}: {error}") from error
-        line = self._listen(action.name, type)
+        state = self._listen(action.name, type)
         id = secrets.token_bytes(_UUID)
-        line.goals[id.hex()] = entry = _Goal(own=True, pending=[])
+        state.goals[id.hex()] = entry = _Goal(own=True, pending=[])
         try:
-            await self._wait_for_server(line, min(until, self._loop.time() + _MATCHED))
+            await self._wait_for_server(state, min(until, self._loop.time() + _MATCH_WAIT))
             fields: dict[str, object] = {"goal_id": _uuid(id), "goal": message}
             request = make_message(f"{type}_SendGoal", fields, "Request")
             answer = cast(
@@ -109,14 +109,14 @@ class Actions:
             if not answer.accepted:
                 raise Refused(f"{action.name} rejected the goal; ROS 2 gives no reason", sent=Sent.YES)
         except BaseException:
-            line.goals.pop(id.hex(), None)
-            self._leave(line)
+            state.goals.pop(id.hex(), None)
+            self._leave(state)
             raise
         entry.status = entry.status or GoalStatus.ACCEPTED
         events, entry.pending = entry.pending or [], None
         for event in (GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True), *events):
-            self._event(line, id.hex(), event)
-        self._begin(self._end(line, id.hex(), entry, math.inf))
+            self._event(state, id.hex(), event)
+        self._begin(self._end(state, id.hex(), entry, math.inf))
         return GoalId(action.name, id.hex())
 
     async def cancel(self, goal: GoalId, until: float) -> None:
@@ -153,128 +153,130 @@ class Actions:
 
     async def follow(self, action: Action, until: float) -> Callable[[], None]:
         """Report all goals of an action until the returned function is called. Waits for their current status."""
-        line = self._listen(action.name, _type_of(action))
-        line.followers += 1
-        await self._wait_for_server(line, until)
+        state = self._listen(action.name, _type_of(action))
+        state.followers += 1
+        await self._wait_for_server(state, until)
         enough = min(until, self._loop.time() + _STATUS_WAIT)
-        while self._loop.time() < (until if line.has_status else enough):
-            if line.has_status and not any(goal.ending for goal in line.goals.values()):
+        while self._loop.time() < (until if state.has_status else enough):
+            if state.has_status and not any(goal.ending for goal in state.goals.values()):
                 break
             await asyncio.sleep(_PAUSE)
 
         def stop() -> None:
-            line.followers -= 1
-            self._leave(line)
+            state.followers -= 1
+            self._leave(state)
 
         return stop
 
     def drop_missing_servers(self, actions: Mapping[str, Action]) -> None:
         """End the goals of servers that have disappeared."""
-        for line in list(self._lines.values()):
-            action = actions.get(line.name)
+        for state in list(self._states.values()):
+            action = actions.get(state.name)
             if action is None or not action.servers:
-                for id, goal in line.goals.items():
+                for id, goal in state.goals.items():
                     if not goal.own and not _is_over(goal) and not goal.ending:
                         goal.status = GoalStatus.LOST
                         words = "its action server went away"
-                        self._event(line, id, GoalEvent(time.time_ns(), GoalStatus.LOST, words))
-                line.has_status = False
+                        self._event(state, id, GoalEvent(time.time_ns(), GoalStatus.LOST, words))
+                state.has_status = False
 
     def close(self) -> None:
         """Stop following all actions."""
         for task in self._tasks:
             task.cancel()
-        for line in list(self._lines.values()):
-            self._close(line)
-        self._lines.clear()
+        for state in list(self._states.values()):
+            self._close(state)
+        self._states.clear()
 
-    def _listen(self, name: str, type: str) -> _Line:
-        line = self._lines.get(name)
-        if line is None:
+    def _listen(self, name: str, type: str) -> _ActionState:
+        state = self._states.get(name)
+        if state is None:
             latched = Qos("reliable", "transient_local", "keep_last", 1)
             volatile = Qos("best_effort", "volatile", "keep_last", _FEEDBACK_DEPTH)
             status = self._participant.reader(f"{name}/_action/status", _STATUS, latched)
             feedback = self._participant.reader(f"{name}/_action/feedback", f"{type}_FeedbackMessage", volatile)
-            line = self._lines[name] = _Line(name, type, status, feedback)
-            self._arm(line, status, self._take_status)
-            self._arm(line, feedback, self._take_feedback)
-        return line
+            state = self._states[name] = _ActionState(name, type, status, feedback)
+            self._arm(state, status, self._take_status)
+            self._arm(state, feedback, self._take_feedback)
+        return state
 
-    def _leave(self, line: _Line) -> None:
-        if not line.is_needed and self._lines.get(line.name) is line:
-            del self._lines[line.name]
-            self._close(line)
+    def _leave(self, state: _ActionState) -> None:
+        if not state.is_needed and self._states.get(state.name) is state:
+            del self._states[state.name]
+            self._close(state)
 
-    def _close(self, line: _Line) -> None:
-        for reader in (line.status, line.feedback):
+    def _close(self, state: _ActionState) -> None:
+        for reader in (state.status, state.feedback):
             self._waiter.disarm(reader.handle)
             reader.close()
 
-    async def _wait_for_server(self, line: _Line, until: float) -> None:
+    async def _wait_for_server(self, state: _ActionState, until: float) -> None:
         """Wait for the server's topics, so that no message about a goal is missed."""
-        while not (line.status.publishers() and line.feedback.publishers()) and self._loop.time() < until:  # noqa: ASYNC110
+        while not (state.status.publishers() and state.feedback.publishers()) and self._loop.time() < until:  # noqa: ASYNC110
             await asyncio.sleep(_PAUSE)
 
-    def _arm(self, line: _Line, reader: Reader, take: Callable[[_Line], None]) -> None:
-        self._waiter.arm(reader.handle, "reader", partial(self._ready, line, reader, take))
+    def _arm(self, state: _ActionState, reader: Reader, take: Callable[[_ActionState], None]) -> None:
+        self._waiter.arm(reader.handle, "reader", partial(self._ready, state, reader, take))
 
-    def _ready(self, line: _Line, reader: Reader, take: Callable[[_Line], None]) -> None:
+    def _ready(self, state: _ActionState, reader: Reader, take: Callable[[_ActionState], None]) -> None:
         try:
-            self._loop.call_soon_threadsafe(self._take_and_rearm, line, reader, take)
+            self._loop.call_soon_threadsafe(self._take_and_rearm, state, reader, take)
         except RuntimeError:
             pass  # the thread's event loop has ended
 
-    def _take_and_rearm(self, line: _Line, reader: Reader, take: Callable[[_Line], None]) -> None:
-        if self._lines.get(line.name) is line:
-            take(line)
-            self._arm(line, reader, take)
+    def _take_and_rearm(self, state: _ActionState, reader: Reader, take: Callable[[_ActionState], None]) -> None:
+        if self._states.get(state.name) is state:
+            take(state)
+            self._arm(state, reader, take)
 
-    def _take_status(self, line: _Line) -> None:
+    def _take_status(self, state: _ActionState) -> None:
         message = None
-        while (newer := line.status.take()) is not None:
+        while (newer := state.status.take()) is not None:
             message = newer
         if message is None:
             return
-        line.has_status = True
+        state.has_status = True
         for each in cast(Any, deserialize(_STATUS, message.data)).status_list:
             status = _STATUSES.get(each.status)
             if status is not None:
-                self._note_status(line, bytes(each.goal_info.goal_id.uuid).hex(), status)
+                self._note_status(state, bytes(each.goal_info.goal_id.uuid).hex(), status)
 
-    def _note_status(self, line: _Line, id: str, status: GoalStatus) -> None:
-        goal = line.goals.get(id)
+    def _note_status(self, state: _ActionState, id: str, status: GoalStatus) -> None:
+        goal = state.goals.get(id)
         if goal is None:
-            if not line.followers:
+            if not state.followers:
                 return
-            if len(line.goals) >= _MAX_REMEMBERED:
-                del line.goals[next(iter(line.goals))]
-            goal = line.goals[id] = _Goal(own=False)
+            if len(state.goals) >= _MAX_REMEMBERED:
+                del state.goals[next(iter(state.goals))]
+            goal = state.goals[id] = _Goal(own=False)
         if _is_over(goal) or goal.ending or goal.status is status:
             return
         if not status.is_final:
             goal.status = status
-            self._event(line, id, GoalEvent(time.time_ns(), status, own=goal.own))
+            self._event(state, id, GoalEvent(time.time_ns(), status, own=goal.own))
         elif not goal.own:  # the result of our own goal is requested on its acceptance
-            self._begin(self._end(line, id, goal, self._loop.time() + _RESULT, status))
+            self._begin(self._end(state, id, goal, self._loop.time() + _RESULT, status))
 
-    def _take_feedback(self, line: _Line) -> None:
-        while (message := line.feedback.take()) is not None:
+    def _take_feedback(self, state: _ActionState) -> None:
+        while (message := state.feedback.take()) is not None:
             id = message.data[_HEAD : _HEAD + _UUID].hex()
-            goal = line.goals.get(id)
+            goal = state.goals.get(id)
             if goal is not None and not _is_over(goal):
                 # Removing 16 bytes preserves the alignment.
                 feedback = message.data[:_HEAD] + message.data[_HEAD + _UUID :]
-                self._event(line, id, GoalEvent(message.received_ns, feedback=feedback, own=goal.own))
+                self._event(state, id, GoalEvent(message.received_ns, feedback=feedback, own=goal.own))
 
-    async def _end(self, line: _Line, id: str, goal: _Goal, until: float, final: GoalStatus | None = None) -> None:
+    async def _end(
+        self, state: _ActionState, id: str, goal: _Goal, until: float, final: GoalStatus | None = None
+    ) -> None:
         """Report the end of a goal, with its result if the server returns it."""
         goal.ending = final is not None
         words = result = None
         status = final or GoalStatus.LOST
         try:
-            request = make_message(f"{line.type}_GetResult", {"goal_id": _uuid(bytes.fromhex(id))}, "Request")
-            name = f"{line.name}/_action/get_result"
-            answer = cast(Any, await self._calls.call(name, f"{line.type}_GetResult", request, until))
+            request = make_message(f"{state.type}_GetResult", {"goal_id": _uuid(bytes.fromhex(id))}, "Request")
+            name = f"{state.name}/_action/get_result"
+            answer = cast(Any, await self._calls.call(name, f"{state.type}_GetResult", request, until))
             if answer.status in _STATUSES:
                 status, result = _STATUSES[answer.status], serialize(answer.result)
             elif final is None:
@@ -282,15 +284,15 @@ class Actions:
         except (RosError, ValueError) as error:
             words = f"its result is not known: {error}" if final else f"its action server went away: {error}"
         goal.ending, goal.status = False, status
-        self._event(line, id, GoalEvent(time.time_ns(), status, words, result=result, own=goal.own))
-        self._leave(line)
+        self._event(state, id, GoalEvent(time.time_ns(), status, words, result=result, own=goal.own))
+        self._leave(state)
 
-    def _event(self, line: _Line, id: str, event: GoalEvent) -> None:
-        goal = line.goals.get(id)
+    def _event(self, state: _ActionState, id: str, event: GoalEvent) -> None:
+        goal = state.goals.get(id)
         if goal is not None and goal.pending is not None:
             goal.pending.append(event)
             return
-        self._report(GoalId(line.name, id), event)
+        self._report(GoalId(state.name, id), event)
 
     def _begin(self, coroutine: Coroutine[Any, Any, None]) -> None:
         task = self._loop.create_task(coroutine)

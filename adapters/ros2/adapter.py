@@ -49,7 +49,7 @@ def adapter(source: str, options: AdapterOptions) -> Ros2Adapter:
     return Ros2Adapter(read, options)
 
 
-class _Own(Struct):
+class _OwnMessages(Struct):
     """Newest messages that rosld published on a topic, and their count."""
 
     ref: TypeRef
@@ -68,7 +68,7 @@ class Ros2Adapter(ThreadAdapter[System]):
         self._options = options
         self._feeds: dict[str, Feed] = {}
         self._epochs: dict[str, int] = {}
-        self._own: dict[str, _Own] = {}
+        self._own: dict[str, _OwnMessages] = {}
         self._own_epochs = itertools.count()
 
     @property
@@ -131,8 +131,8 @@ class Ros2Adapter(ThreadAdapter[System]):
         """Return the schema of a type. Raises UnknownType."""
         _, system = self._running()
         graph = self.graph
-        looking = system.types.schema(type_in_use(graph, ref), nodes_using(graph, ref), thread_time(deadline))
-        return await self._schema_in_time(ref.name, looking, deadline)
+        search = system.types.schema(type_in_use(graph, ref), nodes_using(graph, ref), thread_time(deadline))
+        return await self._schema_in_time(ref.name, search, deadline)
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> TopicSubscription:
         """Subscribe to a topic; messages are taken only when they are read."""
@@ -241,7 +241,7 @@ class Ros2Adapter(ThreadAdapter[System]):
         topic = publication.topic
         own = self._own.get(topic)
         if own is None or own.ref != publication.ref:
-            own = self._own[topic] = _Own(publication.ref, next(self._own_epochs))
+            own = self._own[topic] = _OwnMessages(publication.ref, next(self._own_epochs))
         feed = self._feeds.get(topic)
         depth = feed.depth if feed else 1
         if own.samples.maxlen != depth:

@@ -16,15 +16,15 @@ from rosld.adapters.ros2.middleware import Client, Participant
 from rosld.adapters.ros2.wait_set import Waiter
 
 _IDLE = 30.0
-_FIRST_LOOK = 0.002
-_LONGEST_LOOK = 0.05
+_FIRST_PAUSE = 0.002
+_LONGEST_PAUSE = 0.05
 _SETTLING = 0.05
 _LONGEST_SETTLING = 0.5
 _SETTLING_STEPS = 10
 """Number of parts of this wait: on a busy machine each takes longer, like the server's discovery of our client."""
 
 
-class _Line(Struct, eq=False):
+class _ServiceClient(Struct, eq=False):
     """A client, and its pending calls."""
 
     client: Client
@@ -41,117 +41,117 @@ class Calls:
         self._participant = participant
         self._waiter = waiter
         self._loop = asyncio.get_running_loop()
-        self._lines: dict[tuple[str, str], _Line] = {}
+        self._clients: dict[tuple[str, str], _ServiceClient] = {}
 
     async def call(self, service: str, type: str, request: object, until: float) -> object:
         """Return the response; `until` is a time of the thread's loop. Raises TimedOut, Unreachable, UnknownType."""
         if until <= self._loop.time():
             raise TimedOut(f"the time was up before {service} was called")
-        line = self._line(service, type)
-        line.users += 1
+        entry = self._client_of(service, type)
+        entry.users += 1
         try:
-            await self._wait_for_server(service, line, until)
-            return await self._answer(service, line, request, until)
+            await self._wait_for_server(service, entry, until)
+            return await self._answer(service, entry, request, until)
         finally:
-            line.users -= 1
-            line.used = self._loop.time()
+            entry.users -= 1
+            entry.used = self._loop.time()
 
     def drop_missing_servers(self) -> None:
         """Fail calls to servers that have disappeared, and drop unused clients."""
         now = self._loop.time()
-        for key, line in list(self._lines.items()):
-            if line.pending and not line.client.ready():
-                for future in line.pending.values():
+        for key, entry in list(self._clients.items()):
+            if entry.pending and not entry.client.ready():
+                for future in entry.pending.values():
                     if not future.done():
                         words = f"{key[0]} was called, but its node went away before it answered"
                         future.set_exception(Unreachable(words, sent=Sent.MAYBE))
-            elif not line.users and now - line.used > _IDLE:
-                del self._lines[key]
-                self._close(line)
+            elif not entry.users and now - entry.used > _IDLE:
+                del self._clients[key]
+                self._close(entry)
 
     def forget(self, service: str) -> None:
         """Close the idle clients of a service that no longer exists."""
-        for key, line in list(self._lines.items()):
-            if key[0] == service and not line.users:
-                del self._lines[key]
-                self._close(line)
+        for key, entry in list(self._clients.items()):
+            if key[0] == service and not entry.users:
+                del self._clients[key]
+                self._close(entry)
 
     def close(self) -> None:
         """Fail pending calls and close all clients."""
-        for line in self._lines.values():
-            for future in line.pending.values():
+        for entry in self._clients.values():
+            for future in entry.pending.values():
                 if not future.done():
                     future.set_exception(Unreachable("the adapter was closed meanwhile", sent=Sent.MAYBE))
-            self._close(line)
-        self._lines.clear()
+            self._close(entry)
+        self._clients.clear()
 
-    def _line(self, service: str, type: str) -> _Line:
-        line = self._lines.get((service, type))
-        if line is None:
+    def _client_of(self, service: str, type: str) -> _ServiceClient:
+        entry = self._clients.get((service, type))
+        if entry is None:
             try:
                 client = self._participant.client(service, type)
             except UnknownType:
                 raise
             except Exception as error:
                 raise Unreachable(f"{service} cannot be called: {error}") from error
-            line = self._lines[service, type] = _Line(client, used=self._loop.time())
-        return line
+            entry = self._clients[service, type] = _ServiceClient(client, used=self._loop.time())
+        return entry
 
-    async def _wait_for_server(self, service: str, line: _Line, until: float) -> None:
+    async def _wait_for_server(self, service: str, entry: _ServiceClient, until: float) -> None:
         """Wait for a server, and then as long again for the server to discover the client.
 
         A server that has not discovered the client cannot send its response, and the middleware drops it.
         """
         began = self._loop.time()
-        pause = _FIRST_LOOK
-        while not line.client.ready():
+        pause = _FIRST_PAUSE
+        while not entry.client.ready():
             if self._loop.time() + pause >= until:
                 raise TimedOut(f"no server of {service} was connected in time: nothing was sent")
             await asyncio.sleep(pause)
-            pause = min(2 * pause, _LONGEST_LOOK)
-            line.settled = False
-        if not line.settled:
+            pause = min(2 * pause, _LONGEST_PAUSE)
+            entry.settled = False
+        if not entry.settled:
             now = self._loop.time()
             settling = min(max(_SETTLING, now - began), _LONGEST_SETTLING)
             for _ in range(_SETTLING_STEPS):
                 if self._loop.time() - now < (until - now) / 2:
                     await asyncio.sleep(settling / _SETTLING_STEPS)
-            line.settled = True
+            entry.settled = True
 
-    async def _answer(self, service: str, line: _Line, request: object, until: float) -> object:
+    async def _answer(self, service: str, entry: _ServiceClient, request: object, until: float) -> object:
         try:
-            number = line.client.send(request)
+            number = entry.client.send(request)
         except Exception as error:
             raise Unreachable(f"{service} cannot be called: {error}") from error
         future: asyncio.Future[object] = self._loop.create_future()
-        line.pending[number] = future
-        self._arm(line)
+        entry.pending[number] = future
+        self._arm(entry)
         try:
             left = None if until == math.inf else max(until - self._loop.time(), 0.0)
             return await asyncio.wait_for(future, left)
         except asyncio.TimeoutError as error:
             raise TimedOut(f"{service} did not answer in time", sent=Sent.MAYBE) from error
         finally:
-            line.pending.pop(number, None)
+            entry.pending.pop(number, None)
 
-    def _arm(self, line: _Line) -> None:
-        self._waiter.arm(line.client.handle, "client", partial(self._ready, line))
+    def _arm(self, entry: _ServiceClient) -> None:
+        self._waiter.arm(entry.client.handle, "client", partial(self._ready, entry))
 
-    def _ready(self, line: _Line) -> None:
+    def _ready(self, entry: _ServiceClient) -> None:
         try:
-            self._loop.call_soon_threadsafe(self._take, line)
+            self._loop.call_soon_threadsafe(self._take, entry)
         except RuntimeError:
             pass  # the thread's event loop has ended
 
-    def _take(self, line: _Line) -> None:
-        while (reply := line.client.take()) is not None:
+    def _take(self, entry: _ServiceClient) -> None:
+        while (reply := entry.client.take()) is not None:
             number, response = reply
-            future = line.pending.get(number)
+            future = entry.pending.get(number)
             if future is not None and not future.done():
                 future.set_result(response)
-        if any(not future.done() for future in line.pending.values()):
-            self._arm(line)
+        if any(not future.done() for future in entry.pending.values()):
+            self._arm(entry)
 
-    def _close(self, line: _Line) -> None:
-        self._waiter.disarm(line.client.handle)
-        line.client.close()
+    def _close(self, entry: _ServiceClient) -> None:
+        self._waiter.disarm(entry.client.handle)
+        entry.client.close()

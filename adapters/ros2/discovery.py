@@ -12,7 +12,7 @@ from rosld.adapters.model import Graph, Live, Stale
 from rosld.adapters.ros2.graph import GraphInputs, Observation, compose, foreign_nodes, stale
 from rosld.adapters.ros2.middleware import Names, Participant
 
-_LEAVING = 5.0
+_LEAVE_SECONDS = 5.0
 """Maximum seconds in which all nodes of a robot that is switched off disappear."""
 
 
@@ -24,14 +24,14 @@ class LiveGraph:
         self.has_robot = False
         """Whether nodes of the robot are present."""
         self._sink = sink
-        self._before_leaving: tuple[Graph, float] | None = None
+        self._graph_before_leave: tuple[Graph, float] | None = None
 
     def update(self, observation: Observation, inputs: GraphInputs, *, has_robot: bool) -> None:
         """Rebuild the graph from an observation; it is stale if all nodes of the robot have disappeared."""
         if has_robot or not self.has_robot:
             self.has_robot = has_robot
             graph = compose(self.current, observation, inputs)
-            self._note_leaving(graph)
+            self._note_leave(graph)
             self._show(graph)
         else:
             self._show(stale(self._last_whole(), time.time_ns(), "none of its nodes can be seen any more"))
@@ -45,23 +45,23 @@ class LiveGraph:
             self.current = graph
             self._sink.graph_changed(graph)
 
-    def _note_leaving(self, graph: Graph) -> None:
+    def _note_leave(self, graph: Graph) -> None:
         """Store the graph from before nodes began to disappear, in case all of them do."""
         now = asyncio.get_running_loop().time()
         before, after = (each.nodes.keys() - {graph.own_node} for each in (self.current, graph))
         if after > before:
-            self._before_leaving = None
+            self._graph_before_leave = None
             return
-        is_new = self._before_leaving is None or now - self._before_leaving[1] > _LEAVING
+        is_new = self._graph_before_leave is None or now - self._graph_before_leave[1] > _LEAVE_SECONDS
         if is_new and before - after and isinstance(self.current.state, Live):
-            self._before_leaving = self.current, now
+            self._graph_before_leave = self.current, now
 
     def _last_whole(self) -> Graph:
         """Return the last known graph, including nodes that have disappeared one after another just now."""
-        if isinstance(self.current.state, Stale) or self._before_leaving is None:
+        if isinstance(self.current.state, Stale) or self._graph_before_leave is None:
             return self.current
-        whole, since = self._before_leaving
-        if asyncio.get_running_loop().time() - since > _LEAVING:
+        whole, since = self._graph_before_leave
+        if asyncio.get_running_loop().time() - since > _LEAVE_SECONDS:
             return self.current
         return replace(whole, revision=self.current.revision, own_node=self.current.own_node)
 
@@ -84,9 +84,9 @@ class Discovery:
         self._counted_at = 0.0
         self._took = 0.0
         self._poll_requested = asyncio.Event()
-        self._looking = asyncio.Lock()
+        self._poll_lock = asyncio.Lock()
 
-    def look_soon(self) -> None:
+    def poll_soon(self) -> None:
         """End the pause before the next poll."""
         self._poll_requested.set()
 
@@ -98,14 +98,14 @@ class Discovery:
             pass
         self._poll_requested.clear()
 
-    async def look(self, topics: Sequence[str] = ()) -> None:
+    async def poll(self, topics: Sequence[str] = ()) -> None:
         """Poll now, always including the endpoints of these topics."""
-        async with self._looking:
+        async with self._poll_lock:
             started = time.monotonic()
-            await self._look(topics)
+            await self._poll(topics)
             self._took = time.monotonic() - started
 
-    async def _look(self, required: Sequence[str]) -> None:
+    async def _poll(self, required: Sequence[str]) -> None:
         participant, before, now = self._participant, self.observation, asyncio.get_running_loop().time()
         nodes, topics, services = participant.node_names(), participant.topics(), participant.services()
         due = set(required) & topics.keys()

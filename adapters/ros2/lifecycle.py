@@ -46,7 +46,7 @@ _TRIES = 4
 _MAX_TRANSITIONS = 64
 
 
-class _Managed(Struct, eq=False):
+class _ManagedNode(Struct, eq=False):
     """A managed node: its known lifecycle, and the time of its next query."""
 
     lifecycle: Lifecycle
@@ -70,7 +70,7 @@ class Lifecycles(Struct):
     changed: Callable[[], None]
     by_node: Mapping[str, Lifecycle] = field(default_factory=dict)
     """Lifecycles by node; the same object until one changes."""
-    _managed: dict[str, _Managed] = field(default_factory=dict)
+    _managed: dict[str, _ManagedNode] = field(default_factory=dict)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _few: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(_AT_ONCE))
     _loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
@@ -119,7 +119,7 @@ class Lifecycles(Struct):
         if not answer.success:
             raise Refused(f"{node} did not make the transition {label!r}", sent=Sent.YES)
 
-    async def _make_sure(self, node: str, one: _Managed, until: float) -> None:
+    async def _make_sure(self, node: str, one: _ManagedNode, until: float) -> None:
         """Query a node's state, without waiting for a node in transition, which may not respond."""
         if not one.is_underway:
             await self._learn(node, one, until)
@@ -139,12 +139,12 @@ class Lifecycles(Struct):
 
     # Events
 
-    def _begin_following(self, node: str) -> _Managed:
+    def _begin_following(self, node: str) -> _ManagedNode:
         """Return a new managed node, followed from now on if its types are known here."""
         problem = class_problem(_STATE)
         if problem is not None:
-            return _Managed(Lifecycle(f"{node}/change_state", unknown=problem), query_at=float("inf"))
-        one = _Managed(Lifecycle(f"{node}/change_state"))
+            return _ManagedNode(Lifecycle(f"{node}/change_state", unknown=problem), query_at=float("inf"))
+        one = _ManagedNode(Lifecycle(f"{node}/change_state"))
         try:
             one.reader = self.participant.reader(f"{node}/transition_event", _EVENT, _EVENTS_QOS)
         except Exception:  # any error of the middleware about the name: the node is only queried
@@ -152,17 +152,17 @@ class Lifecycles(Struct):
         self._arm(node, one)
         return one
 
-    def _arm(self, node: str, one: _Managed) -> None:
+    def _arm(self, node: str, one: _ManagedNode) -> None:
         if one.reader is not None:
             self.waiter.arm(one.reader.handle, "reader", partial(self._ready, node, one))
 
-    def _ready(self, node: str, one: _Managed) -> None:
+    def _ready(self, node: str, one: _ManagedNode) -> None:
         try:
             self._loop.call_soon_threadsafe(self._take, node, one)
         except RuntimeError:
             pass  # the thread's event loop has ended
 
-    def _take(self, node: str, one: _Managed) -> None:
+    def _take(self, node: str, one: _ManagedNode) -> None:
         """Process events. A transition is shown at once, because the node may not respond during it."""
         if _take_events(one):
             if one.is_underway:
@@ -171,7 +171,7 @@ class Lifecycles(Struct):
                 self._query_soon(node, one)
         self._arm(node, one)
 
-    def _leave(self, one: _Managed) -> None:
+    def _leave(self, one: _ManagedNode) -> None:
         reader, one.reader = one.reader, None
         if reader is not None:
             self.waiter.disarm(reader.handle)
@@ -179,13 +179,13 @@ class Lifecycles(Struct):
 
     # Queries
 
-    def _query_soon(self, node: str, one: _Managed) -> None:
+    def _query_soon(self, node: str, one: _ManagedNode) -> None:
         one.is_querying = True
         task = self._loop.create_task(self._query(node, one))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _query(self, node: str, one: _Managed) -> None:
+    async def _query(self, node: str, one: _ManagedNode) -> None:
         try:
             async with self._few:
                 await self._learn(node, one, self._loop.time() + _PATIENCE)
@@ -199,14 +199,14 @@ class Lifecycles(Struct):
             one.is_querying = False
         self._refresh_list()
 
-    def _silent(self, one: _Managed, error: Exception) -> None:
+    def _silent(self, one: _ManagedNode, error: Exception) -> None:
         """Record that a node does not respond, unless it is in transition."""
         if not one.is_underway:
             why = error.sentence if isinstance(error, RosError) else error
             words = f"it does not tell the state of its lifecycle: {why}"
             one.lifecycle = replace(one.lifecycle, transitions=(), unknown=words)
 
-    async def _learn(self, node: str, one: _Managed, until: float) -> None:
+    async def _learn(self, node: str, one: _ManagedNode, until: float) -> None:
         """Query a node's state and its transitions consistently. Raises what calls raise."""
         for _ in range(_TRIES):
             _take_events(one)
@@ -243,7 +243,7 @@ def _is_managed(node: str, services: Names) -> bool:
     )
 
 
-def _take_events(one: _Managed) -> bool:
+def _take_events(one: _ManagedNode) -> bool:
     """Process transition events of a node; return whether there were any."""
     has_events = False
     while one.reader is not None and (message := one.reader.take()) is not None:
@@ -260,5 +260,5 @@ def _state(message: Any) -> LifecycleState:
     return LifecycleState(message.label, message.id)
 
 
-def _legal(one: _Managed, label: str) -> Transition | None:
+def _legal(one: _ManagedNode, label: str) -> Transition | None:
     return next((each for each in one.lifecycle.transitions if each.label == label), None)

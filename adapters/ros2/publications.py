@@ -80,7 +80,7 @@ class Publication:
 class Publications:
     """The topics that rosld publishes. Belongs to the ROS thread, except for `suits` and reading `by_topic`.
 
-    `graph` returns the current graph, `reader_of` rosld's own reader of a topic, and `look` updates a topic's endpoints
+    `graph` returns the current graph, `reader_of` rosld's own reader of a topic, and `poll` updates a topic's endpoints
     in the graph.
     """
 
@@ -91,14 +91,14 @@ class Publications:
         options: AdapterOptions,
         graph: Callable[[], Graph],
         reader_of: Callable[[str], Reader | None],
-        look: Callable[[tuple[str, ...]], Awaitable[None]],
+        poll: Callable[[tuple[str, ...]], Awaitable[None]],
     ) -> None:
         self._participant = participant
         self._types = types
         self._options = options
         self._graph = graph
         self._reader_of = reader_of
-        self._look = look
+        self._poll = poll
         self._by_topic: dict[str, Publication] = {}
         self._advertising = asyncio.Lock()
 
@@ -140,7 +140,7 @@ class Publications:
             publication.writer.close()
             if not self._by_topic:
                 self._participant.hide()
-            await self._look((topic,))
+            await self._poll((topic,))
 
     def close(self) -> None:
         """Stop publishing everything."""
@@ -170,5 +170,5 @@ class Publications:
             raise Refused(f"{topic} cannot be published: {error}") from error
         publication = Publication(topic, schema.ref, writer, partial(self._reader_of, topic))
         self._by_topic[topic] = publication
-        await self._look((topic,))
+        await self._poll((topic,))
         return publication

@@ -52,7 +52,7 @@ class System:
         self._discovery = Discovery(self._participant)
         self._readers = Readers(self._participant, self.types, options, self.refresh_soon)
         self.publications = Publications(
-            self._participant, self.types, options, lambda: self.graph, self._readers.reader_of, self.look
+            self._participant, self.types, options, lambda: self.graph, self._readers.reader_of, self.poll
         )
         self._refreshing = False
         self._task: asyncio.Task[None] | None = None
@@ -71,7 +71,7 @@ class System:
         until = min(until, changed + _DISCOVERY)
         while loop.time() < until:
             before = self._discovery.observation
-            await self.look()
+            await self.poll()
             if self._discovery.observation != before:
                 changed = loop.time()
             if self._graph.has_robot and loop.time() - changed > _STABLE:
@@ -121,7 +121,7 @@ class System:
             raise Refused(f"{service} is not called: {words}")
         existing = self.graph.services.get(service)
         if existing is None:
-            await self.look()
+            await self.poll()
             existing = self.graph.services.get(service)
         if existing is None:
             raise NotFound(f"there is no service {service}")
@@ -175,9 +175,9 @@ class System:
 
     # The graph
 
-    async def look(self, topics: Sequence[str] = ()) -> None:
+    async def poll(self, topics: Sequence[str] = ()) -> None:
         """Poll the system now, always including the endpoints of these topics."""
-        await self._discovery.look(topics)
+        await self._discovery.poll(topics)
         providers = self._discovery.observation.providers
         self.parameters.follow(providers, self._ours())
         self.lifecycles.follow(providers, self._ours())
@@ -201,7 +201,7 @@ class System:
         while True:
             await self._discovery.pause()
             try:
-                await self.look()
+                await self.poll()
                 self.calls.drop_missing_servers()
                 self.actions.drop_missing_servers(self.graph.actions)
             except Exception as error:  # any error of the middleware: the next poll retries
@@ -237,7 +237,7 @@ class System:
     def _parameter_event(self, change: ParameterChange) -> None:
         if change.node not in self._ours():
             self.parameters.event(change)
-        self._discovery.look_soon()  # a new node reports its parameters, so poll soon
+        self._discovery.poll_soon()  # a new node reports its parameters, so poll soon
 
 
 def watch_parameter_events(

@@ -14,9 +14,9 @@ from rosld.adapters.rover.world import World
 
 FRAMES = ("map", "odom", "")
 """Frames of a goal: the first two coincide because there is no drift, and the empty frame means the map."""
-_THERE = 0.05
-_PASSED = 0.15
-_ALIGNED = 0.03
+_ARRIVED_WITHIN = 0.05
+_PASSED_WITHIN = 0.15
+_ALIGNED_WITHIN = 0.03
 _AHEAD = 0.3
 """Maximum radians between heading and path for driving; for larger angles the rover turns first."""
 _LOOK_AHEAD = 0.25
@@ -108,9 +108,9 @@ def remaining_length(journey: Journey, motion: Motion) -> float:
 def drop_passed_corners(journey: Journey, motion: Motion) -> Journey:
     """Return the journey without the corners that have been reached."""
     corners = journey.corners
-    while len(corners) > 1 and math.dist((motion.x, motion.y), corners[0]) < _PASSED:
+    while len(corners) > 1 and math.dist((motion.x, motion.y), corners[0]) < _PASSED_WITHIN:
         corners = corners[1:]
-    if corners and math.dist((motion.x, motion.y), corners[-1]) < _THERE:
+    if corners and math.dist((motion.x, motion.y), corners[-1]) < _ARRIVED_WITHIN:
         corners = ()
     return journey if corners is journey.corners else replace(journey, corners=corners)
 
@@ -135,7 +135,7 @@ def end_of(journey: Journey, motion: Motion, world: World, is_empty: bool) -> Jo
     if journey.problem is not None:
         return JourneyEnd(journey.id, Outcome.ABORTED, journey.problem)
     if not journey.corners:
-        is_aligned = abs(wrap_angle(journey.goal.heading - motion.heading)) < _ALIGNED
+        is_aligned = abs(wrap_angle(journey.goal.heading - motion.heading)) < _ALIGNED_WITHIN
         return JourneyEnd(journey.id, Outcome.SUCCEEDED, "arrived") if is_aligned else None
     distance = min(_LOOK_AHEAD, math.dist((motion.x, motion.y), journey.corners[0]))
     if motion.velocity.speed > 0 and (motion.is_bumped or is_blocked_ahead(world, motion, distance)):

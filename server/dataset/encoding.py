@@ -40,15 +40,15 @@ _NAMES = (
     "byte short int long unsignedByte unsignedShort unsignedInt unsignedLong "
     "nonNegativeInteger positiveInteger nonPositiveInteger negativeInteger"
 )
-_DERIVED = frozenset(_NAMES.split())
+_INTEGER_TYPES = frozenset(_NAMES.split())
 _PREFIXES = {
-    **dict.fromkeys((*_DERIVED, "integer"), INTEGER),
+    **dict.fromkeys((*_INTEGER_TYPES, "integer"), INTEGER),
     "double": DOUBLE,
     **dict.fromkeys(("decimal", "float"), _OTHER_NUMBER),
 }
 """Prefixes of private datatypes by the local name of a numeric datatype."""
 _COMMON = 9
-_REPLACED = tuple(
+_REPLACEMENTS = tuple(
     (f'{end}"^^<{xsd.iri}{name}>', f'{end}"^^<{_PREFIXES[name]}{name}>')
     for end, name in ((".0", "double"), *(("", name) for name in _NAMES.split()))
 )
@@ -73,7 +73,7 @@ _CHANGEABLE = re.compile(_LEXICAL)
 _PLAIN = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]*[1-9])?")
 _DATE_TIME = re.compile(_MOMENT)
 _SPECIAL = frozenset({"INF", "-INF", "NaN", "-0"})
-_REMEMBERED = 16 * 1024
+_CACHE_SIZE = 16 * 1024
 _BITS = 2.0**26
 """A double that is not an integer when multiplied by this has a unique shortest form, which all programs write."""
 _LONGEST_DECIMAL = 18
@@ -88,7 +88,7 @@ def encode_ntriples(text: str) -> str:
         return text
     if r"\"^^<" in text:  # the quote may be within a literal
         return _LITERAL.sub(_encode_match, text)
-    for written, stored in _REPLACED if "Integer>" in text else _REPLACED[:_COMMON]:
+    for written, stored in _REPLACEMENTS if "Integer>" in text else _REPLACEMENTS[:_COMMON]:
         text = text.replace(written, stored)
     return _TYPED.sub(_encode_match, text)
 
@@ -138,7 +138,7 @@ def private_datatype(name: str) -> NamedNode:
 
 def is_changed(lexical: str, name: str) -> bool:
     """Whether a literal of the XSD datatype with this local name is stored with a private datatype."""
-    if name in _DERIVED or (name == "double" and lexical.endswith(".0")):
+    if name in _INTEGER_TYPES or (name == "double" and lexical.endswith(".0")):
         return True
     if name == "string" or not _CHANGEABLE.fullmatch(lexical):
         return False
@@ -146,7 +146,7 @@ def is_changed(lexical: str, name: str) -> bool:
         return _is_changed_number(lexical, name)
     if name == "dateTime" and _DATE_TIME.fullmatch(lexical):
         return False
-    return _comes_back_changed(lexical, name)
+    return _is_changed_by_store(lexical, name)
 
 
 def _is_changed_number(lexical: str, name: str) -> bool:
@@ -161,11 +161,11 @@ def _is_changed_number(lexical: str, name: str) -> bool:
         written = repr(value)
         if "e" not in written:
             return written != lexical
-    return len(lexical) > _SHORT and _comes_back_changed(lexical, name)
+    return len(lexical) > _SHORT and _is_changed_by_store(lexical, name)
 
 
-@lru_cache(maxsize=_REMEMBERED)
-def _comes_back_changed(lexical: str, name: str) -> bool:
+@lru_cache(maxsize=_CACHE_SIZE)
+def _is_changed_by_store(lexical: str, name: str) -> bool:
     """Whether pyoxigraph itself changes a literal."""
     literal = Literal(lexical, datatype=NamedNode(xsd.iri + name))
     store = pyoxigraph.Store()

@@ -18,9 +18,9 @@ from rosld.server.runtime.process_memory import trim
 
 _LARGE = 1024 * 1024
 """Minimum characters of a text that is parsed twice rather than held as quads, which take ten times its memory."""
-_REMEMBERED_GRAPH = 8 * 1024 * 1024
+_MAX_CACHED_GRAPH = 8 * 1024 * 1024
 """Maximum characters of a graph whose lines are remembered, so that its next replacement costs only the difference."""
-_REMEMBERED = 32 * 1024 * 1024
+_MAX_CACHED = 32 * 1024 * 1024
 """Maximum characters of all remembered graphs; the least recently replaced one is forgotten first."""
 _SLICE = 1000
 """Number of quads added or copied at a time: about two milliseconds."""
@@ -353,11 +353,11 @@ class MemoryStore:
 
     def _remember(self, name: str, text: str | None) -> None:
         self._forget(name)
-        if not text or len(text) > _REMEMBERED_GRAPH:
+        if not text or len(text) > _MAX_CACHED_GRAPH:
             return
         lines = self._lines[name] = self._new_lines.pop(name, frozenset()) or _lines(text)
         self._size += sum(map(len, lines))
-        while self._size > _REMEMBERED:
+        while self._size > _MAX_CACHED:
             self._forget(next(iter(self._lines)))
 
     def _forget(self, name: str) -> None:

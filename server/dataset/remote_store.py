@@ -50,19 +50,19 @@ def split_parts(text: str, size: int) -> Iterator[str]:
         yield text
         return
     part: list[str] = []
-    filled = 0
-    for lines in _together([f"{line}\n" for line in text.split("\n") if line]):
+    size_so_far = 0
+    for lines in _connected_lines([f"{line}\n" for line in text.split("\n") if line]):
         length = sum(map(len, lines))
-        if part and filled + length > size:
+        if part and size_so_far + length > size:
             yield "".join(part)
-            part, filled = [], 0
+            part, size_so_far = [], 0
         part += lines
-        filled += length
+        size_so_far += length
     if part:
         yield "".join(part)
 
 
-def _together(lines: Sequence[str]) -> Iterator[Sequence[str]]:
+def _connected_lines(lines: Sequence[str]) -> Iterator[Sequence[str]]:
     """Yield the lines in groups that share no blank nodes with each other."""
     groups = _Groups()
     joined: dict[str, list[str]] = {}
@@ -131,9 +131,9 @@ class RemoteStore:
         self._query.interrupt()
         self._update.interrupt()
 
-    def graphs_with_prefix(self, beginning: str) -> list[str]:
+    def graphs_with_prefix(self, prefix: str) -> list[str]:
         """Return the IRIs of the named graphs with this prefix."""
-        pattern = f"FILTER(STRSTARTS(STR(?g), {Literal(beginning)}))" if beginning else ""
+        pattern = f"FILTER(STRSTARTS(STR(?g), {Literal(prefix)}))" if prefix else ""
         found = self.select(f"SELECT DISTINCT ?g {{ GRAPH ?g {{ ?s ?p ?o }} {pattern} }}")
         return [name.value for row in found if isinstance(name := row["g"], NamedNode)]
 

@@ -156,7 +156,7 @@ class Mirror:
         self._pending = PendingChanges(max_pending)
         self._replica = ReplicaState()
         self._refused: dict[str, float] = {}
-        self._on_its_way: float | None = None
+        self._sending_since: float | None = None
         self._sent_ns: int | None = None
         self._failure: StoreError | None = None
         self._failures = 0
@@ -166,7 +166,7 @@ class Mirror:
         self._renewed = 0.0  # start time of the last complete transfer
         self._verified_connections = -1  # number of connections when the heartbeat was last verified
         self._ending = False
-        self._unrefreshed = False
+        self._refresh_failed = False
         self._round: asyncio.Future[bool] | None = None
         source.watch(self._pending.add, self._forget)
 
@@ -177,7 +177,7 @@ class Mirror:
     @property
     def status(self) -> ReplicationStatus:
         """Return the progress (thread-safe)."""
-        oldest = [moment for moment in (self._on_its_way, self._pending.since) if moment is not None]
+        oldest = [moment for moment in (self._sending_since, self._pending.since) if moment is not None]
         lag = time.monotonic() - min(oldest) if oldest else 0.0
         pending, refused, failure = len(self._pending), len(self._refused), self._failure
         sentence, words = (None, None) if failure is None else (failure.sentence, failure.words)
@@ -228,11 +228,11 @@ class Mirror:
         try:
             await self._refresh()
         except Exception as error:
-            if not self._unrefreshed:
+            if not self._refresh_failed:
                 _log.warning("the live values cannot be read for %s: %s", self._target.url, error)
-            self._unrefreshed = True
+            self._refresh_failed = True
         else:
-            self._unrefreshed = False
+            self._refresh_failed = False
 
     def _note_failure(self, error: StoreError) -> None:
         self._failures += 1
@@ -261,7 +261,7 @@ class Mirror:
         if batch is None:
             self._send(())
             return False
-        self._on_its_way = batch.since
+        self._sending_since = batch.since
         try:
             self._send_all(batch, now)
         except BaseException:
@@ -269,7 +269,7 @@ class Mirror:
             self._pending.give_back(batch)
             raise
         finally:
-            self._on_its_way = None
+            self._sending_since = None
         return len(self._pending) > 0
 
     def _verify(self) -> None:
@@ -368,7 +368,7 @@ class Mirror:
                 raise
             self._send(())  # raises if the endpoint refuses even this, and is thus at fault itself
             if len(batch) == 1:
-                self._leave_out(batch[0].graph, error)
+                self._drop_refused(batch[0].graph, error)
                 return left - 1
             middle = len(batch) // 2
             return self._push(batch[middle:], self._push(batch[:middle], left - 1))
@@ -376,7 +376,7 @@ class Mirror:
             self._refused.pop(part.graph, None)
         return left
 
-    def _leave_out(self, graph: str, error: StoreRefused) -> None:
+    def _drop_refused(self, graph: str, error: StoreRefused) -> None:
         """Remove a refused graph: better absent than outdated."""
         if graph not in self._refused:
             _log.error("%s is left out of the store: %s", graph, error)

@@ -36,7 +36,7 @@ _OPEN_SECONDS = 600.0
 _NO_TIME = QosTime(9223372036, 854775807)
 _METADATA_VERSION: Literal[8] = 8
 """Version of `metadata.yaml`: the newest that ROS 2 releases before Jazzy can read."""
-_FORGOTTEN = (0, 0)
+_DISCARDED = (0, 0)
 _CHECKED = 1 << 20
 """Bytes of messages between checks of the free disk space."""
 
@@ -236,7 +236,7 @@ def _hash(recording: Recording, topic: str, ref: TypeRef) -> str:
 def _forget_places(writer: rosbag1.Writer) -> None:
     """Replace the index entries of written messages, 120 bytes each: the writer needs only their count."""
     for chunk in reversed(writer.chunks[:-1]):
-        if not chunk.connections or next(iter(chunk.connections.values()))[0] == _FORGOTTEN:
+        if not chunk.connections or next(iter(chunk.connections.values()))[0] == _DISCARDED:
             return
         for number, places in chunk.connections.items():
-            chunk.connections[number] = [_FORGOTTEN] * len(places)
+            chunk.connections[number] = [_DISCARDED] * len(places)

@@ -69,9 +69,9 @@ class FileDigests:
             return
         if found is not None:
             with contextlib.suppress(RuntimeError):  # the event loop is closed
-                loop.call_soon_threadsafe(self._found, path, found)
+                loop.call_soon_threadsafe(self._store, path, found)
 
-    def _found(self, path: Path, digest: str) -> None:
+    def _store(self, path: Path, digest: str) -> None:
         self._digests[path] = digest
         self.revision += 1
         self._changes.emit(str(path))

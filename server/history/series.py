@@ -100,13 +100,13 @@ def read_series(writer: HistoryWriter, topic: str, field: str, span: SeriesRange
             previous = intervals.get(interval)
             intervals[interval] = statistic if previous is None else previous.join(statistic)
 
-    known = writer.segments.index.statistics(topic, field, span.from_ns, span.to_ns)
+    statistics = writer.segments.index.statistics(topic, field, span.from_ns, span.to_ns)
     read = 0
     for row in rows:
         is_whole = span.from_ns <= row.start_ns and row.end_ns <= span.to_ns
         interval = span.interval(row.start_ns) if is_whole else -1
         is_one = is_whole and interval == span.interval(row.end_ns)
-        if is_one and (entry := known.get((row.segment, row.at))) is not None:
+        if is_one and (entry := statistics.get((row.segment, row.at))) is not None:
             add(interval, Statistic(*entry) if entry[3] else None)
             continue
         read += row.messages

@@ -38,7 +38,7 @@ class TopicFeed:
         self._latest: Sequence[Sample] = ()
         self._positions: dict[str, tuple[int, int]] = {}
         self._most = 0
-        self._looks = 0
+        self._polls = 0
 
     def take(self) -> list[Sample]:
         """Return the new messages, in the order of receipt."""
@@ -64,14 +64,14 @@ class TopicFeed:
 
         The depth decreases only after `_CALM` polls that needed much less, so that a burst does not use memory forever.
         """
-        self._looks += 1
+        self._polls += 1
         self._most = max(self._most, len(new))
         if len(new) * 4 >= self.depth:
             largest = max(len(sample.data) for sample in new) + SAMPLE_OVERHEAD
             return max(min(self.depth * 4, _MAX_DEPTH, max_bytes // largest), self.depth)
-        if self._looks < _CALM:
+        if self._polls < _CALM:
             return self.depth
-        most, self._most, self._looks = self._most, 0, 0
+        most, self._most, self._polls = self._most, 0, 0
         return max(self.depth // 4, _DEPTH) if most * 32 < self.depth else self.depth
 
     async def resubscribe(self, adapter: Adapter, depth: int) -> None:
@@ -134,7 +134,7 @@ class LiveFeed:
 
     def take(self) -> None:
         """Pass new messages to the recorder now."""
-        self._look()
+        self._poll()
 
     def refresh(self) -> None:
         """Update the recorded topics at the next poll, after a change of the graph or of the recordings."""
@@ -146,7 +146,7 @@ class LiveFeed:
         if task is None:
             return
         await end_tasks([task, *self._learning])
-        self._look()
+        self._poll()
         for feed in self._feeds.values():
             feed.subscription.close()
         self._feeds.clear()
@@ -156,7 +156,7 @@ class LiveFeed:
             if self._changed:
                 self._changed = False
                 await self._follow(self._adapter.graph.topics)
-            for feed, depth in self._look():
+            for feed, depth in self._poll():
                 await feed.resubscribe(self._adapter, depth)
             await asyncio.sleep(PERIOD)
 
@@ -179,7 +179,7 @@ class LiveFeed:
         publishers = () if entry is None else entry.publishers
         return topic in self._feeds and any(publisher in (each.node, "") for each in publishers)
 
-    def _look(self) -> list[tuple[TopicFeed, int]]:
+    def _poll(self) -> list[tuple[TopicFeed, int]]:
         """Pass new messages to the recorder; return the feeds whose depth should change, with the new depth."""
         arrivals: list[Arrival] = []
         changes: list[tuple[TopicFeed, int]] = []

@@ -113,7 +113,7 @@ class ArchiveReader:
 
     def __init__(self, file: IO[bytes]) -> None:
         """Raise ValueError if the file is not an archive of this format."""
-        with _sound():
+        with _archive_errors():
             self._file = gzip.GzipFile(fileobj=file, mode="rb")
             self._tar = tarfile.open(  # noqa: SIM115 - open as long as the reader exists
                 fileobj=cast("IO[bytes]", self._file), mode="r|"
@@ -145,11 +145,11 @@ class ArchiveReader:
             tempfile.TemporaryFile() as records,
         ):
             try:
-                with _sound():
+                with _archive_errors():
                     count, sizes, tombstones = self._check_records(records)
                     self._blobs(sizes, new, blobs)
-                    moved = _Moved(self.base, base, new)
-                    freed = _replace_all(connection, (moved.entry(_entry(line)) for line in records), tombstones)
+                    relocation = _Relocation(self.base, base, new)
+                    freed = _replace_all(connection, (relocation.entry(_entry(line)) for line in records), tombstones)
             except BaseException:
                 for id in new.values():
                     blobs.discard(id)
@@ -187,7 +187,7 @@ class ArchiveReader:
         blobs.sync()
 
 
-class _Moved:
+class _Relocation:
     """Rewrites the blob ids of entries, and their IRIs if the base URL differs."""
 
     def __init__(self, old: str, new: str, blobs: Mapping[str, str]) -> None:
@@ -339,7 +339,7 @@ def _add(tar: tarfile.TarFile, name: str, file: IO[bytes]) -> None:
 
 
 @contextlib.contextmanager
-def _sound() -> Iterator[None]:
+def _archive_errors() -> Iterator[None]:
     """Raise a ValueError with a message instead of the errors of reading a damaged archive."""
     try:
         yield

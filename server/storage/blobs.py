@@ -186,19 +186,19 @@ async def _fill(file: int, chunks: AsyncIterator[bytes], limit: int) -> int:
 
 async def _finish(work: Callable[..., None], *arguments: object) -> None:
     """Run in another thread, to the end even if the wait is cancelled: it uses a file that is closed next."""
-    doing = asyncio.get_running_loop().run_in_executor(None, work, *arguments)
+    future = asyncio.get_running_loop().run_in_executor(None, work, *arguments)
     cancelled: asyncio.CancelledError | None = None
-    while not doing.done():
+    while not future.done():
         try:
-            await asyncio.shield(doing)
+            await asyncio.shield(future)
         except asyncio.CancelledError as error:
             cancelled = error
         except OSError:
             break
     if cancelled is not None:
-        doing.exception()  # retrieved, so that asyncio does not report it as lost
+        future.exception()  # retrieved, so that asyncio does not report it as lost
         raise cancelled
-    doing.result()
+    future.result()
 
 
 def _write(file: int, chunks: Iterable[bytes]) -> None:

@@ -97,7 +97,7 @@ class Records:
         self._cache = RecordCache()
         self._differences = RecentWrites()
         self._watchers: dict[object, Callable[[Sequence[RecordChange]], None]] = {}
-        self._look: asyncio.Task[None] | None = None
+        self._checking: asyncio.Task[None] | None = None
         self._group: GroupCommit | None = None
         self._freed: list[str] = []
         self._closed = False
@@ -350,20 +350,20 @@ class Records:
 
     def _attach(self) -> None:
         """Start to check for changes by other processes, on the running event loop."""
-        if self._look is None and self._group is not None and not self._closed:
+        if self._checking is None and self._group is not None and not self._closed:
             with contextlib.suppress(RuntimeError):  # no event loop runs yet
-                self._look = asyncio.get_running_loop().create_task(self._look_elsewhere())
+                self._checking = asyncio.get_running_loop().create_task(self._check_for_changes())
 
-    async def _look_elsewhere(self) -> None:
+    async def _check_for_changes(self) -> None:
         while True:
             await asyncio.sleep(CHECK_SECONDS)
             try:
-                if await self._run(self._look_once):
+                if await self._run(self._check_once):
                     self._notice()
             except (sqlite3.Error, StorageError) as error:
                 _log.error("the records cannot be read: %s", error)
 
-    def _look_once(self) -> bool:
+    def _check_once(self) -> bool:
         """Retry the removal of blobs, and return whether another process has changed the records."""
         self._remove_freed()
         return self._writer.table.changed_elsewhere()
@@ -381,8 +381,8 @@ class Records:
             return
         self._received.discard_all()
         self._closed = True
-        if self._look is not None:
-            await end_tasks([self._look])
+        if self._checking is not None:
+            await end_tasks([self._checking])
         if self._group is not None:
             await self._group.wait_idle()
             await asyncio.to_thread(self._thread.shutdown)

@@ -117,13 +117,13 @@ class GroupCommit:
         """Commit batches until none is waiting."""
         try:
             while self._batches:
-                batches = self._some()
+                batches = self._next_batches()
                 for batch, outcome in zip(batches, await self._outcomes(batches), strict=True):
                     _settle(batch, outcome)
         finally:
             self._idle.set()
 
-    def _some(self) -> list[WriteBatch]:
+    def _next_batches(self) -> list[WriteBatch]:
         batches, size = list[WriteBatch](), 0
         while self._batches and len(batches) < MAX_BATCHES and size < MAX_BYTES:
             batches.append(self._batches.popleft())

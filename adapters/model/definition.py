@@ -74,8 +74,8 @@ class _Extent:
 
     def _of_field(self, kind: FieldType) -> tuple[int, int]:
         if isinstance(kind, Array):
-            fields, each = self._of_field(kind.element)
-            return fields, each if kind.length is None else max(each, 1) * kind.length
+            fields, size = self._of_field(kind.element)
+            return fields, size if kind.length is None else max(size, 1) * kind.length
         if isinstance(kind, Nested):
             fields, fixed = self.of(kind.name)
             return fields + 1, fixed + _NESTED_WEIGHT

@@ -142,21 +142,21 @@ def _by_profile(endpoints: Sequence[Endpoint]) -> Mapping[Qos, Sequence[str]]:
 
 def _once(found: Iterable[Mismatch]) -> Iterator[Mismatch]:
     yielded: set[Mismatch] = set()
-    for one in found:
-        if one not in yielded:
-            yielded.add(one)
-            yield one
+    for mismatch in found:
+        if mismatch not in yielded:
+            yielded.add(mismatch)
+            yield mismatch
 
 
 def _unfit(offered: Qos, requested: Qos) -> Iterator[tuple[str, str, str]]:
     for policy, ladder in (("reliability", _RELIABILITY), ("durability", _DURABILITY), ("liveliness", _LIVELINESS)):
-        one, other = getattr(offered, policy), getattr(requested, policy)
-        if one in ladder and other in ladder and ladder.index(one) < ladder.index(other):
-            yield policy, one, other
+        offer, request = getattr(offered, policy), getattr(requested, policy)
+        if offer in ladder and request in ladder and ladder.index(offer) < ladder.index(request):
+            yield policy, offer, request
     for policy in ("deadline", "lease"):
-        one, other = getattr(offered, f"{policy}_ns"), getattr(requested, f"{policy}_ns")
-        if other is not None and (one is None or one > other):
-            yield ("liveliness lease" if policy == "lease" else policy), _seconds_text(one), _seconds_text(other)
+        offer, request = getattr(offered, f"{policy}_ns"), getattr(requested, f"{policy}_ns")
+        if request is not None and (offer is None or offer > request):
+            yield ("liveliness lease" if policy == "lease" else policy), _seconds_text(offer), _seconds_text(request)
 
 
 def _seconds_text(nanoseconds: int | None) -> str:

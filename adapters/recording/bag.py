@@ -116,11 +116,13 @@ def without_repeats(table: MessageTable, connections: Sequence[RecordedConnectio
     first = np.full(len(connections), -1)
     first[table.connections[order]] = order  # assignment of repeated indexes: the last one wins
     earliest: dict[tuple[str, str], int] = {}
-    for one, row in zip(connections, first.tolist(), strict=True):
+    for connection, row in zip(connections, first.tolist(), strict=True):
         if row >= 0:
-            key, time = (one.topic, one.publisher), int(table.times[row])
+            key, time = (connection.topic, connection.publisher), int(table.times[row])
             earliest[key] = min(earliest.get(key, time), time)
-    first_times = np.asarray([earliest.get((one.topic, one.publisher), 0) for one in connections], np.int64)
+    first_times = np.asarray(
+        [earliest.get((connection.topic, connection.publisher), 0) for connection in connections], np.int64
+    )
     is_repeat = is_opening[table.connections] & (table.times > first_times[table.connections])
     return table.rows(~is_repeat)
 
@@ -129,12 +131,14 @@ def latched_rows(
     table: MessageTable, until: int, connections: Sequence[RecordedConnection], types: Sequence[TypeRef]
 ) -> NDArray[np.int64]:
     """Return the rows before row `until` with the latest latched messages of each publisher, ascending."""
-    latched = [number for number, one in enumerate(connections) if one.latched]
+    latched = [number for number, connection in enumerate(connections) if connection.latched]
     rows = np.flatnonzero(np.isin(table.connections[:until], latched))
     found: dict[tuple[str, str], deque[int]] = {}
     for row, number in zip(rows.tolist(), table.connections[rows].tolist(), strict=True):
-        one = connections[number]
-        found.setdefault((one.topic, one.publisher), deque(maxlen=latched_depth(types[number].name))).append(row)
+        connection = connections[number]
+        found.setdefault(
+            (connection.topic, connection.publisher), deque(maxlen=latched_depth(types[number].name))
+        ).append(row)
     return np.sort(np.asarray([row for each in found.values() for row in each], np.int64))
 
 

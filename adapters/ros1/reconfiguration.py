@@ -117,12 +117,14 @@ def _values(reader: WireReader) -> tuple[Callable[[], Scalar], ...]:
     return reader.bool, reader.int32, reader.text, reader.float64
 
 
-def _descriptor(one: Description, type: ParameterType, least: Scalar | None, greatest: Scalar | None) -> Descriptor:
+def _descriptor(
+    description: Description, type: ParameterType, least: Scalar | None, greatest: Scalar | None
+) -> Descriptor:
     return Descriptor(
         type,
-        _shortened(one.words),
+        _shortened(description.words),
         range=_range(type, least, greatest),
-        choices=tuple(_choices(type, one.edit_method)),
+        choices=tuple(_choices(type, description.edit_method)),
     )
 
 

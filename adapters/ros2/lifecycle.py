@@ -82,11 +82,11 @@ class Lifecycles(Struct):
             self._leave(self._managed.pop(former))
         now = self._loop.time()
         for node in present:
-            one = self._managed.get(node)
-            if one is None:
-                one = self._managed[node] = self._begin_following(node)
-            if not one.is_querying and now >= one.query_at:
-                self._query_soon(node, one)
+            entry = self._managed.get(node)
+            if entry is None:
+                entry = self._managed[node] = self._begin_following(node)
+            if not entry.is_querying and now >= entry.query_at:
+                self._query_soon(node, entry)
         self._refresh_list()
 
     async def wait_settled(self, seconds: float) -> None:
@@ -99,33 +99,33 @@ class Lifecycles(Struct):
 
         Raises Refused, TimedOut, Unreachable, UnknownType.
         """
-        one = self._managed.get(node)
-        if one is None:
+        entry = self._managed.get(node)
+        if entry is None:
             raise Refused(f"{node} is no managed node: it has no lifecycle")
-        if _legal(one, label) is None:
-            await self._make_sure(node, one, until)
-        transition = _legal(one, label)
+        if _legal(entry, label) is None:
+            await self._make_sure(node, entry, until)
+        transition = _legal(entry, label)
         if transition is None:
             raise Refused(f"{label!r} is no legal transition of {node} now")
         transition_message = make_message(_TRANSITION, {"id": transition.id, "label": transition.label})
         try:
             answer = await self._call(node, "change_state", _CHANGE, {"transition": transition_message}, until)
         finally:
-            one.query_at = 0.0
+            entry.query_at = 0.0
         try:
-            await self._learn(node, one, until)
+            await self._learn(node, entry, until)
         except RosError as error:  # the transition may have been made nevertheless
-            self._silent(one, error)
+            self._silent(entry, error)
         if not answer.success:
             raise Refused(f"{node} did not make the transition {label!r}", sent=Sent.YES)
 
-    async def _make_sure(self, node: str, one: _ManagedNode, until: float) -> None:
+    async def _make_sure(self, node: str, entry: _ManagedNode, until: float) -> None:
         """Query a node's state, without waiting for a node in transition, which may not respond."""
-        if not one.is_underway:
-            await self._learn(node, one, until)
+        if not entry.is_underway:
+            await self._learn(node, entry, until)
             return
         try:
-            await self._learn(node, one, min(until, self._loop.time() + _SHORT_PATIENCE))
+            await self._learn(node, entry, min(until, self._loop.time() + _SHORT_PATIENCE))
         except RosError:
             pass  # its state is known from events
 
@@ -133,8 +133,8 @@ class Lifecycles(Struct):
         """Stop querying and following nodes."""
         for task in self._tasks:
             task.cancel()
-        for one in self._managed.values():
-            self._leave(one)
+        for entry in self._managed.values():
+            self._leave(entry)
         self._managed.clear()
 
     # Events
@@ -144,79 +144,79 @@ class Lifecycles(Struct):
         problem = class_problem(_STATE)
         if problem is not None:
             return _ManagedNode(Lifecycle(f"{node}/change_state", unknown=problem), query_at=float("inf"))
-        one = _ManagedNode(Lifecycle(f"{node}/change_state"))
+        entry = _ManagedNode(Lifecycle(f"{node}/change_state"))
         try:
-            one.reader = self.participant.reader(f"{node}/transition_event", _EVENT, _EVENTS_QOS)
+            entry.reader = self.participant.reader(f"{node}/transition_event", _EVENT, _EVENTS_QOS)
         except Exception:  # any error of the middleware about the name: the node is only queried
-            return one
-        self._arm(node, one)
-        return one
+            return entry
+        self._arm(node, entry)
+        return entry
 
-    def _arm(self, node: str, one: _ManagedNode) -> None:
-        if one.reader is not None:
-            self.waiter.arm(one.reader.handle, "reader", partial(self._ready, node, one))
+    def _arm(self, node: str, entry: _ManagedNode) -> None:
+        if entry.reader is not None:
+            self.waiter.arm(entry.reader.handle, "reader", partial(self._ready, node, entry))
 
-    def _ready(self, node: str, one: _ManagedNode) -> None:
+    def _ready(self, node: str, entry: _ManagedNode) -> None:
         try:
-            self._loop.call_soon_threadsafe(self._take, node, one)
+            self._loop.call_soon_threadsafe(self._take, node, entry)
         except RuntimeError:
             pass  # the thread's event loop has ended
 
-    def _take(self, node: str, one: _ManagedNode) -> None:
+    def _take(self, node: str, entry: _ManagedNode) -> None:
         """Process events. A transition is shown at once, because the node may not respond during it."""
-        if _take_events(one):
-            if one.is_underway:
+        if _take_events(entry):
+            if entry.is_underway:
                 self._refresh_list()
-            if not one.is_querying:
-                self._query_soon(node, one)
-        self._arm(node, one)
+            if not entry.is_querying:
+                self._query_soon(node, entry)
+        self._arm(node, entry)
 
-    def _leave(self, one: _ManagedNode) -> None:
-        reader, one.reader = one.reader, None
+    def _leave(self, entry: _ManagedNode) -> None:
+        reader, entry.reader = entry.reader, None
         if reader is not None:
             self.waiter.disarm(reader.handle)
             reader.close()
 
     # Queries
 
-    def _query_soon(self, node: str, one: _ManagedNode) -> None:
-        one.is_querying = True
-        task = self._loop.create_task(self._query(node, one))
+    def _query_soon(self, node: str, entry: _ManagedNode) -> None:
+        entry.is_querying = True
+        task = self._loop.create_task(self._query(node, entry))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _query(self, node: str, one: _ManagedNode) -> None:
+    async def _query(self, node: str, entry: _ManagedNode) -> None:
         try:
             async with self._few:
-                await self._learn(node, one, self._loop.time() + _PATIENCE)
+                await self._learn(node, entry, self._loop.time() + _PATIENCE)
         except (RosError, ValueError) as error:
-            one.query_at = self._loop.time() + one.wait
-            one.wait = min(2 * one.wait, _AGAIN)
-            self._silent(one, error)
+            entry.query_at = self._loop.time() + entry.wait
+            entry.wait = min(2 * entry.wait, _AGAIN)
+            self._silent(entry, error)
         else:
-            one.query_at, one.wait = self._loop.time() + _AGAIN, _FIRST_RETRY
+            entry.query_at, entry.wait = self._loop.time() + _AGAIN, _FIRST_RETRY
         finally:
-            one.is_querying = False
+            entry.is_querying = False
         self._refresh_list()
 
-    def _silent(self, one: _ManagedNode, error: Exception) -> None:
+    def _silent(self, entry: _ManagedNode, error: Exception) -> None:
         """Record that a node does not respond, unless it is in transition."""
-        if not one.is_underway:
+        if not entry.is_underway:
             why = error.sentence if isinstance(error, RosError) else error
             words = f"it does not tell the state of its lifecycle: {why}"
-            one.lifecycle = replace(one.lifecycle, transitions=(), unknown=words)
+            entry.lifecycle = replace(entry.lifecycle, transitions=(), unknown=words)
 
-    async def _learn(self, node: str, one: _ManagedNode, until: float) -> None:
+    async def _learn(self, node: str, entry: _ManagedNode, until: float) -> None:
         """Query a node's state and its transitions consistently. Raises what calls raise."""
         for _ in range(_TRIES):
-            _take_events(one)
+            _take_events(entry)
             now, possible = await asyncio.gather(
                 self._call(node, "get_state", _STATE, {}, until),
                 self._call(node, "get_available_transitions", _TRANSITIONS, {}, until),
             )
             state = _state(now.current_state)
             offered = list(possible.available_transitions)[:_MAX_TRANSITIONS]
-            if not _take_events(one) and all(each.start_state.id == state.id for each in offered):
+            if not _take_events(entry) and all(each.start_state.id == state.id for each in offered):
                 break
         legal = {} if state.is_underway else {each.transition.label: each for each in reversed(offered)}
         transitions = tuple(
@@ -224,14 +224,14 @@ class Lifecycles(Struct):
             for each in sorted(legal.values(), key=lambda each: (each.transition.id, each.transition.label))
             if each.transition.label and each.start_state.id == state.id
         )
-        one.lifecycle = Lifecycle(one.lifecycle.service, state, transitions)
+        entry.lifecycle = Lifecycle(entry.lifecycle.service, state, transitions)
         self._refresh_list()
 
     async def _call(self, node: str, service: str, type: str, fields: dict[str, object], until: float) -> Any:
         return cast(Any, await self.calls.call(f"{node}/{service}", type, make_message(type, fields, "Request"), until))
 
     def _refresh_list(self) -> None:
-        lifecycles = {node: one.lifecycle for node, one in sorted(self._managed.items())}
+        lifecycles = {node: entry.lifecycle for node, entry in sorted(self._managed.items())}
         if lifecycles != self.by_node:
             self.by_node = freeze(lifecycles)
             self.changed()
@@ -243,16 +243,16 @@ def _is_managed(node: str, services: Names) -> bool:
     )
 
 
-def _take_events(one: _ManagedNode) -> bool:
+def _take_events(entry: _ManagedNode) -> bool:
     """Process transition events of a node; return whether there were any."""
     has_events = False
-    while one.reader is not None and (message := one.reader.take()) is not None:
+    while entry.reader is not None and (message := entry.reader.take()) is not None:
         try:
             event = cast(Any, deserialize(_EVENT, message.data))
         except (ValueError, UnknownType):
             continue
         has_events = True
-        one.lifecycle = replace(one.lifecycle, state=_state(event.goal_state), transitions=(), unknown=None)
+        entry.lifecycle = replace(entry.lifecycle, state=_state(event.goal_state), transitions=(), unknown=None)
     return has_events
 
 
@@ -260,5 +260,5 @@ def _state(message: Any) -> LifecycleState:
     return LifecycleState(message.label, message.id)
 
 
-def _legal(one: _ManagedNode, label: str) -> Transition | None:
-    return next((each for each in one.lifecycle.transitions if each.label == label), None)
+def _legal(entry: _ManagedNode, label: str) -> Transition | None:
+    return next((each for each in entry.lifecycle.transitions if each.label == label), None)

@@ -318,13 +318,13 @@ class Parameters(Struct):
         until = asyncio.get_running_loop().time() + _PATIENCE
         try:
             while pending:
-                some = pending.pop()
-                response = await self._query(node, "describe_parameters", {"names": some}, until)
-                if len(response.descriptors) == len(some):
-                    descriptors = zip(some, map(descriptor_of, response.descriptors), strict=True)
+                batch = pending.pop()
+                response = await self._query(node, "describe_parameters", {"names": batch}, until)
+                if len(response.descriptors) == len(batch):
+                    descriptors = zip(batch, map(descriptor_of, response.descriptors), strict=True)
                     found.update((name, descriptor) for name, descriptor in descriptors if descriptor is not None)
-                elif len(some) > 1:  # one of them is undeclared, which makes the whole response empty
-                    pending += (some[: len(some) // 2], some[len(some) // 2 :])
+                elif len(batch) > 1:  # one of them is undeclared, which makes the whole response empty
+                    pending += (batch[: len(batch) // 2], batch[len(batch) // 2 :])
         except (RosError, ValueError):
             return None
         return found

@@ -47,8 +47,8 @@ class Publication:
     def matched(self) -> int:
         """Number of connected subscribers."""
         reader = self._ours()
-        own = reader is not None and is_compatible(reader.qos, self.qos)
-        return max(0, self.writer.subscribers() - own)
+        has_own_reader = reader is not None and is_compatible(reader.qos, self.qos)
+        return max(0, self.writer.subscribers() - has_own_reader)
 
     def carries(self, type: TypeRef) -> bool:
         """Whether the topic accepts messages of this type."""

@@ -93,27 +93,29 @@ class ArmedRecordings:
     @property
     def revision(self) -> tuple[object, ...]:
         """Value that changes with the state of any waiting recording."""
-        return tuple((one.name, one.count, one.suspended, one.problem) for one in self.all.values())
+        return tuple(
+            (recording.name, recording.count, recording.suspended, recording.problem) for recording in self.all.values()
+        )
 
     def load(self) -> None:
         """Read the stored orders, which wait once `resume` is called. Unreadable ones are logged and skipped."""
         for name, members in self._notes.read(ARMED).items():
             try:
-                one = _from_note(name, members)
+                recording = _from_note(name, members)
             except (KeyError, TypeError, ValueError) as error:
                 log.warning("the recording %s, which waited for its trigger, cannot be read: %s", name, error)
                 continue
-            if one.trigger.limit == 1 and not self._is_free(name):
+            if recording.trigger.limit == 1 and not self._is_free(name):
                 with contextlib.suppress(OSError):
                     self._notes.remove(ARMED, name)  # rosld ended between the start of the recording and this removal
                 continue
-            self.all[name] = one
+            self.all[name] = recording
 
     def resume(self, occurrences: Occurrences) -> None:
         """Wait for the triggers of stored orders."""
-        for one in self.all.values():
-            if one.task is None:
-                self._start(one, occurrences)
+        for recording in self.all.values():
+            if recording.task is None:
+                self._start(recording, occurrences)
 
     async def arm(self, name: str, order: RecordingOrder, agent: Agent, occurrences: Occurrences) -> ArmedRecording:
         """Wait for a trigger; store the order in the folder, if any. Raises RecordingRefused, OSError."""
@@ -123,15 +125,15 @@ class ArmedRecordings:
             )
         record_step(f"have the recording {name} wait for its trigger")
         end_dry_run()
-        one = self.all[name] = ArmedRecording(name, order, agent)
+        recording = self.all[name] = ArmedRecording(name, order, agent)
         try:
-            await self._write(one)
+            await self._write(recording)
         except BaseException:
             self.all.pop(name, None)
             raise
-        if self.all.get(name) is one:
-            self._start(one, occurrences)
-        return one
+        if self.all.get(name) is recording:
+            self._start(recording, occurrences)
+        return recording
 
     async def disarm(self, name: str) -> bool:
         """Disarm a recording; return whether it existed. Recordings already started continue. Raises OSError."""
@@ -139,82 +141,82 @@ class ArmedRecordings:
             return False
         record_step(f"have the recording {name} wait no more for its trigger")
         end_dry_run()
-        one = self.all.pop(name)
-        if one.task is not None:
-            one.task.cancel()
+        recording = self.all.pop(name)
+        if recording.task is not None:
+            recording.task.cancel()
         await self._remove(name)
         return True
 
     async def stop(self) -> None:
         """Stop waiting; stored orders stay."""
-        tasks = [one.task for one in self.all.values() if one.task is not None]
+        tasks = [recording.task for recording in self.all.values() if recording.task is not None]
         self.all.clear()
         await end_tasks(tasks)
         await asyncio.to_thread(self._writer.shutdown)
 
-    def _start(self, one: ArmedRecording, occurrences: Occurrences) -> None:
-        one.task = asyncio.get_running_loop().create_task(self._wait(one, occurrences))
+    def _start(self, recording: ArmedRecording, occurrences: Occurrences) -> None:
+        recording.task = asyncio.get_running_loop().create_task(self._wait(recording, occurrences))
 
-    async def _wait(self, one: ArmedRecording, occurrences: Occurrences) -> None:
+    async def _wait(self, recording: ArmedRecording, occurrences: Occurrences) -> None:
         """Start the recordings of an order until its limit. After a failure, retry every `_RETRY_SECONDS`.
 
         As at the beginning, a condition that is already true starts a recording.
         """
         while True:
             try:
-                if self._has_place(one) and await self._follow(one, occurrences):
+                if self._has_place(recording) and await self._follow(recording, occurrences):
                     return
             except (RecordingRefused, OSError) as error:
-                _fail(one, f"The recording could not be begun: {getattr(error, 'strerror', None) or error}.")
+                _fail(recording, f"The recording could not be begun: {getattr(error, 'strerror', None) or error}.")
             except Exception as error:  # an unexpected error must not lose the order
-                _fail(one, f"What it waits for could not be followed: {type(error).__name__}.", error)
+                _fail(recording, f"What it waits for could not be followed: {type(error).__name__}.", error)
             await asyncio.sleep(self._retry_seconds)
 
-    def _has_place(self, one: ArmedRecording) -> bool:
+    def _has_place(self, recording: ArmedRecording) -> bool:
         """Whether the order is within the limit. An older release with a higher limit may have stored more."""
-        if list(self.all).index(one.name) < MAX_ARMED:
+        if list(self.all).index(recording.name) < MAX_ARMED:
             return True
-        one.suspend(f"{MAX_ARMED} recordings wait for triggers already, and no more may: delete one.")
+        recording.suspend(f"{MAX_ARMED} recordings wait for triggers already, and no more may: delete one.")
         return False
 
-    async def _follow(self, one: ArmedRecording, occurrences: Occurrences) -> bool:
+    async def _follow(self, recording: ArmedRecording, occurrences: Occurrences) -> bool:
         """Start a recording at each occurrence; return True after the last. Raises what `begin` raises."""
-        async with contextlib.aclosing(occurrences(one)) as found:
+        async with contextlib.aclosing(occurrences(recording)) as found:
             async for may_record in found:
-                is_last = self._begin_next(one, may_record)
+                is_last = self._begin_next(recording, may_record)
                 try:
-                    await (self._remove(one.name) if is_last else self._write(one))
+                    await (self._remove(recording.name) if is_last else self._write(recording))
                 except OSError as error:
-                    log.error("how often the recording %s was begun cannot be stored: %s", one.name, error)
+                    log.error("how often the recording %s was begun cannot be stored: %s", recording.name, error)
                 if is_last:
                     return True
         return False
 
-    def _begin_next(self, one: ArmedRecording, may_record: MayRecord) -> bool:
+    def _begin_next(self, recording: ArmedRecording, may_record: MayRecord) -> bool:
         """Start the next recording of an order, which is unchanged on failure; return whether it is the last."""
-        is_last = one.count + 1 >= one.trigger.limit
+        is_last = recording.count + 1 >= recording.trigger.limit
         previous = dict(self.all)
         if is_last:
-            del self.all[one.name]  # a single recording has the name of its order
+            del self.all[recording.name]  # a single recording has the name of its order
         try:
-            self._begin(replace(one.order, name=self._next_name(one)), may_record)
+            self._begin(replace(recording.order, name=self._next_name(recording)), may_record)
         except BaseException:
             self.all.clear()
             self.all.update(previous)
             raise
-        one.count += 1
-        one.problem = None
+        recording.count += 1
+        recording.problem = None
         return is_last
 
-    def _next_name(self, one: ArmedRecording) -> str:
-        if one.trigger.limit == 1:
-            return one.name
-        numbers = range(one.count + 1, one.count + 1000)
-        names = (f"{one.name}-{number}" for number in numbers)
-        return next(filter(self._is_free, names), f"{one.name}-{one.count + 1}")
+    def _next_name(self, recording: ArmedRecording) -> str:
+        if recording.trigger.limit == 1:
+            return recording.name
+        numbers = range(recording.count + 1, recording.count + 1000)
+        names = (f"{recording.name}-{number}" for number in numbers)
+        return next(filter(self._is_free, names), f"{recording.name}-{recording.count + 1}")
 
-    async def _write(self, one: ArmedRecording) -> None:
-        await self._in_thread(lambda: self._notes.write(ARMED, one.name, _to_note(one)))
+    async def _write(self, recording: ArmedRecording) -> None:
+        await self._in_thread(lambda: self._notes.write(ARMED, recording.name, _to_note(recording)))
 
     async def _remove(self, name: str) -> None:
         await self._in_thread(lambda: self._notes.remove(ARMED, name))
@@ -224,16 +226,16 @@ class ArmedRecordings:
         await asyncio.shield(asyncio.get_running_loop().run_in_executor(self._writer, work))
 
 
-def _fail(one: ArmedRecording, problem: str, error: Exception | None = None) -> None:
+def _fail(recording: ArmedRecording, problem: str, error: Exception | None = None) -> None:
     """Record a failure in its order; repeated failures are logged once."""
-    if problem != one.problem:
-        log.error("the recording %s, ordered by %s: %s", one.name, one.agent.name, problem, exc_info=error)
-    one.problem = problem
+    if problem != recording.problem:
+        log.error("the recording %s, ordered by %s: %s", recording.name, recording.agent.name, problem, exc_info=error)
+    recording.problem = problem
 
 
-def _to_note(one: ArmedRecording) -> dict[str, object]:
-    agent = {"name": one.agent.name, "webid": one.agent.webid}
-    return {"order": order_to_json(one.order), "agent": agent, "count": one.count}
+def _to_note(recording: ArmedRecording) -> dict[str, object]:
+    agent = {"name": recording.agent.name, "webid": recording.agent.webid}
+    return {"order": order_to_json(recording.order), "agent": agent, "count": recording.count}
 
 
 def _from_note(name: str, members: Mapping[str, object]) -> ArmedRecording:

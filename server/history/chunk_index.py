@@ -303,5 +303,12 @@ def unpack_numbers(row: ChunkRow) -> np.ndarray[tuple[int], np.dtype[np.uint64]]
     return np.cumsum(found, dtype=np.uint64)
 
 
-def _columns(one: Channel) -> tuple[str, str, str | None, str, str, int]:
-    return one.topic, one.type.name, one.type.hash, one.encoding.value, one.publisher, int(one.latched)
+def _columns(channel: Channel) -> tuple[str, str, str | None, str, str, int]:
+    return (
+        channel.topic,
+        channel.type.name,
+        channel.type.hash,
+        channel.encoding.value,
+        channel.publisher,
+        int(channel.latched),
+    )

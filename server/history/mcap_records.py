@@ -110,17 +110,17 @@ def message_index(channel: int, entries: bytes) -> bytes:
     return record(MESSAGE_INDEX, struct.pack("<HI", channel, len(entries)) + entries)
 
 
-def chunk_index(one: ChunkIndex) -> bytes:
+def chunk_index(index: ChunkIndex) -> bytes:
     """Return the summary's index of a chunk."""
-    offsets = b"".join(struct.pack("<HQ", channel, at) for channel, at in one.index_at.items())
+    offsets = b"".join(struct.pack("<HQ", channel, at) for channel, at in index.index_at.items())
     return record(
         CHUNK_INDEX,
-        struct.pack("<QQQQ", one.start_ns, one.end_ns, one.at, one.length)
+        struct.pack("<QQQQ", index.start_ns, index.end_ns, index.at, index.length)
         + struct.pack("<I", len(offsets))
         + offsets
-        + struct.pack("<Q", one.index_length)
+        + struct.pack("<Q", index.index_length)
         + text(ZSTD)
-        + struct.pack("<QQ", one.compressed, one.size),
+        + struct.pack("<QQ", index.compressed, index.size),
     )
 
 

@@ -128,11 +128,11 @@ class McapWriter:
         """Whether the file can take another channel."""
         return len(self.channels) < _MAX_CHANNELS
 
-    def channel(self, one: Channel) -> int:
+    def channel(self, channel: Channel) -> int:
         """Return the number of a channel in this file, assigned on first use."""
-        number = self.channels.get(one)
+        number = self.channels.get(channel)
         if number is None:
-            number = self.channels[one] = len(self.channels) + 1
+            number = self.channels[channel] = len(self.channels) + 1
         return number
 
     def write(self, chunk: TopicChunk) -> Place:
@@ -179,17 +179,17 @@ class McapWriter:
 
     def _describe(self, new: Iterable[int]) -> bytes:
         """Return the records of new channels and their schemas, which precede the messages of a chunk."""
-        named = {number: one for one, number in self.channels.items()} if new else {}
+        named = {number: channel for channel, number in self.channels.items()} if new else {}
         found: list[bytes] = []
         for number in new:
-            one = named[number]
-            schema = self._schemas.get(one.type)
+            channel = named[number]
+            schema = self._schemas.get(channel.type)
             if schema is None:
-                schema = self._schemas[one.type] = len(self._schemas) + 1
-                described = schema_record(schema, one.type, one.encoding, self._definition_of(one.type))
+                schema = self._schemas[channel.type] = len(self._schemas) + 1
+                described = schema_record(schema, channel.type, channel.encoding, self._definition_of(channel.type))
                 self._records[-schema] = described
             found.append(self._records[-schema])
-            self._records[number] = channel_record(number, schema, one)
+            self._records[number] = channel_record(number, schema, channel)
             found.append(self._records[number])
         return b"".join(found)
 

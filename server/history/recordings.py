@@ -212,7 +212,7 @@ class Recordings:
         encoding = self._adapter.capabilities.encoding
         since = self._since(order.before)
         writer = RecordingWriter(self._path(name, SUFFIX), encoding, self._definition_of, require_room, since)
-        self._running[name] = one = RunningRecording(name, order, writer, self._live.dropped())
+        self._running[name] = recording = RunningRecording(name, order, writer, self._live.dropped())
 
         def selects(topic: str) -> bool:
             return any(fnmatchcase(topic, glob) for glob in order.topics) and may_record(topic)
@@ -220,10 +220,10 @@ class Recordings:
         copy = (lambda: self.history.copy_to(writer, selects, since)) if order.before > 0 else None
         self._live.add(writer, selects, copy)
         if order.duration is not None:
-            one.ends_at = loop_time() + order.duration
-            one.timer = asyncio.get_running_loop().call_later(order.duration, self._end_soon, one)
+            recording.ends_at = loop_time() + order.duration
+            recording.timer = asyncio.get_running_loop().call_later(order.duration, self._end_soon, recording)
         self._changes += 1
-        return one
+        return recording
 
     async def arm(self, order: RecordingOrder, agent: Agent, occurrences: Occurrences) -> ArmedRecording:
         """Wait for the trigger of an order before recording. Raises RecordingRefused, OSError."""
@@ -242,11 +242,11 @@ class Recordings:
 
     async def end(self, name: str) -> None:
         """End a recording, which can then be read. Does nothing if it does not exist."""
-        one = self._running.get(name)
-        if one is not None:
+        recording = self._running.get(name)
+        if recording is not None:
             record_step(f"end the recording {name}")
             end_dry_run()
-            await asyncio.shield(self._end_soon(one))
+            await asyncio.shield(self._end_soon(recording))
 
     async def receive(self, name: str, chunks: AsyncIterator[bytes]) -> None:
         """Store an uploaded file: a ROS 1 bag, MCAP, or a ROS 2 database. Raises RecordingRefused, OSError."""
@@ -305,21 +305,21 @@ class Recordings:
         """Return an open file with a recording in a format. Raises CannotExport, OSError, RosError, and Problems."""
         return await self.history.exports.make(recording, format, self._path(f".{secrets.token_hex(8)}", DRAFT))
 
-    def dropped(self, one: RunningRecording) -> Mapping[str, int]:
+    def dropped(self, recording: RunningRecording) -> Mapping[str, int]:
         """Return the numbers of messages lost since a recording began, by topic."""
-        return self._live.dropped() - Counter(one.dropped_before)
+        return self._live.dropped() - Counter(recording.dropped_before)
 
-    def silent(self, one: RunningRecording) -> Sequence[str]:
+    def silent(self, recording: RunningRecording) -> Sequence[str]:
         """Return the topics and globs that have no message yet in a recording in progress."""
-        return self._live.silent(one.writer, one.order.topics, one.writer.counts)
+        return self._live.silent(recording.writer, recording.order.topics, recording.writer.counts)
 
     async def stop(self) -> None:
         """End all recordings in progress, and close the files."""
         await self._armed.stop()
         await self._checkers.close()
         await self.history.exports.close()
-        for name, one in list(self._running.items()):
-            if one.ending is None:
+        for name, recording in list(self._running.items()):
+            if recording.ending is None:
                 await self._interruptions.add(name, STOPPED)
             await self.end(name)
         await self._live.stop()
@@ -335,22 +335,22 @@ class Recordings:
         oldest = self.history.recording.start_ns if self.history.is_enabled else 0
         return min(max(now - int(before * 1e9), oldest or now), now)
 
-    def _end_soon(self, one: RunningRecording) -> asyncio.Task[None]:
+    def _end_soon(self, recording: RunningRecording) -> asyncio.Task[None]:
         """Start to end a recording, once; return the task."""
-        if one.timer is not None:
-            one.timer.cancel()
-        if one.ending is None:
-            one.ending = asyncio.get_running_loop().create_task(self._end(one))
-        return one.ending
+        if recording.timer is not None:
+            recording.timer.cancel()
+        if recording.ending is None:
+            recording.ending = asyncio.get_running_loop().create_task(self._end(recording))
+        return recording.ending
 
-    async def _end(self, one: RunningRecording) -> None:
-        one.writer.silent = self.silent(one)
-        await self._live.remove(one.writer)
-        if one.writer.problem is not None:
-            await self._interruptions.add(one.name, one.writer.problem)
-        if one.writer.path.exists():
-            await self._open_or_keep(one.name, one.writer.path)
-        del self._running[one.name]
+    async def _end(self, recording: RunningRecording) -> None:
+        recording.writer.silent = self.silent(recording)
+        await self._live.remove(recording.writer)
+        if recording.writer.problem is not None:
+            await self._interruptions.add(recording.name, recording.writer.problem)
+        if recording.writer.path.exists():
+            await self._open_or_keep(recording.name, recording.writer.path)
+        del self._running[recording.name]
         self._changes += 1
 
     async def _open_or_keep(self, name: str, path: Path) -> None:

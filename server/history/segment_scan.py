@@ -118,10 +118,13 @@ def _opening(data: bytes, names: dict[int, str]) -> Iterator[tuple[Channel, Samp
         elif record.op == mcap.MESSAGE:
             begin = record.at - mcap.RECORD_HEAD.size
             _, _, number, sequence, _, received_ns = mcap.MESSAGE_HEAD.unpack_from(data, begin)
-            one, content = channels.get(number), data[begin + mcap.MESSAGE_HEAD.size : record.end]
-            if one is None or not one.is_opening:
+            source, content = channels.get(number), data[begin + mcap.MESSAGE_HEAD.size : record.end]
+            if source is None or not source.is_opening:
                 return
-            yield one, Sample(content, one.encoding, one.type, one.publisher, received_ns, sequence, latched=True)
+            yield (
+                source,
+                Sample(content, source.encoding, source.type, source.publisher, received_ns, sequence, latched=True),
+            )
 
 
 def _accept(

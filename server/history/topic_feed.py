@@ -76,9 +76,9 @@ class TopicFeed:
 
     async def resubscribe(self, adapter: Adapter, depth: int) -> None:
         """Subscribe with another depth, then close the previous subscription."""
-        other = await adapter.subscribe(self.topic, depth=depth)
+        subscription = await adapter.subscribe(self.topic, depth=depth)
         self.subscription.close()
-        self.subscription, self.depth = other, depth
+        self.subscription, self.depth = subscription, depth
 
     def _note(self, sample: Sample) -> None:
         name, now = sample.publisher, (sample.epoch, sample.sequence)

@@ -128,7 +128,7 @@ class Aircraft(EmbeddedRobot):
     def _current_goal(self) -> str | None:
         return self._fly.id if self._fly is not None else None
 
-    def _fly_on(self, now_ns: int) -> None:
+    def _report_progress(self, now_ns: int) -> None:
         """Report the progress of the flight, or the end of its goal."""
         fly = self._fly
         if fly is None:
@@ -156,6 +156,6 @@ class Aircraft(EmbeddedRobot):
         loop = asyncio.get_running_loop()
         speed = self._flight.speed_at(time.monotonic_ns())
         self._publish(SPEED, {"data": speed})
-        self._fly_on(time.monotonic_ns())
+        self._report_progress(time.monotonic_ns())
         following = max(turn, int((loop.time() - began) / PERIOD)) + 1
         self._timer = loop.call_at(began + following * PERIOD, self._tick, began, following)

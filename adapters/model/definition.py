@@ -207,15 +207,15 @@ def md5_text(name: str, text: str, md5_of: Callable[[str], str]) -> str:
 
 def md5(name: str, texts: Mapping[str, str]) -> str:
     """Return the hexadecimal MD5 of a message type, like genmsg. Raises KeyError naming a type missing in `texts`."""
-    return _Hashing(texts).md5(name)
+    return _Hasher(texts).md5(name)
 
 
 def message_text(name: str, texts: Mapping[str, str]) -> str:
     """Return the text whose hash is the MD5 of a type. Raises ValueError if a type contains itself."""
-    return _Hashing(texts).text(name)
+    return _Hasher(texts).text(name)
 
 
-class _Hashing:
+class _Hasher:
     """Computes hashes, once per type."""
 
     def __init__(self, texts: Mapping[str, str]) -> None:

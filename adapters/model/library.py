@@ -147,7 +147,7 @@ class TypeLibrary:
         if stored is not None and self._ros_version == 2:
             yield stored
         path = SHIPPED / package / kind / f"{short}.{kind}"
-        if _plain(package, kind, short) and path.is_file() and self._speaks(package):
+        if _are_plain_names(package, kind, short) and path.is_file() and self._applies(package):
             yield path.read_text("utf-8")
         if stored is not None and self._ros_version == 1:
             yield stored
@@ -192,7 +192,7 @@ class TypeLibrary:
         nested = {name: text for texts_of in texts for name, text in texts_of.items()}
         return "\n".join(["\n---\n".join(own), *_append(nested)])
 
-    def _speaks(self, package: str) -> bool:
+    def _applies(self, package: str) -> bool:
         """Whether the shipped definitions of a package apply to this ROS version: some differ."""
         return package not in (_ROS2_ONLY if self._ros_version == 1 else _ROS1_ONLY)
 
@@ -228,7 +228,7 @@ class TypeLibrary:
             store = typestore_of(closed)
             types = message_types(store, closed)
             require_bounded(name, types)
-            ref = TypeRef(name, _prove(name, found or message_hash(name, types), hash))
+            ref = TypeRef(name, _verify_hash(name, found or message_hash(name, types), hash))
         except (KeyError, IndexError, RecursionError) as error:
             raise ValueError(f"the definition of {name} cannot be read: {error}") from error
         for each in closed:
@@ -243,10 +243,10 @@ class TypeLibrary:
         closed = {each: self._closure(each, {**shared, **texts}) for each in texts}
         if self._ros_version == 1:
             found = service_md5(name, {**closed[f"{name}_Request"], **closed[f"{name}_Response"]})
-            hash = _prove(name, found, hash)
+            hash = _verify_hash(name, found, hash)
         request, response = (self._message(each, closed[each], texts[each], None) for each in texts)
         if self._ros_version == 2:
-            hash = _prove(name, service_hash(name, {**request.types, **response.types}), hash)
+            hash = _verify_hash(name, service_hash(name, {**request.types, **response.types}), hash)
         return ServiceSchema(TypeRef(name, hash), request, response, definition)
 
     def _action(self, name: str, definition: str, hash: str | None) -> ActionSchema:
@@ -257,10 +257,10 @@ class TypeLibrary:
         if self._ros_version == 1:
             actionlib = {part: text for each in _ACTIONLIB for part, text in self._closure(each, {}).items()}
             found = action_md5(name, {**actionlib, **{key: text for of in closed.values() for key, text in of.items()}})
-            hash = _prove(name, found, hash)
+            hash = _verify_hash(name, found, hash)
         goal, result, feedback = (self._message(each, closed[each], texts[each], None) for each in texts)
         if self._ros_version == 2:
-            hash = _prove(name, action_hash(name, {**goal.types, **result.types, **feedback.types}), hash)
+            hash = _verify_hash(name, action_hash(name, {**goal.types, **result.types, **feedback.types}), hash)
         return ActionSchema(TypeRef(name, hash), goal, result, feedback, definition)
 
 
@@ -268,11 +268,11 @@ _THIRDS = ("_Goal", "_Result", "_Feedback")
 _ACTIONLIB = ("std_msgs/msg/Header", "actionlib_msgs/msg/GoalID", "actionlib_msgs/msg/GoalStatus")
 
 
-def _plain(*parts: str) -> bool:
+def _are_plain_names(*parts: str) -> bool:
     return all(part.isidentifier() and len(part) <= _MAX_NAME for part in parts)
 
 
-def _prove(name: str, hash: str, expected: str | None) -> str:
+def _verify_hash(name: str, hash: str, expected: str | None) -> str:
     """Return the hash of a found definition. Raises ValueError if another one is required."""
     if expected is not None and hash != expected:
         raise ValueError(f"the definition found for {name} has the hash {hash}, the robot uses {expected}")

@@ -107,7 +107,7 @@ def mismatches(
         for publisher in dict.fromkeys(offering)
         for subscriber in dict.fromkeys(requesting)
     )
-    return tuple(islice(_once(found), limit))
+    return tuple(islice(_distinct(found), limit))
 
 
 def mismatch_count(publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint]) -> int:
@@ -140,7 +140,7 @@ def _by_profile(endpoints: Sequence[Endpoint]) -> Mapping[Qos, Sequence[str]]:
     return found
 
 
-def _once(found: Iterable[Mismatch]) -> Iterator[Mismatch]:
+def _distinct(found: Iterable[Mismatch]) -> Iterator[Mismatch]:
     yielded: set[Mismatch] = set()
     for mismatch in found:
         if mismatch not in yielded:

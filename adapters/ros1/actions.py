@@ -343,7 +343,7 @@ class Actions:
         entry = self._goals(action).get(id)
         if entry is None:
             entry = self._goals(action)[id] = _Goal(asyncio.get_running_loop().time())
-            self._bound(action)
+            self._limit_goals(action)
         if entry.goal is None:
             entry.goal = goal
             if entry.latest is not None:
@@ -356,7 +356,7 @@ class Actions:
         entry = self._goals(action).get(status.id)
         if entry is None:
             entry = self._goals(action)[status.id] = _Goal(now)
-            self._bound(action)
+            self._limit_goals(action)
         entry.listed_at = now
         if entry.latest is not None and (entry.latest == status or (entry.is_final and not status.status.is_final)):
             return entry
@@ -414,7 +414,7 @@ class Actions:
             is_disconnected = now - followed.connected_at > _LOST_AFTER
             for id, entry in list(self._goals(action).items()):
                 self._send_again(action, entry)
-                self._judge(action, id, entry, now, is_disconnected=is_disconnected)
+                self._check_goal(action, id, entry, now, is_disconnected=is_disconnected)
             self._stop_if_idle(action)
         if self._followed:
             self._ticking = asyncio.get_running_loop().call_later(_TICK, self._tick)
@@ -433,18 +433,18 @@ class Actions:
             entry.sending = replace(sending, links=links)
             sending.publication.send(sending.message, False)
 
-    def _judge(self, action: str, id: str, entry: _Goal, now: float, *, is_disconnected: bool) -> None:
+    def _check_goal(self, action: str, id: str, entry: _Goal, now: float, *, is_disconnected: bool) -> None:
         """Report a goal that is lost, and forget one that is over."""
         if entry.is_final:
             if _is_over(entry) and now - entry.listed_at > _RESULT:
                 del self._goals(action)[id]
             return
         if is_disconnected:
-            self._lose(action, id, entry, now, f"the server of {action} is gone")
+            self._mark_lost(action, id, entry, now, f"the server of {action} is gone")
         elif self._followed[action].statuses_at - entry.listed_at > _LOST_AFTER and not entry.is_undecided:
-            self._lose(action, id, entry, now, f"the server of {action} no longer knows the goal")
+            self._mark_lost(action, id, entry, now, f"the server of {action} no longer knows the goal")
 
-    def _lose(self, action: str, id: str, entry: _Goal, now: float, words: str) -> None:
+    def _mark_lost(self, action: str, id: str, entry: _Goal, now: float, words: str) -> None:
         entry.ended_at, entry.has_result = now, True
         entry.latest = Status(id, 9, words)
         if entry.decided is not None and not entry.decided.done():
@@ -452,7 +452,7 @@ class Actions:
             entry.decided.set_exception(Unreachable(f"the goal was sent, but {words}", sent=Sent.MAYBE))
         self._report(action, id, entry, GoalEvent(time.time_ns(), GoalStatus.LOST, words))
 
-    def _bound(self, action: str) -> None:
+    def _limit_goals(self, action: str) -> None:
         """Forget the oldest goals of others above the limit."""
         goals = self._goals(action)
         while len(goals) > _MAX_GOALS:

@@ -51,7 +51,7 @@ class Hosts:
         try:
             return await asyncio.wait_for(asyncio.open_connection(address.ip, port), CONNECT)
         except (OSError, asyncio.TimeoutError) as error:
-            raise Unreachable(_story(host, port, address, error)) from error
+            raise Unreachable(_failure_text(host, port, address, error)) from error
 
     async def connect(self, host: str, port: int, protocol: Callable[[], _P]) -> _P:
         """Return a protocol connected to `port` of `host`. Raises Unreachable with the addresses tried."""
@@ -60,7 +60,7 @@ class Hosts:
         try:
             _, connection = await asyncio.wait_for(loop.create_connection(protocol, address.ip, port), CONNECT)
         except (OSError, asyncio.TimeoutError) as error:
-            raise Unreachable(_story(host, port, address, error)) from error
+            raise Unreachable(_failure_text(host, port, address, error)) from error
         return connection
 
     async def resolve(self, host: str) -> Address:
@@ -91,7 +91,7 @@ async def _first_ip(host: str) -> str:
     return str(family_first[0][4][0])
 
 
-def _story(host: str, port: int, address: Address, error: BaseException) -> str:
+def _failure_text(host: str, port: int, address: Address, error: BaseException) -> str:
     words = str(error) or "no answer"
     if address.guessed:
         return (

@@ -200,7 +200,7 @@ class Parameters:
         writes, started = self._writes, time.monotonic()
         document = await self._master.parameters_document()
         if writes == self._writes and document != self._document:  # otherwise the tree may be older than our own write
-            self._see(by_name(leaves(self._master.parameter_tree(document))))
+            self._update(by_name(leaves(self._master.parameter_tree(document))))
             self._document = document
         self.took = time.monotonic() - started
 
@@ -219,7 +219,7 @@ class Parameters:
         for name, value in values.items():
             with _WriteMark(self):
                 await self._master.set_parameter(name, value, _seconds_left(until))
-                self._see(assign(self.leaves, name, value))
+                self._update(assign(self.leaves, name, value))
 
     def check(self, values: Mapping[str, ParameterValue]) -> None:
         """Raise Refused, naming the parameter, if one cannot be set to its value."""
@@ -231,7 +231,7 @@ class Parameters:
         """Record values that nodes have set at the master."""
         for name, value in values.items():
             with _WriteMark(self):
-                self._see(assign(self.leaves, name, value))
+                self._update(assign(self.leaves, name, value))
 
     async def delete(self, names: Sequence[str], until: float) -> None:
         """Delete parameters. Raises NotFound, Refused."""
@@ -242,7 +242,7 @@ class Parameters:
         for name in names:
             with _WriteMark(self):
                 await self._delete(name, until)
-                self._see(without(self.leaves, name))
+                self._update(without(self.leaves, name))
 
     async def _delete(self, name: str, until: float) -> None:
         try:
@@ -272,7 +272,7 @@ class Parameters:
         below = name + "/"
         return any(leaf.odd and (each == name or each.startswith(below)) for each, leaf in self.leaves.items())
 
-    def _see(self, named: Mapping[str, Leaf]) -> None:
+    def _update(self, named: Mapping[str, Leaf]) -> None:
         changed = differences(self.leaves, named)
         self.leaves = named
         self.trees = frozenset(_trees(named))

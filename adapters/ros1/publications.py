@@ -181,7 +181,7 @@ class Publications:
                 return self._servers
             tried: list[str] = []
             for address in self._candidates():
-                if (servers := await self._try(address)) is not None:
+                if (servers := await self._try_address(address)) is not None:
                     self._servers = servers
                     return servers
                 tried.append(address)
@@ -190,7 +190,7 @@ class Publications:
                 "would look for it; give this machine's address with --ros-ip"
             )
 
-    async def _try(self, address: str) -> Servers | None:
+    async def _try_address(self, address: str) -> Servers | None:
         """Return servers that were verified to answer at an address, or None."""
         slave = XmlRpcServer(SlaveApi(self._master.uri, address, self, self._leave_all).answer)
         try:
@@ -202,7 +202,7 @@ class Publications:
             slave.close()
             return None
         uri = f"http://{address}:{port}/"
-        if await _answers(address, port, uri):
+        if await _is_reachable(address, port, uri):
             return Servers(slave, tcpros, uri)
         slave.close()
         tcpros.close()
@@ -234,7 +234,7 @@ async def _bind(slave: XmlRpcServer, address: str) -> tuple[str, int]:
         return "0.0.0.0", await slave.start("0.0.0.0")
 
 
-async def _answers(address: str, port: int, uri: str) -> bool:
+async def _is_reachable(address: str, port: int, uri: str) -> bool:
     """Whether this process responds at an address to ROS's XML-RPC."""
     hosts = Hosts({}, address)
     client = XmlRpcClient(uri, "/", lambda: hosts.streams(address, port), keep_alive=False)

@@ -162,12 +162,12 @@ class XmlRpcClient:
         while self._idle:  # an idle connection may be dead: try the next one, and finally a new one
             connection = self._idle.pop()
             try:
-                return await self._over(connection, document, progress)
+                return await self._request_over(connection, document, progress)
             except (OSError, EOFError):
                 continue
-        return await self._over(await self._dial(), document, progress)
+        return await self._request_over(await self._dial(), document, progress)
 
-    async def _over(
+    async def _request_over(
         self, connection: tuple[asyncio.StreamReader, asyncio.StreamWriter], document: bytes, progress: list[Sent]
     ) -> bytes:
         reader, writer = connection

@@ -270,12 +270,12 @@ class Feed:
         return new
 
     def _put(self, message: ReceivedMessage, publishers: Publishers, latched: bool) -> bool:
-        name = self._who(message, publishers)
+        name = self._sender(message, publishers)
         if name == self.own or self._echoes.take(message):
             return False
         return self._streams.put(message, name, publishers, latched)
 
-    def _who(self, message: ReceivedMessage, publishers: Publishers) -> str:
+    def _sender(self, message: ReceivedMessage, publishers: Publishers) -> str:
         """Return the sending node: by its gid if the middleware reports it, else the only publishing node."""
         if message.gid is not None and (found := publishers.gids.get(message.gid)) is not None:
             return found

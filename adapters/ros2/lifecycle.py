@@ -102,9 +102,9 @@ class Lifecycles(Struct):
         entry = self._managed.get(node)
         if entry is None:
             raise Refused(f"{node} is no managed node: it has no lifecycle")
-        if _legal(entry, label) is None:
-            await self._make_sure(node, entry, until)
-        transition = _legal(entry, label)
+        if _available_transition(entry, label) is None:
+            await self._refresh(node, entry, until)
+        transition = _available_transition(entry, label)
         if transition is None:
             raise Refused(f"{label!r} is no legal transition of {node} now")
         transition_message = make_message(_TRANSITION, {"id": transition.id, "label": transition.label})
@@ -115,11 +115,11 @@ class Lifecycles(Struct):
         try:
             await self._learn(node, entry, until)
         except RosError as error:  # the transition may have been made nevertheless
-            self._silent(entry, error)
+            self._note_silence(entry, error)
         if not answer.success:
             raise Refused(f"{node} did not make the transition {label!r}", sent=Sent.YES)
 
-    async def _make_sure(self, node: str, entry: _ManagedNode, until: float) -> None:
+    async def _refresh(self, node: str, entry: _ManagedNode, until: float) -> None:
         """Query a node's state, without waiting for a node in transition, which may not respond."""
         if not entry.is_underway:
             await self._learn(node, entry, until)
@@ -192,14 +192,14 @@ class Lifecycles(Struct):
         except (RosError, ValueError) as error:
             entry.query_at = self._loop.time() + entry.wait
             entry.wait = min(2 * entry.wait, _AGAIN)
-            self._silent(entry, error)
+            self._note_silence(entry, error)
         else:
             entry.query_at, entry.wait = self._loop.time() + _AGAIN, _FIRST_RETRY
         finally:
             entry.is_querying = False
         self._refresh_list()
 
-    def _silent(self, entry: _ManagedNode, error: Exception) -> None:
+    def _note_silence(self, entry: _ManagedNode, error: Exception) -> None:
         """Record that a node does not respond, unless it is in transition."""
         if not entry.is_underway:
             why = error.sentence if isinstance(error, RosError) else error
@@ -260,5 +260,5 @@ def _state(message: Any) -> LifecycleState:
     return LifecycleState(message.label, message.id)
 
 
-def _legal(entry: _ManagedNode, label: str) -> Transition | None:
+def _available_transition(entry: _ManagedNode, label: str) -> Transition | None:
     return next((each for each in entry.lifecycle.transitions if each.label == label), None)

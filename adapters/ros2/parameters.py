@@ -114,7 +114,7 @@ class Parameters(Struct):
         """Process an event of a node about its parameters."""
         owner = self.owners.get(change.node)
         if owner is not None:
-            self._became(change.node, owner, change.set, change.deleted, change.new)
+            self._apply_changes(change.node, owner, change.set, change.deleted, change.new)
             if "use_sim_time" in change.set:
                 owner.query_at = 0.0
         self.changed([f"{change.node}/{name}" for name in (*change.set, *change.deleted)])
@@ -250,10 +250,10 @@ class Parameters(Struct):
         """Apply our own change at once; the node's event follows."""
         owner = self.owners.get(node)
         if owner is not None:
-            self._became(node, owner, tuple(set), tuple(deleted))
+            self._apply_changes(node, owner, tuple(set), tuple(deleted))
         self.changed([f"{node}/{name}" for name in (*set, *deleted)])
 
-    def _became(
+    def _apply_changes(
         self, node: str, owner: _Owner, set: Sequence[str], deleted: Sequence[str], new: Sequence[str] = ()
     ) -> None:
         """Process added and deleted parameters; request the declarations of new ones soon."""

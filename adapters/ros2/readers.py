@@ -15,7 +15,7 @@ from rosld.adapters.ros2.middleware import DiscoveredEndpoint, Participant, Read
 from rosld.adapters.ros2.profiles import override_for, reading_profile
 from rosld.adapters.ros2.types import Types
 
-_PROOF = 5.0
+_CHECK_SECONDS = 5.0
 """Maximum seconds for checking whether messages of a type can be decoded."""
 
 
@@ -30,8 +30,8 @@ class Readers:
         self._options = options
         self._refresh_soon = refresh_soon
         self._feeds: dict[str, Feed] = {}
-        self._proved: set[TypeRef] = set()
-        self._proofs: set[asyncio.Task[None] | None] = set()
+        self._checked_types: set[TypeRef] = set()
+        self._checks: set[asyncio.Task[None] | None] = set()
 
     def reader_of(self, topic: str) -> Reader | None:
         """Return the reader of a topic, or None."""
@@ -72,7 +72,7 @@ class Readers:
         type = publishers.type
         if feed.topic not in graph.topics or type is None or self._types.problem(type.name) is not None:
             return
-        self._prove(type, graph)
+        self._check_type(type, graph)
         endpoints = [Endpoint(each.node, qos=each.qos) for each in others]
         profile = reading_profile(endpoints, feed.depth, override_for(feed.topic, self._options.qos))
         reader = feed.reader
@@ -81,23 +81,23 @@ class Readers:
         if reader is None or reader.qos != profile:
             self._read_with(feed, type, profile)
 
-    def _prove(self, type: TypeRef, graph: Graph) -> None:
+    def _check_type(self, type: TypeRef, graph: Graph) -> None:
         """Check once whether messages of a type can be decoded; if not, its topics are marked as unreadable."""
-        if type in self._proved:
+        if type in self._checked_types:
             return
-        self._proved.add(type)
+        self._checked_types.add(type)
         loop = asyncio.get_running_loop()
 
-        async def prove() -> None:
+        async def check() -> None:
             try:
-                await self._types.schema(type, nodes_using(graph, type), loop.time() + _PROOF)
+                await self._types.schema(type, nodes_using(graph, type), loop.time() + _CHECK_SECONDS)
             except UnknownType as error:
                 self._types.note_problem(type.name, error.sentence)
                 self._refresh_soon()
             finally:
-                self._proofs.discard(asyncio.current_task())
+                self._checks.discard(asyncio.current_task())
 
-        self._proofs.add(loop.create_task(prove()))
+        self._checks.add(loop.create_task(check()))
 
     def _read_with(self, feed: Feed, type: TypeRef, profile: Qos) -> None:
         try:

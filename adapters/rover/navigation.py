@@ -9,7 +9,7 @@ from typing import Protocol, cast
 
 from rosld.adapters.model import Message
 from rosld.adapters.rover.drive import RADIUS, Limits, Motion, Velocity, is_blocked_ahead, wrap_angle
-from rosld.adapters.rover.planner import Point, grid_of, length, way
+from rosld.adapters.rover.planner import Point, find_path, grid_of, path_length
 from rosld.adapters.rover.world import World
 
 FRAMES = ("map", "odom", "")
@@ -96,13 +96,13 @@ def depart(id: str, goal: Pose, motion: Motion, world: World) -> Journey:
         return Journey(id, goal, (), problem)
     if mapped.clearance(goal.x, goal.y) < RADIUS:
         return Journey(id, goal, (), f"an obstacle stands at {place}")
-    corners = way(grid_of(mapped), (motion.x, motion.y), (goal.x, goal.y))
+    corners = find_path(grid_of(mapped), (motion.x, motion.y), (goal.x, goal.y))
     return Journey(id, goal, corners, None if corners else f"no free way leads to {place}")
 
 
 def remaining_length(journey: Journey, motion: Motion) -> float:
     """Return the metres left on the path."""
-    return length((motion.x, motion.y), journey.corners)
+    return path_length((motion.x, motion.y), journey.corners)
 
 
 def drop_passed_corners(journey: Journey, motion: Motion) -> Journey:

@@ -73,7 +73,7 @@ Point: TypeAlias = "tuple[float, float]"
 _STEPS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
 
 
-def way(grid: Grid, start: Point, goal: Point) -> tuple[Point, ...]:
+def find_path(grid: Grid, start: Point, goal: Point) -> tuple[Point, ...]:
     """Return the corners of a path between two points, including the goal; empty if there is no path."""
     first, last = _nearest_free(grid, grid.cell(*start)), _nearest_free(grid, grid.cell(*goal))
     if first is None or last is None:
@@ -82,7 +82,7 @@ def way(grid: Grid, start: Point, goal: Point) -> tuple[Point, ...]:
     return (*(grid.centre(cell) for cell in _straighten(grid, cells)[1:-1]), goal) if cells else ()
 
 
-def length(start: Point, corners: Sequence[Point]) -> float:
+def path_length(start: Point, corners: Sequence[Point]) -> float:
     """Return the length of the path from a point along these corners."""
     return math.fsum(math.dist(one, other) for one, other in pairwise((start, *corners)))
 
@@ -114,7 +114,7 @@ def _cells(grid: Grid, first: Cell, last: Cell) -> Sequence[Cell]:
     while queue:
         _, cell = heapq.heappop(queue)
         if cell == last:
-            return _back(predecessors, last)
+            return _path_to(predecessors, last)
         if cell in done:
             continue
         done.add(cell)
@@ -126,7 +126,7 @@ def _cells(grid: Grid, first: Cell, last: Cell) -> Sequence[Cell]:
     return ()
 
 
-def _back(predecessors: Mapping[Cell, Cell], last: Cell) -> Sequence[Cell]:
+def _path_to(predecessors: Mapping[Cell, Cell], last: Cell) -> Sequence[Cell]:
     cells = [last]
     while cells[-1] in predecessors:
         cells.append(predecessors[cells[-1]])

@@ -159,12 +159,12 @@ class Simulation:
             return
         self._now += steps * STEP / self._rate
         if self.state.is_at_rest:
-            self._become(rest(self.state, steps * STEP))
+            self._set_state(rest(self.state, steps * STEP))
             return
         state = self.state
         for _ in range(min(steps, MAX_STEPS)):
             state = step(state, self.settings, self.world)
-        self._become(state)
+        self._set_state(state)
 
     def command(self, velocity: Velocity, now: float) -> None:
         """Drive with a velocity from now on. While a goal is pursued, navigation replaces it in the next step."""
@@ -188,7 +188,7 @@ class Simulation:
             return Answer(False, f"the dock is {distance:.1f} m away: navigate to ({DOCK[0]:g}, {DOCK[1]:g}) first")
         if not self.state.is_at_rest:
             return Answer(False, "the rover still moves: stop it first")
-        self._become(replace(self.state, is_docked=True))
+        self._set_state(replace(self.state, is_docked=True))
         return Answer(True, "charging")
 
     def navigate(self, id: str, goal: Pose, now: float) -> None:
@@ -197,7 +197,7 @@ class Simulation:
         state = self.state
         if state.journey is not None:
             end = JourneyEnd(state.journey.id, Outcome.ABORTED, "another goal took its place")
-            self._become(replace(state, ended=(*state.ended, end)))
+            self._set_state(replace(state, ended=(*state.ended, end)))
         self.state = replace(self.state, journey=depart(id, goal, self.state.motion, self.world))
         self._lines.append(LogLine(Severity.INFO, f"navigating to ({goal.x:g}, {goal.y:g})"))
 
@@ -228,7 +228,7 @@ class Simulation:
         self._lines.clear()
         return lines
 
-    def _become(self, state: State) -> None:
+    def _set_state(self, state: State) -> None:
         self._lines += changes(self.state, state, self.settings)
         self.state = state
 

@@ -195,7 +195,7 @@ class Decoder(io.RawIOBase):
     def write(self, data: bytes) -> int:  # type: ignore[override]
         """Write bytes. Raises what the output raises."""
         text = self._rest + bytes(data)
-        border = _border(text)
+        border = _safe_length(text)
         self._rest = text[border:]
         if border:
             self._output.write(decode_ntriples(text[:border]))
@@ -208,7 +208,7 @@ class Decoder(io.RawIOBase):
             self._output.write(decode_ntriples(rest))
 
 
-def _border(text: bytes) -> int:
+def _safe_length(text: bytes) -> int:
     """Return the start of a possibly incomplete private datatype at the end of the text, or the text's length."""
     start = max(0, len(text) - len(OTHER) + 1)
     while (start := text.find(_NAMESPACE[:1], start)) >= 0:

@@ -109,7 +109,7 @@ class Endpoint:
         """Abort the current request, if any, from another thread."""
         waited = self._socket
         if waited is not None:
-            _shut(waited)
+            _shut_down(waited)
 
     def _unreachable(self, error: Exception) -> StoreUnreachable:
         self._drop()
@@ -183,7 +183,7 @@ def _time_limit(waited: Callable[[], socket.socket | None], seconds: float) -> I
         late.set()
         there = waited()
         if there is not None:
-            _shut(there)
+            _shut_down(there)
 
     timer = threading.Timer(seconds, end)
     timer.daemon = True
@@ -202,7 +202,7 @@ def _time_limit(waited: Callable[[], socket.socket | None], seconds: float) -> I
         timer.cancel()
 
 
-def _shut(waited: socket.socket) -> None:
+def _shut_down(waited: socket.socket) -> None:
     """Wake the thread that waits for the socket."""
     with contextlib.suppress(OSError, ValueError):
         socket.socket.shutdown(waited, socket.SHUT_RDWR)  # bypass TLS, which would wait for the peer

@@ -74,7 +74,7 @@ class MemoryStore:
 
     def __init__(self) -> None:
         self._store = Store()
-        self._wear = GarbageEstimate()
+        self._garbage = GarbageEstimate()
         self._shared: dict[Quad, int] = {}
         """Number of graphs of each triple that is in more than one graph."""
         self._lines: dict[str, frozenset[str]] = {}
@@ -84,27 +84,27 @@ class MemoryStore:
         self._renewal: _Renewal | None = None
         self._is_renewed = True
         self._functions: tuple[Mapping[str, Function] | None, dict[NamedNode, Function]] = (None, {})
-        self.is_spoiled = False
+        self.is_modified = False
         """Whether the store was changed for a single task, after which it must be discarded."""
 
     @property
     def is_mostly_garbage(self) -> bool:
         """Whether a new store with the same graphs would take less than half the memory."""
-        return self._wear.is_mostly_garbage
+        return self._garbage.is_mostly_garbage
 
     def add(self, quad: Quad) -> None:
         """Add a quad, as stored, for a single task."""
-        self._add(self._spoil(quad), [Quad(*quad.triple)])
+        self._add(self._mark_changed(quad), [Quad(*quad.triple)])
 
     def remove(self, quad: Quad) -> None:
         """Remove a quad, as stored, for a single task."""
-        self._remove(self._spoil(quad), [Quad(*quad.triple)])
+        self._remove(self._mark_changed(quad), [Quad(*quad.triple)])
 
-    def _spoil(self, quad: Quad) -> NamedNode:
+    def _mark_changed(self, quad: Quad) -> NamedNode:
         """Mark the store as changed for a single task; return the quad's graph."""
         graph = quad.graph_name
         assert isinstance(graph, NamedNode)
-        self.is_spoiled = True
+        self.is_modified = True
         self._forget(graph.value)
         return graph
 
@@ -123,12 +123,12 @@ class MemoryStore:
         self._new_lines.clear()
         steps = [*(self._replacement(*each) for each in graphs.items()), *map(self._edit, edits)]
         for step in steps:
-            self._carry_out(step)
+            self._apply_step(step)
         for name, text in graphs.items():
             self._remember(name, text)
         for edit in edits:
             self._forget(edit.graph)
-        if self._wear.is_due and self._renewal is None and self._is_renewed:
+        if self._garbage.is_due and self._renewal is None and self._is_renewed:
             self._renewal = _Renewal(self._store)
         self.compact_step()
 
@@ -161,7 +161,7 @@ class MemoryStore:
         if self._renewal.advance():
             return True
         self._store, self._renewal = self._renewal.store, None
-        self._wear.reset()
+        self._garbage.reset()
         trim()
         return False
 
@@ -220,7 +220,7 @@ class MemoryStore:
             if len(default) > 1 or (past is not None and (default or named)):
                 source, default = self._copy(default_graphs, named_graphs), [_DEFAULT]
             if past is not None:
-                self.is_spoiled |= source is self._store
+                self.is_modified |= source is self._store
                 source.load(encode_ntriples(past.decode()).encode(), RdfFormat.N_TRIPLES)
             is_chosen = bool(default or named)
             return source.query(
@@ -258,10 +258,10 @@ class MemoryStore:
         """Return the step that replaces a graph by a text. Raises ValueError."""
         graph = NamedNode(name)
         if not text:
-            return _Step(graph, True, (), tuple, self._wear.size(name), 0)
+            return _Step(graph, True, (), tuple, self._garbage.size(name), 0)
         before = self._lines.get(name)
         if before is None:
-            return _Step(graph, True, (), self._reader(graph, text), self._wear.size(name), text.count("\n"))
+            return _Step(graph, True, (), self._reader(graph, text), self._garbage.size(name), text.count("\n"))
         now = self._new_lines[name] = _lines(text)
         old_lines, new_lines = before - now, now - before
         removed = [*self._read(graph, "\n".join(old_lines))]
@@ -300,7 +300,7 @@ class MemoryStore:
         label = f"_:g{self._numbers.setdefault(graph, len(self._numbers))}-"
         return _LABEL.sub(lambda match: label if match[0] == "_:" else match[0], text)
 
-    def _carry_out(self, step: _Step) -> None:
+    def _apply_step(self, step: _Step) -> None:
         graph = step.graph
         if step.drop:
             self._remove(graph, [Quad(*quad.triple) for quad in self._quads(graph.value)])
@@ -309,7 +309,7 @@ class MemoryStore:
         added = iter(step.added())
         while part := [*islice(added, _SLICE)]:
             self._add(graph, part)
-        self._wear.note(graph.value, step.removed_count, step.added_count)
+        self._garbage.note(graph.value, step.removed_count, step.added_count)
 
     def _add(self, graph: NamedNode, triples: Iterable[Quad]) -> None:
         added: list[Quad] = []

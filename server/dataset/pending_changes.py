@@ -96,7 +96,7 @@ class PendingChanges:
                 self._since = None
             return batch
 
-    def give_back(self, batch: PendingBatch) -> None:
+    def requeue(self, batch: PendingBatch) -> None:
         """Return unsent entries to the front."""
         with self._lock:
             if self.overflowed:

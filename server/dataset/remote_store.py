@@ -21,12 +21,15 @@ def check_changes(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> tu
     Raises ValueError naming the first graph with invalid N-Triples or an invalid IRI.
     """
     return (
-        {name: None if text is None else _again(name, text) for name, text in graphs.items()},
-        [Edit(edit.graph, _again(edit.graph, edit.added), _again(edit.graph, edit.removed)) for edit in edits],
+        {name: None if text is None else _reserialize(name, text) for name, text in graphs.items()},
+        [
+            Edit(edit.graph, _reserialize(edit.graph, edit.added), _reserialize(edit.graph, edit.removed))
+            for edit in edits
+        ],
     )
 
 
-def _again(name: str, text: str) -> str:
+def _reserialize(name: str, text: str) -> str:
     graph = pyoxigraph.NamedNode(name)
     if not text:
         return ""

@@ -266,7 +266,7 @@ class Mirror:
             self._send_all(batch, now)
         except BaseException:
             self._replica.clear()
-            self._pending.give_back(batch)
+            self._pending.requeue(batch)
             raise
         finally:
             self._sending_since = None
@@ -274,7 +274,7 @@ class Mirror:
 
     def _verify(self) -> None:
         """Check whether the other store holds what was sent, and send everything again if it does not."""
-        if self._whole and self._is_sealed():
+        if self._whole and self._is_heartbeat_current():
             self._confirmed = True
             self._verified_connections = self._target.connections
         elif self._confirmed or not self._whole or time.monotonic() > self._renewed + self._renewal_seconds:
@@ -294,7 +294,7 @@ class Mirror:
     def _is_subject(self, graph: str) -> bool:
         return graph != self._ownership.heartbeat_graph and self._ownership.is_ours(graph)
 
-    def _is_sealed(self) -> bool:
+    def _is_heartbeat_current(self) -> bool:
         heartbeat = NamedNode(self._ownership.heartbeat_graph)
         rows = self._target.select(f"SELECT ?p ?o {{ GRAPH {heartbeat} {{ {heartbeat} ?p ?o }} }}")
         properties = [(row["p"], row["o"]) for row in rows]

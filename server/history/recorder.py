@@ -107,7 +107,7 @@ class Recorder:
                 work = self._queue.get(timeout=_PERIOD)
                 if work is None:
                     break
-                self._do(work)
+                self._process(work)
             except queue.Empty:
                 pass
             except Exception:  # a failure of one message or recording must not end the others
@@ -115,10 +115,10 @@ class Recorder:
             now = time.monotonic()
             if now - written >= _PERIOD:
                 written = now
-                self._each(lambda sink: sink.write_due(time.monotonic()))
-        self._each(lambda sink: sink.close())
+                self._for_each_sink(lambda sink: sink.write_due(time.monotonic()))
+        self._for_each_sink(lambda sink: sink.close())
 
-    def _do(self, work: Sequence[Arrival] | Callable[[], None]) -> None:
+    def _process(self, work: Sequence[Arrival] | Callable[[], None]) -> None:
         if callable(work):
             work()
             return
@@ -127,7 +127,7 @@ class Recorder:
             for sink in sinks:
                 sink.add(topic, sample)
 
-    def _each(self, action: Callable[[Sink], None]) -> None:
+    def _for_each_sink(self, action: Callable[[Sink], None]) -> None:
         for sink in list(self._sinks):
             try:
                 action(sink)

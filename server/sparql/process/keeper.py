@@ -143,7 +143,7 @@ class _Worker:
             signal.setitimer(signal.ITIMER_REAL, 0)
             if self._statm >= 0:
                 resource.setrlimit(resource.RLIMIT_AS, self._memory)
-        is_last = any(each.is_spoiled for each in self._stores.values()) or self._size > self._first_size + _MAX_GROWTH
+        is_last = any(each.is_modified for each in self._stores.values()) or self._size > self._first_size + _MAX_GROWTH
         self._connection.sendall(pack(output.last(is_last) if error is None else Raised(error, is_last)))
         return not is_last
 

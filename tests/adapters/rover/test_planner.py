@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from rosld.adapters.rover.drive import RADIUS
-from rosld.adapters.rover.planner import MARGIN, RESOLUTION, Point, grid_of, length, way
+from rosld.adapters.rover.planner import MARGIN, RESOLUTION, Point, find_path, grid_of, path_length
 from rosld.adapters.rover.world import Box, World, small_world
 
 MAPPED = small_world().as_mapped()
@@ -40,10 +40,10 @@ def flooded(start: Point) -> np.ndarray:
 @given(PLACES, PLACES)
 def test_a_way_is_free_and_no_shorter_than_the_straight_line(start: Point, goal: Point) -> None:
     assume(is_free(start) and is_free(goal))
-    corners = way(GRID, start, goal)
+    corners = find_path(GRID, start, goal)
     assert corners
     assert corners[-1] == goal
-    assert length(start, corners) >= math.dist(start, goal) - 1e-9
+    assert path_length(start, corners) >= math.dist(start, goal) - 1e-9
     for (x, y), (to_x, to_y) in pairwise((start, *corners)):
         for share in np.linspace(0, 1, 50):
             clearance = MAPPED.clearance(x + share * (to_x - x), y + share * (to_y - y))
@@ -53,7 +53,7 @@ def test_a_way_is_free_and_no_shorter_than_the_straight_line(start: Point, goal:
 @given(PLACES)
 def test_there_is_a_way_wherever_a_flood_gets_to(goal: Point) -> None:
     assume(is_free(goal))
-    assert bool(flooded((0.0, 0.0))[GRID.cell(*goal)]) == bool(way(GRID, (0.0, 0.0), goal))
+    assert bool(flooded((0.0, 0.0))[GRID.cell(*goal)]) == bool(find_path(GRID, (0.0, 0.0), goal))
 
 
 def test_no_way_leads_through_a_wall() -> None:
@@ -65,4 +65,4 @@ def test_no_way_leads_through_a_wall() -> None:
         (*MAPPED.boxes, Box(1.5, -0.8, 1.6, 0.8, (0, 0, 0))),
         MAPPED.discs,
     )
-    assert way(grid_of(walled), (0.0, 0.0), (3.0, 0.0)) == ()
+    assert find_path(grid_of(walled), (0.0, 0.0), (3.0, 0.0)) == ()

@@ -1,4 +1,4 @@
-"""Processes of the tests: each is started, listened to and ended by its own handle."""
+"""Processes of the tests: each is started, read from and ended by its own handle."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 class Process:
     """A process and the lines it prints.
 
-    Politely it is ended by a signal, and for good where it does not heed that within `grace` seconds; a line is waited
-    for during `patience` seconds.
+    It is ended by a signal, and killed if it does not end within `grace` seconds; a line is awaited for `patience`
+    seconds.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class Process:
         threading.Thread(target=self._read, daemon=True).start()
 
     def line(self, beginning: str = "", timeout: float | None = None) -> str:
-        """The next line that begins so; fails with the last that were printed if none comes in time."""
+        """Return the next line with this beginning; fail with the last lines printed if there is none in time."""
         until = time.monotonic() + (self._patience if timeout is None else timeout)
         while (left := until - time.monotonic()) > 0:
             try:
@@ -49,11 +49,11 @@ class Process:
         raise AssertionError(f"no line {beginning!r} from {self.process.args!r}: {self.seen[-20:]}")
 
     def told_to_end(self) -> None:
-        """Ask it to end, and do not wait for it."""
-        self.process.send_signal(self._politely)  # which does nothing to one that has ended
+        """Request it to end, without waiting."""
+        self.process.send_signal(self._politely)  # no effect on a finished process
 
     def stop(self) -> None:
-        """End it politely, then for good."""
+        """End it by a signal, or else kill it."""
         self.told_to_end()
         try:
             self.process.wait(self._grace)
@@ -61,7 +61,7 @@ class Process:
             self.kill()
 
     def kill(self) -> None:
-        """End it as a crash would: nobody is told."""
+        """Kill it, as a crash would."""
         self.process.kill()
         self.process.wait(self._patience)
 

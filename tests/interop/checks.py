@@ -1,4 +1,4 @@
-"""Clients of one language run in one process, which prints the outcome of each check as a line of JSON.
+"""Clients of one language, run in one process, which prints the result of each check as a line of JSON.
 
 The names of the checks are read from the sources, so that each is a test, and one that was not run fails.
 """
@@ -15,19 +15,19 @@ from typing import Any, TypeAlias
 import pytest
 
 Check: TypeAlias = tuple[str, str]
-"""The name of the client, which is that of its source, and what it does."""
+"""Name of the client, which is that of its source, and the description of the check."""
 
 _DECLARED = re.compile(r'checks\.check\(\s*"([^"]+)"')
 
 
 def declared(sources: Sequence[Path]) -> list[Any]:
-    """The checks in the sources, for pytest."""
+    """Return the checks in the sources, for pytest."""
     found = [(path.stem, name) for path in sorted(sources) for name in _DECLARED.findall(path.read_text("utf-8"))]
     return [pytest.param(check, id="-".join(check)) for check in found]
 
 
 def outcomes(command: Sequence[str], timeout: float) -> dict[Check, str | None]:
-    """Run the process; None or the error for each check that it ran. What it printed before its timeout counts."""
+    """Run the process; return None or the error of each check. Results printed before a timeout count."""
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             output, errors = process.communicate(timeout=timeout)

@@ -1,7 +1,7 @@
-"""Clients that others wrote, in their default configuration, each against a real rosld over real HTTP.
+"""Third-party clients in their default configuration, each with a real rosld over real HTTP.
 
-`make interop` runs this folder and `make test` leaves it out. What a client needs and is not here is named and skipped;
-with CI=true it fails.
+`make interop` runs this folder and `make test` omits it. Tests whose dependencies are missing are skipped with their
+names; with CI=true they fail.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tests.interop.missing import require
 from tests.server.conftest import start_server, triples_of
 
 __all__ = ["start_server", "triples_of"]
-"""Fixtures of the server's tests: one starts servers, one reads answers."""
+"""Fixtures from the tests of the server: one starts servers, one reads responses."""
 
 PATIENCE = 60.0
 _COUNTER = itertools.count(1)
@@ -31,13 +31,13 @@ def server(start_server: Callable[..., Any]) -> Any:
 
 @pytest.fixture
 def folder(server: Any) -> str:
-    """The URL of a container of the test's own below `/data/`, which a client's first write makes."""
+    """The URL of a container for one test below `/data/`, which a client's first write creates."""
     return f"{server.url}data/t{next(_COUNTER)}/"
 
 
 @pytest.fixture(scope="session")
 def curl() -> Callable[..., str]:
-    """What a command of curl prints."""
+    """Return the output of curl."""
     require("curl")
 
     def run(*arguments: str, given: str | None = None) -> str:

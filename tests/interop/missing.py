@@ -1,4 +1,4 @@
-"""What a client needs and is not here: its tests are skipped by name, and fail where CI=true."""
+"""Dependencies of clients: tests are skipped by name if they are missing, and fail with CI=true."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ DEBIAN = Path(__file__).parent / "debian.txt"
 
 
 def missing(reason: str) -> NoReturn:
-    """Skip, saying what is missing; fail instead under CI."""
+    """Skip the test with the name of the missing dependency; fail instead under CI."""
     if os.environ.get("CI", "").lower() == "true":
         pytest.fail(reason)
     pytest.skip(reason)
 
 
 def require(*commands: str, path: str | None = None) -> None:
-    """Skip where a command that Debian has is not installed."""
+    """Skip the test if a command from Debian is not installed."""
     for command in commands:
         if shutil.which(command, path=path) is None:
             missing(

@@ -1,4 +1,4 @@
-"""The clients are of exact versions, wherever they are fetched from."""
+"""The clients have exact versions, in every package manager."""
 
 from __future__ import annotations
 

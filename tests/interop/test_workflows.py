@@ -1,4 +1,4 @@
-"""The workflows of GitHub are judged by actionlint."""
+"""The workflows of GitHub, checked by actionlint."""
 
 from __future__ import annotations
 

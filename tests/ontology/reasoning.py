@@ -1,4 +1,4 @@
-"""What follows from data and ontologies by OWL 2 RL, and whether that contradicts itself."""
+"""Entailments of data and ontologies by OWL 2 RL, and contradictions in them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _DERIVED = {
 
 
 def ontologies() -> Graph:
-    """Every module of the ontology, and the vocabularies of others that they are aligned with."""
+    """Return every module of the ontology, and the vocabularies of others that they are aligned with."""
     graph = of_triples(triple for name in MODULES for triple in module_triples(name))
     for path in sorted(VOCABULARIES.glob("*.ttl")):
         graph.parse(path)
@@ -35,12 +35,12 @@ def ontologies() -> Graph:
 
 
 def of_triples(triples: Iterable[Triple]) -> Graph:
-    """The triples in a graph of rdflib."""
+    """Return the triples as a graph of rdflib."""
     return Graph().parse(data=serialize(triples, format=RdfFormat.N_TRIPLES), format="nt")
 
 
 def closure(graph: Graph) -> Graph:
-    """All that follows by the rules of OWL 2 RL."""
+    """Return all entailments by the rules of OWL 2 RL."""
     reasoner, found = PyReasoner(), Graph()
     reasoner.from_graph(graph)
     for triple in reasoner.reason():
@@ -49,7 +49,7 @@ def closure(graph: Graph) -> Graph:
 
 
 def contradictions(graph: Graph) -> list[str]:
-    """What is wrong in a graph that holds all that follows from it, also where the reasoner does not look."""
+    """Return the contradictions in a closed graph, including those that the reasoner does not check."""
     judges = (_nothing, _disjoint, _equal_and_different, _several, _of_other_kinds)
     return [each for judge in judges for each in judge(graph)]
 
@@ -59,7 +59,7 @@ def _nothing(graph: Graph) -> Iterator[str]:
 
 
 def _disjoint(graph: Graph) -> Iterator[str]:
-    """cax-dw and cax-adc: what is an instance of two disjoint classes."""
+    """Yield cax-dw and cax-adc: instances of two disjoint classes."""
     pairs = set(graph.subject_objects(OWL.disjointWith))
     for each in graph.subjects(RDF.type, OWL.AllDisjointClasses):
         pairs |= set(combinations(_members(graph, each, OWL.members), 2))
@@ -69,7 +69,7 @@ def _disjoint(graph: Graph) -> Iterator[str]:
 
 
 def _equal_and_different(graph: Graph) -> Iterator[str]:
-    """eq-diff1 to eq-diff3: what is the same as what it differs from."""
+    """Yield eq-diff1 to eq-diff3: resources that are both equal and different."""
     for one, other in _different(graph):
         if (one, OWL.sameAs, other) in graph or (other, OWL.sameAs, one) in graph:
             yield f"{one} is {other}, from which it differs"
@@ -83,7 +83,7 @@ def _different(graph: Graph) -> set[tuple[Node, Node]]:
 
 
 def _several(graph: Graph) -> Iterator[str]:
-    """prp-fp: several values of a property of which a thing has one, where the values are known to differ."""
+    """Yield prp-fp: several values of a functional property that are known to differ."""
     different = _different(graph)
     for term in graph.subjects(RDF.type, OWL.FunctionalProperty):
         for subject in set(graph.subjects(term, None)):
@@ -94,7 +94,7 @@ def _several(graph: Graph) -> Iterator[str]:
 
 
 def _of_other_kinds(graph: Graph) -> Iterator[str]:
-    """dt-not-type, and values of a kind that a property does not have: a node for a literal, a literal for a node."""
+    """Yield dt-not-type, and values of the wrong kind: a node for a literal, or a literal for a node."""
     for term in set(graph.subjects(RDF.type, OWL.DatatypeProperty)):
         ranges = [each for each in graph.objects(term, RDFS.range) if str(each).startswith(str(XSD))]
         for subject, value in graph.subject_objects(term):

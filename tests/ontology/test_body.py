@@ -1,4 +1,4 @@
-"""Bodies: what is read, and how everything else is refused, with its place, before it can do harm."""
+"""Bodies: those that are accepted, and the rejection of all others, with the position, before they can do harm."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What the server says is consistent with what it says that its terms mean, and with the ontologies of others.
+"""The server's statements are consistent with the ontology of their terms, and with third-party ontologies.
 
-The reasoner is reasonable, an implementation of OWL 2 RL by W3C's rules. `make interop` gives the same to HermiT.
+The reasoner is reasonable, an implementation of OWL 2 RL by W3C's rules. `make interop` runs HermiT on the same.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ pytestmark = pytest.mark.slow
 TURTLE = "".join(f"@prefix {prefix}: <{iri}> . " for prefix, iri in PREFIXES.items())
 ROOMS = {"goals", "calls", "holds", "activity", "topics", "nodes", "services", "actions", "parameters", "types"}
 CHANGING = (ros.state, ros.status, ros.statusWord, ros.briefValue)
-"""What a listing says of its members as they were at that moment."""
+"""Properties of members in listings, which are those of an earlier moment."""
 WITHOUT_INSTANCES = ("FieldConstraintComponent", "StepConstraintComponent")
 """Individuals with names like those of classes."""
 
 
 def told(robot: Site, most: int = 2) -> Iterable[Triple]:
-    """What the first documents of each kind of a robot say; of other resources nothing that changes."""
+    """Return the statements of a robot's first documents of each kind, without changing ones about other resources."""
     for url in robot.of_each_kind(most):
         for triple in robot.documents[url].triples:
             is_own = not isinstance(triple.subject, NamedNode) or triple.subject.value.partition("#")[0] == url
@@ -36,7 +36,7 @@ def told(robot: Site, most: int = 2) -> Iterable[Triple]:
 
 
 def all_robots() -> Graph:
-    """The ontologies, an instance of each class, and what all robots say."""
+    """The ontologies, an instance of each class, and the statements of all robots."""
     graph = ontologies()
     own = [iri for name, iri in ros.terms.items() if name[0].isupper() and name not in WITHOUT_INSTANCES]
     graph += of_triples(triples("".join(f"[] a <{iri.value}> . " for iri in own)))
@@ -77,7 +77,7 @@ MISTAKES = (
 
 def test_a_mistake_is_found() -> None:
     graph = ontologies()
-    for number, mistake in enumerate(MISTAKES):  # each is about IRIs of its own
+    for number, mistake in enumerate(MISTAKES):  # each is about distinct IRIs
         graph += of_triples(triples(mistake.replace("urn:", f"urn:{number}:")))
     found = contradictions(closure(graph))
     missed = [mistake for n, mistake in enumerate(MISTAKES) if not any(f"urn:{n}:" in each for each in found)]

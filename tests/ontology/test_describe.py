@@ -1,4 +1,4 @@
-"""Plain ROS described as documents: what the tests over HTTP do not show."""
+"""Documents of plain ROS resources: details that the tests over HTTP do not cover."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def test_variants_of_a_type_have_their_own_urls_and_link_to_each_other() -> None
 @pytest.mark.parametrize(("made", "is_activity"), [("calls/7", True), ("goals/a", True), ("holds/3", True),
                                                    ("data/notes", False), ("parameters/size", False)])  # fmt: skip
 def test_a_write_informs_the_activities_and_generates_the_entities_that_it_makes(made: str, is_activity: bool) -> None:
-    """PROV-O: activities generate entities, and no activity is one."""
+    """PROV-O: activities generate entities, and no activity is an entity."""
     receipt = Receipt(
         1, "r1", "pilot", None, 1_000_000_000, 2_000_000_000, "POST", f"{SPACE.base}services/reset", "text/plain", 2,
         None, "{}", False, ("call /reset",), (f"{SPACE.base}services/reset",), None, 201, SPACE.base + made, None,

@@ -1,4 +1,4 @@
-"""Lifting: what exactly is written of a message."""
+"""Lifting: the exact RDF of a message."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def message_of(schema: MessageSchema, value: object) -> Message:
 
 
 def objects(schema: MessageSchema, value: object, settings: LiftSettings = LiftSettings()) -> dict[str, str]:  # noqa: B008
-    """The object of each field of the message itself."""
+    """Return the object of each field of the message itself."""
     triples = lifter(schema, settings).triples(message_of(schema, value), D, "#message")
     start = settings.types + schema.ref.name + "#"
     return {

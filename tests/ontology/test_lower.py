@@ -1,4 +1,4 @@
-"""Lowering: what fits a message, and what is refused with its path."""
+"""Lowering: the bodies that fit a message, and the paths in violations of others."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def json_violations_of(schema: MessageSchema, text: str, *, defaults: bool = Fal
 
 
 def value(kind: str, turtle: str, ros_version: int = 1) -> object:
-    """The value of a field of this kind, from a Turtle object."""
+    """Return the value of a field of this kind, from a Turtle object."""
     schema = schema_of(f"{kind} v", ros_version)
     message = from_turtle(schema, f"<#message> t:v {turtle} .")
     for encoding in Encoding:
@@ -253,7 +253,7 @@ def test_date_times_are_exact_to_the_nanosecond(when: datetime, nanosecond: int)
     assert parse_date_time(f"{whole.isoformat()}.{nanosecond:09d}Z") == seconds * 10**9 + nanosecond
 
 
-# Which node is the message
+# The node of the message
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The modules of the ontology, and the constants for its terms in Python, say the same."""
+"""The modules of the ontology agree with the constants for their terms in Python."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def objects(name: str, subject: NamedNode, predicate: NamedNode) -> list[object]
 
 
 def terms_of(*names: str) -> dict[NamedNode, str]:
-    """The terms that modules define, with the module of each."""
+    """Return the terms that modules define, with the module of each."""
     return {NamedNode(iri): home for iri, home in home_of_terms().items() if home in names}
 
 
@@ -116,7 +116,7 @@ def test_every_term_has_an_english_label_and_comment() -> None:
 
 
 def test_no_label_stands_for_two_terms() -> None:
-    """And no two terms differ by case alone."""
+    """Neither do two terms differ by case alone."""
     labels = Counter(each.object.value.lower() for each in every(*OWN) if each.predicate == rdfs.label)
     names = Counter(term.value.lower() for term in terms_of(*OWN))
     assert [label for label, times in [*labels.items(), *names.items()] if times > 1] == []
@@ -185,7 +185,7 @@ def test_states_are_individuals_of_the_sets_that_they_are_in() -> None:
 
 
 def test_classes_of_one_module_are_told_apart() -> None:
-    """By an owl:AllDisjointClasses: but classes and their subclasses, and the states, which overlap."""
+    """They are in an owl:AllDisjointClasses, except subclasses, and the states, which overlap."""
     disjoint = set()
     for name in OWN:
         for each in module_triples(name):

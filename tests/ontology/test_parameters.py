@@ -48,7 +48,7 @@ VALUES: st.SearchStrategy[ParameterValue] = st.recursive(
 
 
 def same(one: ParameterValue, other: ParameterValue) -> bool:
-    """Equal with types and signs: 1 is not 1.0, -0.0 is not 0.0, NaN is NaN."""
+    """Whether values are equal including types and signs: 1 is not 1.0, -0.0 is not 0.0, NaN is NaN."""
     if type(one) is not type(other):
         return False
     if isinstance(one, float) and isinstance(other, float):

@@ -1,4 +1,4 @@
-"""The picture of the ontology in the documentation is drawn from the ontology's files."""
+"""The picture of the ontology in the documentation matches the ontology's files."""
 
 from __future__ import annotations
 

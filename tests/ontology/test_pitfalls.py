@@ -1,4 +1,4 @@
-"""What OOPS! and FOOPS! look for, as far as a program can: docs/reference/ontology.md tells all of their checks.
+"""Checks of OOPS! and FOOPS! that a program can do; docs/reference/ontology.md lists all of them.
 
 The numbers are theirs (https://oops.linkeddata.es/catalogue.jsp, https://w3id.org/foops/catalogue).
 """
@@ -30,13 +30,13 @@ def triples(*names: str) -> list[Triple]:
 
 
 def own(kind: NamedNode) -> set[NamedNode]:
-    """The terms of a kind that the modules define."""
+    """Return the terms of a kind that the modules define."""
     found = {each.subject for each in triples(*OWN) if (each.predicate, each.object) == (rdf.type, kind)}
     return {node for node in found if isinstance(node, NamedNode) and node.value in home_of_terms()}
 
 
 def header(name: str) -> dict[str, list[object]]:
-    """What a module says of itself."""
+    """Return the statements of a module about itself."""
     found: dict[str, list[object]] = {}
     for each in module_triples(name):
         if each.subject == NamedNode(module_iri(name)):
@@ -97,7 +97,7 @@ def test_p06_no_class_is_a_subclass_of_itself() -> None:
 
 
 def test_p11_most_properties_have_domain_and_range() -> None:
-    """Of the others, whose comments say why, there are no more than today."""
+    """The number of the others, whose comments say why, must not grow."""
     properties = own(owl.ObjectProperty) | own(DATATYPE_PROPERTY)
     said = triples(*OWN)
     with_domain = {each.subject for each in said if each.predicate in (rdfs.domain, schema_org.domainIncludes)}

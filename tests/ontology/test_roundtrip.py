@@ -1,4 +1,4 @@
-"""Round trips: what is lifted, in any syntax that can carry it, lowers back to an equal message."""
+"""Round trips: lifted messages, in any syntax that can represent them, lower back to equal messages."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def schema_of(version: int, name: str) -> MessageSchema:
 
 
 def same(one: object, other: object) -> bool:
-    """Equal in every bit that matters: NaN is NaN, -0.0 is not 0.0, an int is no float, dtypes agree."""
+    """Whether values are equal in all relevant bits: NaN is NaN, -0.0 is not 0.0, an int is no float, dtypes agree."""
     if isinstance(one, np.ndarray):
         return isinstance(other, np.ndarray) and one.dtype == other.dtype and same(one.tolist(), other.tolist())
     if type(one) is not type(other):
@@ -112,7 +112,7 @@ def same(one: object, other: object) -> bool:
 
 @cache
 def messages(schema: MessageSchema, version: int) -> st.SearchStrategy[Message]:
-    """Messages of a schema; in ROS 1 strings may be any bytes."""
+    """Return messages of a schema; in ROS 1 strings may be any bytes."""
     return Filler(schema, TEXTS | BYTES if version == 1 else TEXTS).message(schema.ref.name)
 
 
@@ -151,7 +151,7 @@ def ntriples(lift: Lifter, message: Message) -> bytes:
 
 
 def rdfxml(lift: Lifter, message: Message) -> bytes | None:
-    """By pyoxigraph; None where the message holds what XML 1.0 cannot."""
+    """Return RDF/XML by pyoxigraph; None if the message has characters that XML 1.0 cannot represent."""
     triples = lift.triples(message, DOCUMENT, "#message", envelope=ENVELOPE)
     if any(NOT_XML.search(triple.object.value) for triple in triples if isinstance(triple.object, ox.Literal)):
         return None
@@ -170,7 +170,7 @@ SYNTAXES: dict[str, Callable[[Lifter, Message], bytes | None]] = {
 
 
 def kind_of(kind: FieldType) -> str:
-    """What lifting and lowering tell apart about a field."""
+    """Return the properties of a field that lifting and lowering distinguish."""
     if isinstance(kind, Array):
         size = "=" if kind.length is not None else "<=" if kind.bound is not None else ""
         return f"{kind_of(kind.element)}[{size}]"
@@ -178,7 +178,7 @@ def kind_of(kind: FieldType) -> str:
 
 
 def covering() -> list[tuple[int, str]]:
-    """A few stored types that together have every kind of field, in both versions of ROS."""
+    """Return a few stored types that together have every kind of field, in both versions of ROS."""
     kinds = {
         each: {(each[0], kind_of(field.type)) for field in schema_of(*each).type.fields} or {(each[0], "empty")}
         for each in STORED

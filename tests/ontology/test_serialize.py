@@ -1,4 +1,4 @@
-"""Documents in every syntax: read back by readers that are not ours, they all say the same."""
+"""Documents in every syntax: third-party readers find the same triples in all of them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from rosld.ontology.serialize import serialize, serialize_named
 from rosld.ontology.syntax import CannotCarry, Syntax
 from rosld.ontology.vocab import ldp, rdf, rdfs, ros, xsd
 
-logging.getLogger("rdflib.term").setLevel(logging.CRITICAL)  # ill-typed literals are what is tested here
+logging.getLogger("rdflib.term").setLevel(logging.CRITICAL)  # these tests are about ill-typed literals
 
 FORMATS = {syntax: RdfFormat.from_media_type(syntax.media_type) for syntax in Syntax}
 RDFLIB_FORMATS = {
@@ -90,7 +90,7 @@ WITHOUT_XML = tuple(syntax for syntax in Syntax if syntax is not Syntax.RDF_XML)
 
 
 def literals(texts: st.SearchStrategy[str]) -> st.SearchStrategy[Literal]:
-    """Literals of all kinds."""
+    """Return literals of all kinds."""
     return (
         texts.map(Literal)
         | st.builds(lambda text, tag: Literal(text, language=tag), texts, st.sampled_from(["en", "de-ch"]))
@@ -99,7 +99,7 @@ def literals(texts: st.SearchStrategy[str]) -> st.SearchStrategy[Literal]:
 
 
 def graphs(texts: st.SearchStrategy[str] = TEXTS) -> st.SearchStrategy[list[Triple]]:
-    """A few triples that share nodes, lists well-formed and broken among them."""
+    """Return a few triples that share nodes, including well-formed and broken lists."""
     objects = NODES | BLANKS | literals(texts) | st.just(rdf.nil)
     triples = st.builds(Triple, NODES | BLANKS, PREDICATES, objects)
     lists = st.builds(rdf_list, NODES | BLANKS, PREDICATES, st.lists(objects, max_size=4))
@@ -109,7 +109,7 @@ def graphs(texts: st.SearchStrategy[str] = TEXTS) -> st.SearchStrategy[list[Trip
 
 
 def rdf_list(subject: Node, predicate: NamedNode, elements: Sequence[Node | Literal]) -> list[Triple]:
-    """A well-formed rdf:List and the link to it."""
+    """Return a well-formed rdf:List and the link to it."""
     cells = [BlankNode() for _ in elements]
     nodes: list[Node] = [*cells, rdf.nil]
     triples = [Triple(subject, predicate, nodes[0])]
@@ -119,21 +119,21 @@ def rdf_list(subject: Node, predicate: NamedNode, elements: Sequence[Node | Lite
 
 
 def canonical(triples: Iterable[Triple]) -> set[str]:
-    """The triples with canonical blank nodes: equal for isomorphic graphs."""
+    """Return the triples with canonical blank nodes: equal for isomorphic graphs."""
     dataset = Dataset(Quad(t.subject, t.predicate, t.object, DefaultGraph()) for t in triples)
     dataset.canonicalize(CanonicalizationAlgorithm.RDFC_1_0)
     return {str(quad.triple) for quad in dataset}
 
 
 def read(data: bytes, syntax: Syntax) -> list[Triple]:
-    """What pyoxigraph reads, all of it in the default graph."""
+    """Return the triples that pyoxigraph reads, all of them in the default graph."""
     quads = list(parse(data, format=FORMATS[syntax]))
     assert all(quad.graph_name == DefaultGraph() for quad in quads)
     return [quad.triple for quad in quads]
 
 
 def rdflib_read(data: bytes, syntax: Syntax) -> list[Triple]:
-    """What rdflib reads, with every literal as it was written."""
+    """Return the triples that rdflib reads, with unnormalized literals."""
     normalize, rdflib.NORMALIZE_LITERALS = rdflib.NORMALIZE_LITERALS, False
     try:
         dataset = rdflib.Dataset()
@@ -167,7 +167,7 @@ def test_pyoxigraph_reads_what_was_written(triples: list[Triple]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:Parsing weird boolean")
-@settings(max_examples=40)  # rdflib reads slowly
+@settings(max_examples=40)  # rdflib is slow
 @given(graphs(XML_TEXTS))
 def test_both_readers_read_what_was_written_wherever_xml_can_carry_it(triples: list[Triple]) -> None:
     expected = canonical(triples)
@@ -202,7 +202,7 @@ def test_rings_long_chains_and_deep_lists_neither_hang_nor_get_lost() -> None:
     for triples in (ring(1), ring(2), ring(40), chain(5000), nested_lists(60)):
         for syntax in Syntax:
             data = serialize(Document(URL, tuple(triples)), syntax)
-            assert len(set(read(data, syntax))) == len(triples), syntax  # to canonicalise rings takes for ever
+            assert len(set(read(data, syntax))) == len(triples), syntax  # canonicalizing cycles takes for ever
 
 
 def document(*triples: tuple[NamedNode, NamedNode, NamedNode | BlankNode | Literal]) -> Document:
@@ -313,7 +313,7 @@ def test_media_types_extensions_and_labels_are_unique_and_known() -> None:
         serialize(POSE, "text/html")
 
 
-# Documents that carry messages
+# Documents with messages
 
 LIBRARY = TypeLibrary(ros_version=1)
 
@@ -330,7 +330,7 @@ OTHER = learnt(
 
 
 def carrying(*nodes: str) -> Document:
-    """Messages of two types that want one prefix, under several nodes."""
+    """Return messages of two types that need the same prefix, under several nodes."""
     value = POINT.codec.build(POINT.ref.name, {"x": float("inf"), "name": 'a"\n\x00', "xs": np.array([1, 2], "f4")})
     other = OTHER.codec.build(OTHER.ref.name, {"x": 2**53 + 1, "inner": [value, value]})
     messages = [(POINT, value), (OTHER, other)] * len(nodes)

@@ -1,4 +1,7 @@
-"""Write `ontology/vocab.pyi`, which names every term for type checkers: `python tests/ontology/vocab_stub.py`."""
+"""Generator of `ontology/vocab.pyi`, which names every term for type checkers.
+
+Run: `python tests/ontology/vocab_stub.py`.
+"""
 
 from pathlib import Path
 

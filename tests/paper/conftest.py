@@ -1,4 +1,4 @@
-"""The paper's aircraft, embedded, behind a server: a test brings it into the state that it needs over HTTP."""
+"""The paper's aircraft, embedded, behind a server: each test sets its initial state over HTTP."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tests.server.conftest import serve, start_server
 from tests.waiting import until
 
 __all__ = ["serve", "start_server"]
-"""The fixtures that start servers; they belong to the server's tests."""
+"""Fixtures that start servers, from the tests of the server."""
 
 AIRCRAFT, ENGINE = "/resources/aircraft/", "/resources/aircraft/engine/"
 JSON, MERGE_PATCH = "application/json", "application/merge-patch+json"
 CRUISE = 20.0
-"""The speed of flying: a fifth of a second away from rest."""
+"""Speed in flight: a fifth of a second away from rest."""
 SERVICES = {
     "/aircraft/start": "std_srvs/srv/Trigger",
     "/aircraft/stop": "std_srvs/srv/Trigger",
@@ -45,13 +45,13 @@ class Flight:
         return self.http.get(path, headers={"Accept": accept})
 
     def json(self, path: str) -> Any:
-        """The representation of a resource as plain JSON."""
+        """Return the representation of a resource as plain JSON."""
         answer = self.get(path, JSON)
         assert answer.status_code == 200, answer.text
         return answer.json()
 
     def triples(self, answer: httpx.Response | str) -> set[Triple]:
-        """The triples of an answer in any RDF syntax, or of the resource at a path."""
+        """Return the triples of a response in any RDF syntax, or of the resource at a path."""
         if isinstance(answer, str):
             answer = self.get(answer)
             assert answer.status_code == 200, answer.text
@@ -60,7 +60,7 @@ class Flight:
         return {quad.triple for quad in parse(answer.content, format=syntax, base_iri=base)}
 
     def said(self, path: str, predicate: NamedNode, *, of: str | None = None) -> set[str]:
-        """The objects of a predicate of the resource at a path, or of another subject in its document.
+        """Return the objects of a predicate of the resource at a path, or of another subject in its document.
 
         Literals are their text; URLs of this server are paths.
         """
@@ -72,11 +72,11 @@ class Flight:
         return self.url.rstrip("/") + path if path.startswith("/") else path
 
     def path(self, url: str) -> str:
-        """A URL of this server as a path, anything else as it is."""
+        """Return a URL of this server as a path, other values unchanged."""
         return url.removeprefix(self.url.rstrip("/")) if url.startswith(self.url) else url
 
     def relations(self, answer: httpx.Response | str = AIRCRAFT) -> dict[str, str]:
-        """The relations of the aircraft's vocabulary in a representation, each with a value or the path it leads to."""
+        """Return the relations of the aircraft's vocabulary in a representation, each with a value or a target path."""
         found: dict[str, str] = {}
         for one in self.triples(answer):
             if one.predicate.value.startswith(av.iri) and not isinstance(one.object, Triple):
@@ -86,11 +86,11 @@ class Flight:
         return found
 
     def ask(self, service: str) -> Any:
-        """The value that a getter of the robot answers."""
+        """Return the value that a getter of the robot returns."""
         return self.post(f"/services{service}", accept=JSON).json()["data"]
 
     def robot_speed(self) -> float | None:
-        """The speed that the robot publishes."""
+        """Return the speed that the robot publishes."""
         read = self.json("/topics/aircraft/engine/speed")
         return None if read is None else read["data"]
 
@@ -99,7 +99,7 @@ class Flight:
     def send(
         self, method: str, path: str, value: object = None, accept: str = JSON, *, type: str = JSON
     ) -> httpx.Response:
-        """A request with a value as JSON, or without content."""
+        """Send a request with a value as JSON, or without content."""
         content = None if value is None else json.dumps(value)
         headers = {"Accept": accept} if content is None else {"Accept": accept, "Content-Type": type}
         return self.http.request(method, path, content=content, headers=headers)
@@ -111,23 +111,23 @@ class Flight:
         return self.send("POST", path, value, accept)
 
     def patch(self, path: str, value: object) -> httpx.Response:
-        """PATCH with a JSON merge patch."""
+        """Send a PATCH with a JSON merge patch."""
         return self.send("PATCH", path, value, type=MERGE_PATCH)
 
     def allowed(self, path: str) -> set[str]:
-        """The methods of a resource, without those that every resource has."""
+        """Return the methods of a resource, without those of every resource."""
         answer = self.http.options(path)
         assert answer.status_code == 204, answer.text
         return set(answer.headers["allow"].split(", ")) - {"HEAD", "OPTIONS"}
 
     def calls(self) -> set[str]:
-        """The calls of services that were made so far."""
+        """Return the calls of services so far."""
         return self.said("/calls/", ldp.contains)
 
     # States
 
     def in_state(self, name: str) -> None:
-        """Bring the aircraft into the state of this name."""
+        """Bring the aircraft into the state with this name."""
         {"off": self.off, "standing": self.standing, "flying": self.flying}[name]()
 
     def off(self) -> None:

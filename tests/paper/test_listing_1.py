@@ -1,4 +1,4 @@
-"""The paper's Listing 1: the aircraft's topic and services, each line at its own URL (level one)."""
+"""The paper's Listing 1: the aircraft's topic and services, each line as a resource (level one)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SPEED = "/topics/aircraft/engine/speed"
 
 
 def called(flight: Flight, service: str, request: object | None = None) -> Any:
-    """The response of a service; the call is a new resource."""
+    """Return the response of a service; the call is a new resource."""
     answer = flight.post(f"/services{service}", request, JSON)
     assert answer.status_code == 201, answer.text
     assert flight.path(answer.headers["location"]).startswith("/calls/")
@@ -25,7 +25,7 @@ def called(flight: Flight, service: str, request: object | None = None) -> Any:
 
 
 def refused(flight: Flight, service: str, value: object) -> None:
-    """A value outside of the line's range does not fit, and the service is not called."""
+    """Check that a value outside of the line's range does not fit, and that the service is not called."""
     before = flight.calls()
     answer = flight.post(f"/services{service}", {"data": value}, JSON)
     assert (answer.status_code, answer.json()["title"]) == (422, "Does not fit"), answer.text
@@ -49,7 +49,7 @@ def test_topic_speed_informs_of_a_number_from_0_to_1000(flight: Flight) -> None:
     def has_speed() -> bool:
         nonlocal after
         answer = flight.http.get(SPEED, params={"after": after, "timeout": "5"}, headers={"Accept": JSON})
-        assert answer.status_code == 200  # each answer waits for another message than the one before
+        assert answer.status_code == 200  # each answer waits for a newer message than the one before
         after = answer.headers["etag"]
         return bool(answer.json() == {"data": 10.0})
 

@@ -22,17 +22,17 @@ RESULT, REPORT, IN = (sh.iri + name for name in ("result", "ValidationReport", "
 
 
 def written(answer: httpx.Response) -> None:
-    """The write was carried out, and no resource was made."""
+    """Check that the write was carried out, without creating a resource."""
     assert answer.status_code == 204, answer.text
     assert "location" not in answer.headers
 
 
 def refused(flight: Flight, url: str, value: object) -> None:
-    """A value outside of the line's range is 422 with the SHACL report, from rosld and not from the robot."""
+    """Check that a value outside of the line's range is 422 with a SHACL report by rosld, not by the robot."""
     answer = flight.put(url, value)
     assert (answer.status_code, answer.json()["title"]) == (422, "Does not fit"), answer.text
     assert answer.json()["violations"]
-    assert "words" not in answer.json()  # the robot was not asked
+    assert "words" not in answer.json()  # the robot was not called
     report = flight.send("PUT", url, value, "text/turtle")
     triples = {(one.subject.value, one.predicate.value, one.object.value) for one in flight.triples(report)}
     assert any(each[1:] == (rdf.type.value, REPORT) for each in triples)
@@ -40,7 +40,7 @@ def refused(flight: Flight, url: str, value: object) -> None:
 
 
 def shape(flight: Flight, url: str) -> dict[str, set[str]]:
-    """The constraints on the value of a resource, as the affordance in its representation has them."""
+    """Return the constraints on the value of a resource, from the affordance in its representation."""
     triples = flight.triples(url)
     of = NamedNode(flight.absolute(url) + "#property")
     (top,) = (one.object for one in triples if one.subject == of and one.predicate == ros.shape)
@@ -54,7 +54,7 @@ def shape(flight: Flight, url: str) -> dict[str, set[str]]:
 
 
 def listed(triples: Any, node: Any) -> list[str]:
-    """The items of an rdf:List."""
+    """Return the items of an rdf:List."""
     items: list[str] = []
     while node != rdf.nil:
         after = {one.predicate: one.object for one in triples if one.subject == node}

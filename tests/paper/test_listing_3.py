@@ -1,4 +1,4 @@
-"""The paper's Listing 3: complex resources whose links and actions come and go with the state (level three)."""
+"""The paper's Listing 3: complex resources whose links and actions depend on the state (level three)."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ LISTING = {
     "standing": {"power": "on", "stop": STOP, "engine": ENGINE},
     "flying": {"power": "on", "engine": ENGINE},
 }
-"""The lines of the listing for the resource of the aircraft in each state: a value, and links to follow."""
+"""Lines of the listing for the resource of the aircraft in each state: a value, and the links."""
 ABSENT = {"off": ("stop", "engine"), "standing": ("start",), "flying": ("start", "stop")}
 
 
 def not_offered(flight: Flight, condition: NamedNode, method: str, path: str, value: object = None, **how: str) -> None:
-    """The request is refused (409) with the report of a condition on this relation, in JSON and in RDF."""
+    """Check that the request is refused (409) with the report of a condition on this relation, in JSON and in RDF."""
     refused = flight.send(method, path, value, **how)
     assert (refused.status_code, refused.json()["title"]) == (409, "Not on offer now"), refused.text
     assert [one["path"] for one in refused.json()["violations"]] == [condition.value.removeprefix(av.iri)]
@@ -42,14 +42,14 @@ def not_offered(flight: Flight, condition: NamedNode, method: str, path: str, va
 
 
 def not_there(flight: Flight, method: str, path: str, value: object = None, **how: str) -> None:
-    """The resource is missing now (404), and the answer says why."""
+    """Check that the resource is missing now (404), and that the response says why."""
     answer = flight.send(method, path, value, **how)
     assert (answer.status_code, answer.json()["title"]) == (404, "Not on offer now"), answer.text
     assert answer.json()["violations"]
 
 
 def forms(flight: Flight, path: str) -> set[tuple[str, str]]:
-    """The method and the path of each form in a representation."""
+    """Return the method and the path of each form in a representation."""
     triples = flight.triples(path)
     methods = {one.subject: one.object.value for one in triples if one.predicate == htv.methodName}
     targets = {one.subject: flight.path(one.object.value) for one in triples if one.predicate.value.endswith("Target")}
@@ -143,7 +143,7 @@ def test_stop_while_flying_is_refused_and_the_robot_flies_on(flight: Flight) -> 
 def test_stop_right_after_the_speed_was_set_is_refused_by_the_mapping_or_by_the_robot(flight: Flight) -> None:
     flight.standing()
     assert flight.put(SPEED, 20).status_code == 204
-    assert flight.post(STOP).status_code in (409, 422)  # whether or not the topic has told of the new speed
+    assert flight.post(STOP).status_code in (409, 422)  # whether or not the topic has published the new speed
     assert flight.ask("/aircraft/get_power") == "on"
 
 
@@ -237,7 +237,7 @@ def test_nothing_that_is_not_offered_is_in_any_representation(flight: Flight) ->
 
 
 def said_in(answer: httpx.Response) -> str:
-    """All that a representation says: of a page the text and the addresses, without the page's own furniture."""
+    """Return all content of a representation: of a page the text and the addresses, without its frame."""
     assert answer.status_code == 200, answer.text
     if not answer.headers["content-type"].startswith("text/html"):
         return str(answer.text)
@@ -263,7 +263,7 @@ def test_etags_change_when_links_come_and_go_and_only_then(flight: Flight) -> No
         seen[state] = answer.headers["etag"]
         again = flight.http.get(AIRCRAFT, headers={"Accept": "text/turtle", "If-None-Match": seen[state]})
         assert again.status_code == 304
-    assert len(set(seen.values())) == len(LISTING)  # of standing and flying, power is the same: the links are not
+    assert len(set(seen.values())) == len(LISTING)  # standing and flying have the same power, but not the same links
     flight.off()
     assert flight.get(AIRCRAFT).headers["etag"] == seen["off"]
 
@@ -293,7 +293,7 @@ def test_a_flight_needs_only_what_is_offered(flight: Flight) -> None:
 def test_a_thing_description_lists_all_affordances_whatever_the_state(flight: Flight) -> None:
     flight.off()
     thing = flight.get(AIRCRAFT, "application/td+json").json()
-    # every Thing Description also says how to stop the robot as a whole
+    # every Thing Description also describes how to stop the robot as a whole
     assert (thing["properties"].keys(), thing["actions"].keys()) == ({"power"}, {"start", "stop", "stopRobot"})
     flight.standing()
     assert flight.get(AIRCRAFT, "application/td+json").json() == thing
@@ -311,14 +311,14 @@ def test_sparql_sees_what_is_offered_now(flight: Flight) -> None:
         assert found == LISTING[state]
 
 
-# Level one beside it
+# Level one in addition
 
 
 def test_level_one_is_not_guarded_by_the_mapping(flight: Flight) -> None:
     flight.flying()
     not_there(flight, "GET", STOP)
     called = flight.post("/services/aircraft/stop", accept=JSON)
-    assert (called.status_code, called.json()["success"]) == (201, False)  # it was called; the robot itself declined
+    assert (called.status_code, called.json()["success"]) == (201, False)  # it was called; the robot itself refused
     assert flight.path(called.headers["location"]) in flight.calls()
 
 
@@ -345,8 +345,8 @@ def test_level_one_is_closed_by_resources_only(serve: Callable[..., Any]) -> Non
     ]
     assert {one.status_code for one in trees} <= {404, 405, 409}, [one.text for one in trees]
     assert closed.json("/parameters/aircraft/") == before
-    assert closed.put("/parameters/cockpit/night", False).status_code == 204  # it is no part of the glob
-    assert closed.json("/topics/aircraft/engine/speed") == {"data": 0.0}  # reading is open
+    assert closed.put("/parameters/cockpit/night", False).status_code == 204  # the glob does not match it
+    assert closed.json("/topics/aircraft/engine/speed") == {"data": 0.0}  # everybody may read
     assert closed.relations(closed.post(START)) == LISTING["standing"]
     assert closed.put(SPEED, 20).status_code == 204
     until(lambda: closed.json(SPEED) == 20.0, "the speed")

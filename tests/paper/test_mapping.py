@@ -1,4 +1,4 @@
-"""`docs/reference/mapping.md` names tests of each line of the paper, and every test of this folder."""
+"""`docs/reference/mapping.md` lists the tests of each line of the paper, and every test of this folder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NAMED = re.compile(r"(tests/[\w/]+\.py)::(test_\w+)")
 
 
 def functions_of(path: Path) -> set[tuple[str, str]]:
-    """The tests of a file, each with the path of the file."""
+    """Return the tests of a file, each with the path of the file."""
     name = path.relative_to(ROOT).as_posix()
     kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
     functions = (node.name for node in ast.parse(path.read_text("utf-8")).body if isinstance(node, kinds))

@@ -1,4 +1,4 @@
-"""The paper's Table 1: a row is a concept of HTTP, of RDF and of ROS. Each is shown to be one and the same here."""
+"""The paper's Table 1: each row relates concepts of HTTP, RDF and ROS, which the tests show to be the same."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NAMES = [
 
 
 def canonical(triples: set[Triple]) -> set[Quad]:
-    """The triples with canonical blank nodes."""
+    """Return the triples with canonical blank nodes."""
     dataset = Dataset(Quad(one.subject, one.predicate, one.object) for one in triples)
     dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
     return set(dataset)

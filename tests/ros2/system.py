@@ -1,4 +1,4 @@
-"""A real ROS 2 system for tests: nodes in processes of their own, in a domain of their own."""
+"""A real ROS 2 system for tests: nodes in their own processes and in their own domain."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GRACE = 3.0
 
 
 def quick_environment(domain: int, **more: str) -> dict[str, str]:
-    """The environment of a process whose participants are discovered, and missed, within seconds."""
+    """Return the environment of a process whose participants are discovered, and missed, within seconds."""
     profiles = {"FASTRTPS_DEFAULT_PROFILES_FILE": PROFILES, "FASTDDS_DEFAULT_PROFILES_FILE": PROFILES}
     return environment(domain, **profiles, **more)
 
@@ -34,7 +34,7 @@ class System:
         self._running: list[Process] = []
 
     def node(self, script: str, *arguments: str, folder: Path = NODES) -> Process:
-        """Start one of the nodes beside this file, or in another folder, and wait until it is ready."""
+        """Start one of the nodes next to this file, or in another folder, and wait until it is ready."""
         command = [self.python, str(folder / script), *arguments]
         running = Process(command, self.environment, politely=signal.SIGINT, grace=GRACE, patience=PATIENCE)
         self._running.append(running)
@@ -51,9 +51,9 @@ class System:
 
 @contextmanager
 def running(name: str | None = None) -> Iterator[System]:
-    """A ROS 2 on loopback: that of a distro, or of the Python that runs this.
+    """Run a ROS 2 on loopback: that of a distro, or of the Python that runs this.
 
-    Skips, saying why, where a distro cannot be had.
+    Skips the test, with the reason, if a distro is unavailable.
     """
     python = sys.executable if name is None else require(name).python
     with free_domain() as domain:

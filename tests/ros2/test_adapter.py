@@ -1,4 +1,4 @@
-"""The contract suite and the adapter's own tests on a real ROS 2: run by the Python of a distro."""
+"""The contract suite and the adapter's own tests on a real ROS 2, run by the Python of a distro."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.ros2]
 
 
 def failures(report: Path) -> list[str]:
-    """The tests of a JUnit report that did not pass, each with its reason."""
+    """Return the tests of a JUnit report that did not pass, each with its reason."""
     found = []
     for case in ElementTree.parse(report).iter("testcase"):
         for kind in ("failure", "error", "skipped"):
@@ -29,7 +29,7 @@ def failures(report: Path) -> list[str]:
 
 
 def run(distro: str, folder: Path, *arguments: str) -> None:
-    """Run tests in a distro's venv; none of them may fail, and some must have run."""
+    """Run tests in a distro's venv; check that none failed, and that some ran."""
     python = distros.require(distro).python
     report = folder / "report.xml"
     with distros.free_domain() as domain:

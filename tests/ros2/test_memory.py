@@ -1,4 +1,4 @@
-"""The memory of rosld beside many topics that are looked at now and then (`bench/ros2_memory.py`), for some seconds."""
+"""The memory of rosld next to many topics that are occasionally read (`bench/ros2_memory.py`), for some seconds."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from tests.ros2 import distros
 HERE = Path(__file__).parent
 BENCH = HERE.parents[1] / "bench" / "ros2_memory.py"
 MAX_MEGABYTES = 4.0
-"""Beside 100 topics of 50 Hz these are 60 bytes a message; without a leak it grows by less than one."""
+"""With 100 topics at 50 Hz these are 60 bytes per message; without a leak memory grows by less than one."""
 
 
 def load(name: str, path: Path) -> ModuleType:
-    """A module by its path: benches are no packages."""
+    """Import a module by its path, as benches are not in packages."""
     if name not in sys.modules:
         spec = importlib.util.spec_from_file_location(name, path)
         assert spec is not None

@@ -30,7 +30,7 @@ AHEAD = {**STILL, "linear": {"x": 1.5, "y": 0.0, "z": 0.0}}
 
 @pytest.fixture(scope="module")
 def system() -> Iterator[System]:
-    """A robot, an action, and nodes that have a lifecycle."""
+    """A robot, an action, and nodes with a lifecycle."""
     with running("jazzy") as found:
         for node in ("robot.py", "pilot.py", "managed.py"):
             found.node(node)
@@ -44,7 +44,7 @@ def rover(system: System) -> Process:
 
 
 def served(start: Any, system: System, *options: str) -> Served:
-    """A server of the system that has found the rover."""
+    """Run a server of the system and wait until it has found the rover."""
     found: Served = start(system.source, *options, python=system.python, environment=system.environment)
     found.http.headers["accept"] = "application/json"
     until(lambda: found.http.get(DRIVE).status_code == 200, "the rover")
@@ -53,7 +53,7 @@ def served(start: Any, system: System, *options: str) -> Served:
 
 @pytest.fixture(scope="module")
 def server(system: System, rover: Process) -> Iterator[Served]:
-    """The server, once it knows all that the tests ask for."""
+    """The server, once it knows everything that the tests use."""
     with servers() as start:
         found = served(start, system, "--qos", "/cockpit/*=best_effort,depth:3")
         for path in (f"{LAMP}level", "/parameters/listener/seats"):
@@ -107,12 +107,12 @@ def test_what_nodes_declare_of_parameters_is_told_and_held_and_they_judge_the_re
 
 
 def said(http: httpx.Client, name: str) -> str:
-    """The description of a node as N-Triples."""
+    """Return the description of a node as N-Triples."""
     return http.get(f"/nodes/{name}", headers=NTRIPLES).text
 
 
 def state_of(http: httpx.Client, name: str) -> str | None:
-    """The state of a node in its own word."""
+    """Return the name of a node's state."""
     mark = f"<{ROS}lifecycleStateWord> "
     return next((line.partition(mark)[2].split('"')[1] for line in said(http, name).splitlines() if mark in line), None)
 
@@ -146,7 +146,7 @@ def test_transitions_are_made_told_of_by_events_and_refused_where_they_are_not_l
 
 
 def listed(http: httpx.Client, path: str) -> set[str]:
-    """The URLs that a container lists, relative to it."""
+    """Return the URLs that a container lists, relative to it."""
     url = f"{str(http.base_url).rstrip('/')}{path}".partition("?")[0]
     return {str(each).removeprefix(url) for each in graph(http, path).objects(None, LDP.contains)}
 
@@ -166,7 +166,7 @@ def test_the_inner_names_of_an_action_are_listed_when_hidden_ones_are_asked_for(
 
 def test_a_glob_of_qos_overrides_what_rosld_publishes_with_and_the_mismatch_is_told(http: httpx.Client) -> None:
     put = http.put(DISPLAY, json={"data": "climb"})
-    assert put.status_code == 202, put.text  # a reliable subscriber does not hear a best-effort publisher
+    assert put.status_code == 202, put.text  # a reliable subscriber does not receive from a best-effort publisher
     found = graph(http, DISPLAY)
 
     def told(predicate: rdflib.URIRef, about: str) -> list[str]:
@@ -181,12 +181,12 @@ def test_a_glob_of_qos_overrides_what_rosld_publishes_with_and_the_mismatch_is_t
 
 
 def speeds(rover: Process) -> list[float]:
-    """The commands of the rover since its output was cleared last."""
+    """Return the commands of the rover since its output was last cleared."""
     return [float(line.split()[1]) for line in rover.seen if line.startswith("drive ")]
 
 
 def hold(http: httpx.Client, rover: Process, **query: Any) -> str:
-    """Hold the drive ahead; the URL of the hold, once the rover hears it."""
+    """Hold the drive forwards; return the URL of the hold, once the rover receives it."""
     rover.seen.clear()
     answer = http.post(DRIVE, params={"rate": 20, **query}, json=AHEAD)
     assert answer.status_code == 201, answer.text
@@ -223,8 +223,8 @@ def test_a_stop_and_a_hold_heed_other_publishers_and_forget_those_that_were_kill
         assert put(other.http) == 204
 
         def is_over() -> bool:
-            assert put(other.http) == 204  # it goes on publishing
-            return http.patch(held).status_code == 410  # which renews the hold, so that it does not lapse
+            assert put(other.http) == 204  # it continues publishing
+            return http.patch(held).status_code == 410  # which renews the hold, so that it does not expire
 
         until(is_over, "the end of the hold")
         assert "/rover/drive is published by" in http.get(held).json()["detail"]
@@ -235,7 +235,7 @@ def test_a_stop_and_a_hold_heed_other_publishers_and_forget_those_that_were_kill
 
 
 def test_the_rover_stands_still_before_the_server_has_ended(server: Served, rover: Process) -> None:
-    """The last test of the system: its server is gone after it."""
+    """This must be the last test of the system, as it ends the server."""
     hold(server.http, rover, lease=5)
     before = len(speeds(rover))
     assert server.stop() == 0

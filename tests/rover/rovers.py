@@ -1,4 +1,4 @@
-"""The rover embedded, as a rospy node and as an rclpy node, each behind a rosld that has no mapping of it."""
+"""The rover embedded, as a rospy node and as an rclpy node, each behind a rosld without a mapping of it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UNDER_WAY = ("accepted", "executing", "canceling")
 
 @dataclass(frozen=True)
 class Rover:
-    """A rover behind a server; `system` is the ROS that its node runs in and `node` its process, if it is on ROS."""
+    """A rover behind a server; `system` is the ROS of its node and `node` its process, if it is on ROS."""
 
     name: str
     url: str
@@ -33,13 +33,13 @@ class Rover:
     node: Process | None = None
 
     def json(self, path: str) -> Any:
-        """What is at a path, as plain JSON."""
+        """Return the resource at a path, as plain JSON."""
         answer = self.http.get(path, headers={"Accept": JSON}, follow_redirects=True)
         assert answer.status_code == 200, answer.text
         return answer.json()
 
     def hear(self, topic: str) -> Any:
-        """The newest message of a topic, once there is one."""
+        """Return the newest message of a topic, once there is one."""
         return until(lambda: self.json(f"/topics{topic}"), f"a message on {topic}")
 
     def drive(self, speed: float, turn_rate: float = 0.0) -> None:
@@ -49,33 +49,33 @@ class Rover:
         assert answer.status_code == 204, answer.text
 
     def velocity(self) -> tuple[float, float]:
-        """How it moves, by its odometry."""
+        """Return its velocity, from its odometry."""
         twist = self.hear("/odom")["twist"]["twist"]
         return twist["linear"]["x"], twist["angular"]["z"]
 
     def place(self) -> tuple[float, float]:
-        """Where it is, by its odometry."""
+        """Return its position, from its odometry."""
         position = self.hear("/odom")["pose"]["pose"]["position"]
         return position["x"], position["y"]
 
     def send(self, x: float, y: float, *, frame: str = "map") -> httpx.Response:
         """Send a goal."""
         pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
-        stamp = self.hear("/odom")["header"]["stamp"]  # whose fields are called otherwise in each ROS
+        stamp = self.hear("/odom")["header"]["stamp"]  # field names differ between ROS 1 and ROS 2
         header = {"stamp": dict.fromkeys(stamp, 0), "frame_id": frame}
         given = {**header, "seq": 0} if "seq" in self.hear("/odom")["header"] else header
         return self.http.post(f"/actions{NAVIGATE_TO}", json={"pose": {"header": given, "pose": pose}})
 
     def stands(self) -> None:
-        """Wait until it stands still."""
+        """Wait until it is at rest."""
         until(lambda: self.velocity() == (0.0, 0.0), "standstill")
 
     def end_of(self, goal: str) -> Any:
-        """A goal, by its URL, once it has ended."""
+        """Return a goal, by its URL, once it has ended."""
         return until(lambda: (told := self.json(goal))["status"] not in UNDER_WAY and told, "the end of the goal")
 
     def complete(self) -> None:
-        """Wait until the server has found the whole rover, and somebody gets what is published for it."""
+        """Wait until the server has found the whole rover, and publishing reaches a subscriber."""
         for topic in (*PERIODIC, *LATCHED, CMD_VEL):
             until(lambda path=f"/topics{topic}": self._is_there(path), topic)
         for service in (SET_LIGHTS, DOCK):
@@ -104,9 +104,9 @@ class Rover:
 
 @contextmanager
 def running(name: str, start: Callable[..., Any], folder: Path, begins: str = "", *arguments: str) -> Iterator[Rover]:
-    """A complete rover ("embedded", "rospy" or a distro of ROS 2), served by `start` with these arguments.
+    """Run a complete rover ("embedded", "rospy" or a distro of ROS 2), served by `start` with these arguments.
 
-    `begins` is how the rover begins (`battery=0.21&rate=10`).
+    `begins` is its initial state (`battery=0.21&rate=10`).
     """
     source = f"rover:?{begins}" if begins else "rover"
     with ExitStack() as ending:

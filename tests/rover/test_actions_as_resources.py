@@ -1,4 +1,4 @@
-"""An action of ROS among the resources, with no mapping and with one."""
+"""A ROS action among the resources, without a mapping and with one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def graph(http: httpx.Client, path: str) -> rdflib.Graph:
 
 
 def forms(found: rdflib.Graph, affordance: rdflib.term.Node) -> set[tuple[str, str, str]]:
-    """The operations of an affordance, each with its method and its target."""
+    """Return the operations of an affordance, each with its method and its target."""
     return {
         (
             str(found.value(form, HCTL.hasOperationType)).rpartition("#")[2],
@@ -58,7 +58,7 @@ def status(rover: Rover) -> Any:
 
 
 def end(rover: Rover) -> None:
-    """Have the rover pursue nothing more."""
+    """Cancel the goals of the rover."""
     until(lambda: rover.http.delete(ACTION).status_code == 409 and status(rover) not in UNDER_WAY, "the end of goals")
 
 

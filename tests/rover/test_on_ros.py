@@ -1,4 +1,4 @@
-"""The rover as a rospy node and as an rclpy node: driven, held, stopped, sent, configured and recorded over HTTP."""
+"""The rover as a rospy and as an rclpy node: driven, held, stopped, sent to goals, configured, recorded over HTTP."""
 
 from __future__ import annotations
 
@@ -114,20 +114,20 @@ def test_parameters_and_services_take_effect(rover: Rover) -> None:
 
 
 def messages(rover: Rover, bag: str, topic: str) -> list[Any]:
-    """The messages of a topic of a recording."""
+    """Return the messages of a topic of a recording."""
     found: list[Any] = rover.json(f"/bags/{bag}/messages/?topic={topic}")["messages"]
     return found
 
 
 def count(rover: Rover, bag: str, topic: str) -> int:
-    """The number of messages of a topic in a recording."""
+    """Return the number of messages of a topic in a recording."""
     subject = f"<{rover.url}bags/{bag}/#topic/{topic[1:]}> <https://w3id.org/rosld#count> "
     told = rover.http.get(f"/bags/{bag}/", headers=NTRIPLES).text.splitlines()
     return next((int(line.split('"')[1]) for line in told if line.startswith(subject)), 0)
 
 
 def frames_of(told: Collection[tuple[str, Any]]) -> set[str]:
-    """The static frames in decoded messages."""
+    """Return the static frames in decoded messages."""
     return {each.child_frame_id for topic, message in told if topic == "/tf_static" for each in message.transforms}
 
 
@@ -156,7 +156,7 @@ def test_a_recording_opens_with_the_map_and_the_frames_that_were_sent_before(rov
 
 
 def check_bag(rover: Rover, folder: Path) -> None:
-    """ROS 1's own tools read the bag of a recording, and play it for a node that comes late."""
+    """Check that ROS 1's own tools read the bag of a recording, and play it for a late subscriber."""
     answer = rover.http.get("/bags/then/file", headers={"Accept": "application/x-rosbag"})
     assert (answer.status_code, answer.headers["content-type"]) == (200, "application/x-rosbag"), answer.text
     assert answer.headers["content-disposition"] == 'attachment; filename="then.bag"'
@@ -175,7 +175,7 @@ def check_bag(rover: Rover, folder: Path) -> None:
 
 
 def hears_all_frames(system: Any) -> bool:
-    """Whether a node that comes late hears all frames; on a busy machine it may miss a latched message."""
+    """Whether a late subscriber receives all frames; on a busy machine it may miss a latched message."""
     late = system.node("static_listener.py")
     assert late.line("map").split()[1] != "0"
     with suppress(AssertionError):
@@ -184,13 +184,13 @@ def hears_all_frames(system: Any) -> bool:
 
 
 def is_over(line: str) -> bool:
-    """Whether a line of a player says that it has played longer than the bag is."""
+    """Whether a line of a player shows a time after the end of the bag."""
     found = re.search(r"Duration: ([0-9.]+) / ([0-9.]+)", line)
     return found is not None and float(found[1]) > float(found[2])
 
 
 def check_rosbag2(rover: Rover, folder: Path) -> None:
-    """rosbags reads the folder of a ROS 2 bag."""
+    """Check that rosbags reads the folder of a ROS 2 bag."""
     answer = rover.http.get("/bags/then/file?format=rosbag2")
     assert (answer.status_code, answer.headers["content-type"]) == (200, "application/x-tar"), answer.text
     with tarfile.open(fileobj=io.BytesIO(answer.content)) as archive:
@@ -209,7 +209,7 @@ def check_rosbag2(rover: Rover, folder: Path) -> None:
 
 
 def check_file(path: Path) -> None:
-    """The file has the map and all frames at its begin, as other readers of MCAP see it."""
+    """Check that the file has the map and all frames at its beginning, according to other MCAP readers."""
     read(path)
     decoded = decode(path)
     assert "/map" in {topic for topic, _ in decoded}

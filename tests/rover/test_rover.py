@@ -1,4 +1,4 @@
-"""The rover through a rosld that has no mapping of it: what it publishes, and how it acts on commands."""
+"""The rover through a rosld without a mapping of it: its topics, and its reactions to commands."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_the_camera_is_seen_as_it_is(rover: Rover) -> None:
     assert rover.hear("/camera/camera_info")["width"] == WIDTH
 
     def is_same() -> bool:
-        """The picture has the pixels of the message; the rover may just have moved."""
+        """Whether the picture has the pixels of the message; the rover may just have moved."""
         file = rover.http.get(CAMERA, headers={"Accept": "image/png"}).content
         raw = rover.hear("/camera/image_raw")
         data = np.frombuffer(base64.b64decode(raw["data"]), np.uint8).reshape(raw["height"], raw["width"], 3)

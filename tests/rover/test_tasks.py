@@ -1,4 +1,4 @@
-"""What a program does on the rover that knows only its entry: how many requests that takes, and how many bytes."""
+"""Number of requests and bytes that a program needs for tasks on the rover, of which it knows only the entry."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 
 @contextmanager
 def counted(rover: Rover, task: Callable[[Tourist], object], requests: int, bytes: int) -> Iterator[Any]:
-    """What came of a task, which may take so many requests, and so many bytes of bodies."""
+    """Return the result of a task, after checking its number of requests and bytes of bodies."""
     tourist = Tourist(rover.url)
     try:
         yield task(tourist)

@@ -1,4 +1,4 @@
-"""A program that knows one URL, and how to read HTTP, JSON and Thing Descriptions: what it asks for is counted."""
+"""A program that knows one URL, and how to read HTTP, JSON and Thing Descriptions; its requests are counted."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ THING = "application/td+json"
 
 
 class Tourist:
-    """Begins at the entry each time; `requests` and `sizes` count what it has asked for, and the bytes of bodies."""
+    """A client that starts at the entry each time; `requests` and `sizes` count requests and bytes of bodies."""
 
     def __init__(self, entry: str) -> None:
         self._http = httpx.Client(timeout=120, headers={"Accept": JSON})
@@ -22,25 +22,25 @@ class Tourist:
         self.bytes = 0
 
     def ask(self, method: str, url: str, *, accept: str = JSON, **more: Any) -> httpx.Response:
-        """The answer to a request, redirects followed."""
+        """Return the response to a request, after redirects."""
         answer = self._http.request(method, url, headers={"Accept": accept}, follow_redirects=True, **more)
         self.requests += 1 + len(answer.history)
         self.bytes += len(answer.content) + len(answer.request.content)
         return answer
 
     def guide(self) -> Mapping[str, str]:
-        """The links of the guide that the entry links to, by their names."""
+        """Return the links of the guide that the entry links to, by name."""
         entry = self.ask("GET", self._entry)
         guide = self.ask("GET", entry.links["help"]["url"], accept="text/plain").text
         return {name.lower(): url for name, url in re.findall(r"\[([^\]]+)\]\((\S+?)\)", guide)}
 
     def find(self, links: Mapping[str, str], words: str, fits: Callable[[Mapping[str, Any]], object]) -> Any:
-        """The first result of a search that fits."""
+        """Return the first matching result of a search."""
         results = self.ask("GET", links["find"].partition("?")[0], params={"q": words}).json()["results"]
         return next(result for result in results if fits(result))
 
     def describe(self, links: Mapping[str, str], url: str) -> Any:
-        """The part of the Thing Description that is about a URL."""
+        """Return the part of the Thing Description about a URL."""
         thing, path = links["thing description"].partition("?")[0], httpx.URL(url).path
         return self.ask("GET", thing, params={"below": path}, accept=THING).json()
 
@@ -50,13 +50,13 @@ class Tourist:
 
 
 def first_value(tourist: Tourist) -> Any:
-    """Where the robot is, by its odometry."""
+    """Return the position of the robot, from its odometry."""
     found = tourist.find(tourist.guide(), "odometry", lambda result: result["kind"] == "topic")
     return tourist.ask("GET", found["url"]).json()["pose"]["pose"]["position"]
 
 
 def drive_and_stop(tourist: Tourist) -> list[int]:
-    """Drive by whatever topic takes a Twist, stop, and try to release the stop."""
+    """Drive by any topic of type Twist, stop, and try to release the stop."""
     links = tourist.guide()
     found = tourist.find(links, "twist", lambda one: one["kind"] == "topic" and one.get("type", "").endswith("/Twist"))
     driven = tourist.ask("PUT", found["url"], json={"linear": {"x": 0.2}})
@@ -66,7 +66,7 @@ def drive_and_stop(tourist: Tourist) -> list[int]:
 
 
 def failing_goal(tourist: Tourist) -> Any:
-    """Send a goal that cannot be reached, in the form that its description asks for, and see it end."""
+    """Send an unreachable goal, with the form of its description, and follow it to its end."""
     links = tourist.guide()
     found = tourist.find(links, "navigate", lambda result: result["kind"] == "action")
     action = next(iter(tourist.describe(links, found["resource"])["actions"].values()))
@@ -79,7 +79,7 @@ def failing_goal(tourist: Tourist) -> Any:
 
 
 def parameter_in_range(tourist: Tourist) -> tuple[float, Any]:
-    """Set a parameter to the most that its description allows, and read it; both."""
+    """Set a parameter to the maximum of its description, and read it; return both."""
     links = tourist.guide()
     found = tourist.find(links, "max_speed", lambda result: result["kind"] == "parameter")
     most = next(iter(tourist.describe(links, found["resource"])["properties"].values()))["maximum"]
@@ -88,7 +88,7 @@ def parameter_in_range(tourist: Tourist) -> tuple[float, Any]:
 
 
 def battery(tourist: Tourist) -> float:
-    """Find the battery, and how full it is."""
+    """Find the battery and return its charge."""
     found = tourist.find(tourist.guide(), "battery", lambda result: "BatteryState" in result.get("type", ""))
     percentage: float = tourist.ask("GET", found["url"]).json()["percentage"]
     return percentage

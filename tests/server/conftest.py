@@ -1,4 +1,4 @@
-"""A real server over real HTTP: `rosld serve` as a process, ended by its own handle."""
+"""A real server over real HTTP: `rosld serve`, ended by its own handle."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Served:
         self.http = httpx.Client(base_url=url, timeout=60)
 
     def topic(self, name: str) -> str:
-        """The URL of a topic."""
+        """Return the URL of a topic."""
         return f"{self.url}topics{name}"
 
     def stop(self) -> int:
-        """End it as a service manager does; its exit code."""
+        """End it as a service manager does; return its exit code."""
         self.http.close()
         self.process.send_signal(signal.SIGTERM)
         return self.process.wait(60)
@@ -50,7 +50,7 @@ def start(
 ) -> Served:
     """Start `rosld serve ARGUMENTS` on a free port, unless they name one.
 
-    It is a thread, a process of its own for tests of processes, or the command itself with a Python and an environment.
+    It is a thread, a separate process for tests of processes, or the command itself with a Python and an environment.
     """
     words = ["serve", "--port", "0", *arguments]
     if environment is None and not process:
@@ -71,7 +71,7 @@ def start(
 
 @contextmanager
 def servers() -> Iterator[Callable[..., Served]]:
-    """Starts servers, and ends those that still run."""
+    """Yield a function that starts servers; end those that still run."""
     running: list[Served] = []
 
     def started(*arguments: str, **how: Any) -> Served:
@@ -88,21 +88,21 @@ def servers() -> Iterator[Callable[..., Served]]:
 
 @pytest.fixture
 def serve() -> Iterator[Callable[..., Served]]:
-    """Starts servers that end with the test."""
+    """Start servers that end with the test."""
     with servers() as started:
         yield started
 
 
 @pytest.fixture(scope="module")
 def start_server() -> Iterator[Callable[..., Served]]:
-    """As `serve`, for fixtures that outlive a test: they end with the file."""
+    """Start servers as `serve` does, for fixtures that outlive a test: they end with the file."""
     with servers() as started:
         yield started
 
 
 @pytest.fixture(scope="module")
 def frozen_heap() -> Iterator[None]:
-    """Keep the collector from the objects of other tests: it would take 0.2 s of the loop's time for them."""
+    """Exclude the objects of other tests from garbage collection, which would block the loop for 0.2 s."""
     gc.collect()
     gc.freeze()
     yield
@@ -111,7 +111,7 @@ def frozen_heap() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def aircraft() -> Iterator[Served]:
-    """The embedded aircraft, shared by the tests of a file that leave it as it was."""
+    """The embedded aircraft, shared by the tests of a file that do not change it."""
     served = start("aircraft", "--max-publish-rate", "100000")
     yield served
     assert served.process.poll() is None, "the server died during the tests"
@@ -132,7 +132,7 @@ def rover(start_server: Callable[..., Served]) -> httpx.Client:
 
 @pytest.fixture
 def own_aircraft() -> Iterator[httpx.Client]:
-    """A client of an aircraft of this test's own, served by a thread: a process takes ten times as long to start."""
+    """A client of an aircraft for one test, served by a thread: a process takes ten times as long to start."""
     with served(adapter_for("aircraft", AdapterOptions())) as client:
         client.timeout = 60
         yield client
@@ -146,7 +146,7 @@ def http(aircraft: Served) -> httpx.Client:
 
 @pytest.fixture(scope="session")
 def triples_of() -> Callable[[httpx.Response], set[Triple]]:
-    """The triples of an answer in any RDF syntax, graph names left out."""
+    """Return the triples of a response in any RDF syntax, without graph names."""
 
     def read(answer: httpx.Response) -> set[Triple]:
         assert answer.status_code == 200, answer.text

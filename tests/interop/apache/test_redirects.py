@@ -1,4 +1,4 @@
-"""The redirects of the permanent IRIs, as Apache, which w3id.org runs on, carries them out."""
+"""The redirects of the permanent IRIs, as executed by Apache, which serves w3id.org."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def robot() -> Iterator[Served]:
 
 @pytest.fixture(scope="module")
 def folder() -> Iterator[Path]:
-    """A folder that Apache can read, which lays down the rights of root."""
+    """A folder that Apache can read even if root runs the tests."""
     with TemporaryDirectory() as path:
         Path(path).chmod(0o755)
         yield Path(path)
@@ -57,7 +57,7 @@ def folder() -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def permanent(robot: Served, folder: Path) -> Iterator[str]:
-    """What stands for https://w3id.org/ here."""
+    """The URL that stands for https://w3id.org/ here."""
     if shutil.which(APACHE) is None:
         missing("there is no Apache: apt-get install --no-install-recommends apache2-bin")
     port = free_port()

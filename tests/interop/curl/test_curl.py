@@ -1,4 +1,4 @@
-"""curl, as people type it, by HTTP/1.1 and with `--http2`, which on plain HTTP asks for an upgrade to h2c."""
+"""curl, as typed by people, with HTTP/1.1 and with `--http2`, which on plain HTTP requests an upgrade to h2c."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CODE = ("-o", "/dev/null", "-w", "%{http_code}")
 
 @pytest.fixture(params=[(), ("--http2",)], ids=["http1.1", "http2"])
 def version(request: pytest.FixtureRequest) -> tuple[str, ...]:
-    """The options that choose the version of HTTP."""
+    """Options that select the version of HTTP."""
     chosen: tuple[str, ...] = request.param
     return chosen
 

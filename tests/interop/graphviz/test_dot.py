@@ -1,4 +1,4 @@
-"""Graphviz reads the graph of a robot, whatever its names hold, and finds the same vertices and edges."""
+"""Graphviz reads the graph of a robot with any names, and finds the same vertices and edges."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HOSTILE = ('/a"b', "/c\\N", "/d\\", "/<table>", "/e->f;", "/日本", "/g\nh", "/
 
 
 def read(dot: str) -> Any:
-    """What Graphviz makes of it, laid out, as JSON."""
+    """Return the layout by Graphviz, as JSON."""
     done = subprocess.run(["dot", "-Tjson"], input=dot.encode(), capture_output=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
     assert not done.stderr, done.stderr

@@ -1,6 +1,6 @@
 """Java for tests: the libraries of pom.xml, fetched once into `target/lib`, and the sources of `src`, compiled once.
 
-Where the libraries come from is Maven's own configuration. Of Maven's build only `dependency:copy-dependencies` is run.
+Maven's own configuration determines the repository. Only `dependency:copy-dependencies` of its build is run.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PATIENCE = 300.0
 
 
 def java(*arguments: str) -> Sequence[str]:
-    """The command that runs one of the compiled classes, which are made first where they lack."""
+    """Return the command that runs one of the classes, which are compiled first if necessary."""
     require("javac")
     libraries(POM)
     with made_once(CLASSES, [POM, *SOURCES]) as are_here:
@@ -31,7 +31,7 @@ def java(*arguments: str) -> Sequence[str]:
 
 
 def libraries(pom: Path) -> Path:
-    """The folder of the libraries that a pom names, which are fetched first where they lack."""
+    """Return the folder of the libraries of a pom, which are fetched first if necessary."""
     require("java", "mvn")
     folder = pom.parent / "target" / "lib"
     with made_once(folder, [pom]) as are_here:

@@ -15,7 +15,7 @@ PATIENCE = 600.0
 
 @pytest.fixture(scope="module")
 def found(server: Any) -> Mapping[Check, str | None]:
-    """What became of each check."""
+    """The result of each check."""
     return outcomes(java("Main", server.url), PATIENCE)
 
 

@@ -1,6 +1,6 @@
 """Node for tests: a current one from PyPI, and the packages of package-lock.json, installed once into `node_modules`.
 
-Where they come from is npm's own configuration; how they are installed, `.npmrc` says.
+npm's own configuration determines the registry, and `.npmrc` the installation.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PATIENCE = 300.0
 
 
 def node(script: str, *arguments: str) -> Sequence[str]:
-    """The command that runs a script of this folder, with its packages installed."""
+    """Return the command that runs a script of this folder, with its packages installed."""
     binaries = _binaries()
     with made_once(PACKAGES, [LOCK]) as are_here:
         if not are_here:

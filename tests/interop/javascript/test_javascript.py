@@ -1,4 +1,4 @@
-"""Clients in JavaScript: Comunica, rdflib.js, Inrupt's solid-client, jsonld.js. Each check of theirs is a test here."""
+"""Clients in JavaScript: Comunica, rdflib.js, Inrupt's solid-client, jsonld.js. Each of their checks is a test here."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PATIENCE = 200.0
 
 @pytest.fixture(scope="module")
 def found(server: Any) -> Mapping[Check, str | None]:
-    """What became of each check."""
+    """The result of each check."""
     return outcomes(node("main.mjs", server.url), PATIENCE)
 
 

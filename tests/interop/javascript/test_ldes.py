@@ -1,4 +1,4 @@
-"""An LDES client that others wrote: what it copies of a recording, and of a history, is what their messages say."""
+"""A third-party LDES client: its copy of a recording or a history has the same statements as the messages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TREE_NODE = "https://w3id.org/tree#node"
 
 @pytest.fixture(scope="module")
 def recorded(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """A rover with a history of frames, whose messages are nested, and a recording that it was sent."""
+    """A rover with a history of frames, whose messages are nested, and an uploaded recording."""
     server = start_server("rover", "--history", "/tf", "--history", "/odom")
     sent = write_rosbag1(tmp_path_factory.mktemp("sent") / "talk.bag", lines(count=COUNT))
     assert server.http.put("/bags/talk", content=sent.read_bytes()).status_code == 201
@@ -32,14 +32,14 @@ def recorded(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPath
 
 
 class Copy(NamedTuple):
-    """What the client found: members, in the order in which it tells them, and the pages that it read."""
+    """The result of the client: members, in order, and the pages that it read."""
 
     members: list[dict[str, Any]]
     pages: set[str]
 
 
 def copied(url: str, order: str = "none", prefer: str = "") -> Copy:
-    """What the client finds in a stream; no member twice."""
+    """Return the members that the client finds in a stream, each once."""
     command = node("ldes.mjs", url, order, prefer)
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
@@ -51,7 +51,7 @@ def copied(url: str, order: str = "none", prefer: str = "") -> Copy:
 
 
 def pages_of(http: Any, url: str, headers: Mapping[str, str] | None = None) -> set[str]:
-    """The pages of a stream, as the relations of each link to more."""
+    """Return the pages of a stream, linked by their relations."""
     found, unread = set[str](), [url]
     while unread:
         at = unread.pop()
@@ -64,7 +64,7 @@ def pages_of(http: Any, url: str, headers: Mapping[str, str] | None = None) -> s
 
 
 def said(text: str) -> list[str]:
-    """Triples as the script prints them."""
+    """Return triples as the script prints them."""
 
     def term(each: Any) -> str:
         if isinstance(each, BlankNode):

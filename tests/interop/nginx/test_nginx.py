@@ -1,4 +1,4 @@
-"""nginx with `docs/how-to/nginx.conf`, and curl before it: what is sent arrives, whatever upgrades are asked for."""
+"""nginx with `docs/how-to/nginx.conf`, and curl in front of it: requests pass, whatever upgrades they request."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ H2C = (
 
 @pytest.fixture(scope="module")
 def proxy(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str]]:
-    """The URL of the aircraft behind nginx, and the certificate that is to be trusted."""
+    """The URL of the aircraft behind nginx, and the certificate to trust."""
     folder: Path = tmp_path_factory.mktemp("nginx")
     port = free_port()
     served = start_server("aircraft", "--base-url", f"https://localhost:{port}/", process=True)
@@ -35,7 +35,7 @@ def proxy(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFac
 
 @pytest.fixture(params=[(), ("--http1.1",), H2C], ids=["default", "http1.1", "h2c"])
 def through(request: pytest.FixtureRequest, proxy: tuple[str, str]) -> tuple[str, ...]:
-    """The options of curl: how it speaks, and whom it trusts."""
+    """Return the options of curl: its version of HTTP, and its trusted certificate."""
     return ("--cacert", proxy[1], *request.param)
 
 

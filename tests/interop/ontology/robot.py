@@ -23,13 +23,13 @@ _IMPORTED = {
     "https://www.w3.org/2019/wot/td": "td",
     "http://www.ease-crc.org/ont/ROS.owl": "ease",
 }
-"""The ontologies that are imported and are here, by what their files are called."""
+"""The available imported ontologies, by the names of their files."""
 
 
 def robot(commands: Sequence[Sequence[str | Path]]) -> list[str]:
-    """Carry out commands of ROBOT, and return for each what went wrong, or an empty string.
+    """Run commands of ROBOT, and return the error of each, or an empty string.
 
-    One that ends the process, as reasoning does that finds a contradiction, is the last that is carried out.
+    A command that ends the process, such as reasoning that finds a contradiction, is the last one.
     """
     java = ["java", "-XX:+UseSerialGC", "-Xmx2g", "-cp", f"{libraries(POM)}/*", str(PROGRAM)]
     lines = "".join("\t".join(map(str, command)) + "\n" for command in commands)
@@ -39,7 +39,7 @@ def robot(commands: Sequence[Sequence[str | Path]]) -> list[str]:
 
 
 def write_alone(name: str, folder: Path) -> Path:
-    """A module by itself, as it is served: without what it imports."""
+    """Write a module as it is served, without its imports."""
     text = "".join(f"{triple} .\n" for triple in served_triples(name))
     graph = Graph().parse(data=text, format="nt")
     graph.remove((None, OWL.imports, None))
@@ -47,7 +47,7 @@ def write_alone(name: str, folder: Path) -> Path:
 
 
 def write_merged(graph: Graph, folder: Path) -> Path:
-    """Ontologies and data as one ontology, with no literal of a datatype that OWL 2 does not have."""
+    """Write ontologies and data as one ontology, without literals of datatypes that OWL 2 lacks."""
     merged = Graph()
     for subject, predicate, value in graph:
         if predicate in (OWL.imports, OWL.versionIRI) or value == OWL.Ontology:
@@ -59,7 +59,7 @@ def write_merged(graph: Graph, folder: Path) -> Path:
 
 
 def catalog(folder: Path) -> Path:
-    """Where imports are found without a network: an XML catalog (OASIS) of the modules and of what they import."""
+    """Return an XML catalog (OASIS) of the modules and their imports, for use without a network."""
     here = {module_iri(name): _FILES / f"{name}.ttl" for name in MODULES}
     here |= {iri: VOCABULARIES / f"{name}.ttl" for iri, name in _IMPORTED.items()}
     for number, iri in enumerate(sorted(_imports_of_others() - here.keys())):
@@ -72,7 +72,7 @@ def catalog(folder: Path) -> Path:
 
 
 def _imports_of_others() -> set[str]:
-    """What the vocabularies import themselves; of that only what is here is read."""
+    """Return the imports of the vocabularies themselves, as far as they are available."""
     graphs = (Graph().parse(path) for path in VOCABULARIES.glob("*.ttl"))
     return {str(each) for graph in graphs for each in graph.objects(None, OWL.imports)}
 

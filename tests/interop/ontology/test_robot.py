@@ -1,4 +1,4 @@
-"""The ontology judged by ROBOT: OWL 2's profiles by the OWL API, consistency by HermiT, and its own list of errors."""
+"""The ontology checked by ROBOT: OWL 2's profiles by the OWL API, consistency by HermiT, and its own list of errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.ontology.reasoning import of_triples, ontologies
 from tests.ontology.test_consistency import told, triples
 
 IMPORTING = [name for name in MODULES if name not in ("align-dcat", "align-cora")]
-"""Those of which everything that they import is here."""
+"""Modules whose imports are all available."""
 FILES = Path(__file__).parents[3] / "ontology"
 MISTAKE = '<urn:goal> ros:goalId "a" , "b" .'
 
@@ -30,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def outcomes(folder: Path) -> Mapping[tuple[str, str], str]:
-    """What went wrong, by the check and the module."""
+    """The errors by check and module."""
     commands = {}
     for name in MODULES:
         (folder / name).mkdir()
@@ -77,7 +77,7 @@ def without_braces(triple: Triple) -> Triple:
 
 
 def reason(said: Iterable[Triple], folder: Path) -> str:
-    """Say by HermiT why the ontologies and these triples are inconsistent, or return an empty string."""
+    """Return HermiT's explanation why the ontologies and these triples are inconsistent, or an empty string."""
     merged, why = write_merged(ontologies() + of_triples(map(without_braces, said)), folder), folder / "why.md"
     reasoner = ("--reasoner", "hermit", "--input", merged)
     (outcome,) = robot([("reason", *reasoner, "--output", folder / "reasoned.ttl")])

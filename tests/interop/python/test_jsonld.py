@@ -1,4 +1,4 @@
-"""JSON-LD as rdflib reads it: every document says in JSON-LD what it says in N-Triples, digit by digit."""
+"""JSON-LD as rdflib reads it: every document has the same triples in JSON-LD and in N-Triples, digit by digit."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NUMBERS = {
 
 
 def told(document: bytes, syntax: str, base: str) -> set[tuple[Node, ...]]:
-    """The triples of a document, literals as they are written."""
+    """Return the triples of a document with unnormalized literals."""
     graph = to_isomorphic(Graph().parse(data=document, format=syntax, publicID=base))
     return {tuple(map(spelt, triple)) for triple in graph}
 
@@ -42,7 +42,7 @@ def spelt(term: Node) -> Any:
 
 @pytest.fixture(autouse=True)
 def as_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Literals are kept as they are written: rdflib normalises some."""
+    """Preserve lexical forms: rdflib normalizes some."""
     monkeypatch.setattr("rdflib.NORMALIZE_LITERALS", False)
 
 

@@ -1,7 +1,7 @@
-"""memento_client, the library of the authors of RFC 7089: it finds what a topic and a resource were at a time.
+"""memento_client, the library of the authors of RFC 7089: it finds the former states of a topic and a resource.
 
-Both are their own TimeGates. By default this client asks mementoweb.org for the mementos of all that
-names no other, so it is told to ask them themselves.
+Both are their own TimeGates. By default this client queries mementoweb.org for resources without a TimeGate, so it is
+configured to query the resources themselves.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""openapi-python-client makes a client of `/openapi.json` whose functions and types read and drive a robot."""
+"""openapi-python-client generates a client from `/openapi.json` whose functions and types read and drive a robot."""
 
 from __future__ import annotations
 

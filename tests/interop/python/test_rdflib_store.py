@@ -21,7 +21,7 @@ def store(server: Any) -> SPARQLUpdateStore:
 
 @pytest.fixture
 def graph(store: SPARQLUpdateStore, folder: str) -> Graph:
-    """A graph that is empty as yet."""
+    """An empty graph."""
     return Graph(store, identifier=URIRef(f"{folder}graph"))
 
 

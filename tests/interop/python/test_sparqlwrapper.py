@@ -1,4 +1,4 @@
-"""SPARQLWrapper: it asks by GET for XML, and updates by a form."""
+"""SPARQLWrapper: it queries by GET for XML, and updates by a form."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def sparql(server: Any) -> Any:
 
 @pytest.fixture
 def kept(sparql: Any, folder: str) -> str:
-    """A graph with one triple, made by an update."""
+    """A graph with one triple, created by an update."""
     name = f"{folder}graph"
     update(sparql, f"INSERT DATA {{ GRAPH <{name}> {{ <urn:s> <urn:p> 'o' }} }}")
     return name

@@ -1,4 +1,4 @@
-"""Bodies of a media type that schemathesis cannot write by itself."""
+"""Generator of bodies of a media type that schemathesis does not know."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ import schemathesis
 
 @schemathesis.serializer("application/sparql-query", "application/sparql-update")
 def sparql(_: Any, value: Any) -> bytes:
-    """The text of a query, or of an update."""
+    """Return the text of a query, or of an update."""
     return str(value).encode("utf-8", "surrogatepass")

@@ -1,4 +1,4 @@
-"""schemathesis as its command line runs it, over all of /openapi.json, with all of its checks."""
+"""schemathesis from its command line, over all of /openapi.json, with all of its checks."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 CONFIG = Path(__file__).with_name("schemathesis.toml")
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}  # where the module of hooks is found
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}  # folder of the module of hooks
 PATIENCE = 400.0
 ALIKE = r"^/queries/(?!graph$|node$|silent-topics$)[a-z]"
-"""Stored queries that are described and answered as others are."""
+"""Stored queries whose descriptions and answers are like those of others."""
 
 
 def test_schemathesis_finds_no_fault(start_server: Callable[..., Any], tmp_path: Path) -> None:
-    """On a server of its own: what it sends stops the robot, among other things."""
+    """It has its own server, as its requests stop the robot, among other things."""
     served = start_server("aircraft", "--max-publish-rate", "100000")
     command = [sys.executable, "-m", "schemathesis.cli", "--no-color", "--config-file", str(CONFIG)]
     command += ["run", f"{served.url}openapi.json", "--continue-on-failure", "--warnings", "off"]

@@ -1,4 +1,4 @@
-"""What the server takes is what its linked shapes let pass as TopBraid and Jena have it."""
+"""The server accepts exactly the bodies that conform to its linked shapes according to TopBraid and Jena."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.shapes.limited_robot import (
 )
 
 ANYTHING = "parameters/lamp/anything"
-"""A parameter of which nothing is declared: its shape does not look into arrays."""
+"""A parameter without a declaration: its shape does not check the elements of arrays."""
 PATHS = (
     *("resources/arm/grip", "resources/arm/label", "topics/speed", "topics/aim"),
     *("parameters/lamp/gain", "parameters/lamp/lit", "parameters/lamp/counts", ANYTHING),
@@ -39,7 +39,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
 
 
 def sample(client: httpx.Client, path: str) -> tuple[NamedNode, list[list[Triple]]]:
-    """Bodies that are sent to a resource, and the node that they are about."""
+    """Return bodies for a resource, and the node that they are about."""
     url = str(client.base_url.join(f"/{path}"))
     if path == "topics/aim":
         whole = stamped(url)
@@ -60,7 +60,7 @@ def sample(client: httpx.Client, path: str) -> tuple[NamedNode, list[list[Triple
 
 @pytest.mark.parametrize("validator", VALIDATORS)
 def test_a_body_is_taken_where_it_conforms(client: httpx.Client, tmp_path: Path, validator: str) -> None:
-    """All bodies are judged at once, for most of what a validator takes is the start of its JVM."""
+    """All bodies are validated together, as starting the JVM takes most of the time."""
     judged, data, shapes = {}, tmp_path / "data.nt", tmp_path / "shapes.nt"
     with data.open("w") as all_data, shapes.open("w") as all_shapes:
         for number, path in enumerate(PATHS):

@@ -15,12 +15,12 @@ PATIENCE = 300.0
 
 
 def validate_by_topbraid(data: Path, shapes: Path) -> rdflib.Graph:
-    """What TopBraid's `shaclvalidate` reports."""
+    """Return the report of TopBraid's `shaclvalidate`."""
     return _report("org.topbraid.shacl.tools.Validate", "-datafile", data, "-shapesfile", shapes)
 
 
 def validate_by_jena(data: Path, shapes: Path) -> rdflib.Graph:
-    """What Jena's `shacl validate` reports."""
+    """Return the report of Jena's `shacl validate`."""
     return _report("shacl.shacl", "validate", "--shapes", shapes, "--data", data)
 
 
@@ -31,7 +31,7 @@ VALIDATORS: dict[str, Callable[[Path, Path], rdflib.Graph]] = {
 
 
 def _report(*command: str | Path) -> rdflib.Graph:
-    """The validation report that a command prints."""
+    """Return the validation report that a command prints."""
     java = ["java", "-XX:+UseSerialGC", "-cp", f"{libraries(POM)}/*"]
     done = subprocess.run([*java, *map(str, command)], capture_output=True, text=True, timeout=PATIENCE, check=False)
     report = rdflib.Graph().parse(data=done.stdout, format="turtle")

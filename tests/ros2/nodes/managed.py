@@ -1,7 +1,7 @@
 """Managed nodes of a real ROS 2: `/camera` works, `/lidar` fails and hangs, `/plain` has no lifecycle.
 
-`/lidar` fails to be configured the first time, and to be activated takes until the service `/go` is called.
-`managed.py mute` is `/mute` instead, a managed node that answers nothing. Prints "ready".
+The first configuration of `/lidar` fails, and its activation lasts until the service `/go` is called. `managed.py mute`
+is `/mute` instead, a managed node that answers nothing. Prints "ready".
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ GO = threading.Event()
 
 
 class Camera(LifecycleNode):
-    """A node that does what it is told to, and publishes a topic as such nodes do: while it is active."""
+    """A node that makes every transition, and publishes a topic while it is active."""
 
     def __init__(self, context: Context) -> None:
         super().__init__("camera", context=context)
@@ -30,7 +30,7 @@ class Camera(LifecycleNode):
 
 
 class Lidar(LifecycleNode):
-    """A node that fails at first, and then takes its time."""
+    """A node that fails at first, and then takes long."""
 
     def __init__(self, context: Context) -> None:
         super().__init__("lidar", context=context)
@@ -52,7 +52,7 @@ def go(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
 
 
 def answering(context: Context) -> list[Node]:
-    """The nodes that answer."""
+    """Return the nodes that answer."""
     plain = Node("plain", context=context)
     plain.create_service(Trigger, "/go", go)
     return [Camera(context), Lidar(context), plain]
@@ -62,7 +62,7 @@ def main(way: str) -> None:
     context = begun(GO)
     executor = MultiThreadedExecutor(4, context=context)
     nodes = [LifecycleNode("mute", context=context)] if way == "mute" else answering(context)
-    run(context, executor, [] if way == "mute" else nodes)  # a node in no executor answers nothing
+    run(context, executor, [] if way == "mute" else nodes)  # a node without an executor answers nothing
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""A node that is odd in one way: `odd.py WAY NAME`. Prints "ready", and "heard TEXT" where it listens.
+"""A node that is unusual in one way: `odd.py WAY NAME`. Prints "ready", and "heard TEXT" for received messages.
 
-silent answers no service at all; shouter is best effort on /loud, where strict wants to hear reliably; twin talks on
-/shared; foreign speaks types of visualization_msgs, and so does idl, which describes them as if they were written in
-IDL; late said three things on the latched /history.
+silent answers no service at all; shouter publishes best effort on /loud, where strict subscribes reliably; twin
+publishes on /shared; foreign uses types of visualization_msgs, and so does idl, which describes them as if they were
+written in IDL; late has published three messages on the latched /history.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from std_msgs.msg import String
 
 
 def silent(_: Node) -> None:
-    """Nothing but a node that never spins."""
+    """A node that never spins."""
 
 
 def shouter(node: Node) -> None:
@@ -50,7 +50,7 @@ def foreign(node: Node) -> None:
 
 
 def idl(node: Node) -> None:
-    """As `foreign`, but its types are told as those that were written in IDL."""
+    """Run the same as `foreign`, but report its types as written in IDL."""
     foreign(node)
     from type_description_interfaces import msg as told_as
     from type_description_interfaces.srv import GetTypeDescription

@@ -1,7 +1,7 @@
-"""An action server `/fly` for tests: rosld_aircraft/Fly, a metre a tick of 50 ms. Prints "ready".
+"""An action server `/fly` for tests: rosld_aircraft/Fly, a metre per tick of 50 ms. Prints "ready".
 
-It rejects what goes backwards, and aborts at 50 metres, unless it is told to go far. `pilot.py send DISTANCE` is a
-client instead, which sends one goal.
+It rejects negative distances, and aborts at 50 metres, unless the goal is farther. `pilot.py send DISTANCE` is a client
+instead, which sends one goal.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """A robot for tests: a talker and a listener, services that answer, hang and fail, and parameters.
 
-Prints "ready" once all of it is there, and "heard TEXT" for what comes in on /cockpit/display. SIGINT ends it tidily.
+Prints "ready" once it is complete, and "heard TEXT" for each message on /cockpit/display. SIGINT ends it in an orderly
+way.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class Talker(Node):
-    """Counts at 20 Hz on /counter, and describes itself once on the latched /description."""
+    """Publisher of a count at 20 Hz on /counter, and of a latched description on /description."""
 
     def __init__(self, context: Context) -> None:
         super().__init__("talker", context=context)
@@ -40,7 +41,7 @@ class Talker(Node):
 
 
 class Listener(Node):
-    """Tells what it hears; has parameters of all kinds."""
+    """Subscriber that prints messages; it has parameters of all kinds."""
 
     def __init__(self, context: Context) -> None:
         super().__init__("listener", context=context)
@@ -64,14 +65,14 @@ class Listener(Node):
 
 
 class Free(Node):
-    """Takes any parameter."""
+    """A node that accepts any parameter."""
 
     def __init__(self, context: Context) -> None:
         super().__init__("free", context=context, allow_undeclared_parameters=True)
 
 
 class Lamp(Node):
-    """Declares parameters in every way; /lamp/grow declares one more, and another anew."""
+    """A node that declares parameters in every way; /lamp/grow declares one more, and redeclares another."""
 
     def __init__(self, context: Context) -> None:
         super().__init__("lamp", context=context)
@@ -96,7 +97,7 @@ class Lamp(Node):
 
 
 class Server(Node):
-    """Services: one that answers, one that hangs, and as many as wanted that answer."""
+    """Services: one that answers, one that hangs, and any number of further ones that answer."""
 
     def __init__(self, context: Context, many: int) -> None:
         super().__init__("server", context=context)

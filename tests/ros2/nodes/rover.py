@@ -1,7 +1,7 @@
 """A rover that is driven by `/rover/drive`, and braked by `/rover/brake`.
 
-Prints "drive X MOMENT" for each command that it hears, X being how fast ahead and MOMENT the seconds of the clock that
-never jumps, and "brake" when it is braked. Prints "ready" when all is there; SIGINT ends it tidily.
+Prints "drive X TIME" for each received command, where X is the forward speed and TIME the seconds of the monotonic
+clock, and "brake" when it is braked. Prints "ready" when it is complete; SIGINT ends it in an orderly way.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ from std_srvs.srv import Trigger
 
 
 class Rover(Node):
-    """The node /rover."""
-
     def __init__(self, context: Context) -> None:
         super().__init__("rover", context=context)
         self.create_subscription(Twist, "/rover/drive", self.drive, 100)

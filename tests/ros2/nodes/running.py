@@ -1,4 +1,4 @@
-"""How nodes run in one process until SIGINT ends them tidily; for the scripts beside this file."""
+"""Execution of nodes in one process until SIGINT ends them in an orderly way; for the scripts next to this file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def say(text: str) -> None:
 
 
 def begun(*waited_for: threading.Event) -> Context:
-    """A context for nodes. From now on SIGINT sets `ENDING`, and these events, which nodes wait for."""
+    """Return a context for nodes. From now on SIGINT sets `ENDING` and these events, which nodes wait for."""
     context = Context()
     context.init(args=[])
     signal.signal(signal.SIGINT, lambda *_: [event.set() for event in (ENDING, *waited_for)])

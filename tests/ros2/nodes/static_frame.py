@@ -1,4 +1,4 @@
-"""Publishes one transform on /tf_static, transient local: static_frame.py CHILD."""
+"""Publisher of one transform on /tf_static, transient local: static_frame.py CHILD."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The rover as an rclpy node, `/rover`: the simulation that rosld embeds, told and heard through a real ROS 2.
+"""The rover as an rclpy node, `/rover`: the simulation that rosld embeds, connected to a real ROS 2.
 
     rclpy_rover.py [rover:?battery=0.21&rate=10]
 
-It drives on as it was told last, as the embedded one does. Prints "ready"; SIGINT ends it tidily.
+It continues with the last command, as the embedded one does. Prints "ready"; SIGINT ends it in an orderly way.
 """
 
 from __future__ import annotations
@@ -50,19 +50,19 @@ from rosld.adapters.rover.simulation import LogLine, Severity, Simulation, Start
 PERIOD = 0.05
 FEEDBACK_PERIOD = 0.2
 SENSORS = ("/scan", "/imu", "/camera/")
-"""What is published best effort, as drivers of sensors do."""
+"""Topics that are published best effort, as drivers of sensors do."""
 BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 TRANSIENT_LOCAL = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def class_of(type: str) -> Any:
-    """The class of a type such as `nav_msgs/msg/Odometry`, or `nav_msgs/Odometry` as fields have it."""
+    """Return the class of a type such as `nav_msgs/msg/Odometry`, or `nav_msgs/Odometry` as in fields."""
     package, *_, name = type.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
 def fill(made: Any, fields: Mapping[str, object]) -> Any:
-    """A message with these fields, which are all that it has."""
+    """Return a message with exactly these fields."""
     types = made.get_fields_and_field_types()
     assert types.keys() == fields.keys(), f"{type(made).__name__} has {types.keys()}, not {fields.keys()}"
     for name, value in fields.items():
@@ -71,7 +71,7 @@ def fill(made: Any, fields: Mapping[str, object]) -> Any:
 
 
 def convert(type: str, empty: Any, value: Any) -> Any:
-    """A value of a message for a field of a type, which has this value when it is empty."""
+    """Return a value of a message converted to the type of a field with this empty value."""
     if isinstance(value, Mapping):
         return fill(empty, value)
     if type == "octet":
@@ -91,7 +91,7 @@ def quality_of(topic: str) -> QoSProfile:
 
 
 def descriptor_of(declared: Declaration) -> ParameterDescriptor:
-    """What the node declares of a parameter."""
+    """Return the declaration of a parameter."""
     made = ParameterDescriptor(
         description=declared.description,
         additional_constraints=declared.constraints,
@@ -107,8 +107,6 @@ def descriptor_of(declared: Declaration) -> ParameterDescriptor:
 
 
 class Rover(Node):
-    """The node /rover."""
-
     def __init__(self, context: Context, start: Start) -> None:
         super().__init__("rover", context=context)
         self.simulation = Simulation(start, time.monotonic())
@@ -198,7 +196,7 @@ class Rover(Node):
             self.log(line)
 
     def log(self, line: LogLine) -> None:
-        """A line of the log; rclpy wants each severity to have a line of the program of its own."""
+        """Log a line; rclpy requires a separate source line per severity."""
         if line.severity is Severity.INFO:
             self.get_logger().info(line.text)
         elif line.severity is Severity.WARN:

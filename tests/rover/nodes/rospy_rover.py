@@ -1,9 +1,9 @@
-"""The rover as a rospy node, `/rover`: the simulation that rosld embeds, told and heard through a real ROS 1.
+"""The rover as a rospy node, `/rover`: the simulation that rosld embeds, connected to a real ROS 1.
 
     rospy_rover.py [rover:?battery=0.21&rate=10]
 
-It drives on as it was told last, as the embedded one does. Its parameters are dynamic_reconfigure's, but for
-`wheel_separation`, which is only told. Prints "ready".
+It continues with the last command, as the embedded one does. Its parameters are dynamic_reconfigure's, except
+`wheel_separation`, which is read-only. Prints "ready".
 """
 
 import sys
@@ -51,12 +51,12 @@ LOG = {Severity.INFO: rospy.loginfo, Severity.WARN: rospy.logwarn, Severity.ERRO
 
 
 def class_of(name):
-    """The class of a type by the name that ROS 2 has for it."""
+    """Return the class of a type by its name in ROS 2."""
     return get_message_class(name.replace("/msg/", "/"))
 
 
 def fill(made, fields):
-    """A message of ROS 1 with the fields of ROS 2's that it has, some of which are written in capitals."""
+    """Return a message of ROS 1 with its fields from ROS 2, some of which are capitalized."""
     types = dict(zip(made.__slots__, made._slot_types, strict=True))
     for name, value in fields.items():
         slot = name if name in types else name.upper()
@@ -66,7 +66,7 @@ def fill(made, fields):
 
 
 def convert(type, empty, value):
-    """A value of a message for a field of a type, which has this value when it is empty."""
+    """Return a value of a message converted to the type of a field with this empty value."""
     if type == "time":
         return rospy.Time(value["sec"], value["nanosec"])
     if isinstance(value, dict):
@@ -82,7 +82,7 @@ def convert(type, empty, value):
 
 
 def action_messages(name):
-    """The texts of the messages that actionlib wraps the parts of an action in."""
+    """Return the definitions of the messages in which actionlib wraps the parts of an action."""
     status = "Header header\nactionlib_msgs/GoalStatus status\n"
     return {
         "ActionGoal": f"Header header\nactionlib_msgs/GoalID goal_id\n{name}Goal goal",
@@ -92,7 +92,7 @@ def action_messages(name):
 
 
 def action_classes(type):
-    """The classes of an action, by what they are called after its name: `Goal`, `Action`, `ActionGoal`, ..."""
+    """Return the classes of an action, by the suffix of their names: `Goal`, `Action`, `ActionGoal`, ..."""
     package, _, name = type.split("/")
     thirds = (DEFINITIONS / package / "action" / f"{name}.action").read_text().split("\n---\n")
     texts = {f"{package}/{name}{part}": text for part, text in zip(PARTS, thirds, strict=True)}
@@ -116,7 +116,7 @@ def installed(type):
 
 
 def enumeration(generator, name, declared):
-    """How dynamic_reconfigure writes down which values a parameter may have."""
+    """Return dynamic_reconfigure's notation of the allowed values of a parameter."""
     if declared.choices is None:
         return ""
     constants = [generator.const(value, "str", value, words) for value, words in declared.choices.items()]
@@ -124,8 +124,8 @@ def enumeration(generator, name, declared):
 
 
 def config_type():
-    """What dynamic_reconfigure generates of a .cfg: the parameters that are not read-only."""
-    sys.argv[1:] = ["", "", "", ""]  # it insists on the folders that it would write files to
+    """Return the module that dynamic_reconfigure generates from a .cfg, for the writable parameters."""
+    sys.argv[1:] = ["", "", "", ""]  # it requires the folders that it would write files to
     generator = ParameterGenerator()
     for name, declared in PARAMETERS.items():
         if not declared.is_read_only:
@@ -184,7 +184,7 @@ class Rover:
             return TriggerResponse(*self.simulation.dock(time.monotonic()))
 
     def configure(self, config, _level):
-        """Take what fits: dynamic_reconfigure keeps numbers within their ranges, but nothing to an enumeration."""
+        """Accept valid values: dynamic_reconfigure limits numbers to their ranges, but does not check enumerations."""
         with self.lock:
             if config["drive_mode"] not in PARAMETERS["drive_mode"].choices:
                 config["drive_mode"] = self.values["drive_mode"]

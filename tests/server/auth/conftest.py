@@ -1,4 +1,4 @@
-"""The aircraft behind a door: anybody, a reader of some topics, a commander, an administrator."""
+"""The aircraft with access rules: for anybody, a reader of some topics, a commander, an administrator."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.server.auth.issuer import Issuer
 from tests.server.conftest import Served
 
 UNHURRIED = ("--setting", "client_rate", "100000")
-"""These clients ask faster than any that a robot has."""
+"""These clients send more requests per second than those of a real robot."""
 AGENTS = ("reader", "typist", "commander", "admin")
 RULES = """
 [[rule]]
@@ -59,18 +59,18 @@ paths = ["/**"]
 
 
 def token(agent: str) -> str:
-    """The token of an agent of these tests."""
+    """Return the token of an agent of these tests."""
     return f"token-of-{agent}"
 
 
 def tokens(*agents: str) -> str:
-    """The tables with the digests of their tokens."""
+    """Return the tables with the digests of their tokens."""
     return "".join(f'[[token]]\nagent = "{each}"\nsha256 = "{token_digest(token(each))}"\n' for each in agents)
 
 
 @dataclass
 class Guarded:
-    """A server with a door, its file, and a client for each agent."""
+    """A server with access rules, their file, and a client for each agent."""
 
     served: Served
     file: Path
@@ -85,7 +85,7 @@ class Guarded:
 
 
 def clients(url: str, *agents: str) -> dict[str, httpx.Client]:
-    """A client for each agent, and one for anybody."""
+    """Yield a client for each agent, and one for anybody."""
     known = {each: {"Authorization": f"Bearer {token(each)}"} for each in agents}
     return {
         name: httpx.Client(base_url=url, headers=headers, timeout=15)
@@ -97,7 +97,7 @@ def clients(url: str, *agents: str) -> dict[str, httpx.Client]:
 def guard(
     start_server: Callable[..., Served], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Callable[..., Guarded]]:
-    """Starts the aircraft behind these rules."""
+    """Start the aircraft with these rules."""
     with contextlib.ExitStack() as opened:
 
         def started(rules: str, *agents: str, options: tuple[str, ...] = ()) -> Guarded:

@@ -1,4 +1,4 @@
-"""A real little OpenID Connect issuer on loopback."""
+"""A small real OpenID Connect issuer on loopback."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 
 
 class Issuer:
-    """An issuer: its URL, its key, and how often its keys were fetched."""
+    """An issuer: its URL, its key, and the number of times its keys were fetched."""
 
     def __init__(self) -> None:
         self.key = rsa.generate_private_key(public_exponent=65537, key_size=2048)
@@ -45,7 +45,7 @@ class Issuer:
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
 
     def token(self, key: object = None, algorithm: str = "RS256", kid: str | None = "one", **said: object) -> str:
-        """A token that counts, but for what is said otherwise."""
+        """Return a token that is valid, except for the given claims."""
         claims = {"iss": self.url, "aud": "robot", "sub": "anna-1", "exp": time.time() + 60, **said}
         headers = {} if kid is None else {"kid": kid}
         return jwt.encode(

@@ -1,4 +1,4 @@
-"""What is told of what is not there any more, of what is in the way, and of what was refused."""
+"""Statements about deleted resources, about conflicts, and about refused requests."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def aircraft(guard: Callable[..., Guarded]) -> Guarded:
 
 
 def held(agent: httpx.Client, lease: float = 5) -> httpx.Response:
-    """A hold that an agent begins."""
+    """Start a hold as an agent."""
     answer = agent.post(DISPLAY, json={"data": "held"}, params={"rate": 1, "lease": lease, "then": "none"})
     assert answer.status_code == 201, answer.text
     return answer
@@ -120,11 +120,11 @@ def test_who_stopped_the_robot_and_why_is_told_to_those_who_may_read_the_stop(ai
         assert aircraft["admin"].delete("/stop").status_code == 204
 
 
-# Receipts of what was refused
+# Receipts of refused requests
 
 
 def newest(guarded: Guarded) -> dict[str, object]:
-    """The newest receipt."""
+    """Return the newest receipt."""
     listed = guarded["admin"].get("/activity/", headers={"Accept": "application/n-triples", "Prefer": "return=full"})
     urls = [line.split("<")[3].rstrip("> .") for line in listed.text.splitlines() if "#contains>" in line]
     receipts = [guarded["admin"].get(url, headers={"Accept": "application/json"}).json() for url in urls]

@@ -1,9 +1,9 @@
-"""What is denied to a reader is told nowhere: in no route, syntax, query, stream, file or link, and in no refusal.
+"""Resources denied to a reader are mentioned in no route, syntax, query, stream, file or link, and in no refusal.
 
-The robot and everything that an administrator makes of it has names with `zq7`, and the number 7317.25; what reads and
-writes the property `/grip` is called otherwise. The reader may read all other paths, the writer may write them as well.
-What the documents of clients (`/data/`, `/mappings/`, `/queries/`, `/cockpit/`, and
-`/shapes/`) literally say is not denied by it: theirs name denied things by URLs, which are left out.
+The robot and everything that an administrator creates on it has names with `zq7`, and the number 7317.25; the topics
+and services behind the property `/grip` have other names. The reader may read all other paths, the writer may write
+them as well. Documents of clients (`/data/`, `/mappings/`, `/queries/`, `/cockpit/`, and `/shapes/`) are not redacted
+literally: those here name denied resources by URLs, which are omitted.
 """
 
 from __future__ import annotations
@@ -138,17 +138,17 @@ SAMPLES: Mapping[str, tuple[str, ...]] = {
     "frames": ("/frames",),
     "acl": ("/acl",),
 }  # fmt: skip
-"""Where the crawl begins in each route: a new route has to be added here."""
+"""Start of the crawl in each route: a new route has to be added here."""
 VARIANTS = ("format=json", "format=html", "hidden=true", "timemap", "at=-0.01", "page=0", "shape", "values=true")
 AT_MOST = 2
-"""Documents of a kind that are read in all syntaxes and variants, as the samples are; others as triples and a page."""
+"""Number of documents of a kind read in all syntaxes and variants, like the samples; others as triples and a page."""
 WRITES = (
     ("PUT", b"{nonsense", "application/json"),
     ("PATCH", b"<> <", "application/sparql-update"),
     ("POST", b"{}", "application/json"),
     ("DELETE", b"", ""),
 )
-"""Writes, which are all refused to the reader."""
+"""Writes that are all refused to the reader."""
 QUERIES = (
     "SELECT * { ?s ?p ?o }",
     "SELECT * { GRAPH ?g { ?s ?p ?o } }",
@@ -171,7 +171,7 @@ RESULTS = ("application/sparql-results+json", "text/csv", "text/html", "applicat
 
 
 class Secretive(MadeUp):
-    """A made-up robot with actions, a node that may not be known, and denied things of every kind."""
+    """A simulated robot with actions, a node that must not be mentioned, and denied resources of every kind."""
 
     capabilities = Capabilities("made-up", Encoding.ROS1, writes=True, creates_topics=True, parameter_trees=True)
 
@@ -224,7 +224,7 @@ class Secretive(MadeUp):
         return super().allows(ref)
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """Accept it, tell of it, and have it succeed; one of less than zero goes on."""
+        """Accept a goal, report it, and let it succeed; a goal below zero continues."""
         id = GoalId(action, f"{len(self.sent)}{abs(hash(goal)):x}{len(action)}")
         self._tell(id, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
         left = self._turned("feedback", {"left": NUMBER if "zq7" in action else 1.0})
@@ -258,7 +258,7 @@ class Secretive(MadeUp):
         )
 
     def _announce(self, graph: Graph) -> None:
-        """The graph with a denied node, which publishes what others may read and hears it."""
+        """Publish the graph with a denied node, which has a permitted topic and subscribes to it."""
         topics = dict(graph.topics)
         shared = topics.get("/shared")
         if shared is not None and shared.type is not None:
@@ -277,7 +277,7 @@ def _refuse(_: object) -> Mapping[str, Any]:
 
 @dataclass
 class Answer:
-    """What came back for a request: its head in words, its body."""
+    """The response to a request: its head in words, its body."""
 
     request: str
     status: int
@@ -286,14 +286,14 @@ class Answer:
 
     @property
     def text(self) -> str:
-        """Head and body as text, the messages of a recording's file included."""
+        """Return head and body as text, including the messages of a recording's file."""
         head = "\n".join([str(self.status), *map(": ".join, self.headers.items())])
         inflated = _inflated(self.body) if self.body.startswith(b"\x89MCAP") else b""
         return f"{head}\n{(self.body + inflated).decode('utf-8', 'replace')}"
 
     @property
     def leaks(self) -> set[str]:
-        """The denied names and values in it, but for those that the request named."""
+        """Return the denied names and values in it, except those in the request."""
         said = self.text
         found = {each for text in {said, unquote(said), html.unescape(said)} for each in MARKER.findall(text)}
         named = unquote(unquote(self.request))
@@ -301,11 +301,11 @@ class Answer:
 
 
 LITERAL = frozenset({"zq7_asked"})
-"""What a stored query names in its text, which who may read the query may read."""
+"""Resources that a stored query names in its text, which readers of the query may read."""
 
 
 def _inflated(data: bytes) -> bytes:
-    """The records of an MCAP file."""
+    """Return the decompressed records of an MCAP file."""
     reader = NonSeekingReader(io.BytesIO(data))
     return b"\n".join(
         b"%s %s" % (channel.topic.encode(), message.data) for _, channel, message in reader.iter_messages()
@@ -313,7 +313,7 @@ def _inflated(data: bytes) -> bytes:
 
 
 class Request(Reader):
-    """A request of an agent, whose answer is there as far as it came."""
+    """A request of an agent, with the part of its response received so far."""
 
     def __init__(
         self, app: Application, agent: str, method: str, path: str, body: bytes, headers: dict[str, str]
@@ -326,18 +326,18 @@ class Request(Reader):
         return Answer(self._words, self.status, self.headers, b"".join(self.chunks))
 
     async def hear(self, words: bytes, count: int = 1, seconds: float = 10.0) -> None:
-        """Wait until the words came so often, everything came, or the time is over."""
+        """Wait until a text was received this many times, the response is complete, or the time is over."""
         coming = asyncio.ensure_future(self.until(lambda _: self.answer.body.count(words) >= count, seconds))
         await asyncio.wait({self.task, coming}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
         coming.cancel()
 
     async def finish(self) -> Answer:
-        """Return the whole answer."""
+        """Return the complete response."""
         await asyncio.wait_for(self.task, 60)
         return self.answer
 
     async def hang_up(self) -> Answer:
-        """Leave; return what came until then."""
+        """Disconnect; return the part received until then."""
         await self.leave()
         return self.answer
 
@@ -351,12 +351,12 @@ class Client:
         self.statuses: Counter[int] = Counter()
 
     def begin(self, method: str, path: str, body: bytes = b"", **headers: str) -> Request:
-        """A request under way."""
+        """Start a request."""
         sent = {name.replace("_", "-").lower(): value for name, value in headers.items()}
         return Request(self._app, self._agent, method, path, body, sent)
 
     async def __call__(self, method: str, path: str, body: bytes = b"", **headers: str) -> Answer:
-        """The answer; of an event stream its first event, where one comes soon, as of a channel."""
+        """Return the response; of an event stream (as of a channel) its first event, if there is one soon."""
         request = self.begin(method, path, body, **headers)
         if headers.get("Accept") == "text/event-stream" or path.startswith("/channels/"):
             await request.hear(b"data:", seconds=0.2)
@@ -372,7 +372,7 @@ PREFIXES = """# {padding}
 @prefix sh: <http://www.w3.org/ns/shacl#> . @prefix rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> .
 @prefix dcterms: <http://purl.org/dc/terms/> . @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
 """.replace("{padding}", "x" * 300)
-"""They are longer than the excerpts of receipts, so that these do not have what the documents say."""
+"""They are longer than the excerpts of receipts, so that these do not contain the documents."""
 MAPPING = """
 <#car> a map:ComplexResource ; map:path "/car/" ; rdfs:label "The car" ;
   map:property [ map:predicate ex:speed ; map:name "speed" ; map:member "/zq7_speed" ] ,
@@ -401,7 +401,7 @@ TURTLE = "text/turtle"
 
 
 async def fill(admin: Client, robot: Secretive) -> list[str]:
-    """Have an administrator do what can be done, with denied things and with others; the paths of holds."""
+    """Do everything possible as an administrator, on denied and other resources; return the paths of holds."""
 
     async def do(method: str, path: str, status: int, body: object = None, kind: str = JSON) -> Answer:
         text = body if isinstance(body, str | bytes) else "" if body is None else json.dumps(body)
@@ -466,7 +466,7 @@ async def fill(admin: Client, robot: Secretive) -> list[str]:
 async def secretive_app(
     folder: Path, rules: str = RULES, agents: Sequence[str] = ("admin", "reader", "writer")
 ) -> AsyncIterator[tuple[Application, Secretive]]:
-    """The robot behind these rules, with all that an administrator made of it."""
+    """The robot with these rules, and everything that an administrator created on it."""
     robot = Secretive()
     robot.topic("/zq7_asked", "std_msgs/msg/Float64", {"data": NUMBER})
     file = folder / "auth.toml"
@@ -490,7 +490,7 @@ async def secretive_app(
 
 
 class Crawl:
-    """A walk of one agent along all links, in all syntaxes; `leaks` are the requests that told what is denied."""
+    """A crawl of one agent along all links, in all syntaxes; `leaks` are the requests that revealed denied data."""
 
     def __init__(self, app: Application, agent: str) -> None:
         self.ask = Client(app, agent)
@@ -502,7 +502,7 @@ class Crawl:
         self._alike: Counter[tuple[object, ...]] = Counter()
 
     async def walk(self, paths: Iterable[str]) -> None:
-        """Look at these paths, and at all that they lead to."""
+        """Read these paths, and everything that they lead to."""
         self.add(paths)
         while self._waiting:
             path = next(iter(self._waiting))
@@ -510,18 +510,18 @@ class Crawl:
             await self._look(path)
 
     async def walk_again(self, paths: Iterable[str]) -> None:
-        """Look at paths that may have been looked at before, and at what else they lead to."""
+        """Read paths that may have been read before, and everything else that they lead to."""
         for path in paths:
             self.in_full.add(path)
             self.seen.pop(path, None)
             await self.walk([path])
 
     def add(self, paths: Iterable[str]) -> None:
-        """Paths to be looked at, once."""
+        """Add paths to be read once."""
         self._waiting.update(dict.fromkeys(each for each in paths if each not in self.seen and "{" not in each))
 
     async def find_paths(self, paths: Iterable[str]) -> None:
-        """Follow the links of these paths, each looked at once."""
+        """Follow the links of these paths, reading each once."""
         self.add(paths)
         while self._waiting:
             path = next(iter(self._waiting))
@@ -531,7 +531,7 @@ class Crawl:
             self._follow(answer)
 
     async def request(self, method: str, path: str, body: bytes = b"", **headers: str) -> Answer:
-        """The answer to a request, which is looked through."""
+        """Return the response to a request, after searching it."""
         answer = await self.ask(method, path, body, **headers)
         leaks = answer.leaks
         if leaks:
@@ -562,7 +562,7 @@ class Crawl:
             await self.request(method, path, body, Content_Type=kind)
 
     def _follow(self, answer: Answer) -> None:
-        """Add what an answer links to."""
+        """Add the links of a response."""
         if answer.status >= 500 or "svg" in answer.headers.get("content-type", ""):
             return
         kind, text = answer.headers.get("content-type", ""), answer.text
@@ -578,11 +578,11 @@ _CLASSES = re.compile(r"#type> <([^>]*)>")
 _LEFT_OUT = re.compile(
     r"[?&](receipt|after|from|start|limit|add|part)=|/ontology/|messages/[0-9]*[3-9]$|/types/.*/.*/|/shapes/.*/.*/"
 )
-"""What differs from what is looked at by numbers alone, and what is the same on every server."""
+"""Paths that differ only in numbers from paths already read, and those that are the same on every server."""
 
 
 async def ask_the_dataset(crawl: Crawl, urls: Iterable[str]) -> None:
-    """Ask queries about everything, the stored ones, and the graphs at these URLs."""
+    """Run queries about everything, the stored ones, and those of the graphs at these URLs."""
     for text in QUERIES:
         for accept in RESULTS:
             await crawl.request(
@@ -628,7 +628,7 @@ async def _look_everywhere(folder: Path) -> None:
 
 
 async def follow_streams(crawl: Crawl, admin: Client) -> None:
-    """Listen to what comes while an administrator writes to what is denied, and last to what is not."""
+    """Follow streams while an administrator writes to denied resources, and finally to others."""
     listened = ("/activity/", "/calls/", "/goals/", "/holds/", "/bags/", "/topics/", "/diagnostics", "/stop")
     streams = [
         crawl.ask.begin("GET", f"{path}?format={format}", Accept="text/event-stream")
@@ -656,7 +656,7 @@ async def wait_for_space(crawl: Crawl, admin: Client) -> None:
         for client, condition in ((admin, "frame = 'never'"), (crawl.ask, "show[1].kind != 'never'"))
     ]
     for client, each in waits:
-        await client("GET", "/space")  # takes as long as the wait takes to begin
+        await client("GET", "/space")  # as long as the wait takes to begin
         assert not each.answer.leaks
     for _, each in waits:
         answer = await each.hang_up()
@@ -664,7 +664,7 @@ async def wait_for_space(crawl: Crawl, admin: Client) -> None:
 
 
 async def subscribe_to_denied(crawl: Crawl) -> None:
-    """Ask for channels about denied things, and about things that do not exist."""
+    """Request channels about denied resources, and about resources that do not exist."""
     for path in ("/plot?y=topics/{}%23data", "/space?show=topics/{}", "/diagnostics?name={}"):
         answers = set()
         for name in ("zq7_scan", "zq7_speed", "zq7 motor", "zq7_never"):
@@ -681,14 +681,14 @@ async def subscribe_to_denied(crawl: Crawl) -> None:
 
 
 async def stop(admin: Client) -> list[str]:
-    """Stop the robot, which touches what is denied; the paths of what tells of that."""
+    """Stop the robot, which affects denied resources; return the paths that mention them."""
     answer = await admin("POST", "/stop", b'{"reason": "a test"}', Content_Type=JSON)
     assert answer.status in (200, 201), answer.body
     return ["/", "/stop", "/holds/", "/activity/", "/topics/", "/topics/cmd_vel", "/resources/car/", "/cockpit/default"]
 
 
 async def check_what_may_be_read(reader: Client, admin: Client) -> None:
-    """What is not denied is read as before, and the same requests tell an administrator what the reader is not told."""
+    """Check that permitted resources are still readable, and that the administrator sees what the reader does not."""
     assert (await reader("GET", "/bags/open/file")).status == 200
     refused = await reader("GET", "/bags/done/file")
     assert refused.status == 403
@@ -729,11 +729,11 @@ REFUSED = (
     ("PUT", "/mappings/near", PREFIXES + NEAR, TURTLE),
     ("POST", "/bags/", '{"topics": ["*"], "trigger": {"resource": "/resources/grip", "condition": "x > 1"}}', JSON),
 )
-"""Writes that something denied is the reason to refuse, or to warn of."""
+"""Writes that are refused, or answered with a warning, because of a denied resource."""
 
 
 async def described_writes(ask: Client) -> list[tuple[str, str, Set[str]]]:
-    """Method, path and media types of each write that the description lists for an agent, those that delete last."""
+    """Return the method, path and media types of each write in an agent's description, deletions last."""
     described = json.loads((await ask("GET", "/openapi.json")).body)
 
     def resolved(item: dict[str, Any]) -> dict[str, Any]:
@@ -753,7 +753,7 @@ async def described_writes(ask: Client) -> list[tuple[str, str, Set[str]]]:
 
 
 async def bodies_for(ask: Client, path: str, kinds: Set[str]) -> list[tuple[str, bytes]]:
-    """Bodies of these media types, of which some fit what is at a path, and some do not; each after its type."""
+    """Return bodies of these media types for a path, some valid and some not, each with its type."""
     there = await ask("GET", path, Accept=JSON)
     texts = [there.body if there.status == 200 else b"{}", b'{"data": 1, "strange": "x"}', b"{nonsense"]
     found = [(kind, text) for kind in (JSON, MERGE) for text in texts]

@@ -1,4 +1,4 @@
-"""A search finds what the agent may read, and counts nothing else."""
+"""A search finds the resources that the agent may read, and counts no others."""
 
 from __future__ import annotations
 

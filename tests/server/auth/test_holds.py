@@ -1,4 +1,4 @@
-"""What a hold publishes at its end is read with the rights of its holder."""
+"""The final message of a hold is read with the permissions of its holder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Large documents tell each agent what it may know, and are made for each of them beside the event loop."""
+"""Large documents are redacted for each agent, outside of the event loop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SECRET, OPEN = "/data/secret/plan", "/data/open/plan"
 
 @pytest.fixture(scope="module")
 def large(guarded: Guarded) -> str:
-    """The path of a document with very many links, half of them to what the reader may not know of."""
+    """The path of a document with very many links, half of them to resources that the reader may not see."""
     links = ", ".join(f"<{path}?{number}#part>" for number in range(LINKS // 2) for path in (SECRET, OPEN))
     with httpx.Client(base_url=guarded.url, headers=guarded["admin"].headers, timeout=120) as admin:
         assert admin.put("/data/open/links", content=f"<> <#to> {links} .", headers=TURTLE).status_code == 201

@@ -1,4 +1,4 @@
-"""What could be made where nothing is, and who may make it."""
+"""Creation of missing resources, and the permissions for it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is on offer to an agent is what it may do, in every representation."""
+"""The operations on offer to an agent are those that it may use, in every representation."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def rows(answer: httpx.Response) -> set[tuple[str, ...]]:
 
 
 def forms(answer: httpx.Response) -> set[tuple[str, str]]:
-    """The methods and targets of all forms in N-Triples."""
+    """Return the methods and targets of all forms in N-Triples."""
     assert answer.status_code == 200, answer.text
     said = [quad.triple for quad in parse(answer.content, RdfFormat.N_TRIPLES)]
     methods = {each.subject: each.object.value for each in said if each.predicate == htv.methodName}  # type: ignore[union-attr]

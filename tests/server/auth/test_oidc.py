@@ -1,4 +1,4 @@
-"""Access tokens of OpenID Connect issuers, checked against a real little issuer on loopback."""
+"""Access tokens of OpenID Connect issuers, checked with a small real issuer on loopback."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_what_does_not_hold_is_refused(guarded: Guarded, issuer: Issuer) -> None
 
 
 def _forged(public: bytes, issuer: Issuer) -> str:
-    """RS256's public key used as the secret of HS256; written by hand, as the library refuses to."""
+    """Return a token with RS256's public key as the secret of HS256; assembled here, as the library refuses to."""
     import base64
     import hashlib
     import hmac

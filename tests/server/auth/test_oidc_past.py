@@ -1,4 +1,4 @@
-"""Rights over the past of agents that an OpenID Connect issuer knows: in queries, and in orders that wait."""
+"""Permissions of OpenID Connect agents for past values: in queries, and in recordings that wait for a trigger."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_an_order_of_a_subject_is_judged_by_whatever_the_file_says_of_the_subjec
     is_so("own", "armed")
     write(ISSUER + ANNA + RULES)
     is_so("speed", "armed")
-    write(ISSUER + ANNA + BERT + RULES)  # who has a name now has the rights of the name: none
+    write(ISSUER + ANNA + BERT + RULES)  # another holder of the name has the permissions of the name: none
     is_so("speed", "suspended", "may not have anything recorded any more")
     write(ISSUER + ANNA + BERT + RULES.replace('["anna"]', '["anna", "bert"]'))
     is_so("speed", "armed")

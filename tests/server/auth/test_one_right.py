@@ -1,4 +1,4 @@
-"""A reader with one right walks everything, and is told nothing of what that right does not cover."""
+"""A reader with one permission crawls everything, and sees nothing outside of that permission."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.server.auth.test_denied_everywhere import (
 pytestmark = pytest.mark.slow
 
 VIEWS = ("/sparql", "/graphs", "/openapi.json", "/.well-known/**", "/channels/**", "/find")
-"""What says of everything what a reader may see of it."""
+"""Documents that describe everything that a reader may see."""
 RIGHTS: dict[str, tuple[str, ...]] = {
     "entry": ("/",),
     "topic": ("/topics/open",),
@@ -45,11 +45,11 @@ RIGHTS: dict[str, tuple[str, ...]] = {
     "cockpit": ("/cockpit/kept",),
 }
 DATASET = ("/topics/zq7_words", "/data/zq7/document", "/resources/car/", "/activity/", "/topics/zq7_never")
-"""Graphs that are asked for by name."""
+"""Graphs that are requested by name."""
 
 
 def rules() -> str:
-    """The rules of the administrator, and one for each right."""
+    """The rules of the administrator, and one for each permission."""
     administrator = RULES.split("\n\n")[0]
     own = "".join(
         f"\n[[rule]]\nagents = ['{name}']\nmodes = ['read', 'control']\npaths = {[*paths, *VIEWS]}\n"

@@ -1,4 +1,4 @@
-"""Tokens of rosld that clients send where they do not belong: they are in nothing that rosld says itself."""
+"""Tokens of rosld in the wrong places of requests: they appear in nothing that rosld writes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.stopping import release
 pytestmark = pytest.mark.slow
 
 TOKEN = "rosld_S18GwepwBtiQPG1TbT9Ds-VaGrpqB_7tcmN9QmWM7yE"
-"""As `rosld token add` makes them."""
+"""Tokens as created by `rosld token add`."""
 ENCODED = quote(TOKEN).replace("rosld_", "%72osld%5F")
 UPDATE = {"Content-Type": "application/sparql-update"}
 TURTLE = {"Content-Type": "text/turtle"}
@@ -37,7 +37,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plane(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
-    """An aircraft whose log can be read."""
+    """An aircraft with a readable log."""
     data = tmp_path_factory.mktemp("data")
     command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--port", "0", "--data", str(data)]
     with log.open("w") as written:

@@ -1,4 +1,4 @@
-"""rosld behind nginx, with the configuration of `docs/how-to/nginx.conf` but for its ports and files."""
+"""rosld behind nginx, with the configuration of `docs/how-to/nginx.conf` except for its ports and files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def free_port() -> int:
 
 @contextmanager
 def nginx(folder: Path, port: int, inner: int | str) -> Iterator[ssl.SSLContext]:
-    """nginx on a port before what listens on the port `inner`; what trusts its certificate."""
+    """Run nginx on a port in front of the port `inner`; yield a context that trusts its certificate."""
     if NGINX is None:
         pytest.skip("there is no nginx: apt-get install nginx-light")
     cert, key = certificate(folder)
@@ -73,7 +73,7 @@ def nginx(folder: Path, port: int, inner: int | str) -> Iterator[ssl.SSLContext]
 def proxied(
     start_server: Callable[..., Served], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[tuple[str, ssl.SSLContext]]:
-    """The URL of the aircraft behind nginx, and what trusts its certificate."""
+    """The URL of the aircraft behind nginx, and a context that trusts its certificate."""
     folder = tmp_path_factory.mktemp("nginx")
     port = free_port()
     base = f"https://localhost:{port}/"
@@ -86,7 +86,7 @@ def proxied(
 
 
 def listening(pid: int) -> list[str]:
-    """Where a process listens: `127.0.0.1:PORT`."""
+    """Return the addresses on which a process listens: `127.0.0.1:PORT`."""
     inodes = {
         link.readlink().name for link in Path(f"/proc/{pid}/fd").iterdir() if link.readlink().name.startswith("socket:")
     }
@@ -134,7 +134,7 @@ def test_streams_and_channels_go_through_as_they_come(proxied: tuple[str, ssl.SS
 
 
 def exchange(port: int, trusted: ssl.SSLContext, request: bytes) -> bytes:
-    """What is answered to these bytes by whoever speaks TLS on a port, until it ends the connection."""
+    """Return the response to these bytes of the TLS server on a port, until it ends the connection."""
     with (
         socket.create_connection(("127.0.0.1", port), timeout=30) as plain,
         trusted.wrap_socket(plain, server_hostname="localhost") as sock,

@@ -1,4 +1,4 @@
-"""One truth everywhere: what is said to an agent leaves out what the agent may not know of, in every form."""
+"""Consistent redaction: an agent's documents omit everything that it may not see, in every form."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 SECRETS = re.compile(
     r"topics/cockpit|data/secret|resources/aircraft/engine|parameters/aircraft|nodes/aircraft|services/"
 )
-"""What the reader may not know of."""
+"""Resources that the reader may not see."""
 
 
 def test_a_condition_is_judged_on_what_the_reader_may_read(guarded: Guarded) -> None:

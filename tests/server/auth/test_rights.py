@@ -1,4 +1,4 @@
-"""Rights over HTTP: what is refused, how, and that refusals tell nothing."""
+"""Permissions over HTTP: refusals, their form, and that they reveal nothing."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ODD = ["/topics/cockpit/..%2Fx", "/topics//cockpit/display", "/services/%zz", "/
 
 
 def seen(answer: httpx.Response) -> tuple[int, bytes, list[tuple[str, str]]]:
-    """An answer without what is another each time."""
+    """Return a response without its varying parts."""
     return (
         answer.status_code,
         answer.content,

@@ -1,4 +1,4 @@
-"""Rules of access and their globs."""
+"""Access rules and their globs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Streams, waits and channels: redacted alike, and cut when the right is withdrawn."""
+"""Streams, waits and channels: redacted alike, and ended when the permission is revoked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every URL and verb as every agent: Allow, answers, the descriptions, affordances and links tell the same truth."""
+"""Every URL and method as every agent: Allow, responses, descriptions, affordances and links are consistent."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 EVERYBODY = ("anybody", *AGENTS)
 VERBS = ("GET", "HEAD", "OPTIONS", "PUT", "POST", "PATCH", "DELETE")
 JUNK = {"Content-Type": "application/x-nothing"}
-"""A body that nothing takes: a write that is allowed is refused for it (415), and moves nothing."""
+"""A body that nothing accepts: a permitted write is rejected for it (415), and has no effect."""
 
 
 def described(guarded: Guarded, agent: str) -> dict[str, Any]:
@@ -27,7 +27,7 @@ def described(guarded: Guarded, agent: str) -> dict[str, Any]:
 
 
 def operations(said: dict[str, Any]) -> dict[str, set[str]]:
-    """The methods of each path; what answers GET answers HEAD, and everything OPTIONS."""
+    """Return the methods of each path; GET implies HEAD, and everything has OPTIONS."""
     found = {path: {name.upper() for name in item if name.upper() in VERBS} for path, item in said["paths"].items()}
     return {path: {*methods, *(("HEAD",) if "GET" in methods else ()), "OPTIONS"} for path, methods in found.items()}
 
@@ -39,7 +39,7 @@ def test_allow_the_description_and_the_answers_to_every_verb_agree(guarded: Guar
     assert mine.keys() <= everything.keys()
     wrong = []
     for number, (path, whole) in enumerate(everything.items()):
-        if "{" in path or (number + EVERYBODY.index(agent)) % 2:  # half of the paths, the other for the next agent
+        if "{" in path or (number + EVERYBODY.index(agent)) % 2:  # the other half of the paths is for the next agent
             continue
         asked = guarded[agent].options(path)
         allowed = {each.strip() for each in asked.headers.get("allow", "").split(",")} - {""}
@@ -50,7 +50,7 @@ def test_allow_the_description_and_the_answers_to_every_verb_agree(guarded: Guar
             assert allowed <= mine.get(path, set()) - {"GET", "HEAD"}
             continue
         told = mine.get(path, set()) - {"OPTIONS"}
-        if path.startswith("/topics/"):  # DELETE is told wherever it may come to be allowed: once rosld publishes there
+        if path.startswith("/topics/"):  # DELETE is described wherever it may become allowed: once rosld publishes
             told -= {"DELETE"} - allowed
             whole -= {"DELETE"} - allowed
         if allowed - {"OPTIONS"} != told:
@@ -63,7 +63,7 @@ def test_allow_the_description_and_the_answers_to_every_verb_agree(guarded: Guar
             ):
                 continue
             if method == "POST" and path.startswith("/data/"):
-                continue  # takes everything
+                continue  # accepts everything
             answer = guarded[agent].request(
                 method, path, headers=JUNK, content=b"x" if method not in ("GET", "HEAD") else None
             )
@@ -128,7 +128,7 @@ def test_thing_descriptions_name_what_the_agent_may_do_and_how_it_says_who_it_is
     assert thing["security"] == ["token_sc"]
     forms = [form for kind in ("properties", "actions") for one in thing[kind].values() for form in one["forms"]]
     assert bool(forms) == (agent != "anybody")
-    ever = operations(described(guarded, agent))  # it lists what there ever is, not what is on offer now
+    ever = operations(described(guarded, agent))  # it lists all that may exist, not what is on offer now
     for form in forms:
         assert form["htv:methodName"] in ever["/" + form["href"][len(guarded.url) :].partition("{?")[0]]
 

@@ -45,7 +45,7 @@ with lock(Path(sys.argv[1])):
 
 @contextmanager
 def holding(folder: Path, *more: str, pass_fds: tuple[int, ...] = ()) -> Iterator[subprocess.Popen[str]]:
-    """A process that holds a folder; it is ended afterwards, by force if need be."""
+    """Run a process that uses a folder; end it afterwards, by force if necessary."""
     command = [sys.executable, "-c", HOLDER, str(folder), *more]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, pass_fds=pass_fds

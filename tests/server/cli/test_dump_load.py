@@ -1,4 +1,4 @@
-"""`rosld dump` and `rosld load`: a copy of what clients have put, taken and brought back while a server runs or not."""
+"""`rosld dump` and `rosld load`: a copy of clients' data, created and restored with or without a running server."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run(*arguments: object) -> Result:
 
 
 def done(*arguments: object) -> str:
-    """What a command that succeeds says on stderr."""
+    """Return the stderr of a successful command."""
     result = run(*arguments)
     assert result.exit_code == 0, result.output
     assert result.stdout == ""
@@ -36,7 +36,7 @@ def done(*arguments: object) -> str:
 
 
 def failure(*arguments: object) -> str:
-    """What a command that fails says, in one line."""
+    """Return the one-line error of a failing command."""
     result = run(*arguments)
     assert result.exit_code == 1, result.output
     assert result.stderr.startswith("rosld: ")
@@ -68,7 +68,7 @@ async def fill(records: Records) -> None:
 
 
 def told(records: Records) -> dict[str, tuple[object, ...]]:
-    """Everything of all records but their versions and the ids of their blobs."""
+    """Return everything in all records except their versions and the ids of their blobs."""
     return {one.path: _told(records, records.get(one.path)) for one in records.changes_since(0)}
 
 
@@ -82,7 +82,7 @@ def _told(records: Records, record: Record | None) -> tuple[object, ...]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A data folder with something of everything, no server running on it."""
+    """A data folder with all kinds of data, without a running server."""
 
     async def make() -> None:
         records = open_records(tmp_path / "data", roots=("queries/",))
@@ -165,7 +165,7 @@ def test_a_running_server_is_dumped_as_it_was_at_one_moment(tmp_path: Path) -> N
         stop.set()
         assert await writing > 3
         await records.close()
-        assert len(list((folder / "blobs").iterdir())) == 1  # nothing is left of what the dumps kept
+        assert len(list((folder / "blobs").iterdir())) == 1  # no blobs of the dumps are left
         for number in range(3):
             copy = open_records(tmp_path / f"copy{number}")
             file, triples = copy.get("data/file"), copy.get("data/a")
@@ -199,7 +199,7 @@ def test_a_running_server_goes_on_with_what_is_loaded(tmp_path: Path) -> None:
             records.watch(wake)
             loading = asyncio.create_task(asyncio.to_thread(done, "load", tmp_path / "d.tar.gz", folder))
             await asyncio.wait_for(noticed.wait(), 60)
-            assert records.file(old).read_bytes() == b"new"  # for whoever has just begun to read
+            assert records.file(old).read_bytes() == b"new"  # for a client that has just started reading
             assert told(records) == before | {"data/later": ()}
             assert not records.is_tombstone("data/a")
             assert {one.path: one.is_removed for one in changes} | {"data/old": True} == {

@@ -1,4 +1,4 @@
-"""Running an app's lifespan ourselves."""
+"""Running the lifespan of an app directly."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ MESSAGES = 12
 
 
 def markers(number: int) -> object:
-    """A message with a list of messages, an array of numbers and awkward strings."""
+    """Return a message with a list of messages, an array of numbers and awkward strings."""
     types = STORE.types
     header = types["std_msgs/msg/Header"](
         seq=number, stamp=types["builtin_interfaces/msg/Time"](sec=number, nanosec=5), frame_id='a"b\n<é>'
@@ -46,7 +46,7 @@ def markers(number: int) -> object:
 
 
 def record(path: Path, messages: int = MESSAGES) -> Path:
-    """A recording of two readable topics and one whose bytes are no message."""
+    """Write a recording of two readable topics and one whose bytes are no message."""
     strings = STORE.types["std_msgs/msg/String"]
     with BagWriter(path) as bag:
         definition, md5 = STORE.generate_msgdef("geometry_msgs/msg/PoseArray")
@@ -84,7 +84,7 @@ def lift(bag: Path, output: Path, *arguments: str) -> Result:
 
 
 def lifted(bag: Path, output: Path, *arguments: str) -> list[Quad]:
-    """The statements that the command wrote."""
+    """Return the statements that the command wrote."""
     result = lift(bag, output, *arguments)
     assert result.exit_code == 0, result.output
     plain = gzip.decompress(output.read_bytes()) if output.suffix == ".gz" else output.read_bytes()
@@ -92,7 +92,7 @@ def lifted(bag: Path, output: Path, *arguments: str) -> list[Quad]:
 
 
 def canonical(quads: list[Quad]) -> set[str]:
-    """The triples, graphs left out, with blank nodes named alike."""
+    """Return the triples without graphs, with canonical blank nodes."""
     dataset = Dataset(Quad(quad.subject, quad.predicate, quad.object) for quad in quads)
     dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
     return set(map(str, dataset))
@@ -183,7 +183,7 @@ def test_a_run_that_is_ended_leaves_nothing_behind(tmp_path: Path) -> None:
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
         try:
             while len(list(output.iterdir())) < 2 and process.poll() is None:
-                time.sleep(0.005)  # until the draft is there
+                time.sleep(0.005)  # until the draft exists
             process.send_signal(signal.SIGTERM)
             code = process.wait(60)
         finally:

@@ -1,4 +1,4 @@
-"""`rosld record`: a source recorded into a file that others read."""
+"""`rosld record`: a source recorded into a file that other tools read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RECORD = [sys.executable, "-m", "rosld", "record"]
 
 
 def record(*arguments: object, code: int = 0) -> Result:
-    """Run the command in this process until it ends with an exit code."""
+    """Run the command in this process; return its exit code."""
     result = CliRunner().invoke(main, ["record", *map(str, arguments)])
     assert result.exit_code == code, result.output
     return result

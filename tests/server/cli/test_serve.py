@@ -1,4 +1,4 @@
-"""`rosld serve`, as a process: what it prints, how it fails, how it ends."""
+"""`rosld serve` as a process: its output, its errors, its end."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PATIENCE = 60.0
 
 @contextmanager
 def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A running `rosld serve` and the URL it printed; it is ended afterwards, by force if need be."""
+    """Run `rosld serve`; yield the URL it printed; end it afterwards, by force if necessary."""
     command = [sys.executable, "-m", "rosld", "serve", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -41,7 +41,7 @@ def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 def failure(*arguments: str) -> Result:
-    """What a `rosld serve` that cannot begin says, having checked that it is one line and no traceback."""
+    """Return the error of a failing `rosld serve`, after checking that it is one line without a traceback."""
     result = CliRunner().invoke(main, ["serve", *arguments])
     assert result.exit_code == 1, result.output
     assert result.stdout == ""
@@ -58,7 +58,7 @@ def test_it_prints_its_url_and_nothing_else_and_ends_in_time_with_clients_connec
         with closing(socket.create_connection((parts.hostname, parts.port))) as unfinished:
             head = f"PUT /topics/cockpit/display HTTP/1.1\r\nHost: {parts.netloc}\r\nContent-Type: application/json\r\n"
             unfinished.sendall(f"{head}Content-Length: 100\r\n\r\n{{".encode())
-            assert idle.get("/").status_code == 200  # so that the unfinished request has been seen
+            assert idle.get("/").status_code == 200  # so that the server has received the unfinished request
             process.send_signal(number)
             rest, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, errors
@@ -115,7 +115,7 @@ def test_a_ros_1_robot_that_is_off_is_waited_for_which_is_said_everywhere(tmp_pa
             assert robot["reason"] in httpx.get(url + path, headers={"Accept": "text/turtle"}).text
         assert "The robot cannot be seen" in httpx.get(url, headers={"Accept": "text/html"}).text
     for command in (["types", source], ["record", source, "-o", str(tmp_path / "x.mcap")]):
-        done = CliRunner().invoke(main, command)  # what does not wait for a robot ends
+        done = CliRunner().invoke(main, command)  # requests that do not wait for a robot end
         assert (done.exit_code, host in done.stderr, done.stderr.count("\n")) == (1, True, 1), done.stderr
 
 
@@ -181,7 +181,7 @@ def test_a_background_task_ends_though_its_wait_is_over_just_as_it_is_cancelled(
                 event.clear()
 
         task = asyncio.create_task(wait_for_ever())
-        for step in range(4):  # the event is noticed, but not yet by the task
+        for step in range(4):  # the event loop has noticed the event, but the task has not yet
             await asyncio.sleep(0)
             if step == 1:
                 event.set()

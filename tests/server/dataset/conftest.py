@@ -1,4 +1,4 @@
-"""Servers on free ports: a real Oxigraph, and one that fails as it is told to."""
+"""Servers on free ports: a real Oxigraph, and one that fails as configured."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Behaviour: TypeAlias = "Callable[[Failing, socket.socket, bytes], bool]"
 
 
 class Failing:
-    """An HTTP server of our own that answers as badly as it is told to.
+    """An HTTP server that fails as configured.
 
-    It hands the body of each request to `behave`, which answers on the socket; False from it ends the connection.
+    It passes the body of each request to `behave`, which answers on the socket and returns False to end the connection.
     """
 
     def __init__(self, behave: Behaviour) -> None:
@@ -48,7 +48,7 @@ class Failing:
     def answer(
         self, connection: socket.socket, status: str, body: bytes = b"", media_type: str = "text/plain", *more: str
     ) -> bool:
-        """A whole answer; the connection goes on."""
+        """Send a whole response; the connection stays open."""
         lines = (f"HTTP/1.1 {status}", f"Content-Type: {media_type}", f"Content-Length: {len(body)}", *more, "", "")
         connection.sendall("\r\n".join(lines).encode() + body)
         return True
@@ -80,7 +80,7 @@ class Failing:
 
 
 class Oxigraph:
-    """The server: started, stopped and started again on the same port, with nothing in it or with what `folder` has."""
+    """The server: started, stopped and restarted on the same port, empty or with the data in `folder`."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self.port = free_port()
@@ -89,7 +89,7 @@ class Oxigraph:
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
-        """Listens when this returns."""
+        """Start it, and wait until it listens."""
         location = ["--location", str(self._folder)] if self._folder else []
         command = [
             str(Path(sys.executable).with_name("oxigraph")),
@@ -104,7 +104,7 @@ class Oxigraph:
         assert "Listening" in line, line
 
     def stop(self) -> None:
-        """Ended when this returns."""
+        """Stop it, and wait until it has ended."""
         process, self._process = self._process, None
         if process is not None:
             process.terminate()
@@ -116,14 +116,14 @@ class Oxigraph:
         assert answer.status_code == 204, answer.text
 
     def select(self, text: str) -> list[dict[str, str]]:
-        """The rows of a query over the union of all graphs, as plain values."""
+        """Return the rows of a query over the union of all graphs, as plain values."""
         form = {"query": text, "union-default-graph": "true"}
         answer = httpx.post(f"{self.url}/query", data=form, headers={"Accept": "application/sparql-results+json"})
         assert answer.status_code == 200, answer.text
         return [{name: term["value"] for name, term in row.items()} for row in answer.json()["results"]["bindings"]]
 
     def graphs(self) -> set[str]:
-        """The names of all graphs."""
+        """Return the names of all graphs."""
         return {row["g"] for row in self.select("SELECT DISTINCT ?g { GRAPH ?g { ?s ?p ?o } }")}
 
 
@@ -136,7 +136,7 @@ def free_port() -> int:
 
 @pytest.fixture
 def new_oxigraph() -> Iterator[Callable[..., Oxigraph]]:
-    """Starts ones that the test may stop; they end with it."""
+    """Start servers that the test may stop; they end with it."""
     running: list[Oxigraph] = []
 
     def start(folder: Path | None = None) -> Oxigraph:
@@ -151,7 +151,7 @@ def new_oxigraph() -> Iterator[Callable[..., Oxigraph]]:
 
 @pytest.fixture
 def failing() -> Iterator[Callable[[Behaviour], Failing]]:
-    """Starts servers that behave like this; they end with the test."""
+    """Start servers with this behaviour; they end with the test."""
     running: list[Failing] = []
 
     def start(behave: Behaviour) -> Failing:

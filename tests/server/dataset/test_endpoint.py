@@ -1,4 +1,4 @@
-"""An endpoint that fails in any way is told of in a sentence, in time, and takes nothing with it."""
+"""A failing endpoint is reported in a sentence, in time, and affects nothing else."""
 
 from __future__ import annotations
 

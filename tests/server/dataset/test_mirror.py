@@ -1,4 +1,4 @@
-"""The mirror: another store comes to hold what the dataset holds, whatever fails, and never holds anything else up."""
+"""The mirror: another store converges to the dataset in spite of any failure, and never blocks anything else."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def is_told(http: httpx.Client) -> bool:
 
 
 def listed(http: httpx.Client) -> set[str]:
-    """The graphs of the dataset."""
+    """Return the graphs of the dataset."""
     query = {"query": "SELECT DISTINCT ?g { GRAPH ?g { ?s ?p ?o } }"}
     return set(http.get("sparql", params=query, headers={"Accept": "text/csv"}).text.split()[1:])
 
@@ -54,7 +54,7 @@ def listed(http: httpx.Client) -> set[str]:
 def test_one_query_spans_two_robots_and_neither_drops_the_others_graphs(
     serve: Serve, new_oxigraph: NewOxigraph, tmp_path: Path
 ) -> None:
-    """One of them is killed and comes back; at an orderly end goes what was true only of the run."""
+    """One of them is killed and restarted; an orderly end removes the data that was only true of the run."""
     oxigraph = new_oxigraph()
     options = ("--store", oxigraph.url, *RATE, "--subscribe", "*")
     one = serve("aircraft", *options)
@@ -96,7 +96,7 @@ def test_one_query_spans_two_robots_and_neither_drops_the_others_graphs(
 def test_a_store_that_is_away_holds_no_request_up_and_is_caught_up_with_though_it_lost_everything(
     serve: Serve, new_oxigraph: NewOxigraph, http: httpx.Client
 ) -> None:
-    assert http.get("mirror").status_code == 404  # without a store there is none
+    assert http.get("mirror").status_code == 404  # there is none without a store
     oxigraph = new_oxigraph()
     served = serve("aircraft", "--store", oxigraph.url, *RATE, "--subscribe", "*")
     assert f"<{served.url}mirror>" in served.http.get("sparql", headers={"Accept": "text/turtle"}).text
@@ -117,7 +117,7 @@ def test_a_store_that_is_away_holds_no_request_up_and_is_caught_up_with_though_i
     oxigraph.start()
     until(lambda: f"{served.url}data/19" in oxigraph.graphs(), "the last document")
     until(lambda: mirror(served.http)["failure"] is None and mirror(served.http)["lag"] < 0.5, "no lag")
-    own = {f"{served.url}mirror", f"{served.url}status"}  # the latter is there for whoever looks at everything
+    own = {f"{served.url}mirror", f"{served.url}status"}  # the latter exists for clients that read everything
     until(lambda: oxigraph.graphs() - own == listed(served.http) - own, "all other graphs")
     graph = f"GRAPH <{served.url}data/large>"
     [all_there] = oxigraph.select(f"SELECT (COUNT(*) AS ?n) {{ {graph} {{ ?s {P} ?o }} }}")
@@ -150,7 +150,7 @@ FATES = ("done", "done", "busy", "lost", "done and lost")
 
 
 class Flaky:
-    """A store that carries updates out or not, and tells of it or not, until it has failed five times."""
+    """A store that carries updates out or not, and reports that or not, until it has failed five times."""
 
     def __init__(self) -> None:
         self.store = Store()
@@ -177,7 +177,7 @@ class Flaky:
             return server.answer(connection, "503 Busy" if fate == "busy" else "204 Done")
 
     def said(self, start: str) -> set[tuple[str, ...]]:
-        """The graphs that begin so, with the subjects and objects of P in them."""
+        """Return the graphs with this prefix, with the subjects and objects of P in them."""
         query = f"SELECT ?g ?s ?o {{ GRAPH ?g {{ ?s {P} ?o }} FILTER(STRSTARTS(STR(?g), '{start}')) }}"
         with self._lock:
             return {tuple(term.value for term in row) for row in self.store.query(query)}  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""`--store` and what belongs to it."""
+"""`--store` and related settings."""
 
 from __future__ import annotations
 

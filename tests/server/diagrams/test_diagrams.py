@@ -1,4 +1,4 @@
-"""Diagrams: what is connected, what is wrong, what is folded, and that nothing stands on anything else."""
+"""Diagrams: connections, problems, folding, and that nothing overlaps."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_the_topics_of_an_action_of_ros_1_are_drawn_as_the_action_alone() -> Non
 
 
 def large(count: int, spread: int) -> Graph:
-    """A robot with so many topics in namespaces, each published and heard by some of many nodes."""
+    """Return a robot with this number of topics in namespaces, each with endpoints of some of many nodes."""
     choose = random.Random(7)
     nodes = [f"/area_{number % 9}/node_{number}" for number in range(60)]
     return graph(

@@ -1,4 +1,4 @@
-"""A robot on a folder of data, as a process that may be killed, on a port that it keeps."""
+"""A robot on a data folder, as a process that may be killed, on a fixed port."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import httpx
 
 
 def free_port() -> int:
-    """A port that nobody has."""
+    """Return an unused port."""
     with socket.create_server(("127.0.0.1", 0)) as sock:
         return int(sock.getsockname()[1])
 
 
 class Server:
-    """A server on a folder, once and again. What it logs is in `log`."""
+    """A server on a folder that can be restarted. Its log is in `log`."""
 
     def __init__(
         self, folder: Path, log: Path, environment: Mapping[str, str] | None = None, source: str = "aircraft"
@@ -35,7 +35,7 @@ class Server:
         self._command += ["--port", str(free_port())]
 
     def start(self, *options: str, address_space: int | None = None) -> None:
-        """Start it, with so many bytes of address space, and wait until it serves."""
+        """Start it, with a limit of address space in bytes, and wait until it serves."""
         limit = [] if address_space is None else ["prlimit", f"--as={address_space}"]
         with self.log.open("a") as log:
             self.process = subprocess.Popen(
@@ -47,13 +47,13 @@ class Server:
         self.http.base_url = httpx.URL(url)
 
     def kill(self) -> None:
-        """End it as a crash does."""
+        """Kill it, as a crash would."""
         assert self.process is not None
         self.process.kill()
         self.process.communicate()
 
     def stop(self) -> int:
-        """End it as a service manager does; its exit code."""
+        """End it as a service manager does; return its exit code."""
         assert self.process is not None
         self.process.send_signal(signal.SIGTERM)
         self.process.communicate(timeout=15)
@@ -64,7 +64,7 @@ class Server:
 def server_on(
     folder: Path, log: Path, environment: Mapping[str, str] | None = None, source: str = "aircraft"
 ) -> Iterator[Server]:
-    """A server that is not started yet, and ends with the test."""
+    """Return a server that is not started yet, and ends with the test."""
     server = Server(folder, log, environment, source)
     try:
         yield server

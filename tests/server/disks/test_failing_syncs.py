@@ -1,4 +1,4 @@
-"""A disk that fails to sync: nothing is acknowledged that it may not have kept."""
+"""A disk that fails to sync: no write is acknowledged that may not be stored."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Disk:
-    """How often syncs are to fail."""
+    """The number of syncs that are to fail."""
 
     def __init__(self, control: Path) -> None:
         self._control = control

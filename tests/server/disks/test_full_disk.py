@@ -1,4 +1,4 @@
-"""A full disk: what is there is served, nothing that was acknowledged is lost, and it goes on once there is room."""
+"""A full disk: stored data is served, no acknowledged write is lost, and writes succeed again once there is room."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MEGABYTES = 16
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A small file system of its own."""
+    """A small separate file system."""
     if os.getuid() != 0:
         pytest.skip("only root mounts a small file system")
     place = tmp_path / "disk"
@@ -49,7 +49,7 @@ def said(number: int, size: int = 100_000) -> str:
 
 
 def filled(server: Server) -> list[str]:
-    """The resources, documents and files, that were made until the disk was full, and it was full once more."""
+    """Create resources, documents and files, until the disk is full twice; return those created."""
     made, refused = list[str](), 0
     while refused < 3:
         path, large = f"/data/{len(made)}", refused == 0
@@ -66,7 +66,7 @@ def filled(server: Server) -> list[str]:
 
 
 def crammed(disk: Path) -> None:
-    """Nothing is left of the disk at all."""
+    """Fill the disk completely."""
     with (disk / "others").open("ab", buffering=0) as file:
         for size in (100_000, 4096, 1):
             while True:
@@ -88,7 +88,7 @@ def test_a_full_disk_serves_what_is_there_also_after_a_kill_and_goes_on_once_the
     server.start()
     assert "The disk that holds the data is full" in server.log.read_text()
     assert all(server.http.get(path).status_code == 200 for path in made)
-    crammed(disk)  # the start may have made room, and the log has some
+    crammed(disk)  # the start may have freed space, and the log has some
     assert server.http.put("/data/new", content=said(0, 6_000_000), headers=TURTLE).status_code == 507
     subprocess.run(["mount", "-o", f"remount,size={MEGABYTES + 4}m", str(disk)], check=True)
     for path in made[:5]:

@@ -1,4 +1,4 @@
-"""The app itself on the test's own loop, and readers of its streams that are no sockets."""
+"""The app on the test's own loop, and readers of its streams without sockets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HOST = b"127.0.0.1:8080"
 
 
 class Reader:
-    """One request: its status, its headers, what was sent of its body, and a reader that can stand still."""
+    """One request: its status, its headers, the part of its body sent so far, and a reader that can pause."""
 
     def __init__(
         self, app: Application, path: str, headers: dict[str, str], method: str = "GET", body: bytes = b""
@@ -63,11 +63,11 @@ class Reader:
 
     @property
     def events(self) -> list[bytes]:
-        """The events that came, comments and the opening left out."""
+        """Return the received events, without comments and the opening."""
         return [chunk for chunk in self.chunks if b"data:" in chunk]
 
     async def until(self, true: Callable[[Reader], bool], seconds: float = 10.0) -> None:
-        """Until something about what came is so."""
+        """Wait until a condition on the received data holds."""
 
         async def come() -> None:
             async with self._came:
@@ -76,14 +76,14 @@ class Reader:
         await asyncio.wait_for(come(), seconds)
 
     async def leave(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self.left.set()
         await asyncio.wait_for(self.task, 60)
 
 
 @contextlib.asynccontextmanager
 async def aircraft_app(**settings: Any) -> AsyncIterator[Application]:
-    """The aircraft's app, started, and stopped at the end."""
+    """Start the aircraft's app, and stop it at the end."""
     chosen = Settings(**{"max_publish_rate": 1e9, "client_streams": 1000, **settings})
     app = create_app(adapter_for("aircraft", AdapterOptions()), chosen)
     async with lifespan(app):
@@ -98,7 +98,7 @@ def opened() -> Callable[..., Any]:
 
 @pytest.fixture
 def reader() -> Callable[..., Reader]:
-    """`reader(app, path, accept=...)` begins a request."""
+    """Start a request: `reader(app, path, accept=...)`."""
 
     def begin(app: Application, path: str, accept: str = "text/event-stream", **headers: str) -> Reader:
         sent = {"accept": accept, **{name.replace("_", "-"): value for name, value in headers.items()}}

@@ -1,4 +1,4 @@
-"""Channels: what they tell of which change, how long they are kept, and that nothing piles up."""
+"""Channels: their notifications of changes, their lifetime, and that nothing accumulates."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ URL = "http://robot.example/things/"
 
 
 class Things(Resource):
-    """A container that says when it changes."""
+    """A container that reports its changes."""
 
     links = (BASIC_CONTAINER,)
 
@@ -55,7 +55,7 @@ class Things(Resource):
 
 
 class Told:
-    """What came out of a channel, and a receiver that can stand still."""
+    """The output of a channel, and a receiver that can pause."""
 
     def __init__(self) -> None:
         self.chunks: list[bytes] = []
@@ -76,7 +76,7 @@ class Told:
 
 
 async def soon(true: Callable[[], bool]) -> None:
-    """Until something is so, for at most some seconds."""
+    """Wait until a condition holds, for at most some seconds."""
     for _ in range(5000):
         if true():
             return
@@ -99,7 +99,7 @@ class Set:
 
     @asynccontextmanager
     async def delivering(self, channel: Channel, told: Told) -> AsyncIterator[asyncio.Task[None]]:
-        """Receive, and have looked once."""
+        """Receive, after the first state was read."""
         task = asyncio.create_task(Delivery(self.channels, self.broadcasters, channel, told.send, None).run())
         await soon(lambda: channel.last_sent.container is not None or task.done())
         try:

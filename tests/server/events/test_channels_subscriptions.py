@@ -1,4 +1,4 @@
-"""Subscription requests: what is wished is read, and what cannot be had is refused with its value."""
+"""Subscription requests: valid ones are parsed, and others are rejected with the invalid value."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ VALUES = st.recursive(LEAVES, lambda inner: st.lists(inner, max_size=3) | st.dic
 
 
 def outcome(wish: object) -> int:
-    """The status that a request comes to."""
+    """Return the status of a request."""
     try:
         read(wish)
     except Problem as problem:

@@ -1,4 +1,4 @@
-"""Conditions of `?until=`: what is parsed, what holds, what is refused."""
+"""Conditions of `?until=`: parsing, evaluation, rejection."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ NEVER = (
 
 
 def holds(text: str, value: Any) -> bool:
-    """Whether a condition holds of a value of which it may be asked."""
+    """Whether a condition holds for a value to which it is applicable."""
     condition = parse_condition(text)
     condition.check(value)
     return condition.holds(value)
@@ -118,7 +118,7 @@ SPACE = st.sampled_from(["", " ", "  "])
 
 @st.composite
 def comparisons(draw: st.DrawFn) -> tuple[str, str]:
-    """A comparison as we have it and as Python has it."""
+    """Return a comparison in rosld and the same in Python."""
     name = draw(st.sampled_from([*FIELDS]))
     sign = draw(st.sampled_from(["=", "==", "!="] if name == "f" else ["=", "==", "!=", "<", "<=", ">", ">="]))
     literal: Any = draw(FIELDS[name])

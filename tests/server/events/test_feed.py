@@ -1,4 +1,4 @@
-"""Many readers of one resource: what they share, and what one of them costs the others."""
+"""Many readers of one resource: what they share, and the cost of one for the others."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_fifty_readers_of_each_format_cost_one_rendering_of_each_value(opened: A
             readers = [reader(app, f"{SPEED}?format={name}") for name in ("json", "ttl", "nt") for _ in range(50)]
             for one in readers:
                 await one.until(lambda one: len(one.events) >= 3)
-            messages = 10 * (time.monotonic() - began)  # the topic has 10 a second
+            messages = 10 * (time.monotonic() - began)  # the topic has 10 per second
             made = {id(chunk) for one in readers for chunk in one.events}
             values = {chunk for one in readers for chunk in one.events}
             assert len(values) <= 3 * (messages + 5)
@@ -100,7 +100,7 @@ def test_a_stream_tells_a_topic_of_50_hz_whole_and_a_slower_one_says_how_many_me
 
 
 async def tag(app: Any, reader: Any) -> str:
-    """The entity tag of a parameter as it is."""
+    """Return the current entity tag of a parameter."""
     read = reader(app, "/parameters/cockpit/night", "application/json")
     await read.task
     return str(read.headers["etag"]).strip('"')
@@ -165,7 +165,7 @@ def test_a_stream_in_which_nothing_happens_is_kept_alive(
 
 
 def test_what_changes_unseen_is_not_read(opened: Any, reader: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A reader at 4 Hz of a topic at 10 Hz costs four renderings a second."""
+    """A reader at 4 Hz of a topic at 10 Hz costs four renderings per second."""
     reads = 0
 
     async def main() -> None:
@@ -214,7 +214,7 @@ def test_a_failure_nobody_foresaw_is_told_and_logged(
 
 
 class Made(Resource):
-    """A resource that is made of something else each time it is looked at."""
+    """A resource whose content differs on each read."""
 
     def __init__(self) -> None:
         super().__init__(Space("http://127.0.0.1/"), "http://127.0.0.1/made")

@@ -10,7 +10,7 @@ from rosld.server.events.event_stream import KEEP_ALIVE_COMMENT, event_frame, op
 
 
 def read(stream: bytes) -> list[dict[str, str]]:
-    """The fields of each event, as a browser puts them together (WHATWG HTML 9.2.6)."""
+    """Return the fields of each event, parsed as in a browser (WHATWG HTML 9.2.6)."""
     events: list[dict[str, str]] = []
     fields: dict[str, list[str]] = {}
     for line in stream.decode().replace("\r\n", "\n").replace("\r", "\n").split("\n"):

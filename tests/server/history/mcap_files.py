@@ -1,4 +1,4 @@
-"""MCAP files as those read them who did not write them: mcap's own readers, its ROS 1 decoder, and rosbags."""
+"""MCAP files as third parties read them: mcap's own readers, its ROS 1 decoder, and rosbags."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 
 class Read(NamedTuple):
-    """A message as it was read: its topic, its sequence, when it was logged, its bytes."""
+    """A message as read: its topic, its sequence number, its log time, its bytes."""
 
     topic: str
     sequence: int
@@ -23,7 +23,7 @@ class Read(NamedTuple):
 
 
 def read(path: Path) -> list[Read]:
-    """The messages of a finished file, by its summary and through it: both must be the same, checksums included."""
+    """Return the messages of a finished file, by summary and sequentially: both must be equal, including checksums."""
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
@@ -47,18 +47,18 @@ def read(path: Path) -> list[Read]:
 
 
 def finished(folder: Path) -> list[Path]:
-    """The files of a folder that are complete: all but the one that is being written."""
+    """Return the complete files of a folder: all except the one being written."""
     return [path for path in sorted(folder.glob("*.mcap")) if path.read_bytes().endswith(MAGIC)]
 
 
 def profile(path: Path) -> str:
-    """Which ROS a file says that it is of."""
+    """Return the kind of ROS that a file states."""
     with path.open("rb") as file:
         return str(make_reader(file).get_header().profile)
 
 
 def decode(path: Path) -> Sequence[tuple[str, object]]:
-    """The messages of a file, decoded by its own definitions: ROS 1 by mcap's decoder, ROS 2 by rosbags."""
+    """Return the messages of a file, decoded by its own definitions: ROS 1 by mcap's decoder, ROS 2 by rosbags."""
     if profile(path) == "ros1":
         with path.open("rb") as file:
             reader = make_reader(file, decoder_factories=[DecoderFactory()])

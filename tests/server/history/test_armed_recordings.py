@@ -1,4 +1,4 @@
-"""Recordings that wait for triggers, on their own: what fails loses no order, what is kept comes back."""
+"""Recordings that wait for triggers, in isolation: failures lose no order, stored ones are restored."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ONCE = RecordingOrder(("/odom", "/camera/*"), "x", 10.0, 5.0, Trigger("x > 1", "
 
 
 class Begun:
-    """Recordings that were begun, after so many failures."""
+    """Recordings that were started, after this number of failures."""
 
     def __init__(self, *failures: Exception) -> None:
         self.names: list[str] = []
@@ -44,7 +44,7 @@ def notes(folder: Path) -> list[str]:
 
 
 async def finished(one: ArmedRecording) -> None:
-    """Until a recording waits no more."""
+    """Wait until a recording waits no more."""
     assert one.task is not None
     await one.task
 
@@ -151,7 +151,7 @@ def test_what_was_kept_beyond_the_limit_says_so_and_waits_once_there_is_room(tmp
 
         again.resume(only_the_last)
         for _ in range(3):
-            await asyncio.sleep(0)  # a turn of the loop, in which it looks for its place
+            await asyncio.sleep(0)  # an iteration of the loop, in which it waits for its turn
         assert "16 recordings wait" in str(last.suspended)
         assert begun.names == []
         await again.disarm("a00")

@@ -1,4 +1,4 @@
-"""Columns of many messages: what they say is what each message says by itself, or there are none."""
+"""Columns of many messages: their RDF equals that of each single message, or there are none."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SAID = [each.value for each in (ros.received, ros.sequence, ros.dateTime, rdf.ty
 
 
 def value_of(kind: FieldType, random: Random, schema: MessageSchema, lengths: Any) -> Any:
-    """A value of a field; strings and arrays are as long as `lengths` has it next."""
+    """Return a value of a field; strings and arrays have the next length from `lengths`."""
     if isinstance(kind, Nested):
         return made(kind.name, random, schema, lengths)
     if isinstance(kind, Array):
@@ -79,7 +79,7 @@ def test_columns_say_what_each_message_says(encoding: Encoding) -> None:
 
 
 def says_the_same(schema: MessageSchema, encoding: Encoding, random: Random) -> None:
-    """The columns of a few messages are what the messages say, if there are any."""
+    """Check that the columns of a few messages equal the RDF of the messages, if there are any."""
     same = [random.randint(0, 5) for _ in range(20)]
     is_alike = random.random() < 0.6
     chunk = TopicChunk("/a", 0.0)
@@ -108,7 +108,7 @@ def says_the_same(schema: MessageSchema, encoding: Encoding, random: Random) -> 
 def lifts_alike(
     schema: MessageSchema, messages: list[Any], times: list[int], encoding: Encoding, rows: Any, random: Random
 ) -> None:
-    """Of some predicates, all messages are lifted as one after the other is, line by line."""
+    """Check that lifting all messages with some predicates equals lifting each, line by line."""
     space = LiftSettings().types
     known = [f"{space}{kind.name}#{field.name}" for kind in schema.types.values() for field in kind.fields]
     some = random.choices([*known, *SAID], k=random.randint(0, 6))

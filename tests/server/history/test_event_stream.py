@@ -1,4 +1,4 @@
-"""Recordings as event streams: pages that never change, the newest that does, profiles, and who may read what."""
+"""Recordings as event streams: pages that never change, the newest that does, profiles, and permissions."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ COUNT = 230
 
 @pytest.fixture(scope="module")
 def sent(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """A recording of 230 lines."""
+    """Return a recording of 230 lines."""
     return write_rosbag1(tmp_path_factory.mktemp("sent") / "talk.bag", lines(count=COUNT)).read_bytes()
 
 
 @pytest.fixture(scope="module")
 def recorded(start_server: Callable[..., Any], sent: bytes) -> Any:
-    """An aircraft with a history that was sent a recording."""
+    """An aircraft with a history and an uploaded recording."""
     server = start_server("aircraft", "--history", "/aircraft/*")
     assert server.http.put("/bags/talk", content=sent).status_code == 201
     return server
 
 
 def objects(text: str, predicate: str) -> list[str]:
-    """The values of a predicate, as they come."""
+    """Return the values of a predicate, in order."""
     quads = parse(text.encode(), format=RdfFormat.N_QUADS)
     return [quad.object.value for quad in quads if quad.predicate == NamedNode(predicate)]  # type: ignore[union-attr]
 
 
 def pages(http: Any, url: str, headers: dict[str, str]) -> Iterator[Any]:
-    """Every page of a stream, the first of all first."""
+    """Return every page of a stream, starting with the first."""
     answer = http.get(url, headers=NQUADS | headers)
     assert answer.status_code == 200, answer.text
     yield answer

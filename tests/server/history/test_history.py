@@ -1,4 +1,4 @@
-"""The history over HTTP: robots of every kind recorded, also through kills and on a full disk."""
+"""The history over HTTP: robots of every kind recorded, in spite of kills and a full disk."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.waiting import until
 pytestmark = pytest.mark.slow
 
 __all__ = ["disk"]
-"""A fixture that belongs to other tests."""
+"""A fixture of other tests."""
 JSON = {"Accept": "application/json"}
 NTRIPLES = {"Accept": "application/n-triples"}
 SPEED = "/aircraft/engine/speed"
@@ -29,7 +29,7 @@ LOST_NS = 2_000_000_000
 
 
 def number(http: Any, term: str) -> int:
-    """A number that the history says of itself."""
+    """Return a number that the history reports."""
     text = http.get("/bags/history/", headers=NTRIPLES).text
     subject = f"<{http.base_url}bags/history/> <https://w3id.org/rosld#{term}> "
     return next(int(line.split('"')[1]) for line in text.splitlines() if line.startswith(subject))
@@ -64,7 +64,7 @@ def test_the_history_in_memory_is_bounded_and_what_was_removed_is_gone(serve: Ca
     assert served.http.get("/bags/history/messages/0", headers=JSON).status_code == 410
 
     def left() -> Any:
-        """A message that is there; None where it was removed since the pages were read."""
+        """Return an existing message; None if it was removed after the pages were read."""
         answer = served.http.get(f"/bags/history/messages/{number_of_first(served.http) + 10}", headers=JSON)
         return None if answer.status_code == 410 else answer
 
@@ -73,7 +73,7 @@ def test_the_history_in_memory_is_bounded_and_what_was_removed_is_gone(serve: Ca
 
 
 def number_of_first(http: Any) -> int:
-    """The number of a message on the first page that is left."""
+    """Return the number of a message on the first remaining page."""
     text = http.get("/bags/history/messages/", headers=NTRIPLES).text
     page = next(line.split("?page=")[1].split(">")[0] for line in text.splitlines() if "xhtml/vocab#first" in line)
     return int(page) * 100

@@ -1,4 +1,4 @@
-"""Mementos (RFC 7089): topics and resources as they were, found by time, listed, never told before they are settled."""
+"""Mementos (RFC 7089): former states of topics and resources, found by time, listed, and only served once final."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MEMENTO = "http://mementoweb.org/ns#"
 
 @pytest.fixture(scope="module")
 def gate(start_server: Callable[..., Any]) -> Any:
-    """An aircraft in flight with a history of some of its topics, some of which is settled."""
+    """An aircraft in flight with a history of some of its topics, part of which is final."""
     server = start_server("aircraft", "--history", SPEED)
     assert server.http.post("/services/aircraft/start", json={}).status_code == 201
     listing = f"/topics{SPEED}?timemap"
@@ -31,7 +31,7 @@ def gate(start_server: Callable[..., Any]) -> Any:
 
 
 def links(answer: Any) -> dict[str, list[Any]]:
-    """The links of an answer by relation."""
+    """Return the links of a response by relation."""
     found: dict[str, list[Any]] = {}
     for each in parse_links(", ".join(answer.headers.get_list("link"))):
         for rel in each.rel.split():
@@ -40,7 +40,7 @@ def links(answer: Any) -> dict[str, list[Any]]:
 
 
 def mementos(http: Any) -> list[Any]:
-    """The mementos in the TimeMap of the topic."""
+    """Return the mementos in the TimeMap of the topic."""
     listed = parse_links(http.get(f"/topics{SPEED}?timemap").text.replace("\n", ""))
     return [each for each in listed if "?at=" in each.target]
 
@@ -95,7 +95,7 @@ def test_the_timegate_leads_to_the_memento_of_that_time(gate: Any) -> None:
 
 
 def leads_to_memento(gate: Any, listed: list[Any], when: int | str) -> None:
-    """Ask for the time of a memento, or for a time before or after all."""
+    """Request the time of a memento, or a time before or after all."""
     asked = when if isinstance(when, str) else dict(listed[when].attributes)["datetime"]
     answer = gate.http.get(f"/topics{SPEED}", headers=JSON | {"Accept-Datetime": asked}, follow_redirects=False)
     assert answer.status_code == 302

@@ -1,4 +1,4 @@
-"""Recordings played: a part as a robot of its own, the history of another server too; all topics at one moment."""
+"""Recordings played: a part as a separate robot, also from the history of another server; all topics at one moment."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ LINES = [
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six lines of three topics."""
+    """Write six lines of three topics."""
     return write_rosbag1(tmp_path_factory.mktemp("bags") / "walk.bag", LINES)
 
 
 @pytest.fixture(scope="module")
 def flown(start_server: Callable[..., Any], bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """An aircraft with a history on the disk, which was sent that recording."""
+    """An aircraft with a history on disk and an uploaded recording."""
     data = tmp_path_factory.mktemp("data")
     server = start_server("aircraft", "--history", "/aircraft/*", "--data", str(data))
     server.data = data
@@ -44,7 +44,7 @@ def flown(start_server: Callable[..., Any], bag: Path, tmp_path_factory: pytest.
 
 
 def told(http: Any, path: str) -> dict[str, str]:
-    """What the topics said, by name."""
+    """Return the texts of the topics, by name."""
     answer = http.get(path, headers=JSON)
     assert answer.status_code == 200, answer.text
     return {one["topic"]: one["message"]["data"] for one in answer.json()["messages"]}

@@ -1,4 +1,4 @@
-"""Until when to read for the newest or oldest messages: as many as asked for are there, and hardly more are read."""
+"""Limits for reading the newest or oldest messages: the requested number is found, and hardly more are read."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BEGIN, END = 1_000_000_000_000, 1_001_000_000_000
 
 
 def recorded(folder: Path, random: Random, late: int) -> tuple[HistoryRecording, list[tuple[str, int]]]:
-    """Messages at random times, some `late` by up to so many ns, the last of which are in no chunk yet."""
+    """Write messages at random times, some `late` by a number of ns, the last of which are in no chunk yet."""
     writer = HistoryWriter(Segments(folder, HistoryLimits(1e9, 1 << 30)), lambda ref: "")
     writer.open()
     times = sorted(random.randrange(BEGIN, END) for _ in range(600))

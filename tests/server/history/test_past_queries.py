@@ -1,4 +1,4 @@
-"""The past in SPARQL over HTTP: `docs/how-to/past.md` is true, others read the same, nobody reads what they may not."""
+"""SPARQL over the past via HTTP: `docs/how-to/past.md` is true, third parties read the same, permissions apply."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ paths = ["/sparql", "/topics/**"]
 
 
 class Driven(NamedTuple):
-    """A rover that was driven until its battery was low: its client, and what others read in the recording of that."""
+    """A rover that was driven until its battery was low: its client, and its recording as read by third parties."""
 
     url: str
     http: httpx.Client
@@ -59,7 +59,7 @@ class Driven(NamedTuple):
 
 @pytest.fixture(scope="module")
 def driven(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Driven:
-    """What the document tells, done."""
+    """Do the steps of the document."""
     folder = tmp_path_factory.mktemp("driven")
     (folder / "auth.toml").write_text(RULES + tokens("anna", "guest", "stranger"))
     served = start_server("rover:?battery=0.202", "--history", "*", "--auth", str(folder / "auth.toml"))
@@ -108,7 +108,7 @@ def test_the_ten_examples_answer_as_printed(driven: Driven) -> None:
 
 
 def kind(value: str) -> str:
-    """What a value is by its look."""
+    """Return the kind of a value by its form."""
     if re.fullmatch(r"-?[0-9.eE+-]+", value):
         return "number"
     return "time" if re.match(r"\d{4}-", value) else "duration" if value.startswith("PT") else "term"
@@ -161,7 +161,7 @@ def test_what_a_query_tells_of_a_message_its_url_tells_too(driven: Driven) -> No
 
 
 def triples(text: bytes) -> set[Any]:
-    """Triples without blank nodes."""
+    """Return triples without blank nodes."""
     found = (quad.triple for quad in parse(text, RdfFormat.N_TRIPLES))
     return {
         each for each in found if not isinstance(each.subject, BlankNode) and not isinstance(each.object, BlankNode)

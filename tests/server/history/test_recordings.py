@@ -1,4 +1,4 @@
-"""Recordings over the web: made out of the past and the present, followed, ended, downloaded, sent, deleted."""
+"""Recordings over HTTP: created from the past and the present, followed, ended, downloaded, uploaded, deleted."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def recorded(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPath
 
 
 def value(http: Any, path: str, term: str) -> str | None:
-    """What a recording says of itself."""
+    """Return a value in the description of a recording."""
     subject = f"<{str(http.base_url).rstrip('/')}{path}> <{ROS}{term}> "
     found = http.get(path, headers=NTRIPLES).text.splitlines()
     return next((line.split('"')[1] for line in found if line.startswith(subject) and '"' in line), None)
@@ -53,7 +53,7 @@ def end(http: Any, path: str) -> None:
 
 
 def download(http: Any, path: str, folder: Path) -> Path:
-    """The file of a recording."""
+    """Download the file of a recording."""
     answer = http.get(f"{path}file")
     assert answer.status_code == 200
     file = folder / "download.mcap"

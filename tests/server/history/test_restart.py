@@ -1,4 +1,4 @@
-"""Recordings through kills and restarts: orders that wait for triggers, who gave them, and what was interrupted."""
+"""Recordings across kills and restarts: those that wait for triggers, their owners, and interrupted ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Segments: what is written is read by others, what is cut off is recovered, what is too much goes."""
+"""Segments: third parties read them, truncated ones are recovered, excess ones are removed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LIMITS = HistoryLimits(1e9, 1 << 30)
 
 
 def sample(number: int, text: str = "", publisher: str = "/talker") -> Sample:
-    """A string as CDR, said by a node 10 ms after the one before."""
+    """Return a string as CDR, published 10 ms after the previous one."""
     said = f"{text}{number}".encode() + b"\0"
     data = b"\0\1\0\0" + len(said).to_bytes(4, "little") + said
     return Sample(data, Encoding.CDR, TEXT, publisher, START + number * 10_000_000, number)
@@ -39,7 +39,7 @@ def open_writer(folder: Path | None, limits: HistoryLimits = LIMITS) -> HistoryW
 
 
 def add(writer: HistoryWriter, count: int, topics: tuple[str, ...] = ("/a", "/b")) -> None:
-    """Record so many messages on each topic in turn."""
+    """Record this number of messages on each topic in turn."""
     for number in range(writer.next, writer.next + count * len(topics)):
         writer.add(topics[number % len(topics)], sample(number))
 
@@ -144,7 +144,7 @@ def test_what_does_not_fit_goes_oldest_first_and_whole_files_at_a_time(tmp_path:
 
 def test_what_is_too_old_goes(tmp_path: Path) -> None:
     writer = open_writer(tmp_path, HistoryLimits(3600.0, 1 << 30, segment_seconds=0.0))
-    for _ in range(3):  # each is years old, and a segment of its own
+    for _ in range(3):  # each spans years, and is a separate segment
         add(writer, 10)
         writer.write_due(time.monotonic() + 2)
     assert writer.first == 40
@@ -164,7 +164,7 @@ def test_a_segment_ends_after_its_time(tmp_path: Path) -> None:
 
 
 def played(folder: Path, part: str = "") -> list[RecordedMessage]:
-    """The messages of a folder of segments, or of a part of them, as `rosld serve` plays it."""
+    """Return the messages of a folder of segments, or of a part of them, as `rosld serve` plays it."""
 
     async def read_all() -> list[RecordedMessage]:
         adapter = adapter_for(f"recording:{folder}{part}", AdapterOptions())

@@ -1,4 +1,4 @@
-"""Messages by topic, time and number: of the history as of a file, each page what a look at all messages gives."""
+"""Messages by topic, time and number: pages of a history or a file equal a selection from all messages."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class _Said(NamedTuple):
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[HistoryWriter, list[_Said]]]:
-    """A history of three segments, the last chunks not written yet, whose times are not quite in order."""
+    """Write a history of three segments, the last chunks still in memory, whose times are not quite in order."""
     at_random = random.Random(19)
     writer = open_writer(tmp_path_factory.mktemp("history"), LIMITS)
     said: list[_Said] = []
@@ -52,7 +52,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[HistoryW
 
 
 def everything(writer: HistoryWriter, wanted: MessageFilter, limit: int) -> list[RecordedMessage]:
-    """All pages together."""
+    """Return all pages together."""
     found: list[RecordedMessage] = []
     start: int | None = wanted.start
     while start is not None:
@@ -113,7 +113,7 @@ def test_a_page_reads_only_the_chunks_that_its_messages_are_in(
 
 @pytest.fixture(scope="module")
 def talk(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """An aircraft that was sent a recording of 20 lines, one each 10 ms."""
+    """An aircraft with an uploaded recording of 20 lines, one every 10 ms."""
     folder = tmp_path_factory.mktemp("talk")
     server = start_server("aircraft", "--history", "/aircraft/*", "--data", str(folder / "data"))
     sent = write_rosbag1(folder / "talk.bag", lines(count=20))
@@ -122,7 +122,7 @@ def talk(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFact
 
 
 def pages(http: Any, path: str) -> list[Any]:
-    """The messages of all pages, in JSON."""
+    """Return the messages of all pages, in JSON."""
     found: list[Any] = []
     while path:
         answer = http.get(path, headers=JSON)

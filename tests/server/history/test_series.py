@@ -1,4 +1,4 @@
-"""The past of a topic: series of a number, and the topic as it was, each against what others read of its messages."""
+"""The past of a topic: series of a number, and its former states, compared to its messages read by third parties."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FIELD = "header.stamp.nanosec"
 
 
 class Past(NamedTuple):
-    """A rover with a past: its client, and what others read of its odometry: times in ns, and the field's numbers."""
+    """A rover with a past: its client, and its odometry read by third parties: times in ns, and the field's numbers."""
 
     http: Any
     times: list[int]
@@ -57,13 +57,13 @@ def columns(http: Any, query: str) -> Any:
 
 
 def moment(time_ns: int) -> str:
-    """A time as xsd:dateTime; to the microsecond, as a datetime has it."""
+    """Return a time as xsd:dateTime; to the microsecond, the precision of datetime."""
     at = datetime.fromtimestamp(time_ns // 10**9, timezone.utc) + timedelta(microseconds=time_ns % 10**9 // 1000)
     return at.isoformat().replace("+00:00", "Z")
 
 
 def window(past: Past) -> str:
-    """From the first to the last message that others read."""
+    """Return the interval from the first to the last message."""
     return f"from={moment(past.times[0])}&to={moment(past.times[-1] + 1000)}"
 
 
@@ -83,7 +83,7 @@ def reduces(past: Past, points: int) -> None:
     expected: dict[int, list[float]] = {}
     for at, value in zip(past.times, past.values, strict=True):
         expected.setdefault(min((at - begin) * points // (end - begin), points - 1), []).append(value)
-    for _ in range(2):  # the second time out of the index
+    for _ in range(2):  # the second time from the index
         found = columns(past.http, f"series={FIELD}&points={points}&{window(past)}")
         assert found["count"] == [len(expected[each]) for each in sorted(expected)]
         assert found["min"] == [min(expected[each]) for each in sorted(expected)]

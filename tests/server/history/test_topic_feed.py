@@ -1,4 +1,4 @@
-"""How deep the subscriptions of what is recorded are: as a busy moment needs them, and not for ever."""
+"""Depth of the subscriptions of recorded topics: sufficient for bursts, and reduced afterwards."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MEBIBYTE = 1024 * 1024
 
 
 class Source:
-    """A robot of one topic, `slot`."""
+    """A robot with one topic, `slot`."""
 
     def __init__(self) -> None:
         self.slot = Slot()
@@ -24,13 +24,13 @@ class Source:
         return self.slot.subscribe(depth)
 
     def speak(self, count: int) -> None:
-        """Send so many messages of a kibibyte."""
+        """Publish this number of messages of a kibibyte."""
         for _, number in zip(range(count), self._numbers, strict=False):
             self.slot.put(Sample(bytes(1024), Encoding.CDR, TypeRef("a/msg/B"), "/driver", number, number))
 
 
 async def looked(source: Source, feed: TopicFeed, counts: list[int], max_bytes: int) -> int:
-    """The depth of a subscription after looks before each of which so many messages came."""
+    """Return the depth of a subscription after reads, each preceded by this number of messages."""
     for count in counts:
         source.speak(count)
         depth = feed.next_depth(feed.take(), max_bytes)

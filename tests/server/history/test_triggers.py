@@ -1,4 +1,4 @@
-"""Recordings that begin as a condition comes to hold, of a value, a goal, a mapping, once or more often."""
+"""Recordings triggered by a condition on a value, a goal or a mapping, once or repeatedly."""
 
 from __future__ import annotations
 
@@ -216,7 +216,7 @@ def test_a_patch_in_json_or_rdf_ends_a_recording(armed: Any) -> None:
 
 
 def form(page: str, method: str) -> dict[str, str]:
-    """The hidden fields of the form of a page that stands for a method."""
+    """Return the hidden fields of the page's form for a method."""
     for each in re.findall(r"<form.*?</form>", page.partition("<main")[2], re.DOTALL):
         hidden = dict(re.findall(r'<input type="hidden" name="([^"]+)" value="([^"]*)"', each))
         if hidden.get("method") == method:

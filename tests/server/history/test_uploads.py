@@ -1,4 +1,4 @@
-"""Files that are sent as recordings: compressed, hostile, cut off, sent twice at a time, or over one that is broken."""
+"""Uploaded recordings: compressed, malicious, truncated, sent twice concurrently, or replacing a broken one."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ UPLOAD_LIMIT = 8 * MIB
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of data in which there is a file of each kind that rosld left, or that cannot be opened."""
+    """A data folder with files of each kind that rosld has left or cannot open."""
     folder = tmp_path_factory.mktemp("data")
     bags = folder / "bags"
     bags.mkdir()
@@ -51,13 +51,13 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def http(data: Path) -> Iterator[Any]:
-    """A client of a robot that takes small files only."""
+    """A client of a robot that accepts only small files."""
     with served(MadeUp(), data=data, upload_limit=UPLOAD_LIMIT, upload_index_limit=2 * MIB) as client:
         yield client
 
 
 def refused(answer: Any, status: int) -> str:
-    """The sentence of a refusal."""
+    """Return the message of a refusal."""
     assert answer.status_code == status, answer.text
     return str(answer.json()["detail"])
 
@@ -161,7 +161,7 @@ def test_two_files_of_one_name_are_not_both_opened(tmp_path: Path) -> None:
 
 
 def hang_or_check(path: Path, index_limit: int) -> None:
-    """Check a file in a worker; `endless` takes for ever, `slow` until there is a file called `release`."""
+    """Check a file in a worker; `endless` takes for ever, `slow` until a file called `release` exists."""
     while "endless" in path.name or ("slow" in path.name and not (path.parent / "release").exists()):
         pass
     check_recording(path, index_limit)

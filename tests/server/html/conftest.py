@@ -1,4 +1,4 @@
-"""The pages of real servers, hostile ones and a real browser (`devtools.py`), for the tests of this folder."""
+"""The pages of real servers, malicious ones and a real browser (`devtools.py`), for the tests of this folder."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, bytes]:
 
 @pytest.fixture(scope="session")
 def browser() -> None:
-    """Skips, by name, what needs chromium where there is none."""
+    """Skip, by name, tests that need chromium if it is missing."""
     if not any(map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))):
         pytest.skip("needs chromium: apt-get install $(cat tests/debian-browser.txt)")
 
 
 @pytest.fixture(scope="session")
 def window(browser: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A browser without a window that lasts; `window.tab()` opens a page in it."""
+    """A headless browser shared by tests; `window.tab()` opens a page in it."""
     with tests.server.html.devtools.browser(tmp_path_factory.mktemp("browser")) as found:
         yield found
 
 
 @pytest.fixture
 def tab(window: Any) -> Iterator[Any]:
-    """A tab of its own. Whatever goes wrong in its scripts, or breaks the policy of a page, fails the test."""
+    """A new tab. Script errors and violations of the page's policy fail the test."""
     with window.tab() as found:
         yield found
         assert not found.faults, found.faults

@@ -1,4 +1,4 @@
-"""A real browser led by the DevTools protocol over a pipe: nothing but the standard library, and no port."""
+"""A real browser controlled by the DevTools protocol over a pipe: only the standard library, without a port."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _UNTIL = """new Promise((resolve, reject) => {
 
 
 class Tab:
-    """One page of the browser. `faults` are exceptions nobody caught, and what a policy forbade."""
+    """One page of the browser. `faults` are uncaught exceptions and policy violations."""
 
     def __init__(self, window: Window, target: str, session: str) -> None:
         self._window = window
@@ -41,52 +41,52 @@ class Tab:
         self.faults: list[str] = []
 
     def send(self, method: str, **params: object) -> Any:
-        """One command of the protocol; its result."""
+        """Send one command of the protocol; return its result."""
         return self._window.send(method, self._session, **params)
 
     def open(self, url: str) -> None:
-        """Go to a page, until it is loaded."""
+        """Load a page."""
         self._loaded.clear()
         self.send("Page.navigate", url=url)
         assert self._loaded.wait(SECONDS), f"{url} was not loaded"
 
     def leave(self, expression: str) -> None:
-        """Run what leads to another page, until that is loaded."""
+        """Run a function that leads to another page, and wait until that is loaded."""
         self._loaded.clear()
         self.run(f"void ({expression})")
         assert self._loaded.wait(SECONDS), f"{expression} led nowhere"
 
     def run(self, expression: str) -> Any:
-        """The value of a JavaScript expression in the page; of a promise, what it comes to."""
+        """Return the value of a JavaScript expression in the page, or the result of a promise."""
         found = self.send("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
         assert "exceptionDetails" not in found, (expression, found["exceptionDetails"])
         return found["result"].get("value")
 
     def until(self, condition: str, seconds: float = SECONDS) -> Any:
-        """Wait until a JavaScript expression is true in the page; its value."""
+        """Wait until a JavaScript expression is true in the page; return its value."""
         return self.run(_UNTIL % (seconds * 1000, condition))
 
     def type(self, text: str) -> None:
-        """Type where the focus is."""
+        """Type text into the focused element."""
         self.send("Input.insertText", text=text)
 
     def press(self, x: float, y: float) -> None:
-        """Press and let go of the mouse at a place of the window."""
+        """Click at a position of the window."""
         for kind in ("mousePressed", "mouseReleased"):
             self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def follow(self, x: float, y: float) -> None:
-        """Press what leads to another page, until that is loaded."""
+        """Click an element that leads to another page, and wait until that is loaded."""
         self._loaded.clear()
         self.press(x, y)
         assert self._loaded.wait(SECONDS), f"what is at {x}, {y} led nowhere"
 
     def crash(self) -> None:
-        """End the process that shows the page, as a fault would; nothing can be asked of the page any more."""
+        """Crash the process that shows the page; the page does not respond afterwards."""
         self._window.post("Page.crash", self._session)
 
     def photograph(self, target: Path, width: int, height: int, **features: str) -> None:
-        """The page as a PNG file; `features` are of the media, such as prefers_color_scheme."""
+        """Save the page as a PNG file; `features` are those of the media, such as prefers-color-scheme."""
         media = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
         self.send("Emulation.setEmulatedMedia", features=media)
         metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
@@ -94,7 +94,7 @@ class Tab:
         target.write_bytes(base64.b64decode(self.send("Page.captureScreenshot", format="png")["data"]))
 
     def take(self, method: str, params: dict[str, Any]) -> None:
-        """An event of the protocol."""
+        """Process an event of the protocol."""
         if method == "Page.loadEventFired":
             self._loaded.set()
         elif method == "Runtime.exceptionThrown":
@@ -115,11 +115,11 @@ class Window:
         self._reader.start()
 
     def send(self, method: str, session: str | None = None, **params: object) -> Any:
-        """One command; its result."""
+        """Send one command; return its result."""
         return self.post(method, session, **params).result(SECONDS * 2)
 
     def post(self, method: str, session: str | None = None, **params: object) -> Future[Any]:
-        """One command; its result, once there is one."""
+        """Send one command; return its result asynchronously."""
         self._count += 1
         number, reply = self._count, Future[Any]()
         self._replies[number] = reply
@@ -146,7 +146,7 @@ class Window:
 
     @contextmanager
     def tab(self) -> Iterator[Tab]:
-        """A new tab, closed in the end."""
+        """Open a new tab, and close it at the end."""
         target = self.send("Target.createTarget", url="about:blank")["targetId"]
         session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         tab = self._tabs[session] = Tab(self, target, session)
@@ -166,7 +166,7 @@ def _program() -> str:
 
 
 def _as_3_and_4(read: int, write: int) -> Callable[[], None]:
-    """Where the browser looks for its pipe."""
+    """Move the pipes to the descriptors where the browser expects them."""
 
     def place() -> None:
         one, other = os.dup(read), os.dup(write)
@@ -178,7 +178,7 @@ def _as_3_and_4(read: int, write: int) -> Callable[[], None]:
 
 @contextmanager
 def browser(profile: Path) -> Iterator[Window]:
-    """A browser without a window, in a profile of its own; ended by its own handle."""
+    """Run a headless browser, in a separate profile; end it by its own handle."""
     command_read, command_write = os.pipe()
     reply_read, reply_write = os.pipe()
     arguments = [*_QUIET.split(), "--hide-scrollbars", f"--user-data-dir={profile}", "--remote-debugging-pipe"]

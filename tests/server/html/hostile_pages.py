@@ -1,4 +1,4 @@
-"""Pages that hold everything a robot names, named by somebody who means harm: more than any one robot could."""
+"""Pages with everything that a robot names, with malicious names: more than any one robot could have."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ RESOURCES = f"{BASE}resources"
 
 
 def said(url: str, *pairs: tuple[NamedNode, object]) -> Iterator[Triple]:
-    """Triples about a URL; texts beginning with the base are IRIs."""
+    """Return triples about a URL; texts that begin with the base are IRIs."""
     for predicate, value in pairs:
         yield Triple(NamedNode(url), predicate, term(value))
 
 
 def term(value: object) -> NamedNode | Literal:
-    """A value as a term."""
+    """Return a value as a term."""
     if isinstance(value, NamedNode | Literal):
         return value
     assert isinstance(value, str)
@@ -42,7 +42,7 @@ def term(value: object) -> NamedNode | Literal:
 
 
 def hostile_page() -> Page:
-    """Everything a robot names, named by somebody who means harm."""
+    """Return a page with malicious names in every place."""
     kind = schema("std_msgs/msg/String")
     url = f"{BASE}topics/%3Cscript%3Ealert(1)%3C%2Fscript%3E"
     triples = said(
@@ -78,7 +78,7 @@ def hostile_page() -> Page:
 
 
 def hostile_offer() -> Page:
-    """Resources named by somebody who means harm."""
+    """Return resources with malicious names."""
     text, odd = HOSTILE.replace("\x00", ""), f"{RESOURCES}/%3Cscript%3E"
     strange = Bounds(choices=(Literal(text),), pattern=HOSTILE)
     stranger = Bounds(pattern='"><script>', minimum=Literal(text), min_length=3)

@@ -14,17 +14,17 @@ LIBRARY = TypeLibrary(ros_version=1)
 
 
 def schema(name: str) -> MessageSchema:
-    """The schema of a message type, or of one half of a service."""
+    """Return the schema of a message type, or of one half of a service."""
     found = LIBRARY.find(TypeRef(name))
     assert isinstance(found, MessageSchema)
     return found
 
 
 def message(kind: MessageSchema, value: object) -> Message:
-    """A message from plain JSON; what is left out has ROS's defaults."""
+    """Return a message from plain JSON; missing fields have ROS's defaults."""
     return lowerer(kind).from_json(value, defaults=True)
 
 
 def lifted(node: str, kind: MessageSchema, value: object, publisher: str = "nodes/aircraft") -> LiftedMessage:
-    """A message of a document, as it would come from a robot."""
+    """Return a message of a document, as from a robot."""
     return LiftedMessage(node, lifter(kind), message(kind, value), Envelope(NOW, 4217, f"{BASE}{publisher}"))

@@ -1,4 +1,4 @@
-"""The pages of real servers: of the aircraft, the rover, and a robot that has a bit of everything."""
+"""The pages of real servers: of the aircraft, the rover, and a robot with all kinds of resources."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ LIMITS = """
 
 
 def turtle() -> MadeUp:
-    """A robot that no mapping arranges, with everything that may lie in a namespace."""
+    """Return a robot without a mapping, with everything that may be in a namespace."""
     robot = MadeUp()
     robot.topic("/odom", "nav_msgs/msg/Odometry", {"child_frame_id": "base_link"}, heard=True)
     robot.topic("/camera/image_raw", "sensor_msgs/msg/Image", {"height": 480, "data": "AAECAwQFBgcICQ=="})
@@ -86,14 +86,14 @@ def turtle() -> MadeUp:
 
 
 def page(http: httpx.Client, path: str) -> bytes:
-    """A page, or the words of what is wrong as one."""
+    """Return a page, or the text of a problem as one."""
     answer = http.get(path, headers=HTML)
     assert answer.headers["content-type"].startswith("text/html"), (path, answer.status_code, answer.text[:500])
     return answer.content
 
 
 def submitted(http: httpx.Client, path: str, action: str, **fields: str) -> bytes:
-    """What answers a form of a page that is filled in with these fields."""
+    """Return the response to a form of a page filled in with these fields."""
     text = http.get(path, headers=HTML).text.partition("<main")[2]
     form = next(each for each in re.findall(r"<form.*?</form>", text, re.DOTALL) if f'value="{action}"' in each)
     hidden = dict(re.findall(r'<input type="hidden" name="([^"]+)" value="([^"]*)"', form))
@@ -103,7 +103,7 @@ def submitted(http: httpx.Client, path: str, action: str, **fields: str) -> byte
 
 
 def real_pages(folder: Path) -> Mapping[str, bytes]:
-    """All pages by name."""
+    """Return all pages by name."""
     found: dict[str, bytes] = {}
     with served(adapter_for("aircraft", AdapterOptions())) as http:
         found |= {name: page(http, path) for name, path in STOPPED.items()}

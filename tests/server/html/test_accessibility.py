@@ -1,4 +1,4 @@
-"""Pages as axe judges them, in a real browser: nothing that keeps somebody from reading or using them."""
+"""Accessibility of pages according to axe, in a real browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounds as inputs have them: never narrower than what is demanded, so that no browser refuses what the shape takes."""
+"""Bounds of inputs: never narrower than the constraints, so that browsers accept every value that the shape accepts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BOUNDS = st.builds(
 
 
 def fits(bounds: Bounds, value: Decimal) -> bool:
-    """What SHACL 4.3 says."""
+    """Whether a value conforms to SHACL 4.3."""
     least, greatest, above, below = (
         None if each is None else Decimal(each.value)
         for each in (bounds.minimum, bounds.maximum, bounds.exclusive_minimum, bounds.exclusive_maximum)

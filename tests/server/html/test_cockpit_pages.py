@@ -1,4 +1,4 @@
-"""Cockpits in a real browser: their panels move, drive the robot, and ask no other host."""
+"""Cockpits in a real browser: panels update, drive the robot, and send no requests to other hosts."""
 
 from __future__ import annotations
 

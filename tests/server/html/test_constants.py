@@ -1,4 +1,4 @@
-"""Numbers that the definition of a message has a word for are shown with that word beside them."""
+"""Numbers with a constant in the definition of their message are shown with its name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The drive pad in a real browser: what the robot is told while it is pressed, and that it stands when it is not."""
+"""The drive pad in a real browser: the robot's commands while it is pressed, and the standstill when it is not."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ LIMITS = """@prefix sh: <http://www.w3.org/ns/shacl#> . @prefix vector: <https:/
 
 
 def near(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    """Whether two speeds are the same but for the pixel that was pressed."""
+    """Whether two speeds are the same up to the precision of a pixel."""
     return all(abs(left - right) < 5e-3 for left, right in zip(one, other, strict=True))
 
 
 class Base(MadeUp):
-    """A base, and what it was told."""
+    """A base, and its received messages."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -43,27 +43,27 @@ class Base(MadeUp):
         self.topic("/say", "std_msgs/msg/String", published=False, heard=True)
 
     def told(self, topic: str = "/cmd_vel") -> list[Any]:
-        """What it was told on a topic so far."""
+        """Return the messages received on a topic so far."""
         return list(self.sent.get(topic, ()))
 
     def speeds(self) -> list[tuple[float, float]]:
-        """How fast ahead, and how fast to the left, of each command so far."""
+        """Return the forward and leftward speed of each command so far."""
         return [(each["linear"]["x"], each["angular"]["z"]) for each in self.told()]
 
     def drives(self) -> tuple[float, float]:
-        """Wait for a command that is not zero; it."""
+        """Wait for a command that is not zero; return it."""
         return until(
             lambda: next((each for each in reversed(self.speeds()[-1:]) if each != (0.0, 0.0)), None), "motion"
         )
 
     def stands(self) -> None:
-        """Wait until the last that it was told is zero, and its hold is over."""
+        """Wait until the last command is zero, and the hold is over."""
         until(lambda: self.told()[-1:] == [STILL], "standstill")
 
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A lease that no busy machine outlasts."""
+    """Set a lease that lasts even on a busy machine."""
     monkeypatch.setattr(drive_pad, "LEASE", 4.0)
 
 
@@ -80,7 +80,7 @@ def http(base: Base) -> Iterator[httpx.Client]:
 
 @pytest.fixture
 def pad(tab: Any, http: httpx.Client) -> Any:
-    """The tab, with the pad of `/cmd_vel` in sight."""
+    """The tab, scrolled to the pad of `/cmd_vel`."""
     return opened(tab, http, "/cmd_vel")
 
 
@@ -92,7 +92,7 @@ def opened(tab: Any, http: httpx.Client, topic: str) -> Any:
 
 
 def place(tab: Any, left: float, ahead: float) -> dict[str, float]:
-    """Where on the pad this is, in the window."""
+    """Return the position of a point of the pad in the window."""
     box = tab.run(f"JSON.stringify({STICK}.getBoundingClientRect())")
     rect = json.loads(box)
     return {
@@ -237,7 +237,7 @@ def test_stamped_commands_and_those_of_cars_have_their_own_fields(base: Base, ht
     until(lambda: base.told("/car")[-1]["drive"]["steering_angle"] == 0.0, "standstill")
 
 
-# What ends it
+# End of a command
 
 
 def test_leaving_the_page_is_zero(base: Base, http: httpx.Client, pad: Any) -> None:
@@ -335,7 +335,7 @@ def test_a_refusal_is_told_on_the_pad(base: Base, http: httpx.Client, pad: Any) 
     base.stands()
 
 
-# What it is without a pointer, and without a script
+# Without a pointer, and without a script
 
 
 def test_the_pad_and_its_sliders_have_names_and_are_reached_by_the_tab_key(pad: Any) -> None:

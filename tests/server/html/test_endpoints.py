@@ -1,4 +1,4 @@
-"""Endpoints as a table: of a node by topic, of a topic by node; what they lead to is not told twice."""
+"""Endpoints as a table: of a node by topic, of a topic by node; the page does not repeat the linked resources."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What somebody sees first of a robot that nobody has mapped: values and forms, and RDF for who unfolds it."""
+"""First impression of a robot without a mapping: values and forms, and RDF that is initially folded."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HTML, JSON = {"Accept": "text/html"}, {"Accept": "application/json"}
 
 
 def page(http: httpx.Client, path: str) -> tuple[str, str]:
-    """A page: what is seen of it, and what is folded."""
+    """A page: its visible part and its folded part."""
     whole = http.get(path, headers=HTML).text
     seen, fold, folded = whole.partition('<details class="folded">')
     assert fold, path
@@ -50,7 +50,7 @@ def test_a_tree_of_parameters_is_a_table_of_their_values(rover: httpx.Client) ->
     values = {name: re.sub("<[^>]+>", "", value).strip() for name, value in rows}
     assert values["rover/max_speed"] == "0.5"
     assert values["rover/drive_mode"] == "normal"
-    assert text.count("<h2") == 2  # what it contains, and its description
+    assert text.count("<h2") == 2  # its members, and its description
 
 
 def test_a_goal_or_call_says_first_what_has_become_of_it(rover: httpx.Client, own_aircraft: httpx.Client) -> None:

@@ -1,4 +1,4 @@
-"""Pages that describe very many things: short, whole without scripts, and searched with them."""
+"""Pages about very many resources: short, complete without scripts, and searchable with them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forms: drawn from a schema, filled by a person, read back as the plain JSON that lowers to the message meant."""
+"""Forms: created from a schema, filled in, and parsed as the plain JSON that lowers to the intended message."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ TYPES = (
 
 
 def refilled(form: ValueForm, pairs: list[tuple[str, str]], violations: Iterable[Violation]) -> ValueForm:
-    """The form as it was sent."""
+    """Return the form after an invalid submission."""
     return replace(form, submitted=tuple(pairs), violations=tuple(violations))
 
 
@@ -72,7 +72,7 @@ def schema(name: str) -> MessageSchema:
 
 
 class Browser(HTMLParser):
-    """What a browser would send for the first form of a page that nobody has touched (HTML, "form submission")."""
+    """Parser of the pairs that a browser sends for the first form of an untouched page (HTML, "form submission")."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -114,11 +114,11 @@ class Browser(HTMLParser):
 
 def page(*forms: Form, allow: tuple[str, ...] = ("GET", "PUT", "POST", "DELETE")) -> Browser:
     drawn = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), allow, forms, csrf=lambda _: "token"))
-    return Browser(drawn.decode().partition("<main")[2])  # what is above it is on every page
+    return Browser(drawn.decode().partition("<main")[2])  # the forms above it are on every page
 
 
 def sent(form: Form) -> list[tuple[str, str]]:
-    """The form's own pairs, after the hidden ones were found to be right."""
+    """Return the form's own pairs, after checking the hidden ones."""
     token, method, pairs = split_hidden(page(form).pairs)
     assert (token, method) == ("token", form.method)
     return pairs
@@ -129,7 +129,7 @@ def texts() -> st.SearchStrategy[str]:
 
 
 def typed_texts() -> st.SearchStrategy[str]:
-    """Texts that can be typed: no control characters but line ends and tabs."""
+    """Return texts that can be typed: without control characters except line ends and tabs."""
     return st.text(st.characters(exclude_categories=("Cs", "Cc", "Cn"), include_characters="\n\t"), max_size=12)
 
 
@@ -139,7 +139,7 @@ def floats(name: str) -> st.SearchStrategy[object]:
 
 
 def values(kind: FieldType, types: MessageSchema, *, typed: bool = True) -> st.SearchStrategy[object]:
-    """Plain JSON of a field."""
+    """Return plain JSON for a field."""
     if isinstance(kind, Nested):
         fields = types.types[kind.name].fields
         return st.fixed_dictionaries({each.name: values(each.type, types, typed=typed) for each in fields})
@@ -189,7 +189,7 @@ def test_whatever_is_sent_is_json_or_refused_with_violations(
 
 
 def refusal(kind: MessageSchema, pairs: list[tuple[str, str]]) -> tuple[Violation, ...]:
-    """Why pairs are refused; none where they are not."""
+    """Return why pairs are rejected; empty if they are not."""
     try:
         lowerer(kind).from_json(parse_form(kind, pairs))
     except LoweringError as error:
@@ -269,7 +269,7 @@ def twice(name: str, level: int) -> MessageType:
 
 
 def test_types_that_nest_without_end_in_sight_have_forms_of_finite_size() -> None:
-    """Forty levels, each holding the next twice, would be a million million inputs."""
+    """Forty levels, each with the next one twice, would be a million million inputs."""
     types = {f"deep_msgs/msg/L{level}": twice(f"deep_msgs/msg/L{level}", level + 1) for level in range(40)}
     types["deep_msgs/msg/L40"] = MessageType("deep_msgs/msg/L40", (Field("x", Primitive("int8"), "x"),))
     kind = dataclasses.replace(schema("std_msgs/msg/Empty"), ref=TypeRef("deep_msgs/msg/L0", "0"), types=types)

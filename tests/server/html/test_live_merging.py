@@ -1,4 +1,4 @@
-"""How a page becomes the next one in a real browser: events of a made-up server, one after the other."""
+"""Updates of a page in a real browser: a fake server sends one event after the other."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MARK = "document.querySelector('.liveness').innerText.trim()"
 
 
 def page(content: str, live: bool = True) -> str:
-    """A page of the frame that all have."""
+    """Return a page with the usual frame."""
     data = ' data-live="3"' if live else ""
     script = '<script src="/live.js" defer></script>' if live else ""
     mark = '<p class="liveness" hidden><span class="dot"></span> <span role="status"></span> <button></button></p>'
@@ -39,7 +39,7 @@ def page(content: str, live: bool = True) -> str:
 
 
 def form(action: str, *inputs: str, token: str = "t") -> str:
-    """A form in a row of its own."""
+    """Return a form in a separate row."""
     return (
         f'<li data-key="{action}"><form method="post" action="{action}">'
         f'<input type="hidden" name="csrf" value="{token}">'
@@ -48,12 +48,12 @@ def form(action: str, *inputs: str, token: str = "t") -> str:
 
 
 def text(value: str, name: str = "data") -> str:
-    """An input."""
+    """Return an input."""
     return f'<input type="text" name="{name}" value="{value}">'
 
 
 class Site:
-    """A server with one page, and streams of what is told."""
+    """A server with one page, and event streams."""
 
     def __init__(self, first: str) -> None:
         self.page = first
@@ -65,14 +65,14 @@ class Site:
         self.start()
 
     def start(self) -> None:
-        """Listen, where it did before."""
+        """Listen, on the same port as before."""
         self._server = ThreadingHTTPServer(("127.0.0.1", self._port), self._handler())
         self._server.daemon_threads = True
         self._port = self._server.server_port
         threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
 
     def stop(self) -> None:
-        """End all streams, and listen no more."""
+        """End all streams, and stop listening."""
         self._server.shutdown()
         self._server.server_close()
         for each in self._told:
@@ -84,22 +84,22 @@ class Site:
 
     @property
     def readers(self) -> int:
-        """How many streams are open."""
+        """Return the number of open streams."""
         return len(self._told)
 
     def until_readers(self, count: int) -> None:
-        """Wait until so many streams are open."""
+        """Wait until this number of streams is open."""
         with self._came:
             assert self._came.wait_for(lambda: self.readers == count, 30), f"{self.readers} streams are open"
 
     def tell(self, data: str, name: str = "message") -> None:
-        """One event to all who listen."""
+        """Send one event to all readers."""
         lines = "".join(f"data: {line}\n" for line in data.split("\n"))
         for each in self._told:
             each.put(f"event: {name}\n{lines}\n".encode())
 
     def tell_page(self, content: str, live: bool = True) -> None:
-        """The page as it is now."""
+        """Send the current page."""
         self.tell(page(content, live))
 
     def stream(self, handler: BaseHTTPRequestHandler) -> None:
@@ -118,7 +118,7 @@ class Site:
                     break
                 handler.wfile.write(chunk)
         except OSError:
-            pass  # the reader has gone
+            pass  # the reader has disconnected
         with self._came:
             self._told.remove(told)
             self._came.notify_all()
@@ -160,7 +160,7 @@ def site() -> Iterator[Site]:
 
 
 def shown(tab: Any, site: Site, content: str) -> None:
-    """Open a page with this content, until it is live."""
+    """Open a page with this content, and wait until it is live."""
     site.page = page(content)
     tab.open(site.url)
     tab.until(LIVE)
@@ -293,7 +293,7 @@ def test_markup_in_what_comes_is_never_run(window: Any, site: Site) -> None:
         tab.until("document.querySelector('main > p').textContent === '2'")
         tab.run("document.querySelector('main a').click()")
         assert tab.run("new Promise((done) => setTimeout(() => done(typeof broken), 300))") == "undefined"
-        assert tab.faults  # the policy forbade it, and says so
+        assert tab.faults  # the policy forbade it, as the fault says
 
 
 SHADOWS = (

@@ -1,4 +1,4 @@
-"""The aircraft watched in a real browser while others fly it: pages follow without being loaded again."""
+"""The aircraft in a real browser while other clients fly it: pages update without being reloaded."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def served(own_aircraft: httpx.Client) -> Any:
 
 
 def watch(tab: Any, url: str) -> None:
-    """Open a page until it is live, with a sign that only loading it again takes away."""
+    """Open a page, wait until it is live, and add a mark that only reloading removes."""
     tab.open(url)
     tab.until(LIVE)
     tab.run("void (window.sameLoad = true)")
@@ -56,7 +56,7 @@ def test_start_is_replaced_by_stop_when_another_client_starts(tab: Any, served: 
     assert tab.run("document.querySelector('.told').innerText.trim()") == "on"
     assert tab.run("sameLoad")
     tab.until("!document.querySelector('[inert]')")
-    tab.leave("document.querySelector('.acts button').click()")  # its token is good: the form is carried out
+    tab.leave("document.querySelector('.acts button').click()")  # its token is valid: the form is carried out
     tab.until(f"{buttons} === 'Start'")
 
 
@@ -137,7 +137,7 @@ def test_a_page_that_answers_a_form_stays_as_it_is(tab: Any, served: Any) -> Non
     start(served)
     watch(tab, served.url + ENGINE)
     tab.run("document.querySelector('form[action$=speed] input[type=number]').select()")
-    tab.type("5000")  # from now on no page that comes changes the form
+    tab.type("5000")  # from now on no update changes the form
     tab.run("document.querySelector('form[action$=speed]').noValidate = true")
     tab.leave("document.querySelector('form[action$=speed] button').click()")
     assert tab.run("document.querySelector('.notice.error').checkVisibility()")

@@ -1,4 +1,4 @@
-"""Pages of hundreds of members: three screens at most, folded by namespace, filtered while one types."""
+"""Pages of hundreds of members: at most three screens, folded by namespace, filtered while the user types."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_of_very_many_namespaces_several_are_one_group_and_few_names_are_unfolde
 
 @pytest.fixture
 def http(robot: MadeUp, serving: Serving) -> httpx.Client:
-    """A robot of 330 topics and 60 services, all topics subscribed to."""
+    """A robot with 330 topics and 60 services, all topics subscribed to."""
     furnish(robot)
     for number in range(60):
         robot.offer(f"/service_{number:02}/do", "std_srvs/srv/Trigger", lambda _: {"success": True})
@@ -61,7 +61,7 @@ def http(robot: MadeUp, serving: Serving) -> httpx.Client:
 
 
 def tall(tab: Any, http: httpx.Client, *paths: str) -> list[str]:
-    """The pages that take more than three screens."""
+    """Return the pages higher than three screens."""
     tab.send("Emulation.setDeviceMetricsOverride", width=WIDTH, height=SCREEN, deviceScaleFactor=1, mobile=False)
     found = []
     for path in paths:
@@ -83,7 +83,7 @@ def test_pages_of_hundreds_are_three_screens_at_most_and_filtered_by_typing_whil
     tab.type("battery_2 state")
     tab.until(f"{SHOWN}.length === 1")
     robot.publishes("/battery_2/state", {"percentage": 0.25, "voltage": 11.5})
-    tab.until(f"{SHOWN}[0].textContent.includes('voltage 11.5')")  # the page was replaced, and stays filtered
+    tab.until(f"{SHOWN}[0].textContent.includes('voltage 11.5')")  # the page was replaced, and remains filtered
     assert tab.run(f"{SHOWN}.length") == 1
     assert tab.run("document.querySelector('.filter').checkVisibility()")
     tab.run("document.querySelector('.filter input').select()")

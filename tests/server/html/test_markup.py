@@ -1,4 +1,4 @@
-"""What all pages have in common: valid, accessible HTML that runs nothing and holds nothing of a robot's as markup."""
+"""Common properties of all pages: valid, accessible HTML without scripts or markup from a robot."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ VOID = frozenset({"meta", "link", "img", "input", "br", "hr", "wbr"})
 
 
 class Reader(HTMLParser):
-    """Reads a page strictly: every element is closed in order, and what it holds is kept."""
+    """Strict parser of a page: checks that elements are closed in order, and stores their content."""
 
     def __init__(self, text: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -92,18 +92,18 @@ def test_nothing_is_run_and_nothing_is_styled_in_place(read: Mapping[str, Reader
 
 
 OF_SOME = ("/ages.js", "/filter.js", "/spark.js", "/drive.js", "/picture.js", "/space_view.js", "/space.js")
-"""The scripts of pages that have what these are for."""
+"""Scripts of pages with the elements that they serve."""
 OF_QUERIES = tuple(
     f"/{name}.js"
     for name in ("yasgui", "uplot", "chart", "query_terms", "query_parameters", "query_views", "query_editor")
 )
-"""The scripts of the page that has the editor of queries."""
+"""Scripts of the page with the query editor."""
 
 
 def test_scripts_are_our_own_files_and_wait_for_the_page(read: Mapping[str, Reader]) -> None:
     for where, page in read.items():
         if re.search("/(cockpit|plot|space)", where):
-            continue  # their scripts have tests of their own
+            continue  # their scripts have separate tests
         live = [each for each in page.all("main") if "data-live" in each]
         pads = [each for each in page.all("div") if "data-drive" in each]
         scripts = page.all("script")
@@ -182,7 +182,7 @@ def test_a_hostile_robot_is_shown_as_text_and_never_linked(pages: Mapping[str, b
 
 
 def test_direction_overrides_stay_within_their_value(pages: Mapping[str, bytes]) -> None:
-    """Each text of the robot stands in a `bdi` (or an attribute), so that U+202E cannot turn what follows it."""
+    """Each text of the robot is in a `bdi` (or an attribute), so that U+202E cannot reverse the text after it."""
     loose: list[tuple[str, ...]] = []
 
     class Finder(Reader):

@@ -1,4 +1,4 @@
-"""Pages of resources: the state, what can be done now, and where each form posts."""
+"""Pages of resources: the state, the operations on offer, and the target of each form."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FORM = re.compile(r"<form.*?</form>", re.DOTALL)
 
 
 def forms(body: str) -> dict[tuple[str, str], str]:
-    """The forms of a page by where they post (empty for the page's own URL) and the verb they mean."""
+    """Return the forms of a page by target (empty for the page's own URL) and method."""
     found = {}
     for form in FORM.findall(below_header(body)):
         action = re.search(r'action="([^"]*)"', form)
@@ -24,7 +24,7 @@ def forms(body: str) -> dict[tuple[str, str], str]:
 
 
 def below_header(body: str) -> str:
-    """The page without what is at the top of every page: the search, and the stop."""
+    """Return the page without the header of every page: the search, and the stop."""
     return body.partition("<main")[2]
 
 

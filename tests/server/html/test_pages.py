@@ -1,4 +1,4 @@
-"""What pages say: the description, messages, contents, notices and results."""
+"""Content of pages: the description, messages, members, notices and results."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def drawn(*triples: Triple) -> str:
 
 
 def field(view: TableView, *path: str) -> View:
-    """The value of a field of a message's table."""
+    """Return the value of a field in a message's table."""
     found: View = view
     for name in path:
         assert isinstance(found, TableView)

@@ -1,4 +1,4 @@
-"""Pages on a phone: looked at with a real browser, where there is one."""
+"""Pages on a phone, in a real browser if there is one."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ function crowding(page, name) {
 
 @contextmanager
 def serving(pages: Mapping[str, bytes]) -> Iterator[str]:
-    """The pages by name, with the policy that all pages have, on a loopback port; yields the URL."""
+    """Serve the pages by name, with the usual policy, on a loopback port; yield the URL."""
     files = {"style.css": (ASSETS["style.css"], "text/css"), "icon.svg": (ASSETS["icon.svg"], "image/svg+xml")}
 
     class Handler(BaseHTTPRequestHandler):

@@ -1,4 +1,4 @@
-"""The picture on the page of a topic in a real browser: in motion while it is looked at, still when paused."""
+"""The picture on the page of a topic in a real browser: moving while it is visible, still when paused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COLOUR = f"""(() => {{
 
 
 def blue(number: int) -> str:
-    """Whether the picture has the colour of a frame."""
+    """Return whether the picture has the colour of a frame."""
     return f"Math.abs({COLOUR} - {frame(number)[0, 0, 0]}) < 8"
 
 

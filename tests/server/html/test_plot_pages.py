@@ -1,4 +1,4 @@
-"""Plots in a real browser: what is drawn, zoomed into, kept and handed on, and the small ones beside numbers."""
+"""Plots in a real browser: drawing, zooming, saving and sharing, and the small ones next to numbers."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_numbers_of_a_page_have_small_plots_that_lead_to_large_ones(tab: Any, ro
 
 
 def labels(page: str) -> list[str]:
-    """The labels of the lines of a plot, as its script gets them."""
+    """Return the labels of the lines of a plot, as passed to its script."""
     [found] = re.findall(r'data-plot="([^"]*)"', page)
     return [each["label"] for each in json.loads(html.unescape(found))["y"]]
 

@@ -1,4 +1,4 @@
-"""The editor of queries at /sparql in a real browser, and what it weighs: no other page has it."""
+"""The query editor at /sparql in a real browser, and its size: no other page includes it."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ PAGES = (
     "/types/", "/types/nav_msgs/msg/Odometry", "/mappings/", "/data/", "/queries/", "/queries/silent-topics", "/bags/",
     "/bags/history/", "/graph", "/diagnostics", "/plot?y=topics/odom%23twist.twist.linear.x", "/find?q=speed", "/stop",
 )  # fmt: skip
-"""The rover's pages. `/ontology` is not among them: it is a whole vocabulary, of 490 kB."""
+"""The rover's pages, without `/ontology`, which is a whole vocabulary of 490 kB."""
 MOST = 300_000
 
 
 @pytest.fixture
 def editor(tab: Any, rover: httpx.Client) -> Any:
-    """The editor, open and empty. What it asked of another host fails the test."""
+    """The editor, open and empty. Requests to other hosts fail the test."""
     tab.open(f"{rover.base_url}sparql")
     tab.run(f"{MIRROR}.setValue('')")
     yield tab
@@ -48,7 +48,7 @@ def write(tab: Any, text: str) -> None:
 
 
 def answer(tab: Any, view: str = "") -> None:
-    """Run the query, until its answer is drawn."""
+    """Run the query, and wait until its answer is drawn."""
     tab.run(f"{RUN}.click()")
     tab.until(f"{RUN}.textContent === 'Run' && document.querySelector('.yasr_results').childElementCount")
     if view:

@@ -1,4 +1,4 @@
-"""Views of space in a real browser: what is drawn, moved and followed, and what is said."""
+"""Views of space in a real browser: drawing, moving and following, and their text."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def drag(tab: Any, start: tuple[float, float], end: tuple[float, float]) -> None
 
 
 def aim(tab: Any) -> tuple[float, float]:
-    """Choose a goal on the map, 120 pixels from the left and the top, heading up; where that is in space."""
+    """Choose a goal on the map, 120 pixels from the left and the top, heading up; return its position in space."""
     tool = "[...document.querySelectorAll('.space .controls button')].at(-1)"
     tab.until(f"!{tool}.hidden")
     tab.run(f"void {CANVAS}.scrollIntoView({{block: 'center'}})")

@@ -1,4 +1,4 @@
-"""The stylesheet, whose colours can be read, light and dark, and the other files of pages."""
+"""The stylesheet, with readable colours in light and dark mode, and the other files of pages."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ PAIRS = [*ON_GROUND, ("good", "good-wash"), ("warn", "warn-wash"), ("bad", "bad-
 
 
 def luminance(colour: str) -> float:
-    """Relative luminance of sRGB (WCAG 2.2)."""
+    """Return the relative luminance of an sRGB colour (WCAG 2.2)."""
     channels = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
     linear = [each / 12.92 if each <= 0.04045 else ((each + 0.055) / 1.055) ** 2.4 for each in channels]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
 def contrast(one: str, other: str) -> float:
-    """Contrast ratio (WCAG 2.2), 1 to 21."""
+    """Return the contrast ratio (WCAG 2.2), 1 to 21."""
     dark, light = sorted((luminance(one), luminance(other)))
     return (light + 0.05) / (dark + 0.05)
 

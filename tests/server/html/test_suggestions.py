@@ -1,4 +1,4 @@
-"""The box at the top of every page: results come while words are typed, and without scripts it leads to the search."""
+"""The search box of every page: results appear while the user types, and without scripts it opens the search."""
 
 from __future__ import annotations
 

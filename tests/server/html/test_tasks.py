@@ -1,4 +1,4 @@
-"""How many clicks it takes a person, in a real browser, to do this and that on a robot that nobody has mapped."""
+"""Number of clicks that a person needs for tasks in a real browser, on a robot without a mapping."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NOTICE = "document.querySelector('.notice.good')?.textContent"
 
 
 class Person:
-    """Somebody with a mouse and a keyboard, who begins at the entry; `clicks` are counted, what is typed is not."""
+    """A person with a mouse and a keyboard, who starts at the entry; `clicks` are counted, typing is not."""
 
     def __init__(self, tab: Any, url: str) -> None:
         self.tab = tab
@@ -27,7 +27,7 @@ class Person:
         tab.open(url)
 
     def _place(self, element: str) -> dict[str, float]:
-        """Where in the window an element is, once it is there and at rest."""
+        """Return the position of an element in the window, once it exists and is at rest."""
         self.tab.until(f"{element} && !{element}.closest('[inert]')")
         self.tab.run(f"void {element}.scrollIntoView({{block: 'center', behavior: 'instant'}})")
         box = json.loads(self.tab.run(f"JSON.stringify({element}.getBoundingClientRect())"))
@@ -39,24 +39,24 @@ class Person:
         self.tab.press(**self._place(element))
 
     def follow(self, element: str) -> None:
-        """Click on what leads to another page."""
+        """Click on an element that leads to another page."""
         self.clicks += 1
         self.tab.follow(**self._place(element))
 
     def type(self, element: str, text: str) -> None:
-        """Click into a field, and type over what is there."""
+        """Click into a field, and replace its content."""
         self.click(element)
         self.tab.run(f"void {element}.select()")
         self.tab.type(text)
 
     def find(self, words: str, name: str) -> None:
-        """Search for words, and go to what is called so."""
+        """Search for words, and open the result with this name."""
         self.type(BOX, words)
         called = f"(each) => each.querySelector('bdi').textContent === '{name}'"
         self.follow(f"[...document.querySelectorAll('.suggestions a')].find({called})")
 
     def reads(self, field: str) -> str:
-        """JavaScript for what the page shows of a field of a message."""
+        """Return JavaScript for the text that the page shows for a field of a message."""
         return f"document.querySelector('[data-key=\"{field}\"] .value')?.textContent"
 
 

@@ -1,4 +1,4 @@
-"""Reading bodies: whole, within a size and a time."""
+"""Reading bodies: complete, within limits of size and time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rosld.server.http.problem import Problem
 
 
 def request(chunks: Sequence[bytes], headers: Sequence[tuple[bytes, bytes]] = (), *, then: str = "end") -> Request:
-    """A request whose body comes in chunks; `then`: the body ends, the client goes away, or nothing more comes."""
+    """Return a request with a body in chunks; `then`: the body ends, the client disconnects, or nothing follows."""
     coming = iter(chunks)
 
     async def receive() -> Message:

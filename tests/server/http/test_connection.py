@@ -1,4 +1,4 @@
-"""Connections, on the real server: what a stranger sends before it is a request is bounded."""
+"""Connections on the real server: limits of the bytes that a client sends before a complete request."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _V = TypeVar("_V")
 
 
 async def echo(scope: Scope, receive: Receive, send: Send) -> None:
-    """Answers with the body it was sent, or with the Problem of reading it."""
+    """Answer with the body of the request, or with the Problem of reading it."""
     try:
         response = Response(await read_body(Request(scope, receive), limit=1000), media_type="text/plain")
     except Problem as problem:
@@ -34,7 +34,7 @@ async def echo(scope: Scope, receive: Receive, send: Send) -> None:
 def with_server(
     work: Callable[[int], Awaitable[_V]], bounds: ConnectionBounds | None = None, app: ASGIApp = echo
 ) -> _V:
-    """What `work` makes of a running server's port; the server has ended afterwards."""
+    """Return the result of `work` on the port of a server, which has ended afterwards."""
 
     async def main() -> _V:
         listens = asyncio.Event()
@@ -52,7 +52,7 @@ def with_server(
 
 
 def answer(*chunks: bytes, bounds: ConnectionBounds | None = None) -> tuple[int, bytes, bytes]:
-    """Status, head and body of the answer to these bytes, read until the server closes the connection."""
+    """Return status, head and body of the response to these bytes, read until the server closes the connection."""
 
     async def talk(port: int) -> bytes:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -160,7 +160,7 @@ BROKEN = {
 
 
 class Bodies:
-    """Notes whole bodies, and answers with them once `gate` is open."""
+    """An application that records bodies, and answers with them once `gate` is open."""
 
     def __init__(self) -> None:
         self.bodies: list[bytes] = []
@@ -236,7 +236,7 @@ def test_a_head_that_never_ends_is_408() -> None:
 
 
 async def endless(scope: Scope, receive: Receive, send: Send) -> None:
-    """Answers with more than fits into the buffers of any system."""
+    """Answer with more than fits into the buffers of any system."""
     await send({"type": "http.response.start", "status": 200, "headers": []})
     for _ in range(1000):
         await send({"type": "http.response.body", "body": b"x" * 65536, "more_body": True})
@@ -247,7 +247,7 @@ def test_a_client_that_reads_nothing_is_cut_off() -> None:
         reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1)
         writer.write(b"GET / HTTP/1.1\r\nHost: a\r\n\r\n")
         await reader.readexactly(1)
-        await asyncio.sleep(0.5)  # in which nothing is read, as its reader takes one byte at a time
+        await asyncio.sleep(0.5)  # in which nothing is read, as its reader accepts one byte at a time
         told = 0
         with contextlib.suppress(ConnectionError):
             while chunk := await reader.read(1 << 20):

@@ -1,4 +1,4 @@
-"""Which connection makes room for which."""
+"""Choice of the connection to close when the limit is reached."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from rosld.server.serving.connections import SILENT_SECONDS, Connections
 
 
 class One:
-    """A connection that notes that it was ended."""
+    """A connection that records that it was ended."""
 
     is_ended = False
 

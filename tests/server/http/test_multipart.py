@@ -1,4 +1,4 @@
-"""multipart/form-data: parts are found as they were sent, and what is none is refused."""
+"""multipart/form-data: parts are parsed as they were sent, and invalid ones are rejected."""
 
 from __future__ import annotations
 

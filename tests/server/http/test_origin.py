@@ -1,4 +1,4 @@
-"""Host, Origin and sharing: who may talk to this server by which name."""
+"""Host, Origin and CORS: names and origins from which clients may access this server."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What reaches the application, against what h11 reads from the same bytes: no byte of a body is ever a request."""
+"""Requests that reach the application, compared to h11 on the same bytes: no byte of a body is ever a request."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SITE = origin_policy("http://a/", "a", 80)
 
 
 class Wire(asyncio.Transport):
-    """A transport that keeps what is sent."""
+    """A transport that records sent data."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,7 +54,7 @@ class Wire(asyncio.Transport):
 
 
 async def read_by_rosld(pieces: list[bytes]) -> tuple[Seen, bool]:
-    """The requests that reach the application from these pieces of a connection, and whether something was refused."""
+    """Return the requests that reach the application from pieces of a connection, and whether one was rejected."""
     seen: Seen = []
     refusals: list[Problem] = []
 
@@ -68,7 +68,7 @@ async def read_by_rosld(pieces: list[bytes]) -> tuple[Seen, bool]:
             check_host(SITE, request.headers.getlist("host"))
         except Problem as problem:
             refusals.append(problem)
-        if refusals:  # h11 does not read on behind a head without a Host, which rosld's application does
+        if refusals:  # h11 stops after a head without a Host, unlike rosld's application
             await render(refusals[0]).response()(scope, receive, send)
             return
         query = scope["query_string"]
@@ -97,7 +97,7 @@ async def read_by_rosld(pieces: list[bytes]) -> tuple[Seen, bool]:
 
 
 def read_by_h11(data: bytes) -> Seen:
-    """The same by h11, up to what it refuses. Empty lines before a request are passed over (RFC 9112 2.2)."""
+    """Return the same by h11, up to a rejected request. Empty lines before a request are ignored (RFC 9112 2.2)."""
     seen: Seen = []
     while data := data.lstrip(b"\r\n"):
         connection = h11.Connection(h11.SERVER)
@@ -137,7 +137,7 @@ BODIES = st.sampled_from([b"", b"abc", SMUGGLED, b"\r\n", b"0\r\n\r\n", b"x" * 3
 
 @st.composite
 def chunks(draw: st.DrawFn) -> bytes:
-    """A body in chunks, perhaps with extensions and trailers."""
+    """Return a body in chunks, possibly with extensions and trailers."""
     extension = draw(st.sampled_from([b"", b"", b";a=b", b";a"]))
     pieces = draw(st.lists(BODIES.filter(bool), max_size=3))
     trailers = draw(st.sampled_from([b"", b"", b"A: b\r\n", b"Connection: upgrade\r\nUpgrade: h2c\r\n"]))
@@ -146,7 +146,7 @@ def chunks(draw: st.DrawFn) -> bytes:
 
 @st.composite
 def requests(draw: st.DrawFn) -> bytes:
-    """A request, most often a valid one."""
+    """Return a request, usually a valid one."""
     method = draw(st.sampled_from([b"GET", b"PUT", b"POST", b"DELETE", b"PATCH", b"OPTIONS", b"HEAD"]))
     target = draw(st.sampled_from([b"/", b"/a/b?c=d", b"/%20", b"/a//b"]))
     version = draw(st.sampled_from([b"1.1"] * 9 + [b"1.0"]))
@@ -172,7 +172,7 @@ DAMAGE = [b"", b"\r\n", b"\n", b"\r", b" ", b"\t", b"0", b":", b"\x00", b"\xff",
 
 @st.composite
 def streams(draw: st.DrawFn) -> list[bytes]:
-    """Some requests one after another, now and then damaged, in pieces."""
+    """Return several requests in sequence, occasionally damaged, in pieces."""
     data = b"".join(draw(st.lists(requests(), min_size=1, max_size=4)))
     for _ in range(draw(st.sampled_from([0, 0, 1, 2]))):
         at = draw(st.integers(0, len(data)))

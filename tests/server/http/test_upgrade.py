@@ -1,4 +1,4 @@
-"""Requests that ask for another protocol, on the real server: what is not taken up is ignored (RFC 9110 7.8)."""
+"""Requests to upgrade the protocol, on the real server: unsupported ones are ignored (RFC 9110 7.8)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 
 SETTINGS = b"HTTP2-Settings: AAEAAEAAAAIAAAABAAMAAABkAAQBAAAAAAUAAEAA\r\n"
 H2C = b"Connection: Upgrade, HTTP2-Settings\r\n" + SETTINGS + b"Upgrade: h2c\r\n"
-"""As the HttpClient of Java's JDK sends it with each plain request."""
+"""Header fields that the HttpClient of Java's JDK sends with each plain request."""
 WEBSOCKET = (
     b"Connection: Upgrade\r\nUpgrade: websocket\r\n"
     b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
@@ -37,7 +37,7 @@ LAST = ("GET", "/next?a=b", b"")
 
 
 class Application:
-    """Notes the requests that come, and answers each with its number."""
+    """An application that records requests, and answers each with its number."""
 
     def __init__(self) -> None:
         self.seen: Seen = []
@@ -60,7 +60,7 @@ Talk: TypeAlias = Callable[..., Awaitable[tuple[Seen, bytes]]]
 
 
 def with_listener(work: Callable[[Talk], Awaitable[None]], tls_files: tuple[Path, Path] | None = None) -> None:
-    """Do `work` with a function that sends pieces on a new connection: what was seen of them, and what was answered."""
+    """Call `work` with a function that sends pieces on a new connection; return the requests and the response."""
     app = Application()
 
     async def main() -> None:
@@ -80,7 +80,7 @@ def with_listener(work: Callable[[Talk], Awaitable[None]], tls_files: tuple[Path
             )
             for piece in pieces:
                 writer.write(piece)
-                for _ in range(4):  # turns of the loop that both share, in which the server reads the piece
+                for _ in range(4):  # iterations of the common loop, in which the server reads the piece
                     await asyncio.sleep(0)
             answers = await asyncio.wait_for(reader.read(), 10)
             writer.close()

@@ -1,4 +1,4 @@
-"""Judging JSON by JSON Schema, with Ajv and the W3C's own schema of Thing Descriptions."""
+"""Validation of JSON by JSON Schema, with Ajv and the W3C's own schema of Thing Descriptions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ JUDGE = Path(__file__).with_name("judge.cjs")
 
 @pytest.fixture(scope="session")
 def judged() -> Callable[[Sequence[tuple[object, object]]], list[list[str]]]:
-    """Pairs of a schema (`"td"`: that of Thing Descriptions) and a value, to the errors of each, in one go."""
+    """Return the errors for pairs of a schema (`"td"` for that of Thing Descriptions) and a value, in one batch."""
     packages = node_modules()
 
     def judge(pairs: Sequence[tuple[object, object]]) -> list[list[str]]:

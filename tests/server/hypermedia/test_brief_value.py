@@ -1,4 +1,4 @@
-"""Brief values: so much of a value as fits a line, and what is left out is visible."""
+"""Brief values: the part of a value that fits into a line, with visible omissions."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def value_of(type: str, value: object) -> MessageValue:
 
 
 def is_part(brief: Any, whole: Any) -> bool:
-    """Whether a brief value says nothing but what the whole one does, and says where it leaves something out."""
+    """Whether a brief value has only content of the whole one, and marks its omissions."""
     if isinstance(brief, dict):
         told = {name: each for name, each in brief.items() if name != "..."}
         left_out = whole.keys() - told.keys() - {"header"}

@@ -1,4 +1,4 @@
-"""Conventions: which names of a robot become which resources, by what their types say."""
+"""Conventions: the resources that follow from a robot's names and types."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def graph(
     services: Mapping[str, str | None] | None = None,
     parameters: Iterable[str | Parameter] = (),
 ) -> Graph:
-    """A graph: types by name, those of `SERVICES` by their last word; None and () where the type is not known."""
+    """Return a graph: types by name, those of `SERVICES` by their last word; None and () for unknown types."""
     own = [each if isinstance(each, Parameter) else Parameter(each) for each in parameters]
     return Graph(
         1,
@@ -133,7 +133,7 @@ def found(
 
 
 def sources(one: Property) -> tuple[list[str], list[str]]:
-    """What reads and what writes a property, by kind and name."""
+    """Return the readers and writers of a property, by kind and name."""
     return [_told(each) for each in one.readers], [_told(each) for each in one.writers]
 
 
@@ -210,7 +210,7 @@ class TestGetters:
 
 
 def made(types: Mapping[str, Iterable[tuple[str, FieldType]]], root: str = "A") -> MessageSchema:
-    """A schema of types that no definition could give."""
+    """Return a schema of types that no definition could have."""
     codec = message(FLOAT).codec
     layouts = {
         name: MessageType(name, tuple(Field(field, kind, field) for field, kind in fields))
@@ -451,7 +451,7 @@ SAMPLES = {
 
 
 def _sample(kind: ValueShape, target: MessageSchema) -> object:
-    """A value of a kind as the JSON of a message that is to take it."""
+    """Return a value of a kind as the JSON of a message that may accept it."""
     if isinstance(kind, ScalarShape):
         (field,) = target.type.fields
         return {field.name: SAMPLES[kind.kind.name]}

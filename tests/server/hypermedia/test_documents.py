@@ -1,4 +1,4 @@
-"""Mapping documents: what they mean, and every way in which one is refused."""
+"""Mapping documents: their meaning, and every reason for rejecting one."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def refused(turtle: str) -> tuple[Violation, ...]:
 
 
 def resource(inner: str) -> ComplexResource:
-    """The complex resource of path `/a/` with this in it."""
+    """Return the complex resource of path `/a/` with these statements."""
     (found,) = read(f'<#a> a map:ComplexResource ; map:path "/a/" ; {inner} .').resources
     return found
 
@@ -125,7 +125,7 @@ def test_what_stops_nothing_is_refused() -> None:
 
 
 def _told(triple: Triple) -> tuple[str, str, str]:
-    """A triple without the labels of blank nodes."""
+    """Return a triple without the labels of blank nodes."""
     subject, object = ("[]" if isinstance(each, BlankNode) else str(each) for each in (triple.subject, triple.object))
     return subject, str(triple.predicate), object
 
@@ -141,7 +141,7 @@ def _outline(found: ComplexResource) -> object:
     )
 
 
-# What a document may say
+# Valid documents
 
 
 def test_names_of_properties_and_actions_come_from_map_name_or_from_what_they_are_mapped_to() -> None:
@@ -188,11 +188,11 @@ def test_a_condition_in_brackets_works_and_gets_a_name_that_the_document_does_no
     assert first.shape.violations(focus, [Triple(focus, NamedNode(f"{av.iri}p"), Literal(0))])
 
 
-# What the shape refuses: inside a complex resource of path /a/
+# Violations of the shape, inside a complex resource of path /a/
 
 CONDITION = "a sh:NodeShape ; sh:property [ sh:path av:p ; sh:minCount 1 ]"
 WRONG: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    # what is blamed, a template, and what is wrong in its place
+    # the violation's place, a template, and the invalid statement at that place
     ("predicate", 'map:property [ map:member "p" {} ]', ("", '; map:predicate "p"', "; map:predicate av:p , av:q")),
     ("predicate", 'map:property [ map:predicate {} ; map:member "p" ]', ("rdf:type", "ldp:contains")),
     ("member", "map:property [ map:predicate av:p {} ]", ("", '; map:member "p" , "q"', "; map:member <p>")),
@@ -289,7 +289,7 @@ def test_a_misspelt_term_is_refused_with_a_similar_one() -> None:
 
 
 def with_condition(shape: str, about: str = "/b/") -> str:
-    """A mapping with a condition that has this in it."""
+    """Return a mapping with a condition that has these statements."""
     condition = f"[ a sh:NodeShape ; map:about '{about}' ; {shape} ]"
     return f"<#a> a map:ComplexResource ; map:path '/a/' ; map:existsWhen {condition} ."
 
@@ -404,7 +404,7 @@ def test_every_mapping_in_the_guide_is_good() -> None:
 
 @st.composite
 def damaged(draw: st.DrawFn) -> RdfBody:
-    """The aircraft's mapping with a few triples gone, changed or added."""
+    """Return the aircraft's mapping with a few triples removed, changed or added."""
     triples = list(aircraft().triples)
     subjects = sorted({one.subject for one in triples}, key=str)
     predicates = sorted({*(one.predicate for one in triples), *mapping.terms.values(), *sh.terms.values()}, key=str)
@@ -468,7 +468,7 @@ def test_a_damaged_mapping_is_taken_or_refused_with_a_reason(body: RdfBody) -> N
 
 
 def outcome(body: RdfBody) -> MappingDocument | InvalidMapping:
-    """What becomes of a body; anything but these two is a fault."""
+    """Return the result of a body; any other exception is a fault."""
     try:
         return mapping_of(body, URL)
     except InvalidMapping as error:

@@ -1,4 +1,4 @@
-"""Mappings in force: replaced whole or not at all; and what is looked up in them."""
+"""Mappings in force: atomic replacement, and lookups."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def document(name: str, text: str) -> MappingDocument:
 
 
 def resource(path: str, inner: str = "") -> str:
-    """A complex resource; its IRI is made of its path."""
+    """Return a complex resource; its IRI is derived from its path."""
     return f'<#r{path.replace("/", "-")}> a map:ComplexResource ; map:path "{path}" {inner} .\n'
 
 
 def about(place: str) -> str:
-    """A condition in brackets about a path, or about a name."""
+    """Return a condition in brackets about a path, or about a name."""
     seen = ":p" if place.endswith("/") else "rdf:value"
     return f'[ a sh:NodeShape ; map:about "{place}" ; sh:property [ sh:path {seen} ; sh:minInclusive 1 ] ]'
 

@@ -1,4 +1,4 @@
-"""Readings: calls that several readers share, while they come, leave and ask anew."""
+"""Readings: calls shared by several readers, while they connect, disconnect and refresh."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ LIBRARY = TypeLibrary(ros_version=1)
 
 
 async def turns(count: int = 5) -> None:
-    """Let everything run that can."""
+    """Let all pending callbacks run."""
     for _ in range(count):
         await asyncio.sleep(0)
 
 
 def plain(reading: Reading) -> object:
-    """The value as JSON; the failure's text where there is none."""
+    """Return the value as JSON, or the failure's text."""
     return plain_json(reading.value, LIFTING).decode() if reading.value is not None else reading.failure
 
 
@@ -53,7 +53,7 @@ def number(value: float) -> bytes:
 
 
 class Fake:
-    """As much of an adapter as readings need: one service, which answers 1, 2, 3 and so on, or hangs until released."""
+    """The part of an adapter that readings need: one service, which answers 1, 2, 3..., or hangs until released."""
 
     def __init__(self) -> None:
         self.capabilities = replace(Aircraft(AdapterOptions()).capabilities, system="fake")
@@ -98,7 +98,7 @@ class Bench:
 
 
 def benched(test: Callable[[Bench], Awaitable[None]]) -> None:
-    """Run a test, which may leave nothing running."""
+    """Run a test, and check that it leaves nothing running."""
 
     async def main() -> None:
         bench = Bench()
@@ -177,7 +177,7 @@ def test_readings_anew_of_a_getter_that_hangs_do_not_pile_up() -> None:
 
 @pytest.mark.parametrize("steps", [0, 1, 2, 3, 4, 6])
 def test_whenever_freshness_ends_what_was_asked_before_is_never_known_after(steps: int) -> None:
-    """At every turn of the loop between the answer and the reader that gets it."""
+    """This tests every iteration of the loop between the answer and the reader that receives it."""
 
     async def main(bench: Bench) -> None:
         bench.fake.hangs = True

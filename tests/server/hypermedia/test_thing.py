@@ -1,4 +1,4 @@
-"""Thing Descriptions: valid by the W3C's own schema, and data schemas that are true of every value."""
+"""Thing Descriptions: valid according to the W3C's own schema, with data schemas that accept every value."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values: how a property's value is written in RDF and in plain JSON, and when two are the same."""
+"""Values: a property's value in RDF and in plain JSON, and equality of values."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def known(name: str) -> MessageSchema:
 
 
 def value_of(schema: MessageSchema, value: object, *names: str) -> MessageValue:
-    """The message of a JSON value; with names, only these fields of it are the value."""
+    """Return the message of a JSON value; with names, only these fields are the value."""
     fields = tuple(field for field in schema.type.fields if not names or field.name in names)
     return MessageValue(schema, lowerer(schema).from_json(value, defaults=True), fields, T)
 

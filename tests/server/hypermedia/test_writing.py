@@ -1,4 +1,4 @@
-"""Writing: who writes a property now, what a content is lowered to, and what becomes of it on the robot."""
+"""Writing: the current writer of a property, the lowering of contents, and the effects on the robot."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def reason_of(robot: Session, own: Property) -> str:
 
 
 class Fake:
-    """What an adapter does for writing."""
+    """The part of an adapter that writing needs."""
 
     def __init__(self, graph: Graph, allowed: Iterable[Operation] = Operation) -> None:
         self.graph = graph

@@ -1,4 +1,4 @@
-"""Pictures of all encodings, beside what OpenCV makes of the same bytes as cv_bridge would have it."""
+"""Pictures of all encodings, compared to those of OpenCV from the same bytes with cv_bridge's conversions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHOWN = DepthRange()
 
 
 def image(encoding: str, values: np.ndarray, *, padding: int = 0, big: bool = False, width: int = 0) -> RawImage:
-    """An Image whose rows are those of an array, each with so many bytes of padding."""
+    """Return an Image whose rows are those of an array, each with this number of bytes of padding."""
     ordered = values.astype(values.dtype.newbyteorder(">" if big else "<"))
     rows = np.ascontiguousarray(ordered).reshape(values.shape[0], -1).view(np.uint8)
     filled = np.pad(rows, ((0, 0), (0, padding)), constant_values=0xA5)
@@ -30,7 +30,7 @@ def image(encoding: str, values: np.ndarray, *, padding: int = 0, big: bool = Fa
 
 
 def seen(raw: RawImage) -> np.ndarray:
-    """The picture as OpenCV reads the PNG that was made of it: BGR, BGRA or grey."""
+    """Return the picture as OpenCV reads the resulting PNG: BGR, BGRA or grey."""
     file = write_picture(draw_raw(raw), PictureForm(PNG))
     return cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_UNCHANGED)
 
@@ -62,7 +62,7 @@ BYTE_ORDERS = (False, True)
 
 
 def difference(raw: RawImage, expected: np.ndarray) -> int:
-    """The largest difference of a channel from what OpenCV makes of the same bytes."""
+    """Return the largest difference of a channel from OpenCV's result."""
     return int(np.abs(seen(raw).astype(int) - expected).max())
 
 

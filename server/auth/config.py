@@ -143,28 +143,28 @@ class _Table:
 
 def from_toml(data: bytes) -> AuthConfig:
     """Return the configuration in TOML. Raises ValueError naming the table and the error."""
-    said = tomllib.loads(data.decode("utf-8"))
+    members = tomllib.loads(data.decode("utf-8"))
     kinds = ("agent", "token", "issuer", "rule")
-    for kind, tables in said.items():
+    for kind, tables in members.items():
         if kind not in kinds or not isinstance(tables, list):
             raise ValueError(f"{kind!r} is not known; there are {', '.join(f'[[{each}]]' for each in kinds)}")
-    agents, subjects = _agents(_tables(said, "agent"))
+    agents, subjects = _agents(_tables(members, "agent"))
     tokens: dict[str, str] = {}
-    for table in _tables(said, "token"):
+    for table in _tables(members, "token"):
         name = table.checked(lambda table=table: _name(table.text("agent")))  # type: ignore[misc]
         tokens[table.checked(lambda table=table: _digest(table.text("sha256")))] = name  # type: ignore[misc]
         table.drop("created", "note")
         table.end()
         agents.setdefault(name, Agent(name))
-    issuers = tuple(map(_issuer, _tables(said, "issuer")))
-    rules = tuple(map(_rule, _tables(said, "rule")))
+    issuers = tuple(map(_issuer, _tables(members, "issuer")))
+    rules = tuple(map(_rule, _tables(members, "rule")))
     return _whole(agents, tokens, issuers, subjects, rules)
 
 
-def _tables(said: Mapping[str, object], kind: str) -> Iterator[_Table]:
-    found = said.get(kind, [])
+def _tables(members: Mapping[str, object], kind: str) -> Iterator[_Table]:
+    found = members.get(kind, [])
     assert isinstance(found, list)
-    return (_Table(kind, number, members) for number, members in enumerate(found, 1))
+    return (_Table(kind, number, table) for number, table in enumerate(found, 1))
 
 
 def _agents(tables: Iterable[_Table]) -> tuple[dict[str, Agent], dict[tuple[str, str], str]]:
@@ -303,14 +303,14 @@ class _Graph:
 
     def of(self, kind: NamedNode) -> list[_Node]:
         """Return the subjects of a class."""
-        found = (node for node, said in self._by_subject.items() if (rdf.type, kind) in said)
+        found = (node for node, statements in self._by_subject.items() if (rdf.type, kind) in statements)
         return [node for node in found if isinstance(node, NamedNode | BlankNode)]
 
     def all(self, node: _Node, predicate: NamedNode) -> list[object]:
         """Return the objects of a subject."""
         return [object for found, object in self._by_subject.get(node, ()) if found == predicate]
 
-    def said(self, node: _Node) -> frozenset[NamedNode]:
+    def predicates(self, node: _Node) -> frozenset[NamedNode]:
         """Return all predicates of a subject."""
         return frozenset(predicate for predicate, _ in self._by_subject.get(node, ()))
 
@@ -345,7 +345,7 @@ _CLASSES: Mapping[object, str] = {foaf.Agent: ANONYMOUS.name, acl.AuthenticatedA
 
 def _authorization(graph: _Graph, node: _Node, base: str, called: Mapping[str, str]) -> Rule:
     """Return a rule as an acl:Authorization (Web Access Control 4)."""
-    if unknown := graph.said(node) - _AUTHORIZATION:
+    if unknown := graph.predicates(node) - _AUTHORIZATION:
         raise ValueError(f"the authorization {node} has {next(iter(unknown))}, which is not known here")
     agents = {called.get(_iri_or_label(each), _iri_or_label(each)) for each in graph.all(node, acl.agent)}
     for each in graph.all(node, acl.agentClass):

@@ -21,7 +21,7 @@ from rosld.server.auth.config import Issuer
 
 _SECONDS = 5.0
 _MAX_BYTES = 256 * 1024
-_KEPT_SECONDS = 3600.0
+_CACHED_SECONDS = 3600.0
 _AGAIN_SECONDS = 10.0
 """Minimum seconds between two fetches of an issuer's keys, even for a token with an unknown key."""
 _LEEWAY = 10.0
@@ -57,10 +57,10 @@ def issuer_of(token: str, issuers: Iterable[Issuer]) -> Issuer | None:
     except ImportError:
         return None
     try:
-        said = jwt.decode(token, options={"verify_signature": False}).get("iss")
+        claimed = jwt.decode(token, options={"verify_signature": False}).get("iss")
     except jwt.PyJWTError:
         return None
-    return next((issuer for issuer in issuers if issuer.url == said), None)
+    return next((issuer for issuer in issuers if issuer.url == claimed), None)
 
 
 class TokenVerifier(Struct):
@@ -79,7 +79,7 @@ class TokenVerifier(Struct):
             raise InvalidToken("That token is malformed") from error
         key = await self._key(issuer, key_id)
         try:
-            said = jwt.decode(
+            claims = jwt.decode(
                 token,
                 key,  # type: ignore[arg-type]
                 algorithms=list(issuer.algorithms),
@@ -92,8 +92,8 @@ class TokenVerifier(Struct):
             raise InvalidToken("That token has expired") from error
         except (jwt.PyJWTError, ValueError, TypeError) as error:
             raise InvalidToken("That token does not hold") from error
-        webid = said.get("webid")
-        return Claims(issuer.url, str(said["sub"]), float(said["exp"]), webid if isinstance(webid, str) else None)
+        webid = claims.get("webid")
+        return Claims(issuer.url, str(claims["sub"]), float(claims["exp"]), webid if isinstance(webid, str) else None)
 
     async def _key(self, issuer: Issuer, key_id: object) -> object:
         """Return the key with an id; a token without a key id gets the issuer's only key."""
@@ -102,7 +102,7 @@ class TokenVerifier(Struct):
             known = self._keys.get(issuer)
             now = time.monotonic()
             age = float("inf") if known is None else now - known.fetched
-            if known is None or age > _KEPT_SECONDS or (_find_key(known, key_id) is None and age > _AGAIN_SECONDS):
+            if known is None or age > _CACHED_SECONDS or (_find_key(known, key_id) is None and age > _AGAIN_SECONDS):
                 try:
                     known = _Keys(await asyncio.to_thread(_fetch, issuer), now)
                 except (OSError, ValueError) as error:

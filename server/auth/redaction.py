@@ -190,10 +190,10 @@ class _Redaction:
 
     def _usable_forms(self) -> dict[_Term, str]:
         """Return the method of each form that the agent may use, by the form's node."""
-        said = self._document.triples
-        methods = {each.subject: each.object.value for each in said if each.predicate == htv.methodName and
+        triples = self._document.triples
+        methods = {each.subject: each.object.value for each in triples if each.predicate == htv.methodName and
                    isinstance(each.object, Literal)}  # fmt: skip
-        targets = {each.subject: each.object.value.partition("{")[0] for each in said
+        targets = {each.subject: each.object.value.partition("{")[0] for each in triples
                    if each.predicate == hctl.hasTarget and isinstance(each.object, NamedNode | Literal)}  # fmt: skip
         return {
             form: method
@@ -235,10 +235,10 @@ def _remove_orphans(after: list[Triple], before: Iterable[Triple], own: str) -> 
     while True:
         leads = {each.object for each in after if each.object in led and each.subject != each.object}
         lost = led - leads
-        kept = [each for each in after if each.subject not in lost]
-        if len(kept) == len(after):
-            return kept
-        after = kept
+        remaining = [each for each in after if each.subject not in lost]
+        if len(remaining) == len(after):
+            return remaining
+        after = remaining
 
 
 def _is_part(term: _Term, own: str) -> bool:

@@ -46,7 +46,7 @@ _CONTROLLED = frozenset(
 ACL = "acl"
 """Route of the access rules."""
 _READS = frozenset({"GET", "HEAD", "OPTIONS"})
-_ASKED = frozenset({"sparql", "channels"})
+_READ_BY_POST = frozenset({"sparql", "channels"})
 """Routes in which a POST reads: queries and subscriptions. Updates are judged for each graph they change."""
 
 
@@ -55,7 +55,7 @@ def mode_of(method: str, path: Path) -> Mode:
     route = path[0] if path else ""
     if route == ACL:
         return Mode.ADMINISTER
-    if method in _READS or route in _ASKED:
+    if method in _READS or route in _READ_BY_POST:
         return Mode.READ
     if route == "stop" and method == "DELETE":
         return Mode.ADMINISTER
@@ -178,11 +178,11 @@ class Rights:
     @cached_property
     def key(self) -> str:
         """Key shared by agents with equal rules, which reveals nothing about the rules."""
-        said = sorted(
+        texts = sorted(
             f"{sorted(mode.value for mode in rule.modes)}{[glob.text for glob in rule.globs]}{rule.types}{rule.deny}"
             for rule in self.rules
         )
-        return hashlib.blake2b("\n".join(said).encode(), digest_size=6, key=_SECRET).hexdigest()
+        return hashlib.blake2b("\n".join(texts).encode(), digest_size=6, key=_SECRET).hexdigest()
 
     def _evaluate(self, mode: Mode, path: Path, types: Types | None) -> bool:
         found = [rule.deny for rule in self.rules if rule.covers(mode, path, types)]

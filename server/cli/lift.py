@@ -65,7 +65,7 @@ def lift(recording: Path, output: Path, base: str, options: AdapterOptions, sett
             for found in adapter.recordings.values():
                 lifting = Lifting(found, space, settings, simulated_time=adapter.graph.simulated_time)
                 write(lifting, to)
-                _tell_unread(lifting.unread)
+                _report_unread(lifting.unread)
 
 
 def _exit(number: int, frame: object) -> NoReturn:
@@ -114,6 +114,6 @@ def draft_file(to: Target) -> Iterator[IO[bytes]]:
         path.unlink(missing_ok=True)
 
 
-def _tell_unread(unread: Counter[str]) -> None:
+def _report_unread(unread: Counter[str]) -> None:
     for words, count in unread.most_common():
         click.echo(f"rosld: {count} messages are told of but could not be read: {words}", err=True)

@@ -26,8 +26,8 @@ def add(file: Path, name: str, modes: Sequence[str], globs: Sequence[str]) -> No
     It is printed only once: the file contains its digest. Raises Failure if the file cannot be read.
     """
     token = tokens.generate_token()
-    made = datetime.now(timezone.utc).strftime("%Y-%m-%d")
-    more = f'\n[[token]]\nagent = {_text(name)}\nsha256 = "{tokens.token_digest(token)}"\ncreated = "{made}"\n'
+    created = datetime.now(timezone.utc).strftime("%Y-%m-%d")
+    more = f'\n[[token]]\nagent = {_text(name)}\nsha256 = "{tokens.token_digest(token)}"\ncreated = "{created}"\n'
     if modes or globs:
         more += (
             f"\n[[rule]]\nagents = [{_text(name)}]\nmodes = [{', '.join(map(_text, modes or ('read',)))}]\n"

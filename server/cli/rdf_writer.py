@@ -61,21 +61,21 @@ class Lifting:
     def messages(self) -> Iterator[DescribedMessage]:
         """Yield every message in recorded order."""
         for recorded in self.recording.messages():
-            told = self._describe(recorded)
-            if told.unreadable is not None:
-                self.unread[f"{recorded.topic}: {told.unreadable}"] += 1
-            yield told
+            described = self._describe(recorded)
+            if described.unreadable is not None:
+                self.unread[f"{recorded.topic}: {described.unreadable}"] += 1
+            yield described
 
-    def document(self, told: DescribedMessage) -> Document:
+    def document(self, described: DescribedMessage) -> Document:
         """Return the document of one message."""
         found = bag_message_document(
-            self.recording, told.recorded, self._space, told.lifted, unreadable=told.unreadable
+            self.recording, described.recorded, self._space, described.lifted, unreadable=described.unreadable
         )
         return replace(found, simulated_time=True) if self._simulated_time else found
 
-    def document_without_payload(self, told: DescribedMessage) -> Document:
+    def document_without_payload(self, described: DescribedMessage) -> Document:
         """Return the document of one message without triples: its URL, and whether time is simulated."""
-        return Document(f"{self._messages}{told.recorded.index}", (), (), self._simulated_time)
+        return Document(f"{self._messages}{described.recorded.index}", (), (), self._simulated_time)
 
     def _describe(self, recorded: RecordedMessage) -> DescribedMessage:
         sample = recorded.sample
@@ -128,7 +128,7 @@ class Writer(Protocol):
         """Return the bytes of a document. Raises CannotCarry as `serialize` does."""
         ...
 
-    def message(self, told: DescribedMessage) -> bytes:
+    def message(self, described: DescribedMessage) -> bytes:
         """Return the document of one recorded message."""
         ...
 
@@ -152,9 +152,9 @@ class Paragraphs:
         header = _HEADER.match(text)
         return text if header is None else self._new(header[0]) + text[header.end() :]
 
-    def message(self, told: DescribedMessage) -> bytes:
+    def message(self, described: DescribedMessage) -> bytes:
         """Return the document of one recorded message."""
-        return self.document(self._lifting.document(told))
+        return self.document(self._lifting.document(described))
 
     def _new(self, header: bytes) -> bytes:
         """Return the new lines of a header; the base is always included."""
@@ -209,31 +209,31 @@ class Lines:
         """Return the document with one triple or quad per line."""
         return serialize_named(document, self._syntax)
 
-    def message(self, told: DescribedMessage) -> bytes:
+    def message(self, described: DescribedMessage) -> bytes:
         """Return the lines of one message: its description by the stream's template, its values by its lifter."""
-        if told.lifted is None:
-            return self.document(self._lifting.document(told))
-        recorded = told.recorded
+        if described.lifted is None:
+            return self.document(self._lifting.document(described))
+        recorded = described.recorded
         key = (recorded.topic, recorded.sample.publisher, recorded.sample.schema)
         template = self._templates.get(key)
         if template is None:
-            template = self._templates[key] = self._template(told)
+            template = self._templates[key] = self._template(described)
         if not template.is_verified:
-            return self._in_full(told, template)
-        bare = self._lifting.document_without_payload(told)
+            return self._in_full(described, template)
+        bare = self._lifting.document_without_payload(described)
         end = f" <{bare.url}> .\n" if self._syntax.datasets else " .\n"
-        return template.text(recorded) + told.lifted.ntriples(bare, end).encode()
+        return template.text(recorded) + described.lifted.ntriples(bare, end).encode()
 
-    def _in_full(self, told: DescribedMessage, template: Template) -> bytes:
-        document = self._lifting.document(told)
+    def _in_full(self, described: DescribedMessage, template: Template) -> bytes:
+        document = self._lifting.document(described)
         if template.is_unverified:
-            template.verify(told.recorded, self._description(document))
+            template.verify(described.recorded, self._description(document))
         return self.document(document)
 
-    def _template(self, told: DescribedMessage) -> Template:
-        sample = told.recorded.sample._replace(received_ns=_PLACE_NS)
-        placed = replace(told.recorded, index=_PLACE, sample=sample)
-        return Template(self._description(self._lifting.document(told._replace(recorded=placed))))
+    def _template(self, described: DescribedMessage) -> Template:
+        sample = described.recorded.sample._replace(received_ns=_PLACE_NS)
+        placed = replace(described.recorded, index=_PLACE, sample=sample)
+        return Template(self._description(self._lifting.document(described._replace(recorded=placed))))
 
     def _description(self, document: Document) -> bytes:
         return self.document(replace(document, messages=()))

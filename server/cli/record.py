@@ -106,7 +106,7 @@ class _Recording(NullSink):
                 self._output, self._adapter.capabilities.encoding, self._schemas.definition_of, require_room
             )
             self._live.add(writer, lambda topic: any(fnmatchcase(topic, glob) for glob in self._topics))
-            progress = loop.create_task(self._tell(writer, ended))
+            progress = loop.create_task(self._report_progress(writer, ended))
             with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
                 await asyncio.wait_for(ended.wait(), duration)
             progress.cancel()
@@ -125,7 +125,7 @@ class _Recording(NullSink):
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._live.refresh)
 
-    async def _tell(self, writer: RecordingWriter, ended: asyncio.Event) -> None:
+    async def _report_progress(self, writer: RecordingWriter, ended: asyncio.Event) -> None:
         """Report the progress in one line of a terminal (and only there); end with the recording."""
         is_terminal = os.isatty(sys.stderr.fileno())
         while True:
@@ -133,5 +133,5 @@ class _Recording(NullSink):
             if writer.problem is not None:
                 ended.set()
             if is_terminal:
-                told = f"{writer.count} messages of {len(writer.counts)} topics, {writer.size / 1e6:.1f} MB"
-                click.echo(f"\r{told}\x1b[K", err=True, nl=False)
+                line = f"{writer.count} messages of {len(writer.counts)} topics, {writer.size / 1e6:.1f} MB"
+                click.echo(f"\r{line}\x1b[K", err=True, nl=False)

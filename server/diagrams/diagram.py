@@ -200,14 +200,14 @@ def _select(whole: Diagram, below: str) -> Diagram:
     """Return the things below a name, and their neighbours: topics of nodes, and nodes of topics."""
     prefix = below.rstrip("/")
     inside = {each.key for each in whole.vertices if each.name == prefix or each.name.startswith(f"{prefix}/")}
-    kept = inside | {
+    selected = inside | {
         other
         for edge in whole.edges
         for own, other in ((edge.source, edge.target), (edge.target, edge.source))
         if own in inside
     }
     edges = tuple(each for each in whole.edges if {each.source, each.target} & inside)
-    vertices = tuple(each for each in whole.vertices if each.key in kept)
+    vertices = tuple(each for each in whole.vertices if each.key in selected)
     return Diagram(vertices, edges, len(vertices))
 
 

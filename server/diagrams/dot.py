@@ -22,17 +22,17 @@ def write_dot(diagram: Diagram) -> str:
 
 
 def _vertex(vertex: Vertex) -> str:
-    words = f"{vertex.name} ({vertex.count} {vertex.kind.value}s)" if vertex.count > 1 else vertex.name
-    told = "\n".join(filter(None, (words, vertex.problem)))
+    line = f"{vertex.name} ({vertex.count} {vertex.kind.value}s)" if vertex.count > 1 else vertex.name
+    label = "\n".join(filter(None, (line, vertex.problem)))
     state = f", {_BAD}" if vertex.problem else f", {_UNHEARD}" if vertex.is_unheard else ""
-    return f"  {_quote(vertex.key)} [{_SHAPES[vertex.kind]}, label={_quote(told)}, URL={_quote(vertex.url)}{state}];"
+    return f"  {_quote(vertex.key)} [{_SHAPES[vertex.kind]}, label={_quote(label)}, URL={_quote(vertex.url)}{state}];"
 
 
 def _edge(edge: Edge) -> str:
-    said = [f"penwidth={thickness(edge.rate):.1f}"]
+    attributes = [f"penwidth={thickness(edge.rate):.1f}"]
     if edge.problem:
-        said += [f"label={_quote(edge.problem)}", _BAD]
-    return f"  {_quote(edge.source)} -> {_quote(edge.target)} [{', '.join(said)}];"
+        attributes += [f"label={_quote(edge.problem)}", _BAD]
+    return f"  {_quote(edge.source)} -> {_quote(edge.target)} [{', '.join(attributes)}];"
 
 
 def _quote(text: str) -> str:

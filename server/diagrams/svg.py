@@ -73,9 +73,9 @@ def _vertex(vertex: Vertex, words: str, size: Size, layout: Layout, href: Callab
     state = " bad" if vertex.problem else " unheard" if vertex.is_unheard else ""
     round_corner = 14 if vertex.kind is VertexKind.NODE else 3
     unheard = "nobody subscribes" if vertex.is_unheard else ""
-    told = "; ".join(filter(None, (f"{vertex.kind.value} {label(vertex)}", vertex.problem, unheard)))
+    title = "; ".join(filter(None, (f"{vertex.kind.value} {label(vertex)}", vertex.problem, unheard)))
     body = (
-        f'<g class="vertex {vertex.kind.value}{state}"><title>{_text(told)}</title>'
+        f'<g class="vertex {vertex.kind.value}{state}"><title>{_text(title)}</title>'
         f'<rect x="{x:.1f}" y="{y:.1f}" width="{size.width:.0f}" height="{size.height:.0f}" rx="{round_corner}"></rect>'
         f'<text x="{x + _PADDING:.1f}" y="{y + 19.5:.1f}">{_text(label(vertex))}</text>'
         + (f'<text class="words" x="{x + _PADDING:.1f}" y="{y + 35.5:.1f}">{_text(words)}</text>' if words else "")
@@ -97,9 +97,9 @@ def _edge(edge: Edge, route: Sequence[Point]) -> str:
         before = point
     end, direction = route[-1], -1.0 if route[-1].x >= route[-2].x else 1.0
     tip = f"M{end.x:.1f} {end.y:.1f}l{direction * 8:.0f} -4v8z"
-    told = f"<title>{_text(edge.problem)}</title>" if edge.problem else ""
+    title = f"<title>{_text(edge.problem)}</title>" if edge.problem else ""
     return (
-        f'<g class="edge{bad}">{told}<path d="{"".join(path)}" stroke-width="{thickness(edge.rate):.1f}"></path>'
+        f'<g class="edge{bad}">{title}<path d="{"".join(path)}" stroke-width="{thickness(edge.rate):.1f}"></path>'
         f'<path class="arrow" d="{tip}" stroke-width="0"></path></g>'
     )
 

@@ -89,7 +89,7 @@ class Broadcaster:
         self._waiters: dict[Waiter, None] = {}
         self._turn = asyncio.Lock()
         self._moment: Observation | None = None
-        self._seen = 0
+        self._observed_version = 0
 
     def start(self) -> None:
         """Follow the resource; its own watch is created with the first read."""
@@ -112,7 +112,7 @@ class Broadcaster:
 
     def current(self) -> Observation | None:
         """Return the result of `observe`, if that needs no read."""
-        return self._moment if self._seen == self.version else None
+        return self._moment if self._observed_version == self.version else None
 
     async def observe(self) -> Observation:
         """Return the current state: the same object until it changes."""
@@ -123,7 +123,7 @@ class Broadcaster:
                 moment = await self._read()
                 if self._moment is not None and self._moment.name == moment.name:
                     moment = self._moment
-                self._moment, self._seen = moment, version
+                self._moment, self._observed_version = moment, version
             return moment
 
     async def _read(self) -> Observation:

@@ -64,21 +64,21 @@ class Delivery:
             moment = broadcaster.current() or await broadcaster.observe()
             may_read = self._channel.auth.is_valid()
             if may_read:
-                await self._tell(moment)
+                await self._notify(moment)
             if moment.is_final or not may_read:
                 self._channels.close(self._channel)
                 return
 
-    async def _tell(self, moment: Observation) -> None:
+    async def _notify(self, moment: Observation) -> None:
         channel = self._channel
-        news, told = self._channels.next_notification(channel, moment)
+        news, receiver_state = self._channels.next_notification(channel, moment)
         if news is None:
-            channel.last_sent = told
+            channel.last_sent = receiver_state
             return
         chunk = notification(moment, news, channel.terms.accept)
         channel.due = time.monotonic() + channel.terms.interval
         await self._send(chunk)
-        channel.last_sent = told
+        channel.last_sent = receiver_state
 
     async def _wait(self, broadcaster: Broadcaster, waiter: Waiter, version: int) -> None:
         """Wait until the topic may have changed, or the keep-alive time has passed."""
@@ -153,15 +153,15 @@ class ChannelStream(Response):
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the response."""
 
-        async def sent(chunk: bytes) -> None:
+        async def send_chunk(chunk: bytes) -> None:
             await send({"type": "http.response.body", "body": chunk, "more_body": True})
 
-        async def told(chunk: bytes) -> None:
-            await sent(chunk.rstrip(b"\n") + b"\n")
+        async def send_notification(chunk: bytes) -> None:
+            await send_chunk(chunk.rstrip(b"\n") + b"\n")
 
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-        await sent(b"")
-        delivery = Delivery(self._channels, self._broadcasters, self._channel, told, sent)
+        await send_chunk(b"")
+        delivery = Delivery(self._channels, self._broadcasters, self._channel, send_notification, send_chunk)
         with self._broadcasters.count_reader(scope):
             await self._broadcasters.run_for_client(delivery.run(), receive, self._channel.seconds_left)
         await send({"type": "http.response.body", "body": b"", "more_body": False})
@@ -220,17 +220,19 @@ class WebSocketReceiver:
         """Accept the connection, and deliver until either side closes it."""
         await send({"type": "websocket.accept", "subprotocol": self._subprotocol(scope)})
 
-        async def said(chunk: bytes) -> None:
+        async def send_text(chunk: bytes) -> None:
             await send({"type": "websocket.send", "text": chunk.decode()})
 
-        async def heard() -> Message:
+        async def wait_for_disconnect() -> Message:
             while True:
                 if (await receive())["type"] == "websocket.disconnect":
                     self._has_left = True
                     return {"type": "http.disconnect"}
 
-        delivery = Delivery(self._channels, self._broadcasters, self._channel, said, None)
-        is_done = await self._broadcasters.run_for_client(delivery.run(), heard, self._channel.seconds_left)
+        delivery = Delivery(self._channels, self._broadcasters, self._channel, send_text, None)
+        is_done = await self._broadcasters.run_for_client(
+            delivery.run(), wait_for_disconnect, self._channel.seconds_left
+        )
         if not self._has_left:
             code, reason = self._ending(is_done)
             await _closed(send, code, reason)

@@ -20,7 +20,7 @@ from rosld.server.http.problem_details import render
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import MessageState, State
 
-Tell: TypeAlias = Callable[[bytes], Awaitable[None]]
+SendChunk: TypeAlias = Callable[[bytes], Awaitable[None]]
 """Function that sends a part of the body."""
 Headers: TypeAlias = "list[tuple[bytes, bytes]]"
 
@@ -43,23 +43,23 @@ class EndlessResponse(Response):
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the response."""
 
-        async def tell(chunk: bytes) -> None:
+        async def send_chunk(chunk: bytes) -> None:
             await send({"type": "http.response.body", "body": chunk, "more_body": True})
 
         with self._broadcasters.count_reader(scope), self.lasting():
             await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-            await self.run(tell, receive)
+            await self.run(send_chunk, receive)
         await send({"type": "http.response.body", "body": self.last_chunk, "more_body": False})
 
     def lasting(self) -> contextlib.AbstractContextManager[object]:
         """Return the context manager around the response."""
         return contextlib.nullcontext()
 
-    async def run(self, tell: Tell, receive: Receive) -> None:
+    async def run(self, send_chunk: SendChunk, receive: Receive) -> None:
         """Write the body, until the reader disconnects or the server ends."""
-        await self._broadcasters.run_for_client(self.write(tell), receive)
+        await self._broadcasters.run_for_client(self.write(send_chunk), receive)
 
-    async def write(self, tell: Tell) -> None:
+    async def write(self, send_chunk: SendChunk) -> None:
         """Write the body, as long as the reader is permitted to read."""
         raise NotImplementedError
 
@@ -99,9 +99,9 @@ KEEP_ALIVE_SECONDS = 15.0
 class EventWriter:
     """Writer of an event stream. `quiet`: seconds without an event after which a keep-alive is due."""
 
-    def __init__(self, tell: Tell, quiet: float = KEEP_ALIVE_SECONDS) -> None:
+    def __init__(self, send_chunk: SendChunk, quiet: float = KEEP_ALIVE_SECONDS) -> None:
         self.quiet = quiet
-        self._tell = tell
+        self._send_chunk = send_chunk
         self._spoke = time.monotonic()
 
     @property
@@ -116,7 +116,7 @@ class EventWriter:
     async def send(self, chunk: bytes) -> None:
         """Write a frame."""
         self._spoke = time.monotonic()
-        await self._tell(chunk)
+        await self._send_chunk(chunk)
 
     async def keep_alive(self) -> None:
         """Write a keep-alive comment if it is due."""
@@ -230,14 +230,14 @@ class EventStream(EndlessResponse):
             self._quiet = seconds or KEEP_ALIVE_SECONDS
             yield
 
-    async def run(self, tell: Tell, receive: Receive) -> None:
+    async def run(self, send_chunk: SendChunk, receive: Receive) -> None:
         seconds = None if self._end is None else self._end.seconds
-        is_done = await self._broadcasters.run_for_client(self.write(tell), receive, seconds)
+        is_done = await self._broadcasters.run_for_client(self.write(send_chunk), receive, seconds)
         if seconds is not None and not is_done:
-            await tell(event_frame(b"false", name=UNTIL))
+            await send_chunk(event_frame(b"false", name=UNTIL))
 
-    async def write(self, tell: Tell) -> None:
-        writer = EventWriter(tell, self._quiet)
+    async def write(self, send_chunk: SendChunk) -> None:
+        writer = EventWriter(send_chunk, self._quiet)
         await writer.open()
         with self._broadcasters.subscribe(self._resource) as broadcaster:
             await self._follow(broadcaster, writer)
@@ -246,11 +246,11 @@ class EventStream(EndlessResponse):
         waiter = Waiter()
         # Read before the state: a change meanwhile then has another version, and is not missed.
         version = broadcaster.version
-        told, edition = await broadcaster.observe(), self._stream_format.version()
-        if not self._is_known(told.state):
-            await self._event(writer, told)
+        latest, format_version = await broadcaster.observe(), self._stream_format.version()
+        if not self._is_known(latest.state):
+            await self._event(writer, latest)
         with _alarm(waiter, writer):
-            while not (told.is_final or await self._is_over(writer, told.state)):
+            while not (latest.is_final or await self._is_over(writer, latest.state)):
                 await broadcaster.wait(waiter, version)
                 if not self._stream_format.is_valid():
                     return
@@ -263,9 +263,9 @@ class EventStream(EndlessResponse):
                 moment = broadcaster.current() or await broadcaster.observe()
                 if not self._stream_format.is_valid():  # once more: the rights may have ended while it waited or read
                     return
-                if moment is not told or self._stream_format.version() != edition:
-                    skipped = _skipped(told.state, moment.state)
-                    told, edition = moment, self._stream_format.version()
+                if moment is not latest or self._stream_format.version() != format_version:
+                    skipped = _skipped(latest.state, moment.state)
+                    latest, format_version = moment, self._stream_format.version()
                     await self._event(writer, moment, skipped)
 
     async def _may_end(self, broadcaster: Broadcaster) -> bool:

@@ -35,13 +35,13 @@ class Until:
         Raises Problem 400 if it never can be, 409 if it no longer can because the subject has ended, and those of
         rendering the state as JSON.
         """
-        seen = self._view(state)
-        if seen.plain is None:
+        view = self._view(state)
+        if view.plain is None:
             raise Problem(
                 400,
                 "?until= is for values: of topics, resources, parameters, calls, goals. Here is none: use ?after=.",
             )
-        value = cast(Value, seen.json_value)
+        value = cast(Value, view.json_value)
         if not self._is_checked and value is not None:
             try:
                 self._condition.check(value)
@@ -50,7 +50,7 @@ class Until:
             self._is_checked = True
         if self._condition.holds(value):
             return True
-        if isinstance(seen, EndedState) and not seen.open_members & named_members(self._condition):
+        if isinstance(view, EndedState) and not view.open_members & named_members(self._condition):
             detail = "?until= no longer comes true: what it waits for has ended, and `state` is how it stands."
             raise Problem(409, detail, title="Has ended", extra={"state": value})
         return False

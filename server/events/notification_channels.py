@@ -84,10 +84,10 @@ class Channels:
     def __init__(self, instance_id: str, limit: int = MAX_CHANNELS) -> None:
         self._instance_id = instance_id
         self._limit = limit
-        self._kept: dict[str, Channel] = {}
+        self._channels: dict[str, Channel] = {}
 
     def __len__(self) -> int:
-        return len(self._kept)
+        return len(self._channels)
 
     def open(
         self,
@@ -112,32 +112,32 @@ class Channels:
         terms = ChannelDescription(url, type, resource.url, source, wish.accept, *times, wish.state)
         known = wish.state if wish.state is not None else self.state_name(state)
         channel = Channel(token, terms, resource, ReceiverState(known), time.monotonic(), auth=auth)
-        self._kept[token] = channel
+        self._channels[token] = channel
         return channel
 
     def find(self, token: str) -> Channel:
         """Return the channel with a token. Raises a 404 Problem if there is none, or it has expired."""
-        channel = self._kept.get(token)
+        channel = self._channels.get(token)
         if channel is None or channel.is_over or not channel.auth.is_valid():
-            self._kept.pop(token, None)
+            self._channels.pop(token, None)
             raise Problem(404, "There is no such channel, or its time has passed: subscribe again.")
         return channel
 
     def topic_of(self, token: str) -> str | None:
         """Return the URL of a channel's topic, None for an unknown channel (thread-safe)."""
-        channel = self._kept.get(token)
+        channel = self._channels.get(token)
         return None if channel is None else channel.terms.topic
 
     def close(self, channel: Channel) -> None:
         """End a channel, and the task that sends to its receiver unless that is the current task."""
         end_dry_run()
-        self._kept.pop(channel.token, None)
+        self._channels.pop(channel.token, None)
         if channel.receiver is not None and channel.receiver is not asyncio.current_task():
             channel.receiver.cancel()
 
     def has(self, channel: Channel) -> bool:
         """Whether the channel still exists."""
-        return self._kept.get(channel.token) is channel
+        return self._channels.get(channel.token) is channel
 
     @contextlib.contextmanager
     def attach_receiver(self, channel: Channel) -> Iterator[None]:
@@ -163,24 +163,24 @@ class Channels:
 
         A state that cannot be read (the robot does not answer) is not reported until it can be read again.
         """
-        told, topic = channel.last_sent, channel.terms.topic
+        last_sent, topic = channel.last_sent, channel.terms.topic
         if isinstance(observation.state, Problem):
-            if not _is_absent(observation.state) or told.name is None:
-                return None, told
+            if not _is_absent(observation.state) or last_sent.name is None:
+                return None, last_sent
             return Activity("Delete", topic), ReceiverState(None)
         name = self.state_name(observation.state)
-        now = ReceiverState(name, observation.state if _tells_members(channel.resource, observation.state) else None)
-        if told.name is None:
+        now = ReceiverState(name, observation.state if _reports_members(channel.resource, observation.state) else None)
+        if last_sent.name is None:
             return Activity("Create", topic, state=name), now
-        if query_params.is_state(told.name, name):
+        if query_params.is_state(last_sent.name, name):
             return None, now
-        return _activity_of_change(topic, told.container, now, channel.auth.permissions), now
+        return _activity_of_change(topic, last_sent.container, now, channel.auth.permissions), now
 
     def _make_room(self) -> None:
-        if len(self._kept) < self._limit:
+        if len(self._channels) < self._limit:
             return
-        over = [one for one in self._kept.values() if one.is_over]
-        waiting = [one for one in self._kept.values() if one.receiver is None]
+        over = [one for one in self._channels.values() if one.is_over]
+        waiting = [one for one in self._channels.values() if one.receiver is None]
         if not over and not waiting:
             words = f"{self._limit} channels have receivers already. Come back later."
             raise Problem(503, words, headers={"Retry-After": "60"})
@@ -206,7 +206,7 @@ def _activity_of_change(topic: str, before: State | None, now: ReceiverState, pe
     return Activity("Update", topic, state=now.name)
 
 
-def _tells_members(resource: Resource, state: State) -> bool:
+def _reports_members(resource: Resource, state: State) -> bool:
     """Whether a state lists members. The state of a complex resource has values as well, and a view."""
     return state.view is None and any(link.target.endswith("Container") for link in resource.links)
 

@@ -16,7 +16,7 @@ from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, MessageSchema, RosError, Sample, TypeRef
 from rosld.ontology.fields import field_at
 from rosld.server.events.broadcaster import Broadcasters
-from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventWriter, Tell, event_frame
+from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventWriter, SendChunk, event_frame
 from rosld.server.history.topic_feed import MAX_BYTES, TopicFeed
 
 PERIOD = 0.1
@@ -64,13 +64,13 @@ class SampleStream(EndlessResponse):
         self._numbers = [TopicNumbers(each, schema_of) for each in topics]
         self._is_valid = is_valid
 
-    async def write(self, tell: Tell) -> None:
-        writer = EventWriter(tell)
+    async def write(self, send_chunk: SendChunk) -> None:
+        writer = EventWriter(send_chunk)
         await writer.open()
         try:
             while self._is_valid():
-                told = [found for each in self._numbers if (found := await each.take(self._adapter)) is not None]
-                await (writer.send(event_frame(orjson.dumps(told))) if told else writer.keep_alive())
+                points = [found for each in self._numbers if (found := await each.take(self._adapter)) is not None]
+                await (writer.send(event_frame(orjson.dumps(points))) if points else writer.keep_alive())
                 await asyncio.sleep(PERIOD)
         finally:
             for each in self._numbers:
@@ -107,18 +107,18 @@ class TopicNumbers:
         depth = feed.next_depth(new, MAX_BYTES) if new else feed.depth
         if depth != feed.depth:
             await feed.resubscribe(adapter, depth)
-        told = _thinned(new)
-        lost += len(new) - len(told)
-        if not told and not lost:
+        selected = _thinned(new)
+        lost += len(new) - len(selected)
+        if not selected and not lost:
             return None
         rows, names, fields = list[list[Numbers]](), dict[str, list[str]](), self._followed.fields
-        for sample in told:
+        for sample in selected:
             message = await self._decode(sample)
             rows.append([None if message is None else number_at(*message, path) for _, path in fields])
-            if message is not None and sample is told[-1]:
+            if message is not None and sample is selected[-1]:
                 names = {str(place): found for place, path in fields if (found := element_names(*message, path))}
         return {
-            "times": [each.received_ns / 1e6 for each in told],
+            "times": [each.received_ns / 1e6 for each in selected],
             "values": {str(place): [row[column] for row in rows] for column, (place, _) in enumerate(fields)},
             "lost": lost,
             **({"names": names} if names else {}),

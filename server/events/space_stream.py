@@ -13,7 +13,7 @@ from msgspec import Struct
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
 from rosld.server.events.broadcaster import Broadcasters, Waiter
-from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventWriter, Tell, event_frame
+from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventWriter, SendChunk, event_frame
 from rosld.server.robot.live_topics import LiveTopics
 from rosld.server.robot.scene import Drawings, DrawnSample, LiveFrames
 from rosld.server.space.drawing import pose_json
@@ -76,8 +76,8 @@ class SpaceStream(EndlessResponse):
         self._source = source
         self._fixed = fixed
 
-    async def write(self, tell: Tell) -> None:
-        writer, waiter = EventWriter(tell), _Pulse()
+    async def write(self, send_chunk: SendChunk) -> None:
+        writer, waiter = EventWriter(send_chunk), _Pulse()
         await writer.open()
         with contextlib.ExitStack() as stack:
             view = _View(self._source, self._fixed, waiter.wake, stack)
@@ -93,18 +93,18 @@ class _Pulse:
 
     def __init__(self) -> None:
         self._waiter = Waiter()
-        self._came = False
+        self._has_woken = False
 
     def wake(self) -> None:
-        self._came = True
+        self._has_woken = True
         self._waiter.wake()
 
     async def wait(self, seconds: float) -> None:
         """Wait up to `seconds` for a wake-up since the last wait."""
-        if not self._came:
+        if not self._has_woken:
             with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
                 await asyncio.wait_for(self._waiter.sleep(), seconds)
-        self._came = False
+        self._has_woken = False
 
 
 class _View:
@@ -117,8 +117,8 @@ class _View:
         self._stack = stack
         self._shown: Sequence[ShownTopic] | None = None
         self._watches: dict[str, Watch] = {}
-        self._drawn: dict[str, DrawnSample] = {}
-        self._told: dict[str, object] = {}
+        self._sent_drawings: dict[str, DrawnSample] = {}
+        self._sent_poses: dict[str, object] = {}
         self._frame: str | None = None
         self._frames: object = None
         self._framed_at = 0.0
@@ -147,19 +147,19 @@ class _View:
             if goals != self._goals:
                 event["goals"], event["now"] = goals, now
                 self._goals = goals
-        drawn = [(place, each, await self._source.drawings.newest(each.name)) for place, each in enumerate(shown)]
+        drawings = [(place, each, await self._source.drawings.newest(each.name)) for place, each in enumerate(shown)]
         buffer = FrameBuffer() if self._source.frames is None else await self._source.frames.look()
-        fixed = self._fixed or buffer.default_frame() or _first_frame([found for _, _, found in drawn])
+        fixed = self._fixed or buffer.default_frame() or _first_frame([found for _, _, found in drawings])
         if fixed is not None and fixed != self._frame:
             event["frame"] = self._frame = fixed
             self._framed_at = 0.0
-        things = [
-            told
-            for place, each, found in drawn
-            if found is not None and (told := self._thing(place, each, found, buffer, fixed or ""))
+        parts = [
+            part
+            for place, each, found in drawings
+            if found is not None and (part := self._part(place, each, found, buffer, fixed or ""))
         ]
-        if things:
-            event["things"] = things
+        if parts:
+            event["things"] = parts
         if fixed is not None and (frames := self._moved_frames(buffer, fixed)) is not None:
             event["frames"] = frames
         return event
@@ -172,28 +172,28 @@ class _View:
         for name in names - self._watches.keys():
             with contextlib.suppress(RosError):
                 self._watches[name] = await self._source.topics.watch(name, self._wake)
-        self._shown, self._drawn, self._told = shown, {}, {}
+        self._shown, self._sent_drawings, self._sent_poses = shown, {}, {}
 
-    def _thing(
+    def _part(
         self, place: int, shown: ShownTopic, found: DrawnSample, buffer: FrameBuffer, fixed: str
     ) -> dict[str, object]:
         """Return the new part of a topic; empty without any."""
-        is_new = self._drawn.get(shown.name) is not found
+        is_new = self._sent_drawings.get(shown.name) is not found
         placed, problem = place_drawing(found, buffer, fixed)
         pose = None if placed is None else pose_json(placed)
-        if not is_new and self._told.get(shown.name) == (pose, problem):
+        if not is_new and self._sent_poses.get(shown.name) == (pose, problem):
             return {}
-        self._drawn[shown.name], self._told[shown.name] = found, (pose, problem)
-        told: dict[str, object] = {"place": place, "pose": pose, "problem": problem}
+        self._sent_drawings[shown.name], self._sent_poses[shown.name] = found, (pose, problem)
+        part: dict[str, object] = {"place": place, "pose": pose, "problem": problem}
         if is_new:
             is_file = self._source.has_cloud_files and bool(shown.cloud) and found.drawing is not None
-            told["drawing"] = {} if is_file else orjson.Fragment(found.json)
-            told["in"] = "" if found.drawing is None else found.drawing.frame
+            part["drawing"] = {} if is_file else orjson.Fragment(found.json)
+            part["in"] = "" if found.drawing is None else found.drawing.frame
             if shown.picture and found.drawing is not None:
-                told["picture"] = f"{shown.picture}&v={found.sample.epoch}.{found.sample.sequence}"
+                part["picture"] = f"{shown.picture}&v={found.sample.epoch}.{found.sample.sequence}"
             if shown.cloud and found.drawing is not None:
-                told["cloud"] = f"{shown.cloud}&v={found.sample.epoch}.{found.sample.sequence}"
-        return told
+                part["cloud"] = f"{shown.cloud}&v={found.sample.epoch}.{found.sample.sequence}"
+        return part
 
     def _moved_frames(self, buffer: FrameBuffer, fixed: str) -> object:
         """Return all frames if one has moved since they were sent, else None."""
@@ -221,9 +221,9 @@ def frames_json(buffer: FrameBuffer, fixed: str) -> list[dict[str, object]]:
     return found
 
 
-def _first_frame(drawn: Sequence[DrawnSample | None]) -> str | None:
+def _first_frame(drawings: Sequence[DrawnSample | None]) -> str | None:
     """Return a frame of some drawing, for a robot without transforms."""
-    return next((each.drawing.frame for each in drawn if each and each.drawing and each.drawing.frame), None)
+    return next((each.drawing.frame for each in drawings if each and each.drawing and each.drawing.frame), None)
 
 
 def place_drawing(found: DrawnSample, buffer: FrameBuffer, fixed: str) -> tuple[Transform | None, str]:

@@ -107,7 +107,7 @@ def check_preconditions(method: str, current: ETag | None, *, if_match: str | No
     result = evaluate(method, current, if_match=if_match, if_none_match=if_none_match)
     if result is PreconditionResult.PRECONDITION_FAILED:
         raise Problem(
-            412, "The resource is not in the state the request asks for; read it again.", headers=_told(current)
+            412, "The resource is not in the state the request asks for; read it again.", headers=_etag_headers(current)
         )
     return result is PreconditionResult.NOT_MODIFIED
 
@@ -119,7 +119,7 @@ def require_if_match(if_match: str | None, why: str) -> str:
     return if_match
 
 
-def _told(current: ETag | None) -> dict[str, str]:
+def _etag_headers(current: ETag | None) -> dict[str, str]:
     return {} if current is None else {"ETag": str(current)}
 
 
@@ -170,10 +170,10 @@ def parse_ranges(text: str | None, size: int) -> tuple[Span, ...] | None:
     9110 14.2). Ranges that overlap or nearly touch are joined, so that nothing is sent twice; the others keep their
     order. Raises a 416 Problem if no range can be satisfied (RFC 9110 15.5.17).
     """
-    asked = _asked(text)
-    if asked is None or size == 0:
+    specs = _range_specs(text)
+    if specs is None or size == 0:
         return None
-    spans = [span for first, last in asked if (span := _span(first, last, size)) is not None]
+    spans = [span for first, last in specs if (span := _span(first, last, size)) is not None]
     if not spans:
         raise Problem(
             416,
@@ -230,24 +230,24 @@ def frame_parts(spans: Sequence[Span], size: int, media_type: str) -> MultipartF
     return MultipartFraming(boundary, heads, f"\r\n--{boundary}--\r\n".encode("ascii"))
 
 
-def _asked(text: str | None) -> list[tuple[int | None, int | None]] | None:
+def _range_specs(text: str | None) -> list[tuple[int | None, int | None]] | None:
     """Return the first and last position of each range, None for an omitted one; None for a field to ignore."""
     match = _FIELD.fullmatch(text or "")
     if match is None:
         return None
-    asked: list[tuple[int | None, int | None]] = []
+    specs: list[tuple[int | None, int | None]] = []
     for part in match[1].split(",", MAX_RANGES * 2):
         stripped = part.strip(" \t")
         if not stripped:
             continue
         spec = _SPEC.fullmatch(stripped)
-        if spec is None or not (spec[1] or spec[2]) or len(asked) == MAX_RANGES:
+        if spec is None or not (spec[1] or spec[2]) or len(specs) == MAX_RANGES:
             return None
         first, last = int(spec[1]) if spec[1] else None, int(spec[2]) if spec[2] else None
         if first is not None and last is not None and last < first:
             return None
-        asked.append((first, last))
-    return asked or None
+        specs.append((first, last))
+    return specs or None
 
 
 def _span(first: int | None, last: int | None, size: int) -> Span | None:

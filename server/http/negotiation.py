@@ -128,13 +128,13 @@ def parse_accept(accept: str) -> Iterator[MediaRange]:
 
 def _range(member: str) -> MediaRange:
     essence, *rest = split_members(member, ";")
-    weight, kept = 1.0, [essence]
+    weight, parts = 1.0, [essence]
     for part in rest:
         if part[:1] in "qQ" and parse_parameter(part)[0] == "q":
             weight = _weight(parse_parameter(part)[1])
             break  # accept-ext follows, which RFC 9110 removed from the grammar
-        kept.append(part)
-    found = parse_media_type(";".join(kept))
+        parts.append(part)
+    found = parse_media_type(";".join(parts))
     if found.type == "*" and found.subtype != "*":
         raise ValueError(f"{member!r} is no media range")
     return MediaRange(found, weight)

@@ -62,21 +62,21 @@ class Problem(Exception):
         self.type = type
         self.headers = dict(headers)
         self.violations = tuple(map(_cleaned, violations))
-        said = "; ".join(dict.fromkeys(each.said for each in self.violations if each.said))
-        extra = {AGENT_SAID: said} | dict(extra) if said else extra
+        quotation = "; ".join(dict.fromkeys(each.said for each in self.violations if each.said))
+        extra = {AGENT_SAID: quotation} | dict(extra) if quotation else extra
         self.extra = {name: redact_tokens_in(value) for name, value in _with_quotations(extra).items()}
         self.about = tuple(about)
         self.near = tuple(near)
 
     @property
-    def said(self) -> dict[str, str]:
+    def quoted_members(self) -> dict[str, str]:
         """Members that quote others."""
         return quoted(self.extra)
 
     @property
     def quotes(self) -> tuple[tuple[str, str], ...]:
         """The quotations with their labels."""
-        return tuple((_QUOTED[name], words) for name, words in self.said.items())
+        return tuple((_QUOTED[name], words) for name, words in self.quoted_members.items())
 
     @property
     def with_quotes(self) -> str:
@@ -96,8 +96,8 @@ class Problem(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle: worker processes raise problems too."""
-        told = (self.status, self.detail, self.title, self.type, self.headers, self.extra, self.violations)
-        return _problem, told
+        arguments = (self.status, self.detail, self.title, self.type, self.headers, self.extra, self.violations)
+        return _problem, arguments
 
 
 def _problem(
@@ -142,6 +142,6 @@ def _cleaned(violation: Violation) -> Violation:
     """Return the violation without tokens, and with the shape's message ready to be quoted."""
     value = None if violation.value is None else redact_tokens(violation.value)
     path, message = redact_tokens(violation.path), redact_tokens(violation.message)
-    said = None if violation.said is None else redact_tokens(one_line(violation.said)) or None
-    same = (path, message, value, said) == (violation.path, violation.message, violation.value, violation.said)
-    return violation if same else replace(violation, path=path, message=message, value=value, said=said)
+    quotation = None if violation.said is None else redact_tokens(one_line(violation.said)) or None
+    same = (path, message, value, quotation) == (violation.path, violation.message, violation.value, violation.said)
+    return violation if same else replace(violation, path=path, message=message, value=value, said=quotation)

@@ -149,8 +149,8 @@ def document(problem: Problem, url: str = _NOWHERE) -> Document:
         (NamedNode(f"{_HYDRA}statusCode"), integer(problem.status)),
         (NamedNode(f"{_HYDRA}title"), text(_clean(problem.title))),
         (NamedNode(f"{_HYDRA}description"), text(_clean(problem.detail))),
-        (ros.words, text(problem.said.get(ROBOT_SAID))),
-        (ros.reason, text(problem.said.get(AGENT_SAID))),
+        (ros.words, text(problem.quoted_members.get(ROBOT_SAID))),
+        (ros.reason, text(problem.quoted_members.get(AGENT_SAID))),
         (rdfs.seeAlso, NamedNode(f"{url}#report") if report else None),
         *statements(rdfs.seeAlso, map(NamedNode, problem.near)),
     )

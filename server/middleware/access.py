@@ -81,12 +81,12 @@ class Preflight:
 def _share(response: Response, headers: Mapping[str, str]) -> None:
     """Add CORS headers to a response, joining Vary. The header list is copied: it may belong to a cached rendering."""
     names = {name.encode("latin-1") for name in headers}
-    kept = [pair for pair in response.raw_headers if pair[0] not in names]
+    others = [pair for pair in response.raw_headers if pair[0] not in names]
     varied = [value.decode("latin-1") for name, value in response.raw_headers if name == b"vary"]
     vary = dict.fromkeys(part.strip() for value in (*varied, headers.get("vary", "")) for part in value.split(","))
     joined = {**headers, "vary": ", ".join(part for part in vary if part)} if "vary" in headers else headers
     response.raw_headers = [
-        *kept,
+        *others,
         *((name.encode("latin-1"), value.encode("latin-1")) for name, value in joined.items()),
     ]
 
@@ -156,9 +156,9 @@ class RejectTokensInUrls:
     def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer as the next handler does. Raises a 400 Problem."""
         scope = exchange.request.scope
-        asked: bytes = scope["raw_path"] + b"?" + scope["query_string"]
-        may_have_one = len(asked) > LENGTH and (_MARK in asked or b"%" in asked)
-        if may_have_one and exchange.method != "DELETE" and contains_token(asked.decode("latin-1")):
+        target: bytes = scope["raw_path"] + b"?" + scope["query_string"]
+        may_have_one = len(target) > LENGTH and (_MARK in target or b"%" in target)
+        if may_have_one and exchange.method != "DELETE" and contains_token(target.decode("latin-1")):
             if enforcement.is_write(exchange.method, enforcement.location_of(scope, self._space)):
                 exchange.audit.begin()
             sentence = "The URL has a token in it: send it as 'Authorization: Bearer TOKEN', and have it replaced."

@@ -34,7 +34,7 @@ class Recorder:
     def note(self, exchange: Exchange, scope: Scope, response: Response) -> str:
         """Record a write and return the identifier of its receipt; `scope` is that of the original request."""
         context, body = exchange.audit, exchange.consumed_body
-        kept, digest = (None, None) if body is None else excerpt(body)
+        stored_body, digest = (None, None) if body is None else excerpt(body)
         length = context.length if body is None else len(body)
         if context.sent is not None:
             digest = context.sent.digest()
@@ -47,7 +47,7 @@ class Recorder:
                 self._space.base + _path(scope["raw_path"], len(self._space.path)),
                 scope["query_string"],
                 exchange.header("content-type"),
-                kept,
+                stored_body,
                 length,
                 digest,
                 context.plan,

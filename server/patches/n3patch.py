@@ -176,8 +176,8 @@ def apply_patch(patch: N3Patch, before: Iterable[Triple]) -> list[Triple]:
     for triple in deletes:
         if triple not in there:
             raise missing_deletion(triple)
-    gone = frozenset(deletes)
-    return list(dict.fromkeys([*(triple for triple in there if triple not in gone), *inserts]))
+    deleted = frozenset(deletes)
+    return list(dict.fromkeys([*(triple for triple in there if triple not in deleted), *inserts]))
 
 
 def find_changes(patch: N3Patch, before: Sequence[Triple]) -> tuple[list[Triple], list[Triple]]:

@@ -52,7 +52,7 @@ def apply_update(
     _carry_out(store, checked.text if by_value else rewritten, base, None if by_value else _FUNCTIONS)
     if limit is not None and len(store) > limit:
         raise TooManyTriples
-    return index_quads(store if by_value else map(_as_said, store), base)
+    return index_quads(store if by_value else map(_decoded, store), base)
 
 
 def ground_changes(data: bytes, base: str) -> TripleChanges | None:
@@ -106,10 +106,10 @@ def _carry_out(store: Store, text: str, base: str, functions: dict[NamedNode, Fu
         raise Problem(422, f"The update cannot be carried out: {error}.") from error
 
 
-def _as_said(quad: Quad) -> Quad:
+def _decoded(quad: Quad) -> Quad:
     triple = quad.triple
-    said = decode_triple(triple)
-    return quad if said is triple else _in_store(said)
+    decoded = decode_triple(triple)
+    return quad if decoded is triple else _in_store(decoded)
 
 
 def _in_store(triple: Triple) -> Quad:

@@ -13,7 +13,7 @@ from rosld.adapters.model import MessageSchema, Sample
 from rosld.server.pictures.form import PictureForm
 
 DrawSample: TypeAlias = Callable[[MessageSchema, Sample], bytes]
-_MAX_KEPT = 32
+_MAX_FILES = 32
 _MAX_BYTES = 32 * 1024 * 1024
 
 
@@ -28,9 +28,9 @@ class PictureCache:
         self.instance_id = instance_id
         self._thread = ThreadPoolExecutor(1, "rosld-pictures")
         self._drawing: dict[Hashable, asyncio.Task[bytes]] = {}
-        self._kept: OrderedDict[Hashable, bytes] = OrderedDict()
+        self._files: OrderedDict[Hashable, bytes] = OrderedDict()
         self._bytes = 0
-        self.drawn = 0
+        self.drawn_count = 0
         """Number of pictures drawn since the start."""
 
     async def picture(self, topic: str, schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
@@ -40,9 +40,9 @@ class PictureCache:
     async def file(self, topic: str, schema: MessageSchema, sample: Sample, form: Hashable, draw: DrawSample) -> bytes:
         """Return the file that `draw` makes of a sample on the thread; `form` is part of its key."""
         key = (topic, sample.publisher, sample.epoch, sample.sequence, sample.received_ns, form)
-        found = self._kept.get(key)
+        found = self._files.get(key)
         if found is not None:
-            self._kept.move_to_end(key)
+            self._files.move_to_end(key)
             return found
         task = self._drawing.get(key)
         if task is None:
@@ -56,16 +56,16 @@ class PictureCache:
             task.exception()  # retrieved, because the waiting requests may have been cancelled
 
     async def _draw(self, key: Hashable, schema: MessageSchema, sample: Sample, draw: DrawSample) -> bytes:
-        self.drawn += 1
+        self.drawn_count += 1
         data = await asyncio.get_running_loop().run_in_executor(self._thread, draw, schema, sample)
         self._keep(key, data)
         return data
 
     def _keep(self, key: Hashable, data: bytes) -> None:
-        self._kept[key] = data
+        self._files[key] = data
         self._bytes += len(data)
-        while self._kept and (len(self._kept) > _MAX_KEPT or self._bytes > _MAX_BYTES):
-            _, oldest = self._kept.popitem(last=False)
+        while self._files and (len(self._files) > _MAX_FILES or self._bytes > _MAX_BYTES):
+            _, oldest = self._files.popitem(last=False)
             self._bytes -= len(oldest)
 
     def close(self) -> None:

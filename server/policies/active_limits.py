@@ -30,7 +30,7 @@ class ActiveLimits:
         self.lock = asyncio.Lock()
         """Lock held while a write is validated and applied."""
         self._given = tuple(initial)
-        self._kept: dict[str, tuple[Triple, ...]] = {}
+        self._stored: dict[str, tuple[Triple, ...]] = {}
         self._space = space
 
     def check(self, url: str, triples: bytes) -> tuple[Triple, ...]:
@@ -51,12 +51,12 @@ class ActiveLimits:
 
     def replace(self, url: str, graph: tuple[Triple, ...]) -> None:
         """Activate a checked document, replacing that of the same URL."""
-        self._kept[url] = graph
+        self._stored[url] = graph
         self.current = Limits.from_graphs(self._with(), self._space)
 
     def remove(self, url: str) -> None:
         """Deactivate the document of this URL, if any."""
-        if self._kept.pop(url, None) is not None:
+        if self._stored.pop(url, None) is not None:
             self.current = Limits.from_graphs(self._with(), self._space)
 
     def load_stored(self, records: Records) -> None:
@@ -74,8 +74,8 @@ class ActiveLimits:
                     _log.error("The limits %s are kept and not in force: %s", url, error)
 
     def _with(self, url: str = "", graph: tuple[Triple, ...] = ()) -> list[Sequence[Triple]]:
-        kept = {**self._kept, url: graph} if url else self._kept
-        return [*self._given, *kept.values()]
+        stored = {**self._stored, url: graph} if url else self._stored
+        return [*self._given, *stored.values()]
 
 
 def initial_limits(settings: Settings, adapter: Adapter, space: Space) -> Iterator[tuple[Triple, ...]]:

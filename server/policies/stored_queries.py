@@ -21,7 +21,7 @@ from rosld.server.storage.record import Blob, Model, Record, RecordChange
 from rosld.server.storage.sqlite import Records
 
 ROUTE = "queries/"
-_KEPT = 256
+_CACHE_SIZE = 256
 """Maximum number of cached texts."""
 _T = TypeVar("_T")
 
@@ -37,8 +37,8 @@ class StoredQueries:
         """Lock held while a write is validated and applied."""
         self._records = records
         self._space = space
-        self._outlines: _Remembered[StoredQuery] = _Remembered(_KEPT)
-        self._checked: _Remembered[StoredQuery | str] = _Remembered(_KEPT)
+        self._outlines: _Remembered[StoredQuery] = _Remembered(_CACHE_SIZE)
+        self._checked: _Remembered[StoredQuery | str] = _Remembered(_CACHE_SIZE)
 
     def on_record_change(self, change: RecordChange) -> None:
         """Update the version after a change of a record."""
@@ -61,11 +61,11 @@ class StoredQueries:
 
     def all(self, *, limit: int | None = None) -> Iterator[tuple[str, StoredQuery]]:
         """Yield the queries with their URLs, the shipped ones first, then stored ones up to a limit."""
-        kept = {self._space.base + record.path: self.outline(record) for record in self.stored_records(limit=limit)}
+        stored = {self._space.base + record.path: self.outline(record) for record in self.stored_records(limit=limit)}
         for name, query in self.shipped.items():
-            if self._space.query(name) not in kept:
+            if self._space.query(name) not in stored:
                 yield self._space.query(name), query
-        yield from kept.items()
+        yield from stored.items()
 
     def outline(self, record: Record) -> StoredQuery:
         """Return the outline of a stored query; the purpose of an invalid one is the reason (thread-safe)."""

@@ -118,16 +118,18 @@ def receipt_of(entry: AuditEntry, number: int, id: str, excerpt_bytes: int) -> R
         None if withheld or digest is None else f"sha-256=:{base64.b64encode(digest).decode()}:",
         None if withheld or text is None or not excerpt_bytes else _begin(text, excerpt_bytes),
         withheld or hides_query,
-        tuple(dict.fromkeys(_said(step, withheld) for step in entry.plan[:MAX_STEPS])),
+        tuple(dict.fromkeys(_redacted(step, withheld) for step in entry.plan[:MAX_STEPS])),
         tuple(map(redact_tokens, entry.touched[:MAX_STEPS])),
         entry.matched,
         entry.status,
         None if entry.created is None else redact_tokens(entry.created),
-        None if entry.words is None else _said(entry.words, withheld),
+        None if entry.words is None else _redacted(entry.words, withheld),
     )
 
 
-def touched_urls(url: str, touched: Sequence[str], made: str | None, status: int, length: int) -> Sequence[str] | None:
+def touched_urls(
+    url: str, touched: Sequence[str], created: str | None, status: int, length: int
+) -> Sequence[str] | None:
     """Return the URLs that a write concerned: its own, those in its query and its steps, and that of the new resource.
 
     Return None if there may be more: for an update, whose WHERE may read everything; for steps too many to list; for a
@@ -139,7 +141,7 @@ def touched_urls(url: str, touched: Sequence[str], made: str | None, status: int
     if own.endswith("/") and length and status >= 400:
         return None
     named = (urljoin(own, value) for _, value in parse_qsl(query) if value.startswith(("/", "http:", "https:")))
-    return (own, *touched, *named, *(() if made is None else (made,)))
+    return (own, *touched, *named, *(() if created is None else (created,)))
 
 
 def _text(body: bytes) -> str | None:
@@ -158,7 +160,7 @@ def _begin(text: str, limit: int) -> str:
     return cut if len(cut) == len(text) else f"{cut}..."
 
 
-def _said(words: str, withheld: bool) -> str:
+def _redacted(words: str, withheld: bool) -> str:
     """Return a sentence unless it may contain a secret value."""
     if withheld or holds_credentials(words):
         return _WITHHELD

@@ -33,17 +33,17 @@ _REFUSED_PART = 5
 class JournalEntry:
     """One write in the journal; its receipt is made on first use (thread-safe)."""
 
-    __slots__ = ("_asked", "_excerpt_bytes", "_receipt", "ended_ns", "id", "is_refused", "number")
+    __slots__ = ("_audit_entry", "_excerpt_bytes", "_receipt", "ended_ns", "id", "is_refused", "number")
 
     def __init__(
-        self, number: int, id: str, asked: AuditEntry | None, excerpt_bytes: int, receipt: Receipt | None
+        self, number: int, id: str, audit_entry: AuditEntry | None, excerpt_bytes: int, receipt: Receipt | None
     ) -> None:
         self.number = number
         self.id = id
-        self._asked = asked
+        self._audit_entry = audit_entry
         self._excerpt_bytes = excerpt_bytes
         self._receipt = receipt
-        known = receipt or asked
+        known = receipt or audit_entry
         assert known is not None
         self.ended_ns = known.ended_ns
         self.is_refused = known.status >= 400
@@ -57,20 +57,20 @@ class JournalEntry:
         known = self._receipt
         if known is not None:
             return touched_urls(known.url, known.touched, known.made, known.status, known.length)
-        asked = self._asked
-        if asked is None:  # another thread has just created the receipt
+        audit_entry = self._audit_entry
+        if audit_entry is None:  # another thread has just created the receipt
             return self.touched
-        url = f"{asked.url}?{asked.query.decode('latin-1')}"
-        return touched_urls(url, asked.touched, asked.created, asked.status, asked.length)
+        url = f"{audit_entry.url}?{audit_entry.query.decode('latin-1')}"
+        return touched_urls(url, audit_entry.touched, audit_entry.created, audit_entry.status, audit_entry.length)
 
     @property
     def receipt(self) -> Receipt:
         """The receipt, created on first use: most are never read."""
-        asked, receipt = self._asked, self._receipt
+        audit_entry, receipt = self._audit_entry, self._receipt
         if receipt is None:
-            assert asked is not None
-            receipt = self._receipt = receipt_of(asked, self.number, self.id, self._excerpt_bytes)
-            self._asked = None
+            assert audit_entry is not None
+            receipt = self._receipt = receipt_of(audit_entry, self.number, self.id, self._excerpt_bytes)
+            self._audit_entry = None
         return receipt
 
 
@@ -93,7 +93,7 @@ class Journal:
         self._dropped: Callable[[JournalEntry], None] = lambda entry: None
         self._disk = None if folder is None else SqliteLog(folder)
         self._unwritten: dict[int, JournalEntry] = {}
-        self._gone: list[int] = []
+        self._deleted: list[int] = []
         self._turn: asyncio.TimerHandle | None = None
         self._writing: asyncio.Task[None] | None = None
         self._look: asyncio.TimerHandle | None = None
@@ -113,10 +113,10 @@ class Journal:
         """Start to remove expired entries."""
         self._look_again()
 
-    def add(self, asked: AuditEntry, id: str | None = None) -> str:
+    def add(self, audit_entry: AuditEntry, id: str | None = None) -> str:
         """Add a write and return the id of its receipt. It is written to disk soon, by `close` at the latest."""
         self.version += 1
-        entry = JournalEntry(self.version, id or new_identifier(), asked, self._excerpt_bytes, None)
+        entry = JournalEntry(self.version, id or new_identifier(), audit_entry, self._excerpt_bytes, None)
         self._keep(entry)
         if self._disk is not None:
             self._unwritten[entry.number] = entry
@@ -148,9 +148,9 @@ class Journal:
             found.append(entry)
         return found[::-1]
 
-    def on_dropped(self, told: Callable[[JournalEntry], None]) -> None:
+    def on_dropped(self, listener: Callable[[JournalEntry], None]) -> None:
         """Call the listener with each entry that is removed from now on."""
-        self._dropped = told
+        self._dropped = listener
 
     async def close(self) -> None:
         """Write the remaining entries. Idempotent."""
@@ -180,7 +180,7 @@ class Journal:
         del self._entries[entry.id]
         self.version += 1
         if self._disk is not None and self._unwritten.pop(entry.number, None) is None:
-            self._gone.append(entry.number)
+            self._deleted.append(entry.number)
         self._dropped(entry)
 
     def _look_again(self) -> None:
@@ -189,7 +189,7 @@ class Journal:
         for kind, entries in self._in_order.items():
             while entries and entries[0].ended_ns < horizon:
                 self._drop(kind)
-        if self._gone:
+        if self._deleted:
             self._write_soon(0.0)
         if self.version != before:
             self.changes.emit()
@@ -214,17 +214,17 @@ class Journal:
             pause = _RETRY_SECONDS
         finally:
             self._writing = None
-        if self._unwritten or self._gone:
+        if self._unwritten or self._deleted:
             self._write_soon(pause)
 
     async def _write(self, disk: SqliteLog) -> None:
         """Write the new entries. Failures are retried with the next ones."""
-        added, gone = self._unwritten, self._gone
-        self._unwritten, self._gone = {}, []
+        added, deleted = self._unwritten, self._deleted
+        self._unwritten, self._deleted = {}, []
         try:
-            await disk.write((entry.receipt for entry in added.values()), gone)
+            await disk.write((entry.receipt for entry in added.values()), deleted)
         except sqlite3.Error:
-            kept = {number: entry for number, entry in added.items() if entry.id in self._entries}
-            self._unwritten = {**kept, **self._unwritten}
-            self._gone = [*gone, *self._gone]
+            retried = {number: entry for number, entry in added.items() if entry.id in self._entries}
+            self._unwritten = {**retried, **self._unwritten}
+            self._deleted = [*deleted, *self._deleted]
             raise

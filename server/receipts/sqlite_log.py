@@ -94,7 +94,7 @@ class SqliteLog:
         if self._connection is None:
             return []
         rows = self._connection.execute("SELECT told FROM receipt ORDER BY number")
-        found = (_read(told) for (told,) in rows)
+        found = (_read(text) for (text,) in rows)
         return [receipt for receipt in found if receipt is not None]
 
     async def write(self, added: Iterable[Receipt], dropped: Sequence[int]) -> None:
@@ -133,9 +133,9 @@ class SqliteLog:
             self._connection.close()
 
 
-def _read(told: bytes) -> Receipt | None:
+def _read(text: bytes) -> Receipt | None:
     try:
-        members = orjson.loads(told)
+        members = orjson.loads(text)
         return Receipt(**{**members, "plan": tuple(members["plan"]), "touched": tuple(members["touched"])})
     except (ValueError, TypeError, KeyError):
         return None

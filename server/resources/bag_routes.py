@@ -50,7 +50,7 @@ from rosld.server.rest.resource import (
     Resource,
     permanent_redirect,
 )
-from rosld.server.rest.responses import UNKNOWN, file_response, file_stream, resource_headers, unless_gone
+from rosld.server.rest.responses import UNKNOWN, cancel_on_disconnect, file_response, file_stream, resource_headers
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 
@@ -140,7 +140,7 @@ class BagFile(BagBase):
                 require_encoding(recording.name, encoding, wanted)
                 if exchange.method == "HEAD":
                     return Response(headers=shown)
-                file = await unless_gone(exchange.receive, self.recordings.export(recording, wanted))
+                file = await cancel_on_disconnect(exchange.receive, self.recordings.export(recording, wanted))
         except CannotExport as error:
             raise Problem(406, f"{str(error)[:1].upper()}{str(error)[1:]}.") from error
         except FileNotFoundError as error:

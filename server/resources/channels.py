@@ -150,7 +150,7 @@ class Notifications:
             if problem.status >= 500:
                 raise problem from error
             detail = f"There is nothing to tell of the topic {url}: {problem.detail}"
-            raise Problem(422, detail, extra=problem.said) from error
+            raise Problem(422, detail, extra=problem.quoted_members) from error
 
     def _scope(self, url: str) -> Scope:
         """The GET request for a URL of this server, by whichever of its names. Raises a 422 Problem for all others."""

@@ -400,7 +400,7 @@ async def _message_at(url: str, space: Space, lifting: LiftSettings, schema: Mes
     except RosError as error:
         raise problem_of(error) from error
     except Problem as problem:
-        raise Problem(422, problem.detail, extra=problem.said, about=problem.about) from problem
+        raise Problem(422, problem.detail, extra=problem.quoted_members, about=problem.about) from problem
     body = index_triples(state.document.all_triples())
     type_iri = space.class_of(schema.ref.name)
     root = NamedNode(whole) if fragment else find_message(body, document, type_iri)

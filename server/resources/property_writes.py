@@ -302,7 +302,7 @@ async def carry_out_all(session: Session, writes: Sequence[tuple[str, PlannedWri
 
 def _partly(error: RosError | Problem, name: str, done: Sequence[dict[str, object]], left: Iterable[str]) -> Problem:
     problem = problem_of(error) if isinstance(error, RosError) else error
-    failed = {"name": name, "status": problem.status, "detail": problem.detail, **problem.said}
+    failed = {"name": name, "status": problem.status, "detail": problem.detail, **problem.quoted_members}
     rest = [{"name": each, "status": 424, "detail": "Not attempted."} for each in left]
     problem.extra |= {"members": [*done, failed, *rest]}
     if done or rest:

@@ -112,7 +112,7 @@ class RecordingTriggers:
                 raise
             words = problem.detail.removeprefix("?until= cannot be waited for: ")
             words = f"The trigger cannot be waited for: {words}"
-            raise Problem(422, words, extra=problem.said, about=problem.about) from problem
+            raise Problem(422, words, extra=problem.quoted_members, about=problem.about) from problem
         return followed
 
     async def occurrences(self, one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
@@ -254,7 +254,7 @@ def _resource(space: Space, url: str, find: Find, permissions: Permissions) -> R
         raise Problem(422, f"The trigger is about {url[:200]}: {error}.") from error
     except Problem as problem:
         words = f"The trigger is about {url[:200]}: {problem.detail}"
-        raise Problem(422, words, extra=problem.said, about=problem.about) from problem
+        raise Problem(422, words, extra=problem.quoted_members, about=problem.about) from problem
 
 
 def _mapped_condition(

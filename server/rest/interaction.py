@@ -41,22 +41,22 @@ def requested_model(links: Sequence[Link], url: str, media_type: str | None, *, 
     new resource ends in a slash. In a PUT, which determines the URL, both must agree. Raises Problem 400 for an unknown
     model and for models that exclude each other, 409 for a model that does not match the URL or the body.
     """
-    asked = _asked(links, url)
-    container = _container(asked)
-    _check_together(asked, container)
+    requested = _requested_types(links, url)
+    container = _container(requested)
+    _check_exclusive(requested, container)
     is_rdf = media_type is None or media_type in _RDF
-    if container is not None or (container_hint and not asked):
+    if container is not None or (container_hint and not requested):
         _check_container(container or Model.BASIC_CONTAINER, url, media_type, is_rdf)
         return container or Model.BASIC_CONTAINER
     if container_hint:
         raise Problem(
             409,
-            f"{_words(asked)} is asked for, but the URL of a container: leave out the slash at the end, "
+            f"{_words(requested)} is asked for, but the URL of a container: leave out the slash at the end, "
             "or ask for ldp:BasicContainer.",
         )
-    if "NonRDFSource" in asked:
+    if "NonRDFSource" in requested:
         return Model.NON_RDF_SOURCE
-    if "RDFSource" in asked and not is_rdf:
+    if "RDFSource" in requested and not is_rdf:
         raise Problem(
             409,
             f"ldp:RDFSource is asked for with a body of {media_type}: send one of {', '.join(sorted(_RDF))}, "
@@ -74,7 +74,7 @@ def model_links(model: Model) -> tuple[Link, ...]:
     return _LINKS[model]
 
 
-def _asked(links: Sequence[Link], url: str) -> frozenset[str]:
+def _requested_types(links: Sequence[Link], url: str) -> frozenset[str]:
     """Return the local names of the models in the links; other types and links are ignored."""
     found = [
         link.target.removeprefix(ldp.iri)
@@ -89,19 +89,19 @@ def _asked(links: Sequence[Link], url: str) -> frozenset[str]:
     return frozenset(found)
 
 
-def _container(asked: frozenset[str]) -> Model | None:
+def _container(requested: frozenset[str]) -> Model | None:
     """Return the requested kind of container; ldp:Container alone means a Basic one."""
-    kinds = [model for model in Model if model.is_container and model.value in asked]
+    kinds = [model for model in Model if model.is_container and model.value in requested]
     if len(kinds) > 1:
-        raise Problem(400, f"A container is of one kind, not of {_words(asked & {kind.value for kind in kinds})}.")
+        raise Problem(400, f"A container is of one kind, not of {_words(requested & {kind.value for kind in kinds})}.")
     if kinds:
         return kinds[0]
-    return Model.BASIC_CONTAINER if "Container" in asked else None
+    return Model.BASIC_CONTAINER if "Container" in requested else None
 
 
-def _check_together(asked: frozenset[str], container: Model | None) -> None:
-    if "NonRDFSource" in asked and ("RDFSource" in asked or container is not None):
-        raise Problem(400, f"{_words(asked - {'Resource'})} exclude each other: ask for one interaction model.")
+def _check_exclusive(requested: frozenset[str], container: Model | None) -> None:
+    if "NonRDFSource" in requested and ("RDFSource" in requested or container is not None):
+        raise Problem(400, f"{_words(requested - {'Resource'})} exclude each other: ask for one interaction model.")
 
 
 def _check_container(model: Model, url: str, media_type: str | None, is_rdf: bool) -> None:
@@ -138,9 +138,9 @@ def parse_membership(triples: Iterable[Triple], url: str, model: Model) -> Membe
     if model not in (Model.DIRECT_CONTAINER, Model.INDIRECT_CONTAINER):
         return None
     container = NamedNode(url)
-    said = [triple for triple in triples if triple.subject == container]
-    resource = _one(said, ldp.membershipResource)
-    forward, inverse = _one(said, ldp.hasMemberRelation), _one(said, ldp.isMemberOfRelation)
+    declared = [triple for triple in triples if triple.subject == container]
+    resource = _one(declared, ldp.membershipResource)
+    forward, inverse = _one(declared, ldp.hasMemberRelation), _one(declared, ldp.isMemberOfRelation)
     if forward is not None and inverse is not None:
         raise Problem(
             409, "A container says either ldp:hasMemberRelation or ldp:isMemberOfRelation, not both (LDP 5.4.1.4)."
@@ -150,7 +150,7 @@ def parse_membership(triples: Iterable[Triple], url: str, model: Model) -> Membe
         raise Problem(
             409, f"{relation} is what the server says of resources: name another property as the membership relation."
         )
-    content = _content(_one(said, ldp.insertedContentRelation), model)
+    content = _content(_one(declared, ldp.insertedContentRelation), model)
     return Membership(
         (resource or container).value, relation.value, inverse is not None, None if content is None else content.value
     )
@@ -193,13 +193,13 @@ def membership_declaration(membership: Membership, container_url: str) -> list[T
     """
     container = NamedNode(container_url)
     relation = ldp.isMemberOfRelation if membership.inverse else ldp.hasMemberRelation
-    said = [
+    triples = [
         Triple(container, ldp.membershipResource, NamedNode(membership.resource)),
         Triple(container, relation, NamedNode(membership.relation)),
     ]
     if membership.content is not None:
-        said.append(Triple(container, ldp.insertedContentRelation, NamedNode(membership.content)))
-    return said
+        triples.append(Triple(container, ldp.insertedContentRelation, NamedNode(membership.content)))
+    return triples
 
 
 def membership_triples(membership: Membership, members: Iterable[str]) -> list[Triple]:
@@ -210,9 +210,9 @@ def membership_triples(membership: Membership, members: Iterable[str]) -> list[T
     return [Triple(constant, relation, NamedNode(member)) for member in members]
 
 
-def _one(said: Sequence[Triple], predicate: NamedNode) -> NamedNode | None:
+def _one(declared: Sequence[Triple], predicate: NamedNode) -> NamedNode | None:
     """Return the single IRI that a container states with a predicate, or None."""
-    found = list(dict.fromkeys(triple.object for triple in said if triple.predicate == predicate))
+    found = list(dict.fromkeys(triple.object for triple in declared if triple.predicate == predicate))
     if len(found) > 1:
         values = " and ".join(map(str, found[:5]))
         raise Problem(409, f"A container says {predicate} once, not as {values}.")
@@ -221,23 +221,23 @@ def _one(said: Sequence[Triple], predicate: NamedNode) -> NamedNode | None:
     return found[0] if found and isinstance(found[0], NamedNode) else None
 
 
-def _content(said: NamedNode | None, model: Model) -> NamedNode | None:
+def _content(relation: NamedNode | None, model: Model) -> NamedNode | None:
     """Return the inserted content relation of an Indirect container; a Direct one has none (LDP 5.4.1.5, 5.5.1.2)."""
     if model is Model.INDIRECT_CONTAINER:
-        if said is None:
+        if relation is None:
             raise Problem(
                 409,
                 "An Indirect container says by ldp:insertedContentRelation what stands for its members (LDP 5.5.1.2): "
                 "add it, or ask for ldp:DirectContainer.",
             )
-        return said
-    if said not in (None, ldp.MemberSubject):
+        return relation
+    if relation not in (None, ldp.MemberSubject):
         raise Problem(
             409,
-            f"The members of a Direct container are what was put into it (LDP 5.4.1.5): leave out {said}, "
+            f"The members of a Direct container are what was put into it (LDP 5.4.1.5): leave out {relation}, "
             "or ask for ldp:IndirectContainer.",
         )
-    return said
+    return relation
 
 
 MAX_LENGTH = 100
@@ -280,15 +280,15 @@ def _candidates(stem: str, extension: str) -> Iterator[str]:
 
 def _join(stem: str, added: str, extension: str) -> str:
     """Join the parts of a name, truncating the stem if needed (and dropping separators at its new end)."""
-    kept = stem[: MAX_LENGTH - len(added) - len(extension)].rstrip("-.")
-    return unicodedata.normalize("NFC", kept + added + extension)
+    shortened = stem[: MAX_LENGTH - len(added) - len(extension)].rstrip("-.")
+    return unicodedata.normalize("NFC", shortened + added + extension)
 
 
 def _readable(slug: str) -> str:
     """Return the usable characters of a Slug, which may be none."""
     text = unicodedata.normalize("NFC", _decode(slug))
-    kept = "".join(char if _is_kept(char) else "-" for char in text if char not in _INVISIBLE)
-    name = re.sub(r"-{2,}", "-", kept)
+    replaced = "".join(char if _is_safe(char) else "-" for char in text if char not in _INVISIBLE)
+    name = re.sub(r"-{2,}", "-", replaced)
     name = re.sub(r"\.{2,}", ".", name)
     while name and (name[0] in "-." or unicodedata.category(name[0])[0] == "M"):
         name = name[1:]
@@ -307,7 +307,7 @@ def _is_latin(text: str) -> bool:
     return all(char <= "\xff" for char in text)
 
 
-def _is_kept(char: str) -> bool:
+def _is_safe(char: str) -> bool:
     return char in "-_." or unicodedata.category(char)[0] in "LMN"
 
 

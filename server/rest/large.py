@@ -57,13 +57,13 @@ class LargeDocuments:
         Raises CannotCarry, and the Problems of `WorkerPool.run`.
         """
         while True:
-            path, size = await self._made(name, state, media_type)
+            path, size = await self._cached_file(name, state, media_type)
             try:
                 return await asyncio.to_thread(FileIO, path), size
             except FileNotFoundError:  # removed in favour of others meanwhile
                 continue
 
-    async def _made(self, name: Hashable, state: State, media_type: str) -> tuple[Path, int]:
+    async def _cached_file(self, name: Hashable, state: State, media_type: str) -> tuple[Path, int]:
         found = self._files.get(name)
         if found is not None:
             self._files.move_to_end(name)

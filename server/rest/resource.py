@@ -257,9 +257,9 @@ class Resource:
 
     def variant(self: R, **changes: object) -> R:
         """Return a copy with other values of some attributes, such as a page or a selection."""
-        made = object.__new__(type(self))
-        made.__dict__.update(self.__dict__, **changes)
-        return made
+        copy = object.__new__(type(self))
+        copy.__dict__.update(self.__dict__, **changes)
+        return copy
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the resource that query and preferences select: a page of this one, a variant, or itself."""

@@ -160,9 +160,9 @@ def file_stream(headers: list[tuple[bytes, bytes]], file: FileIO, size: int) -> 
     return _FileStream(200, headers, file, [Span(0, size)])
 
 
-async def unless_gone(receive: Receive, work: Coroutine[object, object, _T]) -> _T:
+async def cancel_on_disconnect(receive: Receive, work: Coroutine[object, object, _T]) -> _T:
     """Return the result of work, or cancel it and raise a Problem (which nobody reads) if the client disconnects."""
-    working, listening = asyncio.ensure_future(work), asyncio.ensure_future(_gone(receive))
+    working, listening = asyncio.ensure_future(work), asyncio.ensure_future(_wait_disconnect(receive))
     try:
         await asyncio.wait({working, listening}, return_when=asyncio.FIRST_COMPLETED)
         if not working.done():
@@ -187,7 +187,7 @@ class _FileStream(Response):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         working = asyncio.ensure_future(self._send(send))
-        listening = asyncio.ensure_future(_gone(receive))
+        listening = asyncio.ensure_future(_wait_disconnect(receive))
         try:
             while not working.done() and not listening.done():
                 sent = self._sent
@@ -220,7 +220,7 @@ class _FileStream(Response):
             self._reading.add_done_callback(lambda _: self._file.close())
 
 
-async def _gone(receive: Receive) -> None:
+async def _wait_disconnect(receive: Receive) -> None:
     """Wait until the client has disconnected."""
     while (await receive())["type"] != "http.disconnect":
         pass

@@ -79,7 +79,7 @@ class Dispatcher:
         return self._respond(exchange, resource)
 
     async def _respond(self, exchange: Exchange, resource: Resource) -> Response:
-        query_string, asked = exchange.request.scope["query_string"], resource
+        query_string, target = exchange.request.scope["query_string"], resource
         try:
             resource = await resource.select_variant(exchange)
             await resource.prepare()
@@ -87,7 +87,7 @@ class Dispatcher:
                 self._authorize(exchange, resource)
                 exchange.answering = resource
             if query_string and exchange.method != "OPTIONS" and not is_form(exchange, resource):
-                self._known_parameters.require(exchange.method, query_string, asked, resource)
+                self._known_parameters.require(exchange.method, query_string, target, resource)
             response = await self._answer(exchange, resource)
         except (BodyError, LoweringError, RosError, Problem) as error:
             raise self._with_near(exchange, resource, with_type_links(resource, problem_of_error(error))) from error

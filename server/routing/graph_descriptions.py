@@ -119,8 +119,8 @@ class GraphDescriptions:
         for parameter in graph.parameters.values():
             url = space.parameter(parameter.name)
             yield _described(url, parameter, partial(parameter_description, parameter, space))
-        drawn = self._factory.graph()
-        yield _described(drawn.url, (IdentityKey(graph), problems), drawn.document)
+        graph_resource = self._factory.graph()
+        yield _described(graph_resource.url, (IdentityKey(graph), problems), graph_resource.document)
         yield from self._containers(graph)
         yield from self._types()
         yield from self._recordings()

@@ -42,7 +42,7 @@ from rosld.server.sparql.materializer import GraphEntry, LiveDocument, LiveGraph
 from rosld.server.sparql.needs import Constants, Needs, StatedTerms
 from rosld.shapes.value import MessageShape
 
-_KEPT = 256
+_MAX_CACHED = 256
 """Maximum number of needs whose documents are cached."""
 OTHER_ROUTES = frozenset({stored_queries.ROUTE, active_limits.ROUTE})
 """Containers of stored documents that have other members too, and so are described here completely."""
@@ -137,7 +137,7 @@ class RobotGraphs:
         version = (IdentityKey(graph), self._session.schemas.count, IdentityKey(tree))
         known = self._found.get(needs)
         if known is None or known[0] != version:
-            if len(self._found) >= _KEPT:
+            if len(self._found) >= _MAX_CACHED:
                 self._found.clear()
             known = self._found[needs] = (version, list(self._documents(graph, tree, needs)))
         changing = (LiveDocument(one.url, one) for one in self._changing if needs.may_match(one.url, _ANYTHING))

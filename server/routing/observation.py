@@ -17,7 +17,7 @@ from rosld.server.auth.errors import invalid_token
 from rosld.server.auth.redaction import redact_problem
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Broadcasters, Waiter
-from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventStream, StreamEnd, StreamFormat, Tell
+from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventStream, SendChunk, StreamEnd, StreamFormat
 from rosld.server.events.long_poll import Until, wait_for_state
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
@@ -80,7 +80,7 @@ class MotionStream(EndlessResponse):
         self._pace = Pace(rate)
         self._is_valid = is_valid
 
-    async def write(self, tell: Tell) -> None:
+    async def write(self, send_chunk: SendChunk) -> None:
         waiter, is_new = Waiter(), True
 
         def wake() -> None:
@@ -91,7 +91,7 @@ class MotionStream(EndlessResponse):
         watch = await self._motion.watch(wake)
         try:
             part = f"--{_BOUNDARY}\r\nContent-Type: {self._motion.media_type}\r\n\r\n".encode("ascii")
-            await tell(part)
+            await send_chunk(part)
             while True:
                 if not is_new:
                     await waiter.sleep()
@@ -105,7 +105,7 @@ class MotionStream(EndlessResponse):
                     continue
                 self._pace.take(time.monotonic())
                 # The head of the next part is sent along: browsers show a picture when they have read that.
-                await tell(b"".join((picture, b"\r\n", part)))
+                await send_chunk(b"".join((picture, b"\r\n", part)))
         finally:
             watch.close()
 

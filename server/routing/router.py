@@ -296,7 +296,7 @@ class Router:
             **{name: single_route(partial(make, space)) for name, make in FILES.items()},
         }
         self._base = space.path.rstrip("/")
-        self._kept: dict[bytes, Resource] = {}
+        self._cache: dict[bytes, Resource] = {}
 
     def add(self, routes: Mapping[str, Route]) -> None:
         """Add routes, replacing those of the same names."""
@@ -314,7 +314,7 @@ class Router:
         resource's URL (`a:b` for `a%3Ab`), so that each resource has one URL. Writes are accepted with any spelling.
         """
         raw: bytes = scope["raw_path"]
-        resource = self._kept.get(raw)
+        resource = self._cache.get(raw)
         if resource is None:
             resource = self._find(raw)
             is_spelt = self._is_spelt(resource, raw)
@@ -323,9 +323,9 @@ class Router:
                 raise permanent_redirect(f"{resource.url}?{query}" if query else resource.url)
             if not resource.is_cacheable or not is_spelt:
                 return resource
-            if len(self._kept) >= _MAX_CACHED:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[raw] = resource
+            if len(self._cache) >= _MAX_CACHED:
+                self._cache.pop(next(iter(self._cache)))
+            self._cache[raw] = resource
         return resource
 
     def _is_spelt(self, resource: Resource, raw: bytes) -> bool:

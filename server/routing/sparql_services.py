@@ -34,8 +34,10 @@ class SparqlServices:
         self.process = QueryProcess(settings.query_concurrency, settings.query_queue)
         self.graphs = RobotGraphs(factory)
         """Source of the dataset."""
-        kept = RecordGraphs(services.documents.records, space.base, services.queries.description, OTHER_ROUTES)
-        self.materializer = Materializer(self.process, self.graphs, kept, ReceiptGraphs(services.receipts, space))
+        record_graphs = RecordGraphs(services.documents.records, space.base, services.queries.description, OTHER_ROUTES)
+        self.materializer = Materializer(
+            self.process, self.graphs, record_graphs, ReceiptGraphs(services.receipts, space)
+        )
         self._analyser = Analyser(space.base, space.types, reach=ServiceAllowlist(frozenset(settings.allow_service)))
         self.queries = QueryService(
             self.process,

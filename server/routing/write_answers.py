@@ -108,23 +108,23 @@ class KnownParameters:
         self._accepted: set[tuple[str, bool, str, str, tuple[str, ...]]] = set()
 
     def require(
-        self, method: str, query_string: bytes, asked: Resource, resource: Resource, *, is_form: bool = False
+        self, method: str, query_string: bytes, target: Resource, resource: Resource, *, is_form: bool = False
     ) -> None:
         """Raise a 400 Problem for a parameter that neither resource declares for the method of a request.
 
-        `asked` is the resource at the path, `resource` its variant that answers: a method that it does not have is a
+        `target` is the resource at the path, `resource` its variant that answers: a method that it does not have is a
         404 or 405 regardless of the parameters. A form is sent to the URL of its page, and may have the parameters of
         that.
         """
-        if method in resource.passes_unknown_parameters or method in asked.passes_unknown_parameters:
+        if method in resource.passes_unknown_parameters or method in target.passes_unknown_parameters:
             return
         names = _names(query_string)
-        request = (method, is_form, asked.url, resource.url, names)
+        request = (method, is_form, target.url, resource.url, names)
         if request in self._accepted or method not in resource.methods():
             return
         is_read = method in ("GET", "HEAD")
         known = dict.fromkeys((each.name for each in ((FORMAT,) if is_read else OF_EVERY_WRITE)), False)
-        for item in (each.path_item(self._schemas) for each in dict.fromkeys((asked, resource))):
+        for item in (each.path_item(self._schemas) for each in dict.fromkeys((target, resource))):
             known |= {each.name: each.is_list for each in item.write(method).query}
             if is_form or is_read:
                 known |= _of_page(item)
@@ -285,18 +285,18 @@ def is_form(exchange: Exchange, resource: Resource) -> bool:
     )
 
 
-def _back(resource: Resource, answer: Answer, came_from: str | None, space: Space) -> str:
+def _back(resource: Resource, answer: Answer, referrer: str | None, space: Space) -> str:
     """Return the target after a form: the created resource, or the page of the form (always for a cockpit)."""
     cockpits = space.container("cockpit")
-    if came_from is not None and came_from.startswith(cockpits) and not resource.url.startswith(cockpits):
-        return came_from
+    if referrer is not None and referrer.startswith(cockpits) and not resource.url.startswith(cockpits):
+        return referrer
     match answer:
         case CreatedAnswer():
             return answer.location
         case ShownAnswer():
             return answer.resource.url
         case _:
-            return answer.headers.get("location") or came_from or resource.url
+            return answer.headers.get("location") or referrer or resource.url
 
 
 async def answer_dry_run(

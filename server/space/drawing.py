@@ -173,8 +173,8 @@ def _grid(message: Fields) -> Drawing:
 def _path(message: Fields) -> Drawing:
     """Draw a nav_msgs/Path. Poses are in the frame of the path, because their own frames are often empty."""
     poses = message.poses
-    kept = [poses[place].pose.position for place in _places(len(poses))]
-    return Drawing(*_header(message), line=_points(kept))
+    points = [poses[place].pose.position for place in _places(len(poses))]
+    return Drawing(*_header(message), line=_points(points))
 
 
 def _polygon(message: Fields) -> Drawing:

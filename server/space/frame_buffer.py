@@ -28,7 +28,7 @@ TYPES = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 KEPT_NS = 10_000_000_000
 """Age of the oldest stored transforms, which is tf2's default."""
 MAX_FRAMES = 2000
-_MAX_KEPT = 2000
+_MAX_TRANSFORMS = 2000
 """Maximum number of transforms per frame: 10 s at 200 Hz."""
 _FIRST_CHOICES = ("map", "odom", "world", "earth")
 """Preferred fixed frames of a view (REP 105), the best first."""
@@ -76,7 +76,7 @@ class _History(Struct):
         self.stamps.insert(place, each.stamp_ns)
         self.transforms.insert(place, each)
         old = bisect_right(self.stamps, self.stamps[-1] - KEPT_NS - 1)
-        old = max(old, len(self.stamps) - _MAX_KEPT)
+        old = max(old, len(self.stamps) - _MAX_TRANSFORMS)
         if old > 0:
             del self.stamps[:old], self.transforms[:old]
 
@@ -173,14 +173,16 @@ class FrameBuffer:
         if target == source:
             return IDENTITY
         if not self._histories and not self.problems:
-            raise NoTransform(f"No transforms say where {_said(source) or 'the frame without a name'} is")
+            raise NoTransform(f"No transforms say where {_quoted(source) or 'the frame without a name'} is")
         for name in (target, source):
             self._require(name)
         above = dict(self._upwards(source, stamp_ns))
         for name, transform in self._upwards(target, stamp_ns):
             if name in above:
                 return compose(invert(transform), above[name])
-        raise NoTransform(f"{_said(source)} and {_said(target)} are frames of different trees, which nothing connects")
+        raise NoTransform(
+            f"{_quoted(source)} and {_quoted(target)} are frames of different trees, which nothing connects"
+        )
 
     def _require(self, name: str) -> None:
         if name in self._histories or any(each.newest.parent == name for each in self._histories.values()):
@@ -188,7 +190,7 @@ class FrameBuffer:
         if not name:
             raise NoTransform("The message names no frame")
         why = f": {self.problems[name]}" if name in self.problems else ""
-        raise NoTransform(f"There is no frame called {_said(name)}{why}")
+        raise NoTransform(f"There is no frame called {_quoted(name)}{why}")
 
     def _upwards(self, name: str, stamp_ns: int | None) -> Iterator[tuple[str, Transform]]:
         """Yield a frame and its ancestors, each with the transform from the frame to it; stop at a cycle."""
@@ -208,13 +210,13 @@ def _read(each: Fields, parent: str, child: str, source: Sample, *, is_static: b
     if not child or not parent:
         raise ValueError("A transform names no frame")
     if child == parent:
-        raise ValueError(f"{_said(child)} is said to be its own parent")
+        raise ValueError(f"{_quoted(child)} is said to be its own parent")
     own = each.transform
     transform = Transform(read_vector(own.translation), read_rotation(own.rotation))
     return FrameTransform(parent, child, read_stamp(each.header), transform, is_static, source)
 
 
-def _said(name: str) -> str:
+def _quoted(name: str) -> str:
     return name[:80] if name.isprintable() else repr(name[:80])
 
 

@@ -46,7 +46,7 @@ class ReportEntry(Struct, frozen=True):
         """As JSON."""
         found: dict[str, object] = {"graph": self.graph, "does": self.description, "outcome": self.outcome.value}
         if self.reason is not None:
-            found |= {"status": self.reason.status, "detail": self.reason.detail, **self.reason.said}
+            found |= {"status": self.reason.status, "detail": self.reason.detail, **self.reason.quoted_members}
         return found
 
 

@@ -1,4 +1,4 @@
-"""Servers on threads of the tests' process: 40 ms of CPU each, where a process of its own takes over a second."""
+"""Servers on threads of the tests' process: 40 ms of CPU each, where a separate process takes over a second."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from rosld.server.serving.http_server import bind, run
 from rosld.server.settings import Settings, address
 
 Open: TypeAlias = "Callable[[Callable[[str], None]], AbstractContextManager[Serving]]"
-"""Makes a server that calls back with its URL once it listens."""
+"""Run a server that calls back with its URL once it listens."""
 
 
 class ServingThread:
-    """A server on a thread, with what is used of `subprocess.Popen`."""
+    """A server on a thread, with the used part of the interface of `subprocess.Popen`."""
 
     def __init__(self, open: Open) -> None:
         self._url: Future[str] = Future()

@@ -1,4 +1,4 @@
-"""Releasing a stop as a person does who reads its page."""
+"""Release of a stop, as by a person who reads its page."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import httpx
 
 
 def shown_id(http: httpx.Client) -> str | None:
-    """The id that the page of the stop shows, None while the robot is not stopped."""
+    """Return the id that the page of the stop shows, None while the robot is not stopped."""
     page = http.get("/stop", headers={"Accept": "text/html"}).text
     found = re.search(r'name="[?]confirm" value="([^"]+)"', page)
     return None if found is None else found[1]

@@ -1,4 +1,4 @@
-"""Which modules and distributions each part imports, and where files lie, as `CONTRIBUTING.md` says."""
+"""Imports of modules and distributions by each part, and places of files, according to `CONTRIBUTING.md`."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ KNOWS_NOTHING_OF: dict[str, tuple[str, ...]] = {
 
 
 BLOCKS = (ast.stmt, ast.excepthandler, ast.match_case)
-"""The nodes within which imports are looked for: to walk expressions takes ten times as long."""
+"""Nodes within which imports are searched: walking expressions takes ten times as long."""
 
 
 def sources() -> Iterator[tuple[str, Path]]:
-    """Every module of rosld by its dotted name."""
+    """Return every module of rosld by its dotted name."""
     for room in ROOMS:
         for path in sorted((ROOT / room).rglob("*.py")):
             yield module_of(f"rosld/{path.relative_to(ROOT)}"), path
@@ -118,7 +118,7 @@ def part_of(module: str, parts: dict[str, tuple[str, ...]]) -> str | None:
 
 
 def kind_of_adapter(module: str) -> str | None:
-    """The kind of system a module is an adapter's part of, None for what all adapters share."""
+    """Return the kind of system of a module in an adapter, None for those shared by all adapters."""
     names = module.split(".")
     if names[:2] != ["rosld", "adapters"] or len(names) < 3 or names[2] == "model":
         return None
@@ -199,7 +199,7 @@ LAYERS = [
     "settings",
     "http",
 ]
-"""The folders and files of `server/`, from the top: each imports only from those after it."""
+"""Folders and files of `server/`, from the top: each imports only from those after it."""
 
 
 def layer_of(module: str) -> int:
@@ -207,7 +207,7 @@ def layer_of(module: str) -> int:
 
 
 def test_the_layers_of_the_server_import_downwards_only() -> None:
-    """Also under TYPE_CHECKING and within functions: so no two folders import each other."""
+    """This includes TYPE_CHECKING and functions: so no two folders import each other."""
     upwards = {
         (module, name)
         for module, path in modules().items()
@@ -253,9 +253,9 @@ def test_creating_a_server_imports_none_of_the_libraries_it_may_never_need() -> 
 
 MAX_ATTRIBUTES = 14
 RECORDS = {"Goal", "Settings", "Input", "AuditEntry", "Receipt", "Bag"}
-"""Plain records: a setting, a form field, a receipt, a recording have as many members as they have."""
+"""Plain records, such as a setting, a form field, a receipt or a recording, which have any number of members."""
 STILL_LARGE = {"Mirror", "Client"}
-"""Still to be taken apart."""
+"""Classes still to be split."""
 
 
 def attributes(node: ast.ClassDef) -> set[str]:
@@ -299,7 +299,7 @@ OF_ROS = re.compile(
     r"rclpy|rospy|roslib|rosservice|actionlib|dynamic_reconfigure|genpy|tf2_py|rosidl_\w+|rcl_interfaces|\w+_(msgs|srvs)"
     r"|rosld_(aircraft|rover)"
 )
-"""Modules that come with a ROS."""
+"""Modules that are part of a ROS."""
 OF_LATER_PYTHONS = {"compression", "tomllib"}
 OWN = {"rosld", "tests", *(path.stem for path in (ROOT / "bench").glob("*.py"))}
 

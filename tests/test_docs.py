@@ -1,4 +1,4 @@
-"""The documentation: every link leads somewhere, and what pages on the embedded robots show is what comes."""
+"""The documentation: every link resolves, and the output in pages about embedded robots is the actual one."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def pages() -> list[Path]:
 
 @cache
 def anchors(page: Path) -> frozenset[str]:
-    """The anchors of a page's headings, as GitHub makes them."""
+    """Return the anchors of a page's headings, as in GitHub."""
     found: dict[str, int] = {}
     for heading in re.findall(r"^#+ (.*)$", FENCE.sub("", page.read_text("utf-8")), re.MULTILINE):
         text = re.sub(r"[^\w\- ]", "", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower()).replace(" ", "-")
@@ -69,7 +69,7 @@ CONSOLE = re.compile(r"^```console\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 
 def commands(page: Path) -> Iterator[tuple[str, list[str]]]:
-    """The commands of a page in their order, each with the lines that it is shown to print; `...` stands for any."""
+    """Return the commands of a page in order, each with its printed lines; `...` stands for any."""
     for block in CONSOLE.findall(page.read_text("utf-8")):
         for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
             command, *output = part.rstrip().splitlines()
@@ -88,11 +88,11 @@ def prints(expected: list[str], lines: list[str]) -> bool:
 
 
 MEASURED = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z|\d+\.\d+(e-?\d+)?|(?<=sequence )\d+|(?<=,)\d+$")
-"""What a page shows that is another each time: times, measurements, numbers and counts of messages."""
+"""Parts of pages that vary: times, measurements, numbers and counts of messages."""
 
 
 def serve(start: Callable[..., Served], command: str) -> str:
-    """The URL of a server started as by a command such as `rosld serve rover --history '*' &`, on a free port."""
+    """Start a server as with a command such as `rosld serve rover --history '*' &`, on a free port; return its URL."""
     _, _, *arguments = shlex.split(command.removesuffix("&"))
     served = start(*arguments)
     if "--history" in arguments:
@@ -118,7 +118,7 @@ def test_a_page_on_an_embedded_robot_prints_what_it_shows(page: str, command: st
             if shown.startswith("rosld serve "):
                 url = serve(start, shown)
             if shown.startswith("rosld serve ") or " -N " in shown:
-                continue  # the latter follows a stream, without an end
+                continue  # the latter follows a stream without an end
             run = shown.replace(PRINTED, url).replace(".venv/bin/python", sys.executable)
             done = subprocess.run(["bash", "-c", run], cwd=tmp_path, capture_output=True, text=True, timeout=60)
             printed = done.stdout.replace(url, PRINTED)

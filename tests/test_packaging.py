@@ -1,4 +1,4 @@
-"""What is installed: a wheel, built from the source distribution, holds everything under `rosld` and nothing else."""
+"""Content of an installation: a wheel, built from the source distribution, has exactly the files below `rosld`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NOT_COPIED = shutil.ignore_patterns(
 
 
 def build(what: str, source: Path, target: Path) -> Path:
-    """Run a hook of the build backend (PEP 517) and return the file it made."""
+    """Run a hook of the build backend (PEP 517) and return the path of the created file."""
     target.mkdir()
     code = f"import sys, setuptools.build_meta as b; print(b.build_{what}(sys.argv[1]))"
     done = subprocess.run(
@@ -35,7 +35,7 @@ def build(what: str, source: Path, target: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel of a copy of this tree, built by way of a source distribution."""
+    """The wheel of a copy of this tree, built from a source distribution."""
     try:
         if int(version("setuptools").partition(".")[0]) < 77:
             raise PackageNotFoundError

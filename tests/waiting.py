@@ -1,4 +1,4 @@
-"""Waiting for what no event tells of."""
+"""Waiting for conditions that no event reports."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PATIENCE = 60.0
 
 
 def until(true: Callable[[], Any], what: str, timeout: float = PATIENCE) -> Any:
-    """Wait for something about a robot; what it came to."""
+    """Wait for a condition on a robot; return its value."""
     end = time.monotonic() + timeout
     while not (found := true()):
         assert time.monotonic() < end, f"never came: {what}"
@@ -21,7 +21,7 @@ def until(true: Callable[[], Any], what: str, timeout: float = PATIENCE) -> Any:
 
 
 def once_started(ask: Callable[[], httpx.Response]) -> httpx.Response:
-    """The answer to a query, which is asked again while the process that works it out has not started."""
+    """Return the result of a query, which is repeated while the query process has not started."""
 
     def answer() -> httpx.Response | None:
         found = ask()

@@ -24,7 +24,7 @@ STREAM = {"Accept": "text/event-stream"}
 
 @pytest.fixture
 def plane(own_aircraft: httpx.Client) -> httpx.Client:
-    """An aircraft of this test's own, its engine on."""
+    """An aircraft for one test, with its engine on."""
     assert own_aircraft.post("/services/aircraft/start", json={}).status_code == 201
     return own_aircraft
 
@@ -34,7 +34,7 @@ def sent(http: httpx.Client, distance: float, **headers: str) -> httpx.Response:
 
 
 def events(http: httpx.Client, url: str) -> Iterator[dict[str, Any]]:
-    """What the event stream of a resource tells."""
+    """Return the events of a resource's event stream."""
     with http.stream("GET", url, headers=STREAM) as stream:
         assert stream.headers["content-type"].startswith("text/event-stream")
         for line in stream.iter_lines():
@@ -43,7 +43,7 @@ def events(http: httpx.Client, url: str) -> Iterator[dict[str, Any]]:
 
 
 def until(http: httpx.Client, url: str, status: str) -> list[dict[str, Any]]:
-    """What is told of a goal until it stands so."""
+    """Return the events of a goal until it has this status."""
     told: list[dict[str, Any]] = []
     for event in events(http, url):
         told.append(event)
@@ -53,7 +53,7 @@ def until(http: httpx.Client, url: str, status: str) -> list[dict[str, Any]]:
 
 
 def says(http: httpx.Client, url: str, predicate: str) -> list[str]:
-    """The objects of a predicate of a resource."""
+    """Return the objects of a predicate of a resource."""
     lines = http.get(url, headers={"Accept": "application/n-triples"}).text.splitlines()
     return [line.split(" ", 2)[2].removesuffix(" .") for line in lines if line.split(" ")[1] == f"<{predicate}>"]
 

@@ -21,7 +21,7 @@ JSON = {"Accept": "application/json"}
 
 @pytest.fixture
 def ros(tmp_path: Path) -> Iterator[RosSystem]:
-    """A rosmaster of this test's own, with rospy's action servers."""
+    """A rosmaster for this test, with rospy's action servers."""
     with running(tmp_path) as system:
         system.node("action_node.py")
         yield system

@@ -1,4 +1,4 @@
-"""The same request again: caches never answer it with an earlier state."""
+"""Repeated requests: caches never return an earlier state."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_getters_are_called_again_once_what_they_said_is_no_longer_fresh(robot: 
     http = serving(freshness=0.05)
     for number in range(2, 6):
         grip["value"] = number
-        time.sleep(0.06)  # by itself nobody says that it has changed
+        time.sleep(0.06)  # nothing reports by itself that it has changed
         for path in ("/resources/arm/grip", "/resources/arm/"):
             assert [f"{number}" in http.get(path, headers=asking.JSON).text for _ in range(5)] == [True] * 5
     assert http.put("/resources/arm/grip", json=9).status_code == 204

@@ -1,4 +1,4 @@
-"""Attempts to get past rights, each by its name: refused, and the robot as it was."""
+"""Named attempts to circumvent permissions: refused, with the robot unchanged."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def guarded(guard: Callable[..., Guarded]) -> Iterator[Guarded]:
 
 
 def raw(guarded: Guarded, request: bytes) -> bytes:
-    """The beginning of the answer to bytes that no client library would send."""
+    """Return the beginning of the response to bytes that no client library would send."""
     host, port = guarded.url.removeprefix("http://").rstrip("/").split(":")
     with socket.create_connection((host, int(port)), timeout=5) as sock:
         sock.sendall(request)
@@ -91,7 +91,7 @@ def test_a_redirect_leads_nobody_to_what_they_may_not_know(guarded: Guarded) -> 
 def test_a_page_of_another_site_does_nothing_with_the_password_that_a_browser_remembers(guarded: Guarded) -> None:
     form = {"Content-Type": "application/x-www-form-urlencoded"}
     for path in ("/services/aircraft/start", "/resources/aircraft/start"):
-        for origin in ("https://evil.example", guarded.url.rstrip("/")):  # the form of the own page lacks its token
+        for origin in ("https://evil.example", guarded.url.rstrip("/")):  # the token of the page's own form is missing
             sent = guarded["anybody"].post(path, headers={**form, "Origin": origin}, auth=("admin", token("admin")))
             assert sent.status_code == 403
 

@@ -1,4 +1,4 @@
-"""Attacks on a robot without --auth, each by its name: refused, and the robot is as it was."""
+"""Named attacks on a robot without --auth: refused, with the robot unchanged."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ IMPATIENT = ("--setting", "head_timeout", "1", "--setting", "body_timeout", "1")
 
 @dataclass
 class Target:
-    """A robot under attack: its server, and what it was like."""
+    """A robot under attack: its server, and its initial state."""
 
     url: str
     http: httpx.Client
 
     def state(self) -> tuple[bytes, ...]:
-        """All of it that an attack here would change."""
+        """Return all state that an attack here would change."""
         plain = {"Accept": "application/json"}
         return tuple(self.http.get(path, headers=plain).content for path in (POWER, SEATS, "/parameters/", DISPLAY))
 
@@ -45,7 +45,7 @@ class Target:
         return host, int(port)
 
     def raw(self, sent: bytes) -> bytes:
-        """All that is answered to bytes that no client library would send."""
+        """Return the complete response to bytes that no client library would send."""
         with socket.create_connection(self.address, timeout=10) as sock:
             sock.sendall(sent)
             return b"".join(iter(lambda: sock.recv(65536), b""))
@@ -53,7 +53,7 @@ class Target:
 
 @pytest.fixture(scope="module")
 def robot(start_server: Callable[..., Any]) -> Target:
-    """The robot that is attacked."""
+    """The robot under attack."""
     served = start_server("aircraft", *IMPATIENT)
     found = Target(served.url, served.http)
     assert found.http.put(DISPLAY, json={"data": "calm"}).status_code == 204
@@ -62,14 +62,14 @@ def robot(start_server: Callable[..., Any]) -> Target:
 
 @pytest.fixture
 def target(robot: Target) -> Iterator[Target]:
-    """The robot, which is as it was when the attack is over."""
+    """The robot, checked to be unchanged after the attack."""
     before = robot.state()
     yield robot
     assert robot.state() == before, "the robot was moved"
 
 
 def writes() -> Iterator[tuple[str, str, Mapping[str, str], bytes]]:
-    """A write of each kind that would move the robot."""
+    """Return a write of each kind that would move the robot."""
     yield "PUT", DISPLAY, JSON, b'{"data": "owned"}'
     yield "POST", START, JSON, b"{}"
     yield "PUT", SEATS, JSON, b"666"
@@ -167,7 +167,7 @@ def test_slow_loris(target: Target) -> None:
     try:
         for number, sock in enumerate(opened):
             sock.sendall(beginnings[number % len(beginnings)])
-        assert target.http.get("/").status_code == 200  # the others are answered meanwhile
+        assert target.http.get("/").status_code == 200  # other requests are answered meanwhile
         for number, sock in enumerate(opened):
             if beginnings[number % len(beginnings)]:
                 answer = b"".join(iter(lambda sock=sock: sock.recv(65536), b""))  # the server ends it
@@ -187,7 +187,7 @@ def test_oversized_and_compressed_bodies(target: Target) -> None:
         for coding in ("gzip", "deflate", "br", "gzip, gzip"):
             answer = target.http.request(method, path, headers={**kind, "Content-Encoding": coding}, content=bomb)
             assert answer.status_code == 415, answer.text
-        if path != "/data/file":  # files may be as large, and hold any bytes
+        if path != "/data/file":  # files may be this large, and have any bytes
             assert target.http.request(method, path, headers=kind, content=large).status_code == 413
             answer = target.http.request(method, path, headers=kind, content=deep)
             assert 400 <= answer.status_code < 500, answer.text
@@ -195,7 +195,7 @@ def test_oversized_and_compressed_bodies(target: Target) -> None:
 
 @contextmanager
 def canary() -> Iterator[tuple[str, list[bytes]]]:
-    """A server that nobody is to call: its URL, and the calls."""
+    """A server that must not be called: its URL, and the calls."""
     calls: list[bytes] = []
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(0.2)
@@ -249,7 +249,7 @@ TAGS = ("<script>alert(1)</script>", "\"'><img src=x onerror=alert(1)>", "</titl
 
 
 def test_html_injection_by_what_a_robot_says(robot: Target) -> None:
-    """A value, the name of a parameter, what is typed, what is asked for, who asks: shown, and never run."""
+    """A value, the name of a parameter, form input, a query, the name of an agent: shown, and never run."""
     for tag in TAGS:
         name = f"{robot.url}parameters/attack" + quote(tag.replace("/", ""))
         assert robot.http.put(DISPLAY, json={"data": tag}).status_code == 204

@@ -1,4 +1,4 @@
-"""Recordings over HTTP: their topics played, every message under its own URL, nothing writable."""
+"""Recordings over HTTP: their topics played, every message as a resource, nothing writable."""
 
 from __future__ import annotations
 
@@ -20,14 +20,13 @@ COUNT = 250
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., Any]) -> Any:
-    """A recording of a walk, served: 250 points in 2.5 seconds, a name that is said once and latched."""
+    """A recording of a walk, served: 250 points in 2.5 seconds, a latched name that is published once."""
     path = tmp_path_factory.mktemp("bags") / "walk.bag"
     write(path)
     return start_server(str(path))
 
 
 def write(path: Path) -> None:
-    """Write the recording."""
     types = get_typestore(Stores.ROS1_NOETIC)
     point, text = types.types["geometry_msgs/msg/Point"], types.types["std_msgs/msg/String"]
     with Writer(path) as bag:
@@ -68,7 +67,7 @@ def test_the_bag_tells_its_topics_its_counts_and_the_checksum_of_its_file(walk: 
     assert f'"{COUNT - 1}"' in text
     assert walk.http.get("/bags/walk", follow_redirects=False).status_code == 308
     path = tmp_path / "walk.bag"
-    write(path)  # the same once more
+    write(path)  # the same again
     expected = hashlib.sha256(path.read_bytes()).hexdigest()
     url = f"{walk.http.base_url}bags/walk/"
     node, terms = URIRef(f"{url}#checksum"), Namespace("http://spdx.org/rdf/terms#")

@@ -1,4 +1,4 @@
-"""Notifications over real connections: found, subscribed to, received by a WebSocket and by a streaming response."""
+"""Notifications over real connections: discovery, subscription, delivery by WebSocket and by a streaming response."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ STRING = (
 
 
 def wish(served: Any, topic: str, kind: str = WEBSOCKET, **features: object) -> dict[str, object]:
-    """A subscription request."""
+    """Return a subscription request."""
     return {"@context": [CONTEXT], "type": NOTIFY + kind, "topic": served.url + topic, **features}
 
 
@@ -45,7 +45,7 @@ def post(served: Any, body: object, kind: str = WEBSOCKET, **headers: str) -> ht
 
 
 def subscribed(served: Any, topic: str, kind: str = WEBSOCKET, **features: object) -> dict[str, Any]:
-    """The channel that the server made."""
+    """Return the new channel of the server."""
     answer = post(served, wish(served, topic, kind, **features), kind)
     assert answer.status_code == 201, answer.text
     found: dict[str, Any] = answer.json()
@@ -54,14 +54,14 @@ def subscribed(served: Any, topic: str, kind: str = WEBSOCKET, **features: objec
 
 
 def received(ws: ClientConnection) -> dict[str, Any]:
-    """The next notification."""
+    """Return the next notification."""
     found: dict[str, Any] = json.loads(ws.recv(10))
     return found
 
 
 @contextmanager
 def streaming(served: Any, channel: dict[str, Any]) -> Iterator[Iterator[dict[str, Any]]]:
-    """The notifications of a response."""
+    """Yield the notifications of a response."""
     with served.http.stream("GET", channel["receiveFrom"]) as stream:
         assert stream.status_code == 200, stream.read()
         assert stream.headers["content-type"] == "application/x-ndjson"
@@ -74,13 +74,13 @@ def turn(served: Any) -> None:
 
 
 def fly(served: Any, speed: float) -> None:
-    """Start the engine and ask for a speed: it climbs in steps."""
+    """Start the engine and command a speed: it climbs in steps."""
     served.http.post("/services/aircraft/start", json={}).raise_for_status()
     served.http.post("/services/aircraft/engine/set_speed", json={"data": speed}).raise_for_status()
 
 
 def moment(seconds: float) -> str:
-    """The xsd:dateTime so many seconds from now."""
+    """Return the xsd:dateTime this many seconds from now."""
     return (datetime.now(timezone.utc) + timedelta(seconds=seconds)).isoformat()
 
 
@@ -159,7 +159,7 @@ def test_a_topic_notifies_over_a_websocket_no_faster_than_its_rate_and_a_resourc
         assert found["id"].startswith("urn:uuid:")
         assert found["published"].endswith("Z")
     assert len({found["state"] for found in came}) == 4
-    assert published_at(came[-1]) - published_at(came[0]) > 2.5 * 0.3  # one may come a quarter early
+    assert published_at(came[-1]) - published_at(came[0]) > 2.5 * 0.3  # one may be sent a quarter early
 
 
 def published_at(found: Any) -> float:
@@ -175,7 +175,7 @@ def test_the_state_told_is_that_of_the_entity_tag_and_is_told_to_who_has_another
         state = received(ws)["state"]
         assert state not in etag
     with connect(subscribed(aircraft, NIGHT, state=etag)["receiveFrom"]) as ws:
-        assert received(ws)["state"] == state  # at once: nothing changed since
+        assert received(ws)["state"] == state  # immediately: nothing changed since
     etag = aircraft.http.get(f"/{NIGHT}", headers={"Accept": "text/turtle"}).headers["etag"]
     assert etag == f'"{state}.ttl"'
 
@@ -196,7 +196,7 @@ def test_a_container_tells_which_member_came_and_went_and_the_member_too(aircraf
 
 
 def next_of(ws: ClientConnection, type: str) -> dict[str, Any]:
-    """The next notification of a type: others tell of rates and values that became known."""
+    """Return the next notification of a type: others are about rates and values that became known."""
     return next(each for each in iter(lambda: received(ws), None) if each["type"] == type)
 
 

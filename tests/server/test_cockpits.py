@@ -1,4 +1,4 @@
-"""Cockpits over HTTP: the one that is made from the robot, those that are kept, and what is no cockpit."""
+"""Cockpits over HTTP: the default one of the robot, stored ones, and invalid ones."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def put(rover: httpx.Client, name: str, turtle: str) -> httpx.Response:
 
 
 def fields(page: str, action: str) -> dict[str, str]:
-    """What the form of a page that posts to an action sends as it stands."""
+    """Return the pairs of the page's form for an action, as initially filled in."""
     start = page.index(f'action="{action}"') if action else page.index("<h2>Panels</h2>")
     form = page[start : page.index("</form>", start)]
     found = {}

@@ -1,4 +1,4 @@
-"""Whoever opens whatever: the robot can be stopped, and others are served as long as connections are idle."""
+"""With any number of connections, the robot can be stopped, and requests are served while connections are idle."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def url(start_server: Callable[..., Any]) -> str:
 
 @pytest.fixture
 def http(url: str) -> Iterator[httpx.Client]:
-    """A client of its own, which leaves the robot as it was."""
+    """A new client, which leaves the robot unchanged."""
     with httpx.Client(base_url=url, timeout=15) as client:
         yield client
 
 
 def stopped(url: str) -> None:
-    """Stop the robot on a new connection, and lift the stop."""
+    """Stop the robot on a new connection, and release it."""
     with httpx.Client(base_url=url, timeout=15) as http:
         assert http.post("/stop").status_code == 200
         release(http)
@@ -52,7 +52,7 @@ def stopped(url: str) -> None:
 
 @contextlib.contextmanager
 def streams(url: str, number: int) -> Iterator[None]:
-    """Connections on which answers are under way."""
+    """Open connections with unfinished responses."""
     with contextlib.ExitStack() as open_, httpx.Client(base_url=url, timeout=15) as http:
         for _ in range(number):
             answer = open_.enter_context(http.stream("GET", "/topics/aircraft/engine/speed", headers=STREAM))
@@ -61,7 +61,7 @@ def streams(url: str, number: int) -> Iterator[None]:
 
 
 def silent(url: str) -> socket.socket:
-    """A connection on which nothing is said."""
+    """Open a connection without sending anything."""
     base = httpx.URL(url)
     assert base.port is not None
     return socket.create_connection((base.host, base.port), timeout=10)
@@ -86,13 +86,13 @@ def test_where_all_connections_are_busy_the_robot_can_be_stopped_and_others_are_
             assert httpx.post(f"{url}services/aircraft/stop").status_code == 503
             assert httpx.post(f"{url}stop/more").status_code == 503
             stopped(url)
-            for _ in range(70 * number):  # more than there are in reserve
+            for _ in range(70 * number):  # more than the reserve
                 idle.enter_context(silent(url))
     until(lambda: httpx.get(url).status_code == 200, "room again")
 
 
 def subscribed(http: httpx.Client, topic: str = "data/") -> str:
-    """Where a new channel tells of a topic."""
+    """Return the URL of a new channel for a topic."""
     wish = json.dumps({**WISH, "topic": f"{http.base_url}{topic}"})
     answer = http.post("/channels/WebSocketChannel2023", content=wish, headers=JSON_LD)
     return str(answer.json()["receiveFrom"])

@@ -1,4 +1,4 @@
-"""The dataset is what GET says: every URL of a site is crawled, and its graph compared with its N-Triples."""
+"""The dataset equals the responses to GET: all URLs of a site are crawled, and graphs compared with N-Triples."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ UNLINKED = (
     *("status", "stop", "sparql", "graphs", "channels/", ".well-known/"),
     *("calls/", "goals/", "holds/", "activity/"),
 )
-"""Where a crawl begins, besides the entry."""
+"""Start of a crawl, besides the entry."""
 NOT_ITSELF = frozenset({"queries/graph", "queries/mine", ".well-known/wot", "cockpit/default"})
-"""Of a CONSTRUCT that is stored GET tells the results; a query that is kept is a text, which its `.meta` describes.
+"""Documents without an equal graph.
 
-The default cockpit is made for who reads it. A Thing Description says again, as W3C's context has it, what the graphs
-of the resources say of themselves.
+GET of a stored CONSTRUCT returns its results; a client's query is a text described by its `.meta`. The default cockpit
+is created for its reader. A Thing Description repeats, in W3C's terms, statements in the graphs of the resources.
 """
 VOLATILE = frozenset(
     f"https://w3id.org/rosld#{name}"
@@ -46,7 +46,7 @@ def link(kind: str) -> dict[str, str]:
 
 
 def kept(http: httpx.Client) -> None:
-    """Data of every kind, and documents that the server acts on."""
+    """Store data of every kind, and documents that the server acts on."""
     thing = "<> <urn:p> '01'^^<urn:t>, 'a\\rb', [ <urn:q> ( 1 2.50 'ä'@de ) ] . <#it> a <urn:C> ."
     about_me = "<> <http://xmlns.com/foaf/0.1/primaryTopic> <#me> ."
     query = {"Content-Type": "application/sparql-query"}
@@ -66,7 +66,7 @@ def kept(http: httpx.Client) -> None:
 
 
 def triples(text: bytes) -> set[Triple]:
-    """The triples without those that change by themselves, blank nodes named by what is said of them."""
+    """Return the triples that do not change by themselves, with blank nodes named by their statements."""
     quads = (quad for quad in parse(text, RdfFormat.N_TRIPLES) if quad.predicate.value not in VOLATILE)
     dataset = Dataset(Quad(*quad.triple) for quad in quads)
     dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
@@ -74,7 +74,7 @@ def triples(text: bytes) -> set[Triple]:
 
 
 def named(found: set[Triple], base: str) -> Iterator[str]:
-    """The URLs of this site in these triples."""
+    """Return the URLs of this site in these triples."""
     for triple in found:
         for term in triple:
             if isinstance(term, NamedNode) and term.value.startswith(base) and "?" not in term.value:
@@ -89,7 +89,7 @@ def graph(http: httpx.Client, url: str) -> set[Triple]:
 
 
 def compared(http: httpx.Client) -> tuple[set[str], dict[str, str]]:
-    """The paths that were crawled, and what differs at some of them. The graph is asked for before its document is."""
+    """Return the crawled paths, and differences. The graph is requested before its document."""
     base = str(http.base_url)
     waiting = deque([base, *(base + path for path in UNLINKED)])
     seen, read, different = set(waiting), set(), {}
@@ -106,7 +106,7 @@ def compared(http: httpx.Client) -> tuple[set[str], dict[str, str]]:
             read.add(path)
             told = triples(answer.content)
             following = list(named(told, base))
-            for _ in range(3):  # a value may have come, or a goal ended
+            for _ in range(3):  # a new value, or the end of a goal
                 if told == there or not there:
                     break
                 told, there = triples(http.get(url, headers=NTRIPLES).content), graph(http, url)

@@ -1,4 +1,4 @@
-"""Parameters as their nodes declare them (ROS 2): read-only, of one type, within a range, told in words; over HTTP."""
+"""Parameters as declared by their nodes (ROS 2), over HTTP: read-only, of one type, within a range, described."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def serving_lamp() -> Iterator[tuple[MadeUp, httpx.Client]]:
 
 @pytest.fixture
 def lamp(serving_lamp: tuple[MadeUp, httpx.Client]) -> MadeUp:
-    """The lamp as it is at first."""
+    """The lamp in its initial state."""
     robot, _ = serving_lamp
     robot.declared = {name: descriptor for name, (_, descriptor) in DECLARED.items() if descriptor is not None}
     for name, (value, _) in DECLARED.items():
@@ -60,7 +60,7 @@ def graph(client: httpx.Client, path: str) -> rdflib.Graph:
 
 
 def report(answer: httpx.Response) -> tuple[rdflib.Graph, Any]:
-    """The validation report of a refusal, and its one result."""
+    """Return the validation report of a refusal, and its single result."""
     found = rdflib.Graph().parse(data=answer.text, format="turtle")
     (result,) = found.objects(None, SH.result)
     return found, result

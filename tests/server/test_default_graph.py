@@ -20,7 +20,7 @@ TEXT = "<urn:s> <urn:p> 10 ; <urn:q> <urn:o> . <urn:o> <urn:p> 5 ."
 
 @pytest.fixture(scope="module")
 def http(start_server: Callable[..., Any]) -> httpx.Client:
-    """A server with three documents that say the same, and one that says something else."""
+    """A server with three equal documents, and a different one."""
     client: httpx.Client = start_server("aircraft").http
     for path in PATHS:
         assert client.put(f"/data/{path}", content=TEXT, headers=TURTLE).status_code == 201
@@ -77,7 +77,7 @@ def test_it_is_there_for_as_long_as_any_graph_says_so(http: httpx.Client) -> Non
 
 
 def test_it_is_the_union_however_much_is_replaced(http: httpx.Client) -> None:
-    """So much that the dataset copies itself, which it does when it has lost four times what it holds."""
+    """So much is replaced that the dataset copies itself, after losing four times its size."""
     chosen, held = random.Random(1), dict[str, set[int]]()
     for turn in range(60):
         path = f"m{turn % 4}"

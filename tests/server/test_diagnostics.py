@@ -1,4 +1,4 @@
-"""Diagnostics at /diagnostics: states and words, the worst first, live, with what was said before where it is kept."""
+"""Diagnostics at /diagnostics: states and messages, the worst first, live, with their history if it is recorded."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STATUS = Namespace("https://w3id.org/rosld/types/diagnostic_msgs/msg/DiagnosticS
 
 
 def said(*parts: tuple[str, int, str]) -> dict[str, Any]:
-    """A DiagnosticArray of parts: name, level, message."""
+    """Return a DiagnosticArray of parts: name, level, message."""
     status = [
         {"level": level, "name": name, "message": message, "hardware_id": f"hw-{name}",
          "values": [{"key": "volts", "value": "12.1"}, {"key": "<i>", "value": "</dd>"}]}
@@ -41,7 +41,7 @@ def test_the_worst_comes_first_whoever_said_it_and_is_found_in_every_form(robot:
         lambda: (told := http.get("diagnostics", headers=JSON).json()["states"])[0]["name"] == "battery" and told,
         "the newest error first",
     )
-    assert [each["name"] for each in again] == ["battery", "arm", "eye", "drive"]  # folded: the others stay
+    assert [each["name"] for each in again] == ["battery", "arm", "eye", "drive"]  # folded: the other parts remain
     turtle = Graph().parse(data=http.get("diagnostics").text, format="turtle")
     told = turtle.subject_objects(STATUS["level"])
     levels = {(str(turtle.value(node, STATUS["name"])), int(str(level))) for node, level in told}

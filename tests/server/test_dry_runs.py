@@ -1,4 +1,4 @@
-"""Dry runs: every write can be planned and checked without anything being done."""
+"""Dry runs: every write can be planned and checked without any effect."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ AGES = r"T\d\d:\d\d:\d\d[.0-9]*Z"
 
 
 class Told:
-    """Any adapter, which notes what it is told to do; getters, which are called to read, do not count."""
+    """Any adapter, with its calls recorded, except reads by getters."""
 
     def __init__(self, adapter: Adapter) -> None:
         self._adapter = adapter
@@ -72,7 +72,7 @@ class Told:
 
 
 def described_writes(http: httpx.Client) -> Iterator[tuple[str, str]]:
-    """The method and the path of every write that the description lists."""
+    """Return the method and the path of every write that the description lists."""
     for path, item in inlined(http.get("/openapi.json").json()).items():
         for method in WRITES:
             if method in item:
@@ -82,7 +82,7 @@ def described_writes(http: httpx.Client) -> Iterator[tuple[str, str]]:
 
 
 def stand_ins(http: httpx.Client, action: str, service: str) -> dict[str, str]:
-    """The paths that stand for templates: of what is made here, so that it can be changed and deleted."""
+    """Return paths for templates: of resources created here, so that they can be changed and deleted."""
     for root in KEPT_THERE:
         http.put(f"/{root}/dry", content=sent_to(http, root), headers=TURTLE).raise_for_status()
     http.put("/queries/dry", content=QUERY, headers=QUERY_TEXT).raise_for_status()
@@ -96,7 +96,7 @@ def stand_ins(http: httpx.Client, action: str, service: str) -> dict[str, str]:
 
 
 def sent_to(http: httpx.Client, root: str) -> str:
-    """Turtle that may be kept below a route."""
+    """Return Turtle that may be stored below a route."""
     if root == "cockpit":
         default = http.get("/cockpit/default", headers={"Accept": "text/turtle"}).text
         return default.replace("/cockpit/default", "/cockpit/dry")
@@ -104,19 +104,19 @@ def sent_to(http: httpx.Client, root: str) -> str:
 
 
 def path_of(answer: httpx.Response) -> str:
-    """The path of what was made."""
+    """Return the path of a created resource."""
     assert answer.status_code == 201, answer.text
     return httpx.URL(answer.headers["location"]).path
 
 
 def wish(http: httpx.Client, kind: str) -> dict[str, Any]:
-    """What asks for a channel."""
+    """Return a request for a channel."""
     type = f"{NOTIFY.replace('https', 'http')}#{kind}"
     return {"@context": [f"{NOTIFY}-context/v1"], "type": type, "topic": str(http.base_url.join("/topics/"))}
 
 
 def ask_dry(http: httpx.Client, method: str, path: str) -> httpx.Response:
-    """Ask for a write in a dry run, with a body that it takes."""
+    """Send a valid write as a dry run."""
     params: dict[str, Any] = dict(DRY)
     headers: dict[str, str] = {}
     content: bytes | str = b""
@@ -156,7 +156,7 @@ def ask_dry(http: httpx.Client, method: str, path: str) -> httpx.Response:
 
 
 def value_for(http: httpx.Client, method: str, path: str) -> Any:
-    """The JSON that a write of the robot takes: what is there now, or defaults."""
+    """Return the JSON of a valid write to the robot: the current value, or defaults."""
     root = path.split("/")[1]
     if root == "channels":
         return wish(http, path.split("/")[2])
@@ -171,7 +171,7 @@ def value_for(http: httpx.Client, method: str, path: str) -> Any:
 
 
 def recording() -> bytes:
-    """An MCAP file without messages."""
+    """Return an MCAP file without messages."""
     file = io.BytesIO()
     writer = Writer(file)
     writer.start("ros1", "")
@@ -180,7 +180,7 @@ def recording() -> bytes:
 
 
 def kept(http: httpx.Client) -> dict[str, str]:
-    """All that is kept, the receipts among it."""
+    """Return all stored data, including receipts."""
     found = {path: http.get(path, headers={"Accept": "text/turtle"}).text for path in KEPT}
     for path in ("/stop", "/parameters/"):
         found[path] = http.get(path, headers={"Accept": "application/json"}).text
@@ -188,11 +188,11 @@ def kept(http: httpx.Client) -> dict[str, str]:
 
 
 def run_all_dry(http: httpx.Client, stand_ins: dict[str, str]) -> list[tuple[str, str, httpx.Response]]:
-    """Every write that is described, in a dry run, with its answer."""
+    """Send every described write as a dry run; return the responses."""
     found = []
     for method, template in described_writes(http):
         if template == "/holds/{id}":
-            continue  # a hold would have other writes of its topic refused
+            continue  # a hold would block other writes of its topic
         path = stand_ins.get(template) or re.sub(r"\{(name|path)\}", "dry", template)
         if template in ("/bags/{name}", "/topics/{name}", "/parameters/{name}"):
             path = path.replace("dry", "never_made")
@@ -201,13 +201,13 @@ def run_all_dry(http: httpx.Client, stand_ins: dict[str, str]) -> list[tuple[str
 
 
 REFUSED = {
-    *{("POST", "/cockpit/"), ("POST", "/mappings/"), ("POST", "/mappings/dry")},  # what is sent there does not fit
+    *{("POST", "/cockpit/"), ("POST", "/mappings/"), ("POST", "/mappings/dry")},  # the body there is invalid
     *{("PATCH", "/parameters/never_made"), ("PUT", "/topics/never_made"), ("DELETE", "/topics/never_made")},
     ("DELETE", "/resources/aircraft/fly"),  # no goal is pursued
     *{("POST", "/resources/aircraft/start"), ("POST", "/services/aircraft/set_power")},
     ("PATCH", "/resources/"),  # a member is read-only
 }
-"""Writes of which the body here is refused."""
+"""Writes that are refused with the bodies of this test."""
 
 
 def test_a_dry_run_of_each_described_write_does_nothing(tmp_path: Path) -> None:
@@ -232,7 +232,7 @@ def test_a_dry_run_of_each_described_write_does_nothing(tmp_path: Path) -> None:
             else:
                 told = answer.json()
                 assert (told["dryRun"], told["method"]) == (True, method)
-                assert told["steps"] or method == "PATCH", (method, path)  # of what is there already
+                assert told["steps"] or method == "PATCH", (method, path)  # of existing resources
 
 
 def test_a_plan_says_who_would_get_it_what_was_checked_and_what_the_answer_would_be(http: httpx.Client) -> None:
@@ -299,10 +299,10 @@ def test_a_dry_run_consumes_no_idempotency_key_and_counts_against_no_rate(own_ai
         assert http.post(path, params=DRY, json=body, headers=key).json()["status"] == 201
         made = http.post(path, json=other, headers=key)
         assert made.status_code == 201, made.text
-        again = http.post(path, params=DRY, json=other, headers=key)  # it would get the first outcome
+        again = http.post(path, params=DRY, json=other, headers=key)  # it would receive the first outcome
         assert (again.json()["status"], again.json()["steps"]) == (201, [])
         assert http.post(path, params=DRY, json=body, headers=key).status_code == 422
-    for _ in range(120):  # more than --max-publish-rate, at once
+    for _ in range(120):  # more than --max-publish-rate, in a burst
         assert http.put("/topics/cockpit/display", params=DRY, json={}).status_code == 200
     assert http.put("/topics/cockpit/display", json={}).status_code == 204
 

@@ -1,4 +1,4 @@
-"""Parameters with an empty part in their name, which ROS 1 keeps (`setParam('/dict', {'': 2})`): nothing breaks."""
+"""Parameters with an empty part in their name, which ROS 1 permits (`setParam('/dict', {'': 2})`): nothing breaks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A page shows more than the state of its resource: its entity-tag guards no write (RFC 9110 13.1.2)."""
+"""A page depends on more than the state of its resource: its entity-tag guards no write (RFC 9110 13.1.2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Changes as they happen, over HTTP: event streams and waiting without one."""
+"""Changes over HTTP: event streams and long polling."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ STRING = (
 
 
 class Event(NamedTuple):
-    """An event as a client reads it, and when."""
+    """An event as a client reads it, with its time."""
 
     name: str
     data: str
@@ -46,7 +46,7 @@ class Event(NamedTuple):
 
 
 def events(stream: httpx.Response) -> Iterator[Event]:
-    """The events of a stream as they come."""
+    """Yield the events of a stream."""
     fields: dict[str, list[str]] = {}
     for line in stream.iter_lines():
         if line.startswith(":"):
@@ -63,7 +63,7 @@ def events(stream: httpx.Response) -> Iterator[Event]:
 
 @contextmanager
 def streaming(served: Any, path: str, **headers: str) -> Iterator[Iterator[Event]]:
-    """A stream, which must begin."""
+    """Open a stream, which must succeed."""
     sent = {**STREAM, **{name.replace("_", "-"): value for name, value in headers.items()}}
     with served.http.stream("GET", path, headers=sent) as stream:
         assert stream.status_code == 200, stream.read()
@@ -72,7 +72,7 @@ def streaming(served: Any, path: str, **headers: str) -> Iterator[Iterator[Event
 
 
 def first(found: Iterator[Event], true: Callable[[Event], bool]) -> Event:
-    """The first event of which this is so."""
+    """Return the first event that meets a condition."""
     return next(event for event in found if true(event))
 
 
@@ -209,7 +209,7 @@ def test_waiting_ends_with_the_change_or_in_vain_with_304(aircraft: Any) -> None
     assert waited.status_code == 200
     assert waited.json() is not value
     assert waited.headers["etag"] != etag
-    for after in ("", "long-ago", '"x.ttl"'):  # who has another state does not wait
+    for after in ("", "long-ago", '"x.ttl"'):  # a client with an outdated state does not wait
         read = aircraft.http.get(NIGHT, params={"after": after, "timeout": "50", "format": "ttl"})
         assert read.status_code == 200
         assert read.headers["content-type"].startswith("text/turtle")

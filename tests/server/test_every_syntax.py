@@ -1,4 +1,4 @@
-"""RDF in every syntax where that is not a matter of one document alone (`tests/crawl` compares those of documents)."""
+"""RDF in every syntax, beyond single documents (`tests/crawl` compares those)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import httpx
 from pyoxigraph import RdfFormat, parse
 
 COMPACT = [".well-known/solid", "channels/WebSocketChannel2023", "channels/StreamingHTTPChannel2023"]
-"""What has JSON-LD of its own, for clients without RDF, which says less."""
+"""Resources with a special JSON-LD for clients without RDF, which is less complete."""
 
 
 def test_the_whole_dataset_is_there_in_rdf_xml(http: httpx.Client) -> None:

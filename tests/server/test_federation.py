@@ -1,4 +1,4 @@
-"""SERVICE and LOAD: no request leaves the machine, but to the endpoints that the settings list."""
+"""SERVICE and LOAD: no request leaves the machine, except to the endpoints in the settings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ UPDATE = {"Content-Type": "application/sparql-update"}
 
 
 class Endpoint(ThreadingHTTPServer):
-    """A server elsewhere: /sparql answers, /broken fails, /moved leads to /sparql, /silent waits for its end."""
+    """A remote server: /sparql answers, /broken fails, /moved redirects to /sparql, /silent waits for its end."""
 
     daemon_threads = True
 
@@ -104,7 +104,7 @@ def test_an_endpoint_that_fails_is_502_and_silently_passed_over_where_asked_so(
         before = len(endpoint.asked)
         answer = ask(federated, query)
         assert answer.status_code == 502, answer.text
-        assert endpoint.asked[before:] == [f"/{path}"]  # what it leads to is not asked
+        assert endpoint.asked[before:] == [f"/{path}"]  # the target of a redirect is not queried
         assert ask(federated, query.replace("SERVICE", "SERVICE SILENT")).status_code == 200
 
 
@@ -159,7 +159,7 @@ def test_no_request_leaves_the_machine_however_it_is_written(
         for path in ("/sparql", "/topics/cockpit/display", "/data/"):
             method = "POST" if path == "/sparql" else "PATCH"
             answer = aircraft.http.request(method, path, content=update, headers=UPDATE)
-            silent = "SILENT" in update and method == "POST"  # whatever it meets is passed over (Update, 3.1.4)
+            silent = "SILENT" in update and method == "POST"  # errors are ignored (Update, 3.1.4)
             assert answer.status_code == 204 if silent else 400 <= answer.status_code < 500, answer.text
     assert len(endpoint.asked) == before
 

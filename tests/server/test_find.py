@@ -1,4 +1,4 @@
-"""`/find`: what the robot has by words, in RDF, JSON and HTML, on the rover and on a robot of hundreds of topics."""
+"""`/find`: search by words, in RDF, JSON and HTML, on the rover and on a robot with hundreds of topics."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RDF = {"Accept": "text/turtle"}
 
 
 def find(http: httpx.Client, query: str) -> list[dict[str, Any]]:
-    """The results of a search in plain JSON."""
+    """Return the results of a search in plain JSON."""
     results: list[dict[str, Any]] = found(http, query)["results"]
     return results
 
@@ -44,7 +44,7 @@ def names(results: list[dict[str, Any]]) -> list[str]:
 
 @pytest.fixture(scope="module")
 def many() -> Iterator[httpx.Client]:
-    """A robot of 330 topics."""
+    """A robot with 330 topics."""
     robot = MadeUp()
     furnish(robot)
     with served(robot) as client:

@@ -1,4 +1,4 @@
-"""Topics whose messages complete each other: the newest element of each key, of whichever message it came in."""
+"""Topics whose messages complement each other: the newest element of each key, from any message."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FOLDED = {
 
 
 def message(type: str, **values: float) -> dict[str, Any]:
-    """A message with an element for each key, which holds this number."""
+    """Return a message with an element for each key, with this number."""
     array, key = FOLDED[type]
     if array == "transforms":
         return {array: [{key: name, "transform": {"translation": {"x": x}}} for name, x in values.items()]}
@@ -25,7 +25,7 @@ def message(type: str, **values: float) -> dict[str, Any]:
 
 
 def numbers(http: httpx.Client, type: str) -> list[tuple[str, float]]:
-    """The elements that are read, in order."""
+    """Return the elements of a read, in order."""
     array, key = FOLDED[type]
     found = http.get("/topics/folded", headers={"Accept": "application/json"}).json()
     elements = found[array] if found else []
@@ -35,7 +35,7 @@ def numbers(http: httpx.Client, type: str) -> list[tuple[str, float]]:
 
 
 def shown(http: httpx.Client, type: str, **values: float) -> None:
-    """Wait until these elements are read, in the order of their keys."""
+    """Wait until these elements are read, ordered by key."""
     until(lambda: numbers(http, type) == sorted(values.items()), f"{values}")
 
 
@@ -47,12 +47,12 @@ def test_the_newest_element_of_each_key_is_read(robot: MadeUp, serving: Serving,
     http = serving()
     assert numbers(http, type) == [("wheel", 2.0)]
     with http.stream("GET", "/topics/folded", headers={"Accept": "text/event-stream"}) as kept:
-        assert kept.status_code == 200  # while somebody follows, what came is kept
+        assert kept.status_code == 200  # while a client follows, received elements are stored
         robot.publishes("/folded", message(type, arm=2.0))
         shown(http, type, arm=2.0, wheel=2.0)
         robot.publishes("/folded", message(type, arm=4.0, lid=5.0))
         shown(http, type, arm=4.0, lid=5.0, wheel=2.0)
-    for x in range(6, 16):  # none is lost that came between two reads
+    for x in range(6, 16):  # none is lost between two reads
         robot.publishes("/folded", message(type, **{f"joint{x}": float(x), "wheel": float(x)}))
     found = dict(numbers(http, type))
     assert found.items() >= ({f"joint{x}": float(x) for x in range(6, 16)} | {"wheel": 15.0}).items()

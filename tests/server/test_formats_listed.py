@@ -1,4 +1,4 @@
-"""What a refusal of `?format=` lists is served, each of it."""
+"""All formats listed in a refusal of `?format=` are served."""
 
 from __future__ import annotations
 

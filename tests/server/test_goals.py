@@ -28,7 +28,7 @@ COUNT = TypeLibrary(ros_version=1).learn_action("made_up/action/Count", "int32 t
 
 
 class Robot:
-    """As much of an adapter as goals that others send need."""
+    """The part of an adapter that goals of other clients need."""
 
     class capabilities:  # noqa: N801 - as an adapter has it
         encoding = Encoding.ROS1
@@ -89,7 +89,7 @@ def test_feedback_faster_than_the_loop_is_told_as_one_and_counted() -> None:
 
         thread = threading.Thread(target=tell)
         thread.start()
-        thread.join()  # the loop stands still meanwhile
+        thread.join()  # the loop is blocked meanwhile
         await asyncio.sleep(0)
         await asyncio.sleep(0)
         goal = goals.find("a")
@@ -111,7 +111,7 @@ def test_feedback_with_arrays_is_told_again_and_again_and_wakes_only_for_what_is
             assert goal.feedback is not None
             assert goal.feedback.count == number
             assert list(getattr(goal.feedback.message, "sequence")) == list(range(number))  # noqa: B009
-        for words in ("counting", "count" + "ing".lower()):  # equal texts, whoever made them
+        for words in ("counting", "count" + "ing".lower()):  # equal texts, from any client
             await hear(goals, "a", status(GoalStatus.EXECUTING, words=words))
         assert len(woken) == 3
 
@@ -133,7 +133,7 @@ def test_what_fails_to_be_taken_of_one_goal_keeps_nothing_of_the_others_back(cap
 
 @pytest.mark.slow
 def test_records_that_hold_messages_are_compared_by_identity() -> None:
-    """Messages hold numpy arrays, whose comparison is an array and has no truth value."""
+    """Messages contain numpy arrays, whose comparison is an array without a truth value."""
     holding = []
     for package in (rosld.server, rosld.ontology):
         for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):

@@ -1,4 +1,4 @@
-"""The computation graph at /graph: the same edges in every form, for whoever may see them."""
+"""The computation graph at /graph: the same edges in every form, for agents that may see them."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_a_part_of_it_is_drawn_and_described(rover: httpx.Client) -> None:
 def test_red_is_only_what_is_wrong_and_all_forms_say_the_same(robot: Any, serving: Any, monkeypatch: Any) -> None:
     robot.topics(["/unheard", "/recorded", "/steady", "/spoken"], "std_msgs/msg/String")
     robot.topic("/wished", "std_msgs/msg/String", published=False, heard=True)
-    monkeypatch.setattr("rosld.server.robot.topic_view._LEAST_NS", 1)  # of a rate that is measured at once
+    monkeypatch.setattr("rosld.server.robot.topic_view._LEAST_NS", 1)  # of a rate that is measured immediately
     http = serving()
     for name in ("recorded", "steady"):
         get(http, f"topics/{name}", "application/json")

@@ -1,4 +1,4 @@
-"""The graph store as a dataset: `?all` tells every graph with its name, `?graph=` one graph and no name."""
+"""The graph store as a dataset: `?all` returns all named graphs, `?graph=` one graph without a name."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_the_dataset_is_had_as_nquads_unless_something_else_is_asked_for(http: h
 
 
 def test_a_name_that_is_spelt_otherwise_is_no_graph(http: httpx.Client) -> None:
-    """Equal URLs are one resource (RFC 3986, 6.2.2.2), and graphs are told apart by the letter."""
+    """Equal URLs are one resource (RFC 3986, 6.2.2.2), and graph names are compared by characters."""
     assert http.put("/graphs?graph=/data/spelt/1", content="<> <urn:p> 1 .", headers=TURTLE).is_success
     assert http.put("/graphs?graph=/data/spelt/%2531", content="<> <urn:p> 2 .", headers=TURTLE).status_code == 403
     refused = http.delete("/graphs?graph=/data/spelt/%2531")
@@ -102,7 +102,7 @@ def keep(http: httpx.Client, room: str) -> None:
 
 
 def said(http: httpx.Client, room: str) -> set[Quad]:
-    """What the graphs below a container say but for times, blank nodes named by what is said of them."""
+    """Return the graphs below a container without times, with blank nodes named by their statements."""
     url = f"{http.base_url}{room[1:]}"
     found = Dataset(
         quad
@@ -131,7 +131,7 @@ def test_what_all_told_is_put_back(http: httpx.Client, media_type: str) -> None:
 def test_what_was_deleted_comes_back_with_what_it_said(http: httpx.Client) -> None:
     room = "/data/deleted/"
     keep(http, room)
-    for path in ("direct/member", "direct/"):  # it would come back as a basic one
+    for path in ("direct/member", "direct/"):  # it would return as a basic one
         assert http.delete(f"{room}{path}").status_code == 204
     before, dump = said(http, room), http.get("/graphs?all").content
     for path in ("box/member", "box/", "thing", ""):

@@ -1,4 +1,4 @@
-"""Names that ROS 2 hides: left out of listings unasked, there under their own URLs."""
+"""Hidden names of ROS 2: omitted from listings by default, but available at their own URLs."""
 
 from __future__ import annotations
 

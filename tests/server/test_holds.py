@@ -1,4 +1,4 @@
-"""Holds: a message goes on being published while its holder is there, and something else follows when not."""
+"""Holds: a message is published while its holder is connected, and a final message afterwards."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def ahead(x: float) -> dict[str, Any]:
 
 
 class Driven(MadeUp):
-    """A robot that notes when it was told what; it may take its time, or be gone."""
+    """A robot that records received messages with their times; it may be slow, or gone."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -66,11 +66,11 @@ class Driven(MadeUp):
         return published
 
     def on(self, topic: str) -> list[Any]:
-        """What it was told on a topic."""
+        """Return the messages received on a topic."""
         return [message for _, name, message in list(self.told) if name == topic]
 
     def is_told(self, message: Any) -> bool:
-        """Whether it was told this last."""
+        """Whether this message was received last."""
         return self.told[-1][2] == message
 
 
@@ -87,7 +87,7 @@ def server(driven: Driven) -> Iterator[httpx.Client]:
 
 @pytest.fixture
 def http(driven: Driven, server: httpx.Client) -> Iterator[httpx.Client]:
-    """The robot, which nobody holds and which was told nothing yet."""
+    """The robot, without holds and received messages."""
     driven.told.clear()
     driven.is_gone, driven.seconds, driven.max_at_once = False, 0.0, 0
     yield server
@@ -133,7 +133,7 @@ def test_a_hold_publishes_until_its_lease_lapses_and_then_stands_still(driven: D
 
 
 def test_a_hold_for_a_time_needs_no_renewal_and_can_be_prolonged_and_ended(driven: Driven, http: httpx.Client) -> None:
-    hold = begun(http, **{"for": 1.2})  # more than the lease where nothing is said
+    hold = begun(http, **{"for": 1.2})  # longer than the default lease
     state = http.get(hold, headers=JSON).json()
     assert (state["for"], state["lease"], state["url"]) == (1.2, 1.2, hold)
     assert says(http, hold, f"{ROS}holdTime") == ['"1.2"^^<http://www.w3.org/2001/XMLSchema#double>']
@@ -214,7 +214,7 @@ def test_deleting_a_hold_publishes_its_last_message_before_it_is_answered(driven
     assert len(driven.told) == count
     assert http.delete(hold).status_code == 410
     assert http.patch(hold).status_code == 410
-    http.delete(begun(http, NAMED, {"data": "go"}))  # which commands no velocity, so nothing comes last
+    http.delete(begun(http, NAMED, {"data": "go"}))  # which takes no velocity commands, so there is no final message
     assert {one["data"] for one in driven.on(NAMED)} == {"go"}
 
 
@@ -233,7 +233,7 @@ def test_the_rate_and_the_lease_can_be_changed_and_only_a_new_command_leaves_a_r
     assert "has_provenance" in changed.headers["link"]
 
 
-# What is published at the end
+# The final message
 
 
 def test_a_message_anywhere_on_the_server_can_be_the_last(driven: Driven, http: httpx.Client) -> None:
@@ -281,7 +281,7 @@ def test_a_stamp_that_was_left_open_is_that_of_the_moment(driven: Driven, http: 
     assert driven.on(STAMPED)[-2]["header"]["stamp"]["sec"] == 7
 
 
-# Whose it is
+# Ownership
 
 
 def test_while_a_topic_is_held_nothing_else_is_published_on_it(driven: Driven, http: httpx.Client) -> None:
@@ -338,7 +338,7 @@ def test_a_writable_topic_says_how_it_is_held_and_a_sensor_does_not(http: httpx.
     assert {"get", "patch", "delete"} <= paths["/holds/{id}"].keys()
 
 
-# What is refused
+# Refusals
 
 
 def test_a_velocity_is_held_ten_times_a_second_unless_asked_otherwise_and_all_else_has_to_say(
@@ -457,7 +457,7 @@ def test_nothing_queues_up_while_the_robot_is_slow(driven: Driven, http: httpx.C
     assert driven.on(DRIVE)[-1] == STILL
 
 
-# Who goes
+# End of a hold
 
 
 KEEPER = """

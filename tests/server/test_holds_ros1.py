@@ -1,4 +1,4 @@
-"""Holds and the stop on a real ROS 1: what a rospy node hears when whoever commands it is gone."""
+"""Holds and the stop on a real ROS 1: messages that a rospy node receives after its commander has disappeared."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RosSystem]:
 
 @pytest.fixture(scope="module")
 def wheels(ros: RosSystem) -> Process:
-    """A node that is driven."""
+    """A node that receives commands."""
     return ros.node("listener.py", "/cmd_vel", "geometry_msgs/Twist")
 
 
@@ -54,7 +54,7 @@ def held(http: httpx.Client, x: float, lease: float = 5) -> str:
 
 
 def hears(wheels: Process, message: Any) -> None:
-    """The node hears this message, next or later."""
+    """Check that the node receives this message, as the next or later."""
     while json.loads(wheels.line("heard").removeprefix("heard ")) != message:
         pass
 
@@ -82,7 +82,7 @@ def test_the_robot_stands_still_when_the_client_the_lease_or_the_stop_ends_a_hol
     hears(wheels, STILL)
 
     heard = len(wheels.seen)
-    with httpx.Client(base_url=http.base_url) as gone:  # nobody is there to renew it
+    with httpx.Client(base_url=http.base_url) as gone:  # no client is left to renew it
         assert gone.post(TOPIC, params={"for": 3}, json=ahead(4)).status_code == 201
     hears(wheels, ahead(4))
     hears(wheels, STILL)
@@ -112,7 +112,7 @@ def test_the_robot_stands_still_when_a_signal_ends_the_server(
 
 
 def held_and_killed(server: Server, wheels: Process, x: float, **how: Any) -> str:
-    """Hold the topic, and kill the server when the base drives; the URL of the hold."""
+    """Hold the topic, and kill the server when the base drives; return the URL of the hold."""
     waiting.until(lambda: "POST" in server.http.options(TOPIC).headers.get("allow", ""), "the base")
     answer = server.http.post(TOPIC, params={"rate": 50, "lease": 5, **how}, json=ahead(x))
     assert answer.status_code == 201, answer.text

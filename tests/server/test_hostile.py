@@ -1,4 +1,4 @@
-"""Hostile input on every verb: 4xx problem details, the robot untouched, the server alive."""
+"""Malicious input for every method: 4xx problem details, the robot unaffected, the server alive."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ CALL_BODIES = {
 
 
 def refused(answer: httpx.Response) -> None:
-    """It is a refusal with problem details that say something."""
+    """Check that it is a refusal with meaningful problem details."""
     assert 400 <= answer.status_code < 500, (answer.status_code, answer.text[:300])
     assert answer.headers["content-type"] == "application/problem+json"
     problem = answer.json()
@@ -100,7 +100,7 @@ BAD_HEADERS = (
 
 
 def raw(http: httpx.Client, head: bytes) -> bytes:
-    """What is answered to bytes that a client's library would not send."""
+    """Return the response to bytes that no client library would send."""
     with socket.create_connection((http.base_url.host, http.base_url.port or 80), timeout=10) as sock:
         host = f"Host: {http.base_url.netloc.decode()}\r\n".encode()
         sock.sendall(head.replace(b"\r\n", b"\r\n" + host, 1))
@@ -119,7 +119,7 @@ def test_an_asterisk_asks_for_the_options_of_the_server_and_for_nothing_else(htt
 
 LONG = f"http://x/{'a' * 20_000}/"
 TRIPLES = f"x: x: x:{',x:' * 12_000}"
-"""300 MB when written out."""
+"""300 MB when expanded."""
 SOLID = "http://www.w3.org/ns/solid/terms#"
 
 

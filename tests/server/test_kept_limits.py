@@ -1,4 +1,4 @@
-"""Limits of clients over HTTP: in force from the PUT to the DELETE, listed, kept; what cannot be used is refused."""
+"""Limits of clients over HTTP: in force from PUT to DELETE, listed, stored; unusable ones are rejected."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SHORT = (
 
 @pytest.fixture
 def plane(own_aircraft: httpx.Client) -> httpx.Client:
-    """An aircraft of this test's own, which has been started."""
+    """An aircraft for one test, which has been started."""
     assert own_aircraft.post("/resources/aircraft/start").status_code == 200
     return own_aircraft
 
@@ -49,17 +49,17 @@ def put(client: httpx.Client, name: str, text: str | bytes, **headers: str) -> h
 
 
 def fly(client: httpx.Client, speed: int) -> int:
-    """The status of setting the engine's speed."""
+    """Set the engine's speed; return the status."""
     return client.put("/resources/aircraft/engine/speed", content=str(speed), headers=JSON).status_code
 
 
 def show(client: httpx.Client, text: str) -> int:
-    """The status of publishing what a display shows."""
+    """Publish a message for a display; return the status."""
     return client.put("/topics/cockpit/display", json={"data": text}).status_code
 
 
 def contained(client: httpx.Client) -> set[str]:
-    """The names below /shapes/ that are listed."""
+    """Return the listed names below /shapes/."""
     lines = client.get("/shapes/", headers=NT).text.splitlines()
     return {line.split("/shapes/")[-1].split(">")[0] for line in lines if "ldp#contains" in line}
 

@@ -1,4 +1,4 @@
-"""Stored queries of clients over HTTP: put, run with parameters, described, listed, deleted; bad ones are refused."""
+"""Stored queries of clients over HTTP: put, run with parameters, described, listed, deleted, or rejected."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Reader = Callable[[httpx.Response], set[Triple]]
 
 @pytest.fixture
 def stored(own_aircraft: httpx.Client) -> httpx.Client:
-    """An aircraft of this test's own with a query of a client."""
+    """An aircraft for one test with a query of a client."""
     answer = put(own_aircraft, "mine", TOPICS)
     assert answer.status_code == 201, answer.text
     return own_aircraft
@@ -44,7 +44,7 @@ def stored(own_aircraft: httpx.Client) -> httpx.Client:
 
 @pytest.fixture(scope="module")
 def shared(start_server: Callable[..., object]) -> httpx.Client:
-    """An aircraft with a query of a client, for the tests that leave that query as it was."""
+    """An aircraft with a query of a client, for tests that leave that query unchanged."""
     client: httpx.Client = start_server("aircraft").http  # type: ignore[attr-defined]
     assert put(client, "mine", TOPICS).status_code == 201
     return client
@@ -55,14 +55,14 @@ def put(client: httpx.Client, name: str, text: str | bytes) -> httpx.Response:
 
 
 def ask(client: httpx.Client, query: str) -> list[list[str]]:
-    """The rows of the answer to a query."""
+    """Return the rows of a query's result."""
     answer = client.post("/sparql", content=query, headers={**QUERY, **CSV})
     assert answer.status_code == 200, answer.text
     return [line.split(",") for line in answer.text.splitlines()[1:]]
 
 
 def contained(client: httpx.Client) -> set[str]:
-    """The names of the queries that are listed."""
+    """Return the names of the listed queries."""
     lines = client.get("/queries/", headers=NT).text.splitlines()
     return {line.split("/queries/")[-1].split(">")[0] for line in lines if ldp.contains.value in line}
 

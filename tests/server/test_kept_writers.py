@@ -1,4 +1,4 @@
-"""RDF sources that are put again: what the client says is kept, and what the server says is said once."""
+"""RDF sources that are put back: the client's statements are stored, and the server's are not duplicated."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LDP = "http://www.w3.org/ns/ldp#"
 
 
 def kept(http: httpx.Client, path: str) -> list[str]:
-    """What a resource says, as N-Triples."""
+    """Return a resource as N-Triples."""
     answer = http.get(path, headers={"Accept": "application/n-triples"})
     assert answer.status_code == 200, answer.text
     return answer.text.splitlines()

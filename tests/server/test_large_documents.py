@@ -1,4 +1,4 @@
-"""Large documents: whole in every syntax, a part of them on their page, and none of it on the event loop."""
+"""Large documents: complete in every syntax, partial on their page, and never blocking the event loop."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SYNTAXES = {
 
 
 def turtle(numbers: int) -> bytes:
-    """So many numbers of one property."""
+    """Return Turtle with this number of values of one property."""
     return b"<> <http://example.org/p> " + b", ".join(b"%d" % number for number in range(numbers)) + b" ."
 
 
@@ -44,20 +44,20 @@ def http() -> Iterator[httpx.Client]:
 
 
 def numbers_of(answer: httpx.Response, form: RdfFormat) -> int:
-    """How many of the numbers an answer has."""
+    """Return how many of the numbers a response has."""
     found = {quad.object for quad in parse(answer.content, form) if quad.predicate.value == "http://example.org/p"}
     return len(found)
 
 
 def busy(http: httpx.Client) -> float:
-    """The longest work of the loop in one go, in seconds of a processor, which a busy machine does not lengthen."""
+    """Return the longest uninterrupted work of the loop in CPU seconds, which do not depend on the machine's load."""
     told: dict[str, float] = http.get("status", headers={"Accept": "application/json"}).json()
     return told["longestWork"]
 
 
 @cache
 def busy_seconds(numbers: int = NUMBERS) -> float:
-    """Three times what a processor of this machine takes to parse so many numbers; to take them in takes ten times."""
+    """Return three times the CPU time for parsing this many numbers; loading them takes ten times as long."""
     body = turtle(numbers)
     began = time.thread_time()
     for _ in parse(body, format=RdfFormat.TURTLE, base_iri="http://example.org/"):
@@ -199,7 +199,7 @@ START = (
 
 
 def rename(old: str, new: str) -> str:
-    """An update that gives a property another name."""
+    """Return an update that renames a property."""
     return f"DELETE {{ ?s <{EX}{old}> ?o }} INSERT {{ ?s <{EX}{new}> ?o }} WHERE {{ ?s <{EX}{old}> ?o }}"
 
 
@@ -239,7 +239,7 @@ def change(http: httpx.Client, name: str, method: str, kind: str, body: str) -> 
 
 
 def said(http: httpx.Client, name: str) -> set[tuple[str, str, str]]:
-    """What a document says beside the numbers and its times, blank nodes without their names."""
+    """Return the statements of a document without the numbers, its times, and labels of blank nodes."""
     answer = http.get(f"data/{name}", headers={"Accept": "application/n-triples"})
     return {
         (spelt(quad.subject, name), str(quad.predicate), spelt(quad.object, name))

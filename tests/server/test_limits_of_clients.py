@@ -1,4 +1,4 @@
-"""Limits of clients on the real server: one client at its limit is told so, and leaves the others their speed."""
+"""Limits of clients on the real server: a client at its limit is notified, and does not slow down others."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SETTINGS = {"client_rate": "40", "client_requests": "8", "client_connections": "
 
 @pytest.fixture(scope="module")
 def url(start_server: Callable[..., Any]) -> str:
-    """An aircraft that holds clients on this machine to limits, too."""
+    """An aircraft whose limits also apply to clients on this machine."""
     given = [word for name, value in SETTINGS.items() for word in ("--setting", name, value)]
     base: str = start_server("aircraft", "--limit-loopback", *given).url
     return base
@@ -31,7 +31,7 @@ def url(start_server: Callable[..., Any]) -> str:
 
 @contextmanager
 def client(url: str, address: str) -> Iterator[httpx.Client]:
-    """A client at an address."""
+    """Return a client at an address."""
     with httpx.Client(base_url=url, timeout=15, transport=httpx.HTTPTransport(local_address=address)) as found:
         yield found
 

@@ -1,4 +1,4 @@
-"""Pages that list what was done: goals, calls, receipts, by names and times, with what failed standing out."""
+"""Pages of completed operations: goals, calls, receipts, with names and times, and highlighted failures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FAR = {"pose": {"header": {"frame_id": "map"}, "pose": {"position": {"x": 90.0, 
 
 
 def rows(http: httpx.Client, path: str) -> list[str]:
-    """The rows of the table of members, as HTML."""
+    """Return the rows of the table of members, as HTML."""
     page = http.get(path, headers=HTML)
     assert page.status_code == 200, page.text
     found = re.search(r'<table class="members">.*?</table>', page.text, re.DOTALL)

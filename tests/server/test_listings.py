@@ -1,4 +1,4 @@
-"""Listings tell name, type, rate and latest value of each member, in RDF and in JSON, as far as these are at hand."""
+"""Listings: name, type, rate and latest value of each member, in RDF and in JSON, as far as they are known."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def http(robot: MadeUp, serving: Serving) -> httpx.Client:
 
 
 def said(http: httpx.Client, path: str, member: str) -> dict[str, str]:
-    """What a listing says of a member, by the names of the properties."""
+    """Return the statements of a listing about a member, by the names of the properties."""
     subject = NamedNode(f"{http.base_url}{member}")
     return {
         each.predicate.value.rpartition("#")[2]: getattr(each.object, "value", "")

@@ -1,4 +1,4 @@
-"""What a query sees of a robot that changes: values as of its start, of one moment, as far as it names them."""
+"""Queries on a changing robot: values as of the start of the query, at one moment, as far as it names them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PREFIX = f"PREFIX v: <{VECTOR}#> "
 
 
 def rows(http: httpx.Client, query: str) -> list[list[str]]:
-    """The rows of a SELECT."""
+    """Return the rows of a SELECT."""
     answer = http.get("/sparql", params={"query": PREFIX + query}, headers={"Accept": "text/csv"})
     assert answer.status_code == 200, answer.text
     return list(csv.reader(io.StringIO(answer.text)))[1:]
@@ -36,7 +36,7 @@ def rows(http: httpx.Client, query: str) -> list[list[str]]:
 
 @contextmanager
 def meanwhile(act: Callable[[int], None]) -> Iterator[None]:
-    """Do something again and again, counting, until this ends."""
+    """Run a function repeatedly, counting, until the block ends."""
     ended, failed = threading.Event(), []
 
     def run() -> None:
@@ -119,7 +119,7 @@ def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(
     http = serving()
     assert len(rows(http, "SELECT ?t { ?t a ros:Topic ; ros:hasMessageType <" + VECTOR + "> }")) == size
     assert robot.subscribed() == set()
-    assert lifted == []  # what is asked of the graph needs no value
+    assert lifted == []  # statements of the graph need no value
     wanted = {f"/t{number}" for number in range(0, size, every)}
     each = (f"{{ GRAPH <topics{topic}> {{ ?m v:x ?x }} }}" for topic in sorted(wanted))
     query = f"SELECT ?m ?x {{ {' UNION '.join(each)} }}"
@@ -139,7 +139,7 @@ def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(
 def test_silent_topics_are_waited_for_together_and_once(
     robot: MadeUp, serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    silent = 65  # more than one turn of the loop asks
+    silent = 65  # concurrent requests share one read
     robot.topics((f"/silent{number}" for number in range(silent)), "geometry_msgs/msg/Vector3")
     waiting = 0
     together = asyncio.Event()
@@ -150,7 +150,7 @@ def test_silent_topics_are_waited_for_together_and_once(
         waiting += 1
         if waiting == silent:
             together.set()
-        await asyncio.wait_for(together.wait(), 60)  # nobody waits for one after the other
+        await asyncio.wait_for(together.wait(), 60)  # the reads run concurrently
 
     monkeypatch.setattr(LiveTopics, "_wait", wait)
     http = serving(first_value_wait=0.25)

@@ -1,4 +1,4 @@
-"""A mapping that names what is not there, or what cannot be offered, is in force, and says so at once."""
+"""A mapping that names missing or unavailable resources is in force, with a warning in the response."""
 
 from __future__ import annotations
 

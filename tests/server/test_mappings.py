@@ -1,4 +1,4 @@
-"""Mapping documents over HTTP: put, read, patched, deleted; a bad one is refused and the old one stays in force."""
+"""Mapping documents over HTTP: put, read, patched, deleted; an invalid one is rejected and the old one remains."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ SHIPPED = Path(str(files("rosld.adapters.aircraft"))) / "mapping.ttl"
 
 @pytest.fixture
 def stored(own_aircraft: httpx.Client) -> httpx.Client:
-    """An aircraft of this test's own with a mapping of its cockpit."""
+    """An aircraft for one test with a mapping of its cockpit."""
     answer = own_aircraft.put("/mappings/cockpit", content=COCKPIT, headers=TURTLE)
     assert (answer.status_code, answer.headers["location"]) == (201, f"{own_aircraft.base_url}mappings/cockpit")
     return own_aircraft
 
 
 def canonical(triples: set[Triple]) -> set[Quad]:
-    """The triples with canonical blank nodes."""
+    """Return the triples with canonical blank nodes."""
     dataset = Dataset(Quad(one.subject, one.predicate, one.object) for one in triples)
     dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
     return set(dataset)
@@ -59,7 +59,7 @@ Reader = Callable[[httpx.Response], set[Triple]]
 
 
 def said(triples: set[Triple], url: str) -> set[Triple]:
-    """What the client said: without what the server says of every resource that is kept."""
+    """Return the client's statements, without those of the server about every stored resource."""
     managed = ("http://www.w3.org/ns/ldp#", "http://purl.org/dc/terms/")
     return {
         one

@@ -1,4 +1,4 @@
-"""What JSON leaves out of a message has its default, as ROS's own tools have it; RDF says all of a message."""
+"""Missing fields of messages in JSON have their defaults, as in ROS's own tools; in RDF they are errors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NAMES = {
     "nothing": [],
     "four": [0, 0, 0, 0],
 }
-"""What `made_up/srv/Turn` is asked with where nobody says anything, as plain JSON."""
+"""The request of `made_up/srv/Turn` with all defaults, as plain JSON."""
 REQUEST = """float32 speed 0.5
 uint8 times 3
 string name "all of it"
@@ -78,7 +78,7 @@ def http(robot: MadeUp, serving: Serving) -> httpx.Client:
 
 
 def missing(answer: httpx.Response) -> set[str]:
-    """The paths of the fields that an answer says are missing."""
+    """Return the paths of the missing fields in a response."""
     assert answer.status_code == 422, answer.text
     violations = answer.json()["violations"]
     assert all(one["message"].startswith("missing") for one in violations), violations
@@ -133,7 +133,7 @@ def test_what_is_wrong_is_not_left_out_and_rdf_says_all_of_a_message(http: httpx
     for query in ("", "?defaults=true", "?strict=false"):
         answer = http.put(f"/topics{DRIVE}{query}", content=part, headers={"Content-Type": "text/turtle"})
         assert missing(answer) == {"linear.y", "linear.z", "angular"}
-    for headers in ({}, JSON, {"Content-Type": "text/turtle"}):  # of a body that got lost
+    for headers in ({}, JSON, {"Content-Type": "text/turtle"}):  # for a lost body
         assert "pose" in missing(http.post(f"/services{TURN}", headers=headers))
         assert "pose" in missing(http.post(f"/resources{TURN}", headers=headers))
     assert not robot.sent
@@ -191,7 +191,7 @@ def test_a_goal_is_filled_up(own_aircraft: httpx.Client) -> None:
 def test_a_form_is_filled_with_the_defaults(http: httpx.Client) -> None:
     page = http.get(f"/topics{GOAL}", headers={"Accept": "text/html"}).text
     found = [each for each in page.split("<input") if 'name="pose.orientation.w"' in each]
-    assert len(found) == 2  # to publish once, and to hold
+    assert len(found) == 2  # for publishing once, and for a hold
     assert all('value="1.0"' in each.partition(">")[0] for each in found)
     page = http.get(f"/services{TURN}", headers={"Accept": "text/html"}).text
     assert 'value="0.5"' in page

@@ -1,4 +1,4 @@
-"""Nodes over HTTP: what each takes part in, and the transitions of a managed one."""
+"""Nodes over HTTP: the topics, services and actions of each, and the transitions of a managed one."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def http(camera: Managed) -> Iterator[httpx.Client]:
 
 @pytest.fixture
 def said(triples_of: Callable[[httpx.Response], set[Triple]]) -> Callable[..., list[str]]:
-    """What the document of a node says of it, or of a fragment, by a predicate."""
+    """Return the objects of a predicate of a node, or of a fragment, in the node's document."""
 
     def read(http: httpx.Client, predicate: NamedNode, at: str = "", node: str = "/nodes/camera") -> list[str]:
         subject = NamedNode(str(http.base_url.join(node)) + at)
@@ -49,7 +49,7 @@ def said(triples_of: Callable[[httpx.Response], set[Triple]]) -> Callable[..., l
 
 
 def post(http: httpx.Client, transition: object, **headers: str) -> httpx.Response:
-    """Ask for a transition in JSON."""
+    """Request a transition in JSON."""
     return http.post("/nodes/camera", json={"transition": transition}, headers={**PROBLEM, **headers})
 
 

@@ -1,4 +1,4 @@
-"""What cannot be done while the robot is stopped is not on offer; what clients keep, keeps all."""
+"""Operations that are impossible while the robot is stopped are not on offer; stored documents list them all."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ def allowed(http: httpx.Client, path: str, method: str = "OPTIONS") -> set[str]:
 
 
 def forms(http: httpx.Client, path: str) -> list[str]:
-    """The methods of the forms on a page, but for the one that stops the robot."""
+    """Return the methods of the forms on a page, except that of the stop."""
     page = http.get(path, headers=HTML).text
     return [part.partition('"')[0] for part in page.split('name="method" value="')[2:]]
 
 
 def on_offer(http: httpx.Client) -> set[tuple[str, str]]:
-    """What `/queries/what-can-be-done` tells of topics and resources."""
+    """Return the results of `/queries/what-can-be-done` about topics and resources."""
     rows = http.get("/queries/what-can-be-done", headers={"Accept": "application/json"}).json()["results"]["bindings"]
     base = str(http.base_url)
     found = {(row["resource"]["value"].removeprefix(base), row["method"]["value"]) for row in rows}

@@ -1,4 +1,4 @@
-"""Worker processes: what they do comes back, what they raise too, and one that ends is no harm to the next."""
+"""Worker processes: their results and exceptions are returned, and one that dies does not affect the next."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _die() -> None:
 
 
 def run(work: partial[object], **limits: float) -> object:
-    """What comes of work, and that the next work is done whatever came of it."""
+    """Return the result of work, after checking that further work succeeds."""
 
     async def do() -> object:
         workers = WorkerPool(limit=1, seconds=limits.get("seconds", 60.0), memory=int(limits.get("memory", 4 << 30)))

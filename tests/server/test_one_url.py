@@ -1,4 +1,4 @@
-"""Each resource has one URL: whatever can be read is read at the URL that it says is its own."""
+"""Each resource has one URL: every readable URL is the one that its document states."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 ALSO = (
     "/ontology", "/sparql", "/style.css", "/live.js", "/icon.svg", "/favicon.ico", "/openapi.json", "/.well-known/wot",
 )  # fmt: skip
-"""What no container contains."""
+"""Resources in no container."""
 DOTS = ("", ".", "..", "~", "~.", "~..", "~~")
 ESCAPED = ("%7E", "%7e", "%2F", "%2f", "%2E", "a%2Fb", "night%2F", "%20", "%00", "~%2F")
 SEGMENTS = st.sampled_from(DOTS + ESCAPED)
@@ -26,7 +26,7 @@ SEGMENTS = st.sampled_from(DOTS + ESCAPED)
 
 @pytest.fixture(scope="module")
 def get(start_server: Callable[..., Served]) -> Iterator[Callable[[str], tuple[int, str]]]:
-    """Reads a path exactly as it is written: the status, and the body as N-Triples where there is RDF."""
+    """Request a path exactly as it is written; return the status, and the body as N-Triples if it is RDF."""
     url = start_server("aircraft").url
     kinds = {"data/one/file": "image/png", "data/a%3Ab": "text/turtle", "data/~~": "text/turtle"}
     parameters = dict.fromkeys(("parameters/deep/er/est", "parameters/a%3Ab"), "application/json")
@@ -49,7 +49,7 @@ def get(start_server: Callable[..., Served]) -> Iterator[Callable[[str], tuple[i
 
 @pytest.fixture(scope="module")
 def known(get: Callable[[str], tuple[int, str]]) -> list[str]:
-    """Paths of everything that containers contain, found by following them from the entry on."""
+    """Return the paths of all members of containers, found from the entry on."""
     found: dict[str, None] = {}
     due = ["/", "/data/", "/parameters/", "/topics/", "/nodes/", "/services/", "/resources/", "/types/", "/shapes/"]
     due += ["/calls/", "/mappings/", "/queries/", "/bags/", "/channels/", *ALSO]
@@ -66,7 +66,7 @@ def known(get: Callable[[str], tuple[int, str]]) -> list[str]:
 
 
 def said(body: str) -> set[str]:
-    """The paths of the URLs that RDF tells of."""
+    """Return the paths of the URLs in RDF."""
     return {urlsplit(line.split()[0].strip("<>")).path for line in body.splitlines() if line.startswith("<")}
 
 
@@ -80,7 +80,7 @@ def test_what_containers_contain_is_read_at_the_urls_they_tell(
 
 
 def changed(path: str, at: int, segment: str, how: str) -> str:
-    """A path with a segment more, or spelt otherwise."""
+    """Return a path with an additional segment, or in another spelling."""
     parts = path.split("/")
     place = 1 + at % max(1, len(parts) - 1)
     match how:

@@ -23,7 +23,7 @@ SYNTAXES = {
 
 
 def canonical(triples: Any) -> Dataset:
-    """The triples with blank nodes named by their content, so that equal graphs are equal."""
+    """Return the triples with blank nodes named by their content, so that equal graphs are equal."""
     dataset = Dataset(Quad(each.subject, each.predicate, each.object) for each in triples)
     dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
     return dataset

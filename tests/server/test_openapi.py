@@ -1,4 +1,4 @@
-"""`/openapi.json`: valid OpenAPI 3.1, and true: what it tells of methods is what the server answers."""
+"""`/openapi.json`: valid OpenAPI 3.1, and consistent with the responses of the server."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ HAS_PROVENANCE = "http://www.w3.org/ns/prov#has_provenance"
 
 
 def places(description: dict[str, Any], http: httpx.Client) -> Iterator[tuple[str, set[str]]]:
-    """Every path, with segments where the template has names, and the methods it is told to answer."""
+    """Return every path, with segments in place of the template's names, and its described methods."""
     called = http.post("/services/aircraft/get_power")
     made = {"/calls/{id}": httpx.URL(called.headers["location"]).path}
     made["/activity/{id}"] = httpx.URL(called.links[HAS_PROVENANCE]["url"]).path
-    goal = http.post("/actions/aircraft/fly", json={"distance": -1})  # rejected, and kept
+    goal = http.post("/actions/aircraft/fly", json={"distance": -1})  # rejected, and stored
     made["/goals/{id}"] = httpx.URL(goal.headers["location"]).path
     made["/holds/{id}"] = "/holds/any"
     for kind in ("WebSocketChannel2023", "StreamingHTTPChannel2023"):
@@ -57,7 +57,7 @@ def places(description: dict[str, Any], http: httpx.Client) -> Iterator[tuple[st
 
 
 def subscribed(http: httpx.Client, kind: str) -> httpx.Response:
-    """The answer to who asks for a channel."""
+    """Return the response to a request for a channel."""
     notify = "https://www.w3.org/ns/solid/notifications"
     wish = {"@context": [f"{notify}-context/v1"], "type": f"{notify.replace('https', 'http')}#{kind}"}
     answer = http.post(f"/channels/{kind}", json={**wish, "topic": str(http.base_url.join("/topics/"))})
@@ -66,13 +66,13 @@ def subscribed(http: httpx.Client, kind: str) -> httpx.Response:
 
 
 def query_parameters(description: dict[str, Any], path: str) -> set[str]:
-    """The names of the query parameters that GET of a path is told to take."""
+    """Return the names of the described query parameters of GET on a path."""
     told = inlined(description)[path].get("get", {}).get("parameters", ())
     return {one["name"] for one in told if one["in"] == "query"}
 
 
 def disagreements(http: httpx.Client) -> dict[str, tuple[set[str], set[str]]]:
-    """The paths of which the description says something else than OPTIONS: what it says, what they say."""
+    """Return the paths whose description differs from OPTIONS, with both."""
     found = {}
     for path, methods in places(described(http), http):
         answer = http.options(path)
@@ -81,7 +81,7 @@ def disagreements(http: httpx.Client) -> dict[str, tuple[set[str], set[str]]]:
         if path.endswith("/described"):
             allowed |= (
                 {"GET", "HEAD", "POST", "PATCH", "DELETE"} if "PUT" in allowed else set()
-            )  # what may come to be there
+            )  # resources that may appear there
         if path in ("/queries/String", "/shapes/String") and "PUT" in allowed:
             allowed |= {"DELETE"} if path.startswith("/queries/") else {"DELETE", "PATCH"}
         if path.startswith("/resources/") and http.get(path).status_code == 404:  # it is not on offer now
@@ -89,7 +89,7 @@ def disagreements(http: httpx.Client) -> dict[str, tuple[set[str], set[str]]]:
             continue
         if path.startswith("/topics/") and "PUT" in allowed:
             allowed |= {"DELETE"}  # allowed once something was published
-        if "GET" in methods - allowed and http.get(path).status_code == 404:  # what may come to be there is described
+        if "GET" in methods - allowed and http.get(path).status_code == 404:  # future resources are described
             if allowed == {"OPTIONS"}:  # not by a write to its URL
                 continue
             allowed |= {"GET", "HEAD"}
@@ -122,7 +122,7 @@ def test_what_can_be_followed_or_comes_in_pages_is_told_and_nothing_else(http: h
     for template, (path, _) in zip(description["paths"], places(description, http), strict=True):
         told = query_parameters(description, template)
         answer = http.head(path, headers=stream)
-        if answer.status_code == 404 or path == "/space":  # whose stream tells of much else, and takes none of these
+        if answer.status_code == 404 or path == "/space":  # its stream takes none of these
             continue
         streams = answer.headers.get("content-type", "").startswith("text/event-stream")
         is_query = path.startswith("/queries/") and not path.endswith("/")  # with a timeout of its own
@@ -144,7 +144,7 @@ def test_a_read_only_server_describes_reading_only_and_refuses_what_others_descr
             method
             for path in description["paths"]
             for method in description["paths"][path].keys() & METHODS
-            if path != "/sparql" and not path.startswith("/channels/")  # who asks and who follows writes nothing
+            if path != "/sparql" and not path.startswith("/channels/")  # reads and streams write nothing
         }
         assert methods == {"get"}
         wrong = []

@@ -20,19 +20,19 @@ ROS = "https://w3id.org/rosld#"
 DISPLAY = "/topics/cockpit/display"
 STRING = "https://w3id.org/rosld/types/std_msgs/msg/String#data"
 TIMES = 4
-"""Writes in a row, each asked for at once: within the time that a look at everything is good enough for."""
+"""Number of consecutive writes, each queried immediately: within the validity of a synchronization."""
 Write = Callable[[httpx.Client, str], httpx.Response]
 
 
 @pytest.fixture(scope="module")
 def http() -> Iterator[httpx.Client]:
-    """An aircraft of these tests' own."""
+    """An aircraft for these tests."""
     with served(adapter_for("aircraft", AdapterOptions()), max_publish_rate=100_000.0) as client:
         yield client
 
 
 def says(http: httpx.Client, text: str) -> bool:
-    """Whether anything anywhere has the value, asked with nothing named."""
+    """Whether any statement has the value, without naming a resource."""
     answer = http.post(
         "/sparql",
         content=f'ASK {{ ?s ?p "{text}" }}',

@@ -1,4 +1,4 @@
-"""Pages as a browser gets and posts them, over HTTP."""
+"""Pages as requested and submitted by a browser, over HTTP."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DISPLAY = "/topics/cockpit/display"
 
 
 def hidden(page: str, method: str) -> str:
-    """The token of the form with this method that is sent to the page itself."""
+    """Return the token of the page's own form with this method."""
     for form in re.findall(r"<form.*?</form>", page, re.DOTALL):
         if f'name="method" value="{method}"' in form and " action=" not in form:
             return re.search(r'name="csrf" value="([^"]+)"', form)[1]  # type: ignore[index]

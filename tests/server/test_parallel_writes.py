@@ -1,6 +1,6 @@
-"""Many writes at once, each over a connection of its own, in memory and in a folder: none is lost and none is torn.
+"""Many concurrent writes, each on its own connection, in memory and in a folder: none is lost and none is torn.
 
-Writes without a condition are applied in turn; of those with one exactly as many succeed as RFC 9110 13.1 allows.
+Writes without a condition are applied in turn; of those with one, exactly as many succeed as RFC 9110 13.1 allows.
 """
 
 from __future__ import annotations

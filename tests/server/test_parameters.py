@@ -1,4 +1,4 @@
-"""Parameters over HTTP: create, read, update, delete (paper, Table 2); those of a node of ROS 2 are set as one."""
+"""Parameters over HTTP: create, read, update, delete (paper, Table 2); those of a ROS 2 node are set together."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_a_patch_is_for_the_parameters_of_one_node(turtle: MadeUp, serving: Serv
 
 
 class LateGraph(MadeUp):
-    """A robot with a parameter server, whose graph shows what was set there only when it is looked at."""
+    """A robot with a parameter server, whose graph shows new parameters only once it is refreshed."""
 
     capabilities = replace(MadeUp.capabilities, parameter_server=True)
 
@@ -131,7 +131,7 @@ class LateGraph(MadeUp):
             self._parameters = trees.with_value(self._parameters, name, value)
 
     def look(self) -> None:
-        """The graph is as the parameters are."""
+        """Update the graph to match the parameters."""
         self.run(lambda: self._parameters_are(self._parameters))
 
 

@@ -1,4 +1,4 @@
-"""`?below=`: the descriptions of a robot of hundreds of topics come in parts of 100 kB; `/llms.txt`."""
+"""`?below=`: the descriptions of a robot of hundreds of topics have parts of 100 kB; `/llms.txt`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TD = {"Accept": "application/td+json"}
 
 @pytest.fixture(scope="module")
 def many() -> Iterator[httpx.Client]:
-    """A robot of 330 topics."""
+    """A robot with 330 topics."""
     robot = MadeUp()
     furnish(robot)
     with served(robot) as client:
@@ -32,7 +32,7 @@ def many() -> Iterator[httpx.Client]:
 
 @pytest.fixture(scope="module")
 def flat() -> Iterator[httpx.Client]:
-    """A robot of 150 topics without namespaces."""
+    """A robot with 150 topics without namespaces."""
     robot = MadeUp()
     robot.topics([f"/odom_{number}" for number in range(150)], "nav_msgs/msg/Odometry")
     with served(robot) as client:
@@ -41,7 +41,7 @@ def flat() -> Iterator[httpx.Client]:
 
 
 def descriptions(http: httpx.Client, url: str) -> Iterator[dict[str, Any]]:
-    """The parts of the description from one of them on, as `x-next` and `Link` lead to them."""
+    """Return the parts of the description from one of them on, following `x-next` and `Link`."""
     while url:
         answer = http.get(url)
         assert answer.status_code == 200, answer.text
@@ -53,7 +53,7 @@ def descriptions(http: httpx.Client, url: str) -> Iterator[dict[str, Any]]:
 
 
 def things(http: httpx.Client, url: str) -> Iterator[dict[str, Any]]:
-    """The parts of a Thing Description from one of them on, as links lead to them."""
+    """Return the parts of a Thing Description from one of them on, following links."""
     while url:
         answer = http.get(url, headers=TD)
         assert answer.status_code == 200, answer.text
@@ -64,7 +64,7 @@ def things(http: httpx.Client, url: str) -> Iterator[dict[str, Any]]:
 
 
 def section(thing: dict[str, Any]) -> str:
-    """The URL of the first part of a Thing Description that has several."""
+    """Return the URL of the first part of a Thing Description that has several."""
     [url] = [link["href"] for link in thing["links"] if link["rel"] == "section"]
     assert isinstance(url, str)
     return url
@@ -151,7 +151,7 @@ def test_the_entry_leads_to_a_guide_for_language_models_whose_links_lead_on(http
     assert "/find?" in urls[0]
     assert "/queries/what-can-be-done" in urls[1]
     for url in urls:
-        assert http.get(url).status_code in (200, 400), url  # SPARQL wants a query
+        assert http.get(url).status_code in (200, 400), url  # SPARQL requires a query
     assert len(guide.content) < 3000
 
 

@@ -1,4 +1,4 @@
-"""Pictures of topics over HTTP: negotiated as all else, refused in words, in motion for many at once."""
+"""Pictures of topics over HTTP: negotiated like other formats, refused with reasons, in motion for many clients."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def image(values: np.ndarray, encoding: str = "bgr8", **changes: Any) -> dict[st
 
 
 def frame(number: int, size: tuple[int, int] = (48, 64)) -> np.ndarray:
-    """A picture that tells its number by its colour."""
+    """Return a picture that encodes its number as its colour."""
     return np.full((*size, 3), (number * 20 % 256, 40, 200), np.uint8)
 
 
@@ -129,7 +129,7 @@ def test_a_message_that_cannot_be_drawn_is_refused_in_words(camera: Any, serving
 
 @contextmanager
 def connected(http: httpx.Client, query: str) -> Iterator[socket.socket]:
-    """A motion stream as bytes of a connection."""
+    """Return a motion stream as the bytes of a connection."""
     url = http.base_url
     with socket.create_connection((url.host, url.port or 80), timeout=60) as found:
         head = f"GET /{CAMERA}?{query} HTTP/1.1\r\nHost: {url.host}:{url.port}\r\n"
@@ -138,7 +138,7 @@ def connected(http: httpx.Client, query: str) -> Iterator[socket.socket]:
 
 
 class Viewer:
-    """Reads a motion stream on a thread of its own: the pictures that came."""
+    """Reader of a motion stream on its own thread, with the received pictures."""
 
     def __init__(self, http: httpx.Client, query: str) -> None:
         self.files: list[bytes] = []
@@ -162,7 +162,7 @@ class Viewer:
 
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """What was drawn."""
+    """Return the drawn picture."""
     found: list[Any] = []
 
     def counting(*given: Any) -> Any:
@@ -184,7 +184,7 @@ def test_many_viewers_of_one_motion_share_its_drawing(camera: Any, serving: Any,
 
 
 def thumbnails(http: httpx.Client, path: str) -> dict[str, str]:
-    """The small pictures on a page: their addresses, by the paths of their topics."""
+    """Return the small pictures on a page: their URLs, by the paths of their topics."""
     page = get(http, path, BROWSER).text
     found = re.findall(r'<a class="thumbnail" href="/([^"]+)"[^>]*><img src="([^"]+)"[^>]* loading="lazy"', page)
     return {topic: html.unescape(source) for topic, source in found}
@@ -252,7 +252,7 @@ def test_a_recorded_message_is_drawn(camera: Any, serving: Any) -> None:
     for number in (1, 2):
         camera.publishes("/camera", image(frame(number)))
         until(lambda number=number: (newest(http) == frame(number)).all(), f"picture {number}")
-        time.sleep(0.002)  # times are told to the millisecond
+        time.sleep(0.002)  # times are rounded to the millisecond
 
     def is_drawn(number: int) -> bool:
         """Whether one of the recorded messages is drawn as this frame."""

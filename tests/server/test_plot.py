@@ -1,4 +1,4 @@
-"""Plots over HTTP: what is told of their numbers, and that the stream tells each message once, as it is recorded."""
+"""Plots over HTTP: descriptions of their numbers, and a stream with each message once, as recorded."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SPEED, TURN = "topics/odom#twist.twist.linear.x", "/topics/odom#header.stamp.nan
 
 
 def told(http: httpx.Client, *references: str, rows: int) -> list[Any]:
-    """Events of a stream, until one topic has told of so many messages."""
+    """Return events of a stream, until it has this many messages of one topic."""
     found: list[Any] = []
     with http.stream("GET", "/plot", params={"y": references}, headers=STREAM, timeout=60) as stream:
         assert stream.headers["content-type"].startswith("text/event-stream"), stream.read()
@@ -45,14 +45,14 @@ def test_the_stream_tells_every_message_once_and_as_it_is_recorded(rover: httpx.
 
 
 def recorded_numbers(http: httpx.Client) -> dict[float, float]:
-    """What the history has of the number, by time."""
+    """Return the recorded numbers, by time."""
     query = {"series": "header.stamp.nanosec", "from": "-60", "points": 10_000}
     kept = http.get("/topics/odom", params=query, headers=JSON).json()
     return dict(zip(map(milliseconds, kept["time"]), kept["value"], strict=True))
 
 
 def milliseconds(text: str) -> float:
-    """Since 1970, of a time with nanoseconds."""
+    """Return milliseconds since 1970 for a time with nanoseconds."""
     seconds, _, rest = text.removesuffix("Z").partition(".")
     return datetime.fromisoformat(f"{seconds}+00:00").timestamp() * 1000 + int(rest) / 1e6
 

@@ -1,4 +1,4 @@
-"""No query takes the server down: over real connections, with real processes that are killed."""
+"""No query crashes the server: over real connections, with real processes that are killed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 if sys.platform != "linux":
     pytest.skip("it looks at /proc", allow_module_level=True)
 
-# `Served` of conftest.py arrives as what its fixture starts.
+# `Served` of conftest.py is the value of its fixture.
 Served = Any
 CROSS = "SELECT * { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l }"
 ENDLESS = f"{CROSS} ORDER BY ?a ?d ?g"
@@ -36,7 +36,7 @@ ACCEPT = "text/csv, application/problem+json;q=0.9, text/turtle;q=0.8"
 
 @pytest.fixture(scope="module")
 def single(start_server: Callable[..., Served]) -> Served:
-    """A server that answers one query at a time, for a minute; one more may wait."""
+    """A server that runs one query at a time, for a minute; one more may wait."""
     return until_ready(start_server(
         "aircraft", "--setting", "query_time_limit", "60", "--setting", "query_concurrency", "1",
         "--setting", "query_queue", "1", "--query-row-limit", "30000", process=True,
@@ -44,32 +44,32 @@ def single(start_server: Callable[..., Served]) -> Served:
 
 
 def workers(served: Served) -> set[int]:
-    """The processes of queries."""
+    """Return the processes of queries."""
     return set().union(*(children_of(pid) for pid in query_processes(served)))
 
 
 def quiet(served: Served) -> None:
-    """Wait until no query is at work."""
+    """Wait until no query is running."""
     until_ready(served)
     until(lambda: not any(map(is_running, workers(served))), "no query is at work")
 
 
 @pytest.fixture
 def served(single: Served) -> Iterator[Served]:
-    """The server that answers one query at a time, while it has none."""
+    """The server that runs one query at a time, while it has none."""
     quiet(single)
     yield single
     assert single.process.poll() is None
 
 
 def worker_of(served: Served) -> int:
-    """The worker of the query that has just been sent, as soon as it computes."""
+    """Return the worker of the query that was just sent, as soon as it computes."""
     until(lambda: any(map(is_running, workers(served))), "a worker computes")
     return next(filter(is_running, workers(served)), 0) or worker_of(served)
 
 
 def ends(pid: int, within: float = PATIENCE) -> bool:
-    """Whether a process ends."""
+    """Whether a process ends in time."""
     try:
         descriptor = os.pidfd_open(pid)
     except ProcessLookupError:
@@ -81,7 +81,7 @@ def ends(pid: int, within: float = PATIENCE) -> bool:
 
 
 def asked(served: Served, query: str, more: str = "") -> socket.socket:
-    """A connection on which a query was sent, and nothing read yet."""
+    """Open a connection on which a query was sent, and nothing read yet."""
     address = urlsplit(served.url)
     connection = socket.create_connection((address.hostname, address.port), timeout=PATIENCE)
     target = f"/sparql?query={quote(query)}{more}"
@@ -91,7 +91,7 @@ def asked(served: Served, query: str, more: str = "") -> socket.socket:
 
 
 def everything(connection: socket.socket) -> bytes:
-    """All that comes until the connection ends, as it comes."""
+    """Return all data until the connection ends."""
     found = b""
     while data := connection.recv(65536):
         found += data
@@ -112,7 +112,7 @@ def stopped(answer: httpx.Response, reason: str) -> None:
     assert answer.json()["detail"]
 
 
-# The time
+# Time limit
 
 
 KINDS = {
@@ -199,7 +199,7 @@ def test_an_answer_has_at_most_the_permitted_rows(serve: Callable[..., Served]) 
 
 
 def test_an_answer_that_is_stopped_after_its_first_byte_never_looks_whole(served: Served) -> None:
-    # By the time, which on a busy machine may be over before the first byte, and by the rows.
+    # By time, which on a busy machine may be over before the first byte, and by rows.
     for tries in (("&timeout=1", "&timeout=4", "&timeout=8"), ("",)):
         for more in tries:
             with closing(asked(served, CROSS, more)) as connection:
@@ -214,7 +214,7 @@ def test_an_answer_that_is_stopped_after_its_first_byte_never_looks_whole(served
     assert get(served, "ASK {}").status_code == 200
 
 
-# Who waits, and who hangs up
+# Waiting and disconnecting clients
 
 
 def test_a_query_whose_client_hangs_up_is_killed_and_frees_its_place(served: Served) -> None:
@@ -242,7 +242,7 @@ def test_a_client_that_hangs_up_while_waiting_frees_its_place_in_the_queue(serve
 
 
 def waiting(served: Served, query: str) -> socket.socket:
-    """A connection whose query waits for its turn, sent again for as long as there is no place for it."""
+    """Open a connection whose query waits for its turn, sending it again while the queue is full."""
     until = time.monotonic() + PATIENCE
     while True:
         connection = asked(served, query)
@@ -254,7 +254,7 @@ def waiting(served: Served, query: str) -> socket.socket:
 
 
 def refused(served: Served, query: str) -> None:
-    """Hold that there is no place for a query, not even to wait."""
+    """Check that even the queue is full for a query."""
     with closing(asked(served, query)) as connection:
         answer = everything(connection)
     assert answer.startswith(b"HTTP/1.1 503"), answer

@@ -1,4 +1,4 @@
-"""The query process dies, and nothing else notices: over real connections, with real signals."""
+"""A crash of the query process affects nothing else: over real connections, with real signals."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 if sys.platform != "linux":
     pytest.skip("it looks at /proc", allow_module_level=True)
 
-# `Served` of conftest.py arrives as what its fixture starts.
+# `Served` of conftest.py is the value of its fixture.
 Served = Any
 PATIENCE = 60.0
 KILLS = 6
@@ -42,7 +42,7 @@ def served(start_server: Callable[..., Served]) -> Iterator[Served]:
 
 
 def process_of(served: Served, other_than: int | None = None) -> int:
-    """The query process, as soon as there is one (and another one than that)."""
+    """Return the query process, as soon as there is one (different from `other`)."""
     until = time.monotonic() + PATIENCE
     while not (found := query_processes(served) - {other_than}):
         assert time.monotonic() < until, "there is no query process"
@@ -52,7 +52,7 @@ def process_of(served: Served, other_than: int | None = None) -> int:
 
 
 def has_ended(pid: int) -> bool:
-    """Whether a process is gone, or only waits for its parent."""
+    """Whether a process is gone, or a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except (FileNotFoundError, ProcessLookupError):
@@ -72,7 +72,7 @@ def ask(served: Served, query: str) -> httpx.Response:
 
 
 def answered(served: Served, query: str) -> str:
-    """The answer, asked for again for as long as that is what the server asks for."""
+    """Return the response, repeating the request while the server sends Retry-After."""
     until = time.monotonic() + PATIENCE
     while (answer := ask(served, query)).status_code == 503:
         assert answer.headers["retry-after"].isdigit()
@@ -138,7 +138,7 @@ def test_killed_again_and_again_under_load_it_costs_queries_a_503_and_others_not
 def test_a_query_that_ends_its_worker_is_500_and_named_in_the_log_and_nothing_else_notices(
     serve: Callable[..., Served], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A function that ends its process stands for whatever in the library may."""
+    """A function that ends its process stands for any crash in the library."""
     (tmp_path / "sitecustomize.py").write_text(
         "import os, sys\n"
         "if 'sparql.process' in ' '.join(sys.orig_argv):\n"

@@ -1,4 +1,4 @@
-"""Rate limits by arithmetic alone: how much one client may ask, how often a topic is published to, a stream is sent."""
+"""Rate limits as pure computations: of requests per client, of publishes per topic, of events per stream."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def limiter_for(
 
 
 def passing(limiter: ClientLimiter, agent: Agent = ANONYMOUS, address: str = FAR) -> int:
-    """How many requests pass at this moment."""
+    """Return how many requests pass at this time."""
     for number in range(1000):
         try:
             limiter.release(limiter.acquire(agent, address))
@@ -127,7 +127,7 @@ def test_a_client_with_an_open_connection_is_not_forgotten_however_many_others_c
 
 
 def publishes(limiter: PublishLimiter, now: float, topic: str = "/a") -> int:
-    """How many publishes pass at this moment."""
+    """Return how many publishes pass at this time."""
     return next(count for count in range(1000) if limiter.wait(topic, now) > 0)
 
 

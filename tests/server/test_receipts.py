@@ -1,4 +1,4 @@
-"""Receipts over HTTP: every write leaves one, whoever asks finds it, and it tells no secrets."""
+"""Receipts over HTTP: every write creates one, clients can find it, and it reveals no secrets."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ UPDATE = {"Content-Type": "application/sparql-update"}
 
 
 def receipt_url(answer: httpx.Response) -> str | None:
-    """Where an answer says that its receipt is."""
+    """Return the URL of the receipt in a response."""
     found = re.findall(rf'<([^>]*)>; rel="{re.escape(PROVENANCE)}"', answer.headers.get("link", ""))
     assert len(found) <= 1
     return found[0] if found else None
@@ -31,7 +31,7 @@ def receipt_url(answer: httpx.Response) -> str | None:
 
 @pytest.fixture(scope="module")
 def receipt(plane: httpx.Client) -> Callable[[httpx.Response], dict[str, Any]]:
-    """The receipt of an answer, as plain JSON."""
+    """Return the receipt of a response, as plain JSON."""
 
     def read(answer: httpx.Response) -> dict[str, Any]:
         url = receipt_url(answer)
@@ -171,7 +171,7 @@ def test_the_container_lists_the_newest_first_in_pages(plane: httpx.Client) -> N
 
 
 def contained(answer: httpx.Response) -> list[str]:
-    """What a container in JSON-LD contains, in its order."""
+    """Return the members of a container in JSON-LD, in order."""
     return re.findall(r'"(http[^"]*/activity/[A-Za-z0-9_-]+)"', answer.raise_for_status().text)
 
 

@@ -1,4 +1,4 @@
-"""Parameters of ROS 1 over HTTP: those of dynamic_reconfigure take effect, all others say that they may not."""
+"""Parameters of ROS 1 over HTTP: those of dynamic_reconfigure take effect, all others state that they may not."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def http(tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., A
 
 
 def state(http: httpx.Client) -> dict[str, Any]:
-    """What the arm itself tells of its configuration."""
+    """Return the arm's own report of its configuration."""
     found: dict[str, Any] = json.loads(http.get("/topics/arm/state", headers=JSON).json()["data"])
     return found
 
 
 def described(http: httpx.Client, name: str) -> tuple[rdflib.Graph, rdflib.URIRef]:
-    """The document of a parameter, and the parameter."""
+    """Return the document of a parameter, and the parameter."""
     answer = http.get(f"/parameters/arm/{name}", headers=TURTLE)
     return rdflib.Graph().parse(data=answer.text, format="turtle"), rdflib.URIRef(str(answer.url))
 

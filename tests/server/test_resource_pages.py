@@ -1,4 +1,4 @@
-"""The aircraft flown by hand: pages of resources as a browser gets and posts them, over HTTP."""
+"""The aircraft flown by hand: pages of resources as requested and submitted by a browser, over HTTP."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def http(own_aircraft: httpx.Client) -> httpx.Client:
 
 
 def forms(page: str) -> dict[str, str]:
-    """The tokens of a page's forms by where they post; empty for the page's own URL."""
+    """Return the tokens of a page's forms by target; empty for the page's own URL."""
     found = {}
     for form in re.findall(r"<form.*?</form>", page.partition("<main")[2], re.DOTALL):
         action = re.search(r'action="([^"]*)"', form)

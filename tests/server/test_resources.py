@@ -1,4 +1,4 @@
-"""The resources of a robot over HTTP by convention: what its names come to, and what may be done with them."""
+"""The resources of a robot over HTTP by convention: those that follow from its names, and their methods."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TYPES, ROS, RDF, LDP, XSD = asking.TYPES, asking.ROS, asking.RDF, asking.LDP, as
 JSON, TURTLE, JSON_LD, MERGE, UPDATE = asking.JSON, asking.TURTLE, asking.JSON_LD, asking.MERGE, asking.UPDATE
 TRIGGER, STRING, FLOAT = "std_srvs/srv/Trigger", "std_msgs/msg/String", "std_msgs/msg/Float64"
 
-# What the names of a robot come to
+# Resources that follow from names
 
 
 KINDS: tuple[tuple[str, dict[str, Any], Any, Any, str | None], ...] = (

@@ -1,4 +1,4 @@
-"""Members that cannot be read: the rest of a resource is whole, and what depends on them is not on offer."""
+"""Members that cannot be read: the rest of a resource is complete, and dependent operations are not on offer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DOOR = """
 
 
 def refuses(words: str | None) -> Any:
-    """What a service does that will not."""
+    """Refuse, as a service."""
 
     def act(_: object) -> dict[str, Any]:
         raise Refused("the service refused without a word", words=words)
@@ -39,7 +39,7 @@ def refuses(words: str | None) -> Any:
 
 
 def unreadable(http: httpx.Client, path: str, member: str) -> str:
-    """Why a member of a resource cannot be read, in its RDF."""
+    """Return why a member of a resource cannot be read, from its RDF."""
     (why,) = objects(http.get(path), f"{ROS}unreadable", f"{http.base_url}resources{member}")
     return why
 
@@ -53,7 +53,7 @@ def arm(robot: MadeUp) -> MadeUp:
 
 
 def failing(http: httpx.Client, *words: str) -> None:
-    """The grip cannot be read, and everything says so; the label is as ever."""
+    """Check that the grip cannot be read, that everything states so, and that the label is unaffected."""
     assert value(http, "/resources/arm/") == {"grip": None, "label": "red"}
     assert value(http, "/resources/arm/grip") is None
     for path in ("/resources/arm/", "/resources/arm/grip"):
@@ -160,7 +160,7 @@ WHY = {
     "has died": "cannot be read",
     "is not there": "is not there",
 }
-"""How a state may be missing, and what is said of it."""
+"""Ways in which a state is missing, and their descriptions."""
 
 
 def test_what_depends_on_a_state_that_cannot_be_read_is_not_on_offer(robot: MadeUp, serving: Serving) -> None:
@@ -225,7 +225,7 @@ def test_a_value_that_is_no_number_is_within_no_bounds(robot: MadeUp, serving: S
 
 
 class Forgetful(MadeUp):
-    """A robot whose parameters can be written, and from then on not be read."""
+    """A robot whose parameters can be written, but not read afterwards."""
 
     async def get_parameters(self, names: Any, *, deadline: float) -> Any:
         if self.was_written:

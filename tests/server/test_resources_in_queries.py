@@ -1,4 +1,4 @@
-"""What lies below `/resources/` in queries: there for the query that names it, be it by a class or a predicate."""
+"""Resources below `/resources/` in queries: present in a query that names them, also by a class or a predicate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 EX, mapped = asking.EX, asking.mapped
 READ_DEADLINE = 1.0
-"""Seconds for a getter; one that answers needs little even on a busy machine."""
+"""Timeout of a getter in seconds; an answering one takes little even on a busy machine."""
 HAND = """
 <#hand> a map:ComplexResource ; map:path "/arm/hand/" ; map:existsWhen <#manual> ;
   map:property [ map:predicate ex:width ; map:member "width" ] ;
@@ -37,7 +37,7 @@ def arm(robot: MadeUp) -> MadeUp:
 
 
 def found(http: httpx.Client, where: str) -> set[str]:
-    """The one column of a SELECT, as paths or words, each of them once."""
+    """Return the single column of a SELECT, as paths or words, without duplicates."""
     query = f"PREFIX ex: <{EX}> PREFIX td: <https://www.w3.org/2019/wot/td#> SELECT ?x {{ {where} }}"
     answer = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"})
     assert answer.status_code == 200, answer.text
@@ -47,7 +47,7 @@ def found(http: httpx.Client, where: str) -> set[str]:
 
 
 def getters(robot: MadeUp) -> set[str]:
-    """The getters that were called."""
+    """Return the getters that were called."""
     return {name for name, count in robot.calls.items() if count and "/get_" in name}
 
 

@@ -1,4 +1,4 @@
-"""Limits on what may be written, over HTTP: a value beyond them is refused by every way that leads to it."""
+"""Limits on writes over HTTP: a value beyond them is refused on every route to it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def limits(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def arm(robot: MadeUp) -> MadeUp:
-    """An arm with something of each kind to write to."""
+    """An arm with a writable resource of each kind."""
     robot.variable("/arm/grip", "Byte", value=1)
     robot.variable("/arm/mode", "Words", words="manual")
     robot.variable("/arm/pose", "Pose", pose={"position": {"x": 1, "y": 2, "z": 3}, "orientation": {"w": 1}})
@@ -63,7 +63,7 @@ def http(arm: MadeUp, serving: Serving, limits: Path) -> httpx.Client:
 
 
 def moved(arm: MadeUp) -> list[str]:
-    """What was done to the arm."""
+    """Return the writes that the arm received."""
     return [name for name in arm.calls if "/get_" not in name] + list(arm.sent)
 
 

@@ -1,4 +1,4 @@
-"""Resources as mappings arrange them, over HTTP: names that come later, guards, other namespaces, fields, changes."""
+"""Resources arranged by mappings, over HTTP: late names, guards, other namespaces, fields, changes."""
 
 from __future__ import annotations
 
@@ -52,7 +52,6 @@ def arm(robot: MadeUp) -> MadeUp:
 
 
 def mode(http: httpx.Client, word: str) -> None:
-    """Set the mode of the arm."""
     assert http.put("/resources/arm/mode", json=word).status_code == 204
 
 
@@ -95,7 +94,7 @@ def test_a_mapping_that_is_replaced_takes_effect_at_once(arm: MadeUp, serving: S
     mapped(http, document.replace("grip", "mode"))
     again = http.get("/resources/arm/", headers=known)
     assert (again.status_code, again.json()) == (200, {"mode": "manual"})
-    assert value(http, "/resources/arm/grip") == 1  # not listed, and there
+    assert value(http, "/resources/arm/grip") == 1  # not listed, but existing
     assert http.delete("/mappings/mine").status_code == 204
     assert value(http, "/resources/arm/").keys() == {"grip", "mode", "pose"}
 
@@ -210,7 +209,7 @@ def test_a_condition_that_does_not_hold_hides_all_that_lies_below(arm: MadeUp, s
         assert "manual" in detail(http.get(path), 404), path
         assert http.head(path).status_code == 404
         assert "manual" in detail(http.get(path, params={"shape": ""}), 404), path
-    for path in ("", "finger/"):  # what there ever is, clients keep
+    for path in ("", "finger/"):  # clients store it, so it has all that may exist
         assert http.get(f"/resources/arm/hand/{path}?format=td").status_code == 200
     for method, path, body in (
         ("PUT", "width", 3), ("PUT", "finger/length", 3), ("POST", "wave", {}),
@@ -238,7 +237,7 @@ def test_a_condition_is_judged_by_the_present_state_and_changes_the_entity_tag(a
         assert there or not objects(answer, f"{EX}home")
         guarded = http.patch("/resources/arm/", json={"grip": 1}, headers={"If-Match": first, **MERGE})
         assert guarded.status_code == (204 if there else 412)
-    arm.answer("/arm/get_mode", "made_up/srv/GetWords", words="automatic")  # moved by somebody else than rosld
+    arm.answer("/arm/get_mode", "made_up/srv/GetWords", words="automatic")  # moved by another client than rosld
     assert http.put("/resources/arm/grip", json=2).status_code == 409
     assert http.post("/resources/arm/home").status_code == 409
 
@@ -315,7 +314,7 @@ def test_a_field_is_read_and_written_at_an_address_of_its_own(arm: MadeUp, servi
         assert http.put(f"{url}x", json=wrong).status_code == 422, wrong
     assert arm.calls["/arm/set_pose"] == 3
     assert http.get("/resources/arm/x").status_code == 404
-    # The whole of which it is a field must be known.
+    # The whole value that contains the field must be known.
     arm.break_off("/arm/get_pose")
     assert "must be known" in detail(http.put(f"{url}x", json=7), 409)
     assert arm.calls["/arm/set_pose"] == 3

@@ -1,4 +1,4 @@
-"""Resources read by many clients at a time: nothing torn, nothing stale after a write, the robot asked seldom."""
+"""Resources read by many clients at a time: nothing torn, nothing stale after a write, few calls of the robot."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def at_once(base: httpx.URL, *tasks: Callable[[httpx.AsyncClient], Awaitable[Any
 
 
 def said(body: bytes, url: str) -> dict[str, set[str]]:
-    """What a complex resource says of itself in the aircraft's vocabulary."""
+    """Return the statements of a complex resource about itself in the aircraft's vocabulary."""
     found: dict[str, set[str]] = {}
     for quad in parse(body, format=RdfFormat.TURTLE, base_iri=url):
         if quad.subject == NamedNode(url) and quad.predicate.value.startswith(AV):
@@ -64,9 +64,9 @@ FLIGHT = (
 
 
 class Pilot:
-    """Flies the aircraft, and waits after each write until half of the clients have read its result.
+    """A client that flies the aircraft, and waits after each write until half of the clients have read its result.
 
-    `state` is the number of writes and the power, or None while a write is under way.
+    `state` is the number of writes and the power, or None during a write.
     """
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class Pilot:
                 self.state = None
                 self.writes += 1
                 while (answer := await ask(client, method, path, body)).status_code == 409:
-                    assert path.endswith("stop")  # the server does not know yet that the aircraft stands
+                    assert path.endswith("stop")  # the server does not know yet that the aircraft is at rest
                 assert answer.status_code in (200, 204), answer
                 self.state, self._reads = (self.writes, power), 0
                 self._read.clear()
@@ -138,7 +138,7 @@ def test_no_reader_sees_a_torn_state_or_one_from_before_a_write() -> None:
         at_once(http.base_url, pilot.fly, *map(reader, range(CLIENTS)))
     periods = int(time.monotonic() - began) + 1
     assert len(seen) == 8, seen
-    # A write looks before it moves anything, and who reads after it looks again.
+    # A write reads the state first, and later readers read it again.
     for getter in ("/aircraft/get_power", "/aircraft/engine/get_direction"):
         assert robot.calls[getter] <= periods + 2 * pilot.writes
 
@@ -153,7 +153,7 @@ def test_reads_at_one_time_share_one_call_and_its_answer_until_it_is_stale() -> 
             return await ask(client, "GET", path)
 
         async def release(client: httpx.AsyncClient) -> None:
-            assert (await ask(client, "GET", "/resources/")).status_code == 200  # nobody else is held up
+            assert (await ask(client, "GET", "/resources/")).status_code == 200  # no other request is delayed
             await asyncio.to_thread(robot.until, lambda: robot.calls["/arm/get_grip"])
             robot.release("/arm/get_grip")
 

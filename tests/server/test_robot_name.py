@@ -1,4 +1,4 @@
-"""What a robot is called on its pages: what it says itself, else the name of its machine; never an address."""
+"""Name of a robot on its pages: the one that it states, else that of its machine; never an address."""
 
 from __future__ import annotations
 

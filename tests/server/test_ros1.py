@@ -1,4 +1,4 @@
-"""A real ROS 1 system over HTTP: rosmaster, rospy nodes, and what becomes of them."""
+"""A real ROS 1 system over HTTP: rosmaster, rospy nodes, and their failures."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ ALSO_SPOKEN = {
 
 @pytest.fixture(scope="module")
 def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RosSystem]:
-    """A rosmaster with two nodes that speak."""
+    """A rosmaster with two nodes that publish."""
     with running(tmp_path_factory.mktemp("ros")) as system:
         for name, spoken in (("speaker", SPOKEN), ("other", ALSO_SPOKEN)):
             words = [word for topic, (type, value) in spoken.items() for word in (topic, type, value)]
@@ -56,13 +56,13 @@ def robot(ros: RosSystem, start_server: Callable[..., Served]) -> Served:
 
 
 def ready(robot: Served, path: str) -> httpx.Response:
-    """The answer to GET, once the resource is there."""
+    """Return the response to GET, once the resource exists."""
     found: httpx.Response = until(lambda: (got := robot.http.get(path)).status_code == 200 and got, path)
     return found
 
 
 def writable(robot: Served, path: str, method: str = "PUT") -> None:
-    """Wait until a resource is there and takes a method."""
+    """Wait until a resource exists and accepts a method."""
     ready(robot, path)
     until(lambda: method in robot.http.options(path).headers.get("allow", ""), f"{method} {path}")
 

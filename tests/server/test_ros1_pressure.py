@@ -1,4 +1,4 @@
-"""Publishers of a real ROS 1 that send or announce much: none waits for rosld, and none takes its memory."""
+"""Publishers of a real ROS 1 that send or announce much data: none waits for rosld, and none exhausts its memory."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RosSystem]:
 
 @contextmanager
 def announcing(ros: RosSystem, topic: str, length: int, data: bytes) -> Iterator[threading.Event]:
-    """A publisher that announces a message of a length and sends only the beginning; the event: it has been sent."""
+    """Run a publisher that announces a message of a length and sends only its beginning, and then sets the event."""
     node, sent, connected = f"/announcing{topic}", threading.Event(), []
 
     def serve(listening: socket.socket) -> None:
@@ -73,7 +73,7 @@ def announcing(ros: RosSystem, topic: str, length: int, data: bytes) -> Iterator
 
 
 def peak_megabytes(served: Any) -> float:
-    """The most memory that a server has had so far."""
+    """Return the peak memory of a server."""
     told = Path(f"/proc/{served.process.pid}/status").read_text()
     return int(next(line.split()[1] for line in told.splitlines() if line.startswith("VmHWM:"))) / 1024
 
@@ -107,7 +107,7 @@ def test_a_message_longer_than_the_limit_is_not_read_and_the_topic_says_so(
 
 
 def held_megabytes() -> int:
-    """How much the kernel holds for one connection of ours, in megabytes."""
+    """Return how much the kernel buffers for one of our connections, in megabytes."""
     with socket.socket() as probe:
         enlarge(probe, MAX_BYTES)
         granted = probe.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
@@ -115,7 +115,7 @@ def held_megabytes() -> int:
 
 
 def longest(lines: Sequence[str]) -> float:
-    """The longest wait that a steady node told of, in seconds."""
+    """Return the longest delay that a steady node reported, in seconds."""
     return max(float(line.split()[1]) for line in lines)
 
 
@@ -125,10 +125,10 @@ def test_while_rosld_is_suspended_for_a_second_no_publisher_waits(ros: RosSystem
     served = serve(ros.source, "--subscribe", "/steady", process=True)
     until(lambda: steady.seen[-1].endswith(" 1"), "rosld reads")
     waited: list[tuple[float, float]] = []
-    for _ in range(4):  # how much comes in is learnt in seconds in which all processes run, and others use the cores
+    for _ in range(4):  # the rate of data is measured in seconds in which all processes run, and others use the cores
         time.sleep(3)
         waited.append(suspended(served, steady))
-        if waited[-1][0] < waited[-1][1] - 0.7:  # of the second that is held for it
+        if waited[-1][0] < waited[-1][1] - 0.7:  # of the second that is reserved for it
             break
     else:
         pytest.fail(f"the publisher waited for most of the time that rosld was suspended: {waited}")
@@ -136,9 +136,9 @@ def test_while_rosld_is_suspended_for_a_second_no_publisher_waits(ros: RosSystem
 
 
 def suspended(served: Any, steady: Process) -> tuple[float, float]:
-    """Suspend rosld for more than a second: how long a publisher waited at most, and how long it might have had to."""
+    """Suspend rosld for more than a second; return the longest delay of a publisher, and its permitted maximum."""
     told = len(steady.seen)
-    usual = longest(steady.seen[1:])  # on a busy machine a node waits for others, too
+    usual = longest(steady.seen[1:])  # on a busy machine a node waits for other processes, too
     began = time.monotonic()
     served.process.send_signal(signal.SIGSTOP)
     time.sleep(1.2)

@@ -1,4 +1,4 @@
-"""A rosld that ended uncleanly on a real ROS 1: the robot can be commanded by the next one, and by one beside it."""
+"""A rosld that was killed on a real ROS 1: another one, started later or next to it, can command the robot."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ STILL = {axis: {"x": 0.0, "y": 0.0, "z": 0.0} for axis in ("linear", "angular")}
 
 @pytest.fixture(scope="module")
 def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RosSystem]:
-    """A rosmaster, and a node that is driven."""
+    """A rosmaster, and a node that receives commands."""
     with running(tmp_path_factory.mktemp("ros")) as system:
         system.node("listener.py", "/cmd_vel", "geometry_msgs/Twist")
         yield system
 
 
 def killed(served: Any) -> None:
-    """End a server as a crash would."""
+    """Kill a server, as a crash would."""
     served.process.kill()
     served.process.wait(10)
 

@@ -1,4 +1,4 @@
-"""When a held message is due: never twice for one time, never late by what was late before, never after the lease."""
+"""Times of a held message: never twice for one time, without accumulating delays, never after the lease."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ delays = st.lists(st.floats(0.0, 0.5), min_size=1, max_size=60)
 
 
 def run(schedule: Schedule, delays: list[float]) -> list[tuple[float, int]]:
-    """When it published, and which beat, where each look comes so much later than it was to."""
+    """Return the times and indexes of publishes if each look is this much too late."""
     published: list[tuple[float, int]] = []
     now = schedule.origin
     for delay in delays:

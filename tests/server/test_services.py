@@ -11,7 +11,7 @@ JSON = {"Accept": "application/json"}
 
 @pytest.fixture
 def plane(own_aircraft: httpx.Client) -> httpx.Client:
-    """An aircraft of this test's own, standing."""
+    """An aircraft for one test, at rest."""
     return own_aircraft
 
 

@@ -1,4 +1,4 @@
-"""Settings: declared once, documented, and checked when made."""
+"""Settings: declared once, documented, and validated on creation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who may read and write from a page: CORS and Origin over HTTP."""
+"""Reading and writing from web pages: CORS and Origin over HTTP."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STRANGER = {"Origin": "https://other.example"}
 
 @pytest.fixture(scope="module")
 def shared(start_server: Callable[..., Any]) -> httpx.Client:
-    """An aircraft whose server shares with one origin."""
+    """An aircraft whose server permits one origin."""
     return start_server("aircraft", "--cors-origin", FRIEND["Origin"]).http
 
 

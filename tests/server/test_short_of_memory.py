@@ -1,6 +1,6 @@
-"""Short of memory: what there is none for is refused, and the server and its query process live.
+"""Lack of memory: requests that do not fit are refused, and the server and its query process survive.
 
-Each is limited by itself: to the address space that it has, the margin, and a few MiB.
+Each is limited to the address space that it has, the margin, and a few MiB.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tests.server.sparql.processes import query_processes
 
 MIB = 1024 * 1024
 SPARE = 40 * MIB
-"""Bytes that a limited process may still take, beside the margin."""
+"""Bytes that a limited process may still allocate, besides the margin."""
 PATIENCE = 60.0
 TURTLE = {"Content-Type": "text/turtle"}
 UPDATE = {"Content-Type": "application/sparql-update"}
@@ -50,7 +50,7 @@ if sys.platform != "linux":
 
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[Server]:
-    """A server that has done a bit of all by now: its threads and its heaps are there."""
+    """A server that has handled all kinds of requests, so that its threads and its heaps exist."""
     with server_on(tmp_path / "data", tmp_path / "log") as served:
         served.start()
         for _ in range(3):
@@ -65,10 +65,10 @@ def address_space(pid: int) -> int:
 
 
 def limit(pid: int, spare: int = SPARE) -> int:
-    """Let a process take so much more than it has, beside the margin; the limit, which counts from then on."""
+    """Limit the further memory of a process, besides the margin; return the limit, which applies from then on."""
     most = address_space(pid) + MARGIN + spare
     resource.prlimit(pid, resource.RLIMIT_AS, (most, most))
-    time.sleep(CACHE_SECONDS)  # what was measured before is not gone by any more
+    time.sleep(CACHE_SECONDS)  # resets earlier measurements
     return most
 
 
@@ -104,7 +104,7 @@ def update_by_query(server: Server, name: str, number: int) -> httpx.Response:
 
 
 def asked(server: Server) -> httpx.Response:
-    """The answer to a query, once the query process is there and filled, or cannot be."""
+    """Return the result of a query, once the query process is ready, or cannot be."""
     accept = "text/csv, application/problem+json;q=0.5"
     until = time.monotonic() + PATIENCE
     while True:
@@ -129,7 +129,7 @@ def require_lack_of_memory(answer: httpx.Response, status: int) -> None:
 
 
 def grow(server: Server, send: Callable[[Server, str, int], httpx.Response]) -> int:
-    """Send more and more, with a query after each, until it is refused; how many were not."""
+    """Send more and more data, with a query after each, until it is refused; return the number of accepted requests."""
     queries = pid_of(server, QUERIES)
     for number in range(9):
         answer = send(server, str(number), 1000 * 2**number)
@@ -185,7 +185,7 @@ def test_an_index_that_needs_more_memory_than_there_is_is_not_built_and_all_else
 
 
 def require_many_small_changes(server: Server) -> None:
-    """Hold that a query process whose memory is used up refuses small changes, too, and lives."""
+    """Check that a query process without memory refuses small changes, too, and survives."""
     refused = 0
     for number in range(200):
         assert put(server, f"small-{number}", 400).status_code == 201
@@ -211,7 +211,7 @@ async def graphs(process: QueryProcess) -> Any:
 async def fill_with_garbage(process: QueryProcess) -> None:
     started, graph = asyncio.Event(), "http://h/g"
     process.on_start(started.set)
-    for number in range(3):  # what is gone is not freed
+    for number in range(3):  # removed data is not freed
         process.change({graph: lines(10_000, 10_000 * number)})
     await graphs(process)
     assert process.pid is not None
@@ -273,5 +273,5 @@ def test_a_container_has_the_least_memory_that_its_groups_leave(tmp_path: Path) 
         (folder / "memory.current").write_text("700\n")
         (folder / "memory.stat").write_text("anon 1\ninactive_file 50\n")
     assert min(cgroup_available_bytes(groups, tmp_path)) == 350
-    shutil.rmtree(tmp_path / "a")  # as within a container, which sees its own group as the top
+    shutil.rmtree(tmp_path / "a")  # as within a container, whose own group appears as the root
     assert list(cgroup_available_bytes(groups, tmp_path)) == [1350]

@@ -1,4 +1,4 @@
-"""Views of space and files of point clouds over HTTP: what is drawn where, and what is refused."""
+"""Views of space and files of point clouds over HTTP: drawings and refusals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GRID, POSE, TF = "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/PoseStamped", 
 
 
 def events(http: httpx.Client, query: str, until: Callable[[list[Any]], bool]) -> list[Any]:
-    """Events of a view, until they are what is waited for."""
+    """Return events of a view, until a condition holds."""
     found: list[Any] = []
     with http.stream("GET", f"/space{query}", headers=STREAM, timeout=60) as stream:
         assert stream.headers["content-type"].startswith("text/event-stream"), stream.read()

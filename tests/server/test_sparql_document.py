@@ -1,4 +1,4 @@
-"""`docs/reference/sparql.md` is true: each query in it is asked, each update done, and what comes is as printed."""
+"""`docs/reference/sparql.md` is true: each query and update in it is run, and has the printed results."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PRINTED = "http://127.0.0.1:8080/"
 
 
 class Example(NamedTuple):
-    """A query or an update; how it is run on the aircraft (None: it is of another robot); what is printed of it."""
+    """A query or an update; how it is run on the aircraft (None if it is about another robot); its printed results."""
 
     text: str
     on: tuple[str, ...] | None
@@ -27,7 +27,7 @@ class Example(NamedTuple):
 
 
 def examples() -> Iterator[Example]:
-    """What the document shows, in its order."""
+    """Return the examples of the document, in order."""
     blocks = list(BLOCK.finditer(TEXT))
     for block, after in zip(blocks, [*blocks[1:], None], strict=True):
         if block["kind"] == "sparql":
@@ -67,7 +67,7 @@ def test_every_example_is_answered_as_printed(plane: httpx.Client) -> None:
 
 
 def query(http: httpx.Client, example: Example) -> None:
-    """The columns are those printed; on the aircraft the rows are, too, but for numbers that change."""
+    """Check that the columns are those printed; on the aircraft also the rows, except numbers that change."""
     answer = http.get("/sparql", params={"query": example.text}, headers={"Accept": "text/csv"})
     assert answer.status_code == 200, answer.text
     printed = [row for row in rows(example.printed) if row != ["..."]]
@@ -81,7 +81,7 @@ def query(http: httpx.Client, example: Example) -> None:
 
 
 def update(http: httpx.Client, example: Example) -> None:
-    """The status is the one printed, and the JSON has its members, with its words."""
+    """Check that the status is the printed one, and that the JSON has its members and texts."""
     if example.on is None:
         answer = http.post("/sparql", content=example.text, headers=_UPDATE, params={"dry-run": "true"})
         assert answer.status_code in (200, 422), answer.text

@@ -1,4 +1,4 @@
-"""The SPARQL endpoint over HTTP: live values, every format and what it can carry, refusals, pages."""
+"""The SPARQL endpoint over HTTP: live values, every format and its limitations, refusals, pages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SELECT ?topic ?text WHERE {{ ?topic a ros:Topic ; ros:latest ?m . ?m <{TYPES}std
 
 
 def rows(answer: httpx.Response) -> list[list[str]]:
-    """The rows of a CSV result, without the heading."""
+    """Return the rows of a CSV result, without the heading."""
     assert answer.status_code == 200, answer.text
     return list(csv.reader(io.StringIO(answer.text)))[1:]
 

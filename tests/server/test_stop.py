@@ -1,4 +1,4 @@
-"""The stop: one request, and nothing moves the robot any more; however busy the server is."""
+"""The stop: after one request nothing moves the robot any more, however busy the server is."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ STILL = {"linear": {"x": 0.0, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.
 
 
 class Stoppable(MadeUp):
-    """A robot with everything that moves it; what is published on `/slow` waits until it is let go."""
+    """A robot with everything that moves it; publishing on `/slow` waits until it is released."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -67,7 +67,7 @@ class Stoppable(MadeUp):
         return await super().publish(topic, type, data, latch=latch, deadline=deadline)
 
     def moved(self) -> tuple[object, ...]:
-        """All that it was told but to brake and to stand still."""
+        """Return all commands received, except those that stop it."""
         calls = {name: count for name, count in self.calls.items() if name not in ("/arm/brake", "/arm/get_label")}
         sent = {name: [each for each in messages if each != STILL] for name, messages in self.sent.items()}
         return json.dumps(sent), calls, len(self.sets)
@@ -297,7 +297,7 @@ def test_a_stop_is_streamed_on_open_pages_too_and_is_in_sparql(http: httpx.Clien
 
 
 def events(stream: httpx.Response) -> Iterator[str]:
-    """What each event of a stream says."""
+    """Return the content of each event of a stream."""
     said: list[str] = []
     for line in stream.iter_lines():
         if line.startswith("data: "):
@@ -356,7 +356,7 @@ def test_the_aircraft_is_stopped_while_it_is_off_and_while_it_flies(own_aircraft
 
 
 class EndsMeanwhile:
-    """The aircraft, whose action server refuses to cancel; `ends` says whether the goal has ended just then."""
+    """The aircraft, whose action server refuses to cancel; `ends` determines whether the goal has just ended."""
 
     def __init__(self, *, ends: bool) -> None:
         self._inner: Any = aircraft.adapter("aircraft", AdapterOptions())
@@ -376,7 +376,7 @@ class EndsMeanwhile:
         return self._goal
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        if self._ends:  # as a server does: its status comes after its refusal
+        if self._ends:  # as a server does: its status follows its refusal
             aborted = GoalEvent(time.time_ns(), GoalStatus.ABORTED, own=True)
             asyncio.get_running_loop().call_later(0.05, self._sink.goal_changed, goal, aborted)
         raise Refused("the goal is not canceled: the server refuses to cancel it")

@@ -1,4 +1,4 @@
-"""The stop of a base that nobody has mapped, on a real ROS 1: whoever commanded it, it is told to stand still."""
+"""The stop of a base without a mapping, on a real ROS 1: it receives zero, whichever node commanded it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def served(ros: RosSystem, base: Process, serve: Callable[..., Any]) -> Any:
 
 
 def speeds(base: Process) -> list[float]:
-    """The commands that the base was told, in order."""
+    """Return the commands that the base received, in order."""
     return [float(line.split()[1]) for line in base.seen if line.startswith("drive ")]
 
 

@@ -1,4 +1,4 @@
-"""The stop of a robot that nobody has mapped: zero on what commands velocities, whoever else publishes there."""
+"""The stop of a robot without a mapping: zero on topics for velocity commands, whichever nodes publish there."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ AHEAD = {**STILL, "linear": {"x": 1.0, "y": 0.0, "z": 0.0}}
 
 
 class Base(MadeUp):
-    """A robot of a mobile base. On `/lost` nobody ever connects; `withdrawn` are the topics no longer advertised."""
+    """A mobile base. On `/lost` nothing ever connects; `withdrawn` are the topics no longer advertised."""
 
     def __init__(self) -> None:
         super().__init__()

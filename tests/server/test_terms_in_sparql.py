@@ -1,4 +1,4 @@
-"""SPARQL tells the terms that GET tells: datatypes and lexical forms as they were written; and every order is total."""
+"""SPARQL returns the terms of GET: original datatypes and lexical forms; and every order is total."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TURNS = count()
 
 
 def put(client: httpx.Client, *literals: str) -> str:
-    """The URL of a new resource that has these values of <urn:p>."""
+    """Create a resource with these values of <urn:p>; return its URL."""
     url = str(client.base_url.join(f"/data/terms{next(TURNS)}"))
     body = "".join(f"<{url}> {P} {literal} .\n" for literal in literals)
     answer = client.put(url, content=body.encode(), headers={"Content-Type": "application/n-triples"})
@@ -32,7 +32,7 @@ def put(client: httpx.Client, *literals: str) -> str:
 
 
 def rows(client: httpx.Client, query: str) -> list[tuple[str, ...]]:
-    """The rows of a SELECT as N-Triples, unbound ones empty."""
+    """Return the rows of a SELECT as N-Triples, unbound ones empty."""
     answer = client.post(
         "/sparql", data={"query": PREFIXES + query}, headers={"Accept": "application/sparql-results+json"}
     )
@@ -42,7 +42,7 @@ def rows(client: httpx.Client, query: str) -> list[tuple[str, ...]]:
 
 
 def term(told: Any) -> str:
-    """A term of JSON results, short where it is of XSD."""
+    """Return a term of JSON results, abbreviated for XSD."""
     if told is None:
         return ""
     if told["type"] != "literal":
@@ -59,7 +59,7 @@ def typed(value: str, name: str) -> str:
 
 
 def objects(answer: httpx.Response) -> set[str]:
-    """The values of <urn:p> in an answer."""
+    """Return the values of <urn:p> in a response."""
     assert answer.status_code == 200, answer.text
     quads = parse(answer.content, RdfFormat.N_TRIPLES)
     return {str(quad.object) for quad in quads if quad.predicate == NamedNode("urn:p")}
@@ -221,7 +221,7 @@ LEXICAL = {
     "gMonthDay": ["--01-01+00:00"], "string": ["7", "07"], "normalizedString": ["7"], "token": ["07"],
     "anyURI": ["urn:x"], "hexBinary": ["0a", "0A"], "base64Binary": ["AAA="], "language": ["EN"],
 }  # fmt: skip
-"""Forms of every datatype of XSD, canonical ones and others."""
+"""Lexical forms of every datatype of XSD, canonical ones and others."""
 SAMPLES = [typed(value, name) for name, values in LEXICAL.items() for value in values]
 DIGITS = st.from_regex(r"[+-]?[0-9]{1,20}(\.[0-9]{1,20})?([eE][+-]?[0-9]{1,2})?", fullmatch=True)
 LITERALS = (
@@ -256,7 +256,7 @@ def triples(text: str) -> list[Triple]:
 
 
 def by_rdflib(literals: list[str]) -> list[tuple[str, str]]:
-    """STR and DATATYPE as rdflib has them, which keeps terms."""
+    """Return STR and DATATYPE according to rdflib, which preserves terms."""
     normalised, rdflib.NORMALIZE_LITERALS = rdflib.NORMALIZE_LITERALS, False
     try:
         graph = rdflib.Graph()

@@ -1,4 +1,4 @@
-"""Thing Descriptions in RDF: W3C's context makes the same of their JSON, and W3C's shapes find nothing wrong."""
+"""Thing Descriptions in RDF: equal to their JSON under W3C's context, and conforming to W3C's shapes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def plane(start_server: Callable[..., Any]) -> httpx.Client:
 
 
 def expanded(http: httpx.Client, path: str) -> list[Triple]:
-    """What a JSON-LD processor makes of a Thing Description by W3C's context."""
+    """Return the triples of a Thing Description by a JSON-LD processor with W3C's context."""
     answer = http.get(path, headers=THING, params={} if path.startswith("/.") else {"format": "td"})
     return expand(answer.json(), f"{http.base_url}{path[1:]}")
 
@@ -71,7 +71,7 @@ def canonical(triples: list[Triple]) -> Dataset:
 
 
 def violations(triples: list[Triple]) -> str:
-    """What W3C's shapes find wrong; empty if nothing is."""
+    """Return the violations of W3C's shapes."""
     data, said = Graph(), Graph().parse(data="".join(f"{each} .\n" for each in triples), format="nt")
     for subject, predicate, value in said:
         if str(predicate) in NUMBERS and (subject, RDF.type, URIRef(f"{JS}IntegerSchema")) not in said:
@@ -83,7 +83,7 @@ def violations(triples: list[Triple]) -> str:
     shapes = Graph().parse(data=text, format="turtle")
     for shape in list(shapes.subjects(SH.path, URIRef(f"{TD}hasSecurityConfiguration"))):
         shapes.set((shape, SH.nodeKind, SH.Literal))
-    for shape in list(shapes.subjects(SH.path, RDF.type)):  # that wants one of seven classes to be a string
+    for shape in list(shapes.subjects(SH.path, RDF.type)):  # that requires one of seven classes to be a string
         for demand in (SH.datatype, SH.nodeKind):
             shapes.remove((shape, demand, None))
     conforms, _, report = pyshacl.validate(data, shacl_graph=shapes)

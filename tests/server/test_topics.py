@@ -32,7 +32,7 @@ SYNTAXES = (
 
 
 def message(text: str) -> str:
-    """A String message in Turtle."""
+    """Return a String message in Turtle."""
     return f"<#message> a <{STRING}> ; <{STRING}#data> {json.dumps(text)} ."
 
 

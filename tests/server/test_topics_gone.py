@@ -1,4 +1,4 @@
-"""A topic whose last node is gone is gone: everywhere, in every representation, until a node has it again."""
+"""A topic without nodes is removed from every representation, until a node has it again."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def robot() -> MadeUp:
 
 @pytest.fixture
 def http(robot: MadeUp) -> Iterator[httpx.Client]:
-    """A client that has read the topic while it was there, and then it went."""
+    """A client that has read the topic before it was removed."""
     with served(robot) as client:
         for accept in ACCEPTED:
             assert client.get(TOPIC, headers={"Accept": accept}).status_code == 200

@@ -1,4 +1,4 @@
-"""Query parameters that nobody knows: a request that has one is refused, and a write does nothing."""
+"""Unknown query parameters: a request with one is refused, and a write has no effect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is of a type that nobody tells: listed with its type's name, and refused in words where it is used."""
+"""Resources of an unknown type: listed with the name of the type, and refused with a reason on use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`?until=`: an answer as soon as a condition on the value holds, over HTTP, on the aircraft and on the rover."""
+"""`?until=`: a response as soon as a condition on the value holds, over HTTP, on the aircraft and on the rover."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def aside() -> Iterator[ThreadPoolExecutor]:
 
 
 def wait(http: httpx.Client, path: str, condition: str, **more: str) -> httpx.Response:
-    """The answer to who waits for a condition."""
+    """Return the response to a request that waits for a condition."""
     query = {"until": condition, **LONG, **more}
     return http.get(path, params=query, headers={"Accept": JSON}, timeout=120)
 
 
 def answered(waiting: Future[httpx.Response]) -> Any:
-    """The value that came of a wait, which must have ended well."""
+    """Return the value of a successful wait."""
     answer = waiting.result(timeout=120)
     assert answer.status_code == 200, answer.text
     return answer.json()
@@ -112,7 +112,7 @@ def test_the_end_of_a_goal_is_waited_for(serve: Callable[..., Served]) -> None:
     sent = http.post("/actions/navigate_to", json=far)
     goal = sent.headers["location"]
     assert sent.status_code == 201
-    missed = wait(http, goal, "status = 'succeeded'")  # waits for the end, and is told then that it never comes
+    missed = wait(http, goal, "status = 'succeeded'")  # waits until it is clear that there is none
     assert (missed.status_code, missed.json()["title"]) == (409, "Has ended")
     assert missed.json()["state"]["status"] == "aborted"
     ended = wait(http, goal, "status != 'accepted' and status != 'executing'").json()
@@ -224,7 +224,7 @@ def test_one_stream_more_than_an_address_may_have_is_429_until_another_ends(serv
         assert int(refused.headers["retry-after"]) > 0
 
         def waiting() -> int:
-            """What who waits for another state than now is answered; the topic changes ten times a second."""
+            """Return the response to a wait for a changed state; the topic changes ten times per second."""
             etag = json.dumps(http.get(SPEED).headers["etag"].strip('"'))
             return http.get(SPEED, params={"after": etag, "timeout": "0.01"}).status_code
 

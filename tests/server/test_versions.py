@@ -1,4 +1,4 @@
-"""Former versions of documents: mementos of what was written, bounded, durable, deleted when asked."""
+"""Former versions of documents: mementos of writes, limited, durable, deleted on request."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def put(http: Any, number: int, path: str = PLAN) -> None:
 
 
 def mementos(http: Any, path: str = PLAN) -> list[Any]:
-    """The mementos that the TimeMap of a document lists."""
+    """Return the mementos in the TimeMap of a document."""
     answer = http.get(f"{path}?timemap")
     assert answer.headers["content-type"].startswith("application/link-format"), answer.text
     return [each for each in parse_links(answer.text.replace("\n", "")) if "memento" in each.rel.split()]
 
 
 def steps(http: Any, url: str) -> str:
-    """What a version says."""
+    """Return the content of a version."""
     answer = http.get(url, headers=NTRIPLES)
     assert answer.status_code == 200, answer.text
     (line,) = [each for each in answer.text.splitlines() if P in each]
@@ -70,7 +70,7 @@ def test_versions_are_kept_bounded_durably_and_found_by_time(tmp_path: Path, ser
 
 
 def deleted(http: Any) -> None:
-    """What was deleted is there in its past, and goes with it when that is asked for."""
+    """A deleted document remains in its past, which is deleted on request."""
     before = mementos(http)
     assert http.delete(PLAN).status_code == 204
     assert http.get(PLAN).status_code == 410

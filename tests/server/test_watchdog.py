@@ -1,4 +1,4 @@
-"""The watchdog: a pause of the loop is measured, named and told at /status and in the log."""
+"""The watchdog: a pause of the loop is measured, named and reported at /status and in the log."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ PAUSE_SECONDS = 0.3
 
 
 def _busy(seconds: float) -> None:
-    """Work for so many seconds of a processor."""
+    """Use the processor for this many seconds."""
     end = time.thread_time() + seconds
     while time.thread_time() < end:
         pass
 
 
 class Sluggish(MadeUp):
-    """A robot whose service keeps the loop from running, as nothing should."""
+    """A robot whose service blocks the loop, as nothing should."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -43,7 +43,7 @@ def test_the_longest_pause_of_the_loop_is_told_at_status_with_the_code_that_ran(
 ) -> None:
     monkeypatch.setattr(
         "rosld.server.runtime.watchdog.LOG_INTERVAL_SECONDS", 0.0
-    )  # others may come before on a busy machine
+    )  # others may be reported before on a busy machine
     with caplog.at_level(logging.WARNING, "rosld"), served(Sluggish()) as http:
         assert http.post("services/sluggish", json={}).status_code == 201
         told = http.get("status", headers={"Accept": "application/json"}).json()

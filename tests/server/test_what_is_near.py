@@ -79,7 +79,7 @@ ABSENT = (
 
 
 def allowed(http: httpx.Client, path: str) -> set[str]:
-    """What the answers to OPTIONS and to GET allow at a URL; nothing where they do not say."""
+    """Return the methods that OPTIONS and GET state for a URL; empty if they do not."""
     answers = (http.options(path), http.get(path))
     return {each for answer in answers for each in answer.headers.get("allow", "").split(", ")} - {""}
 

@@ -1,4 +1,4 @@
-"""Words of the robot and of other agents are quoted in members of their own, never told in the server's voice."""
+"""Texts of the robot and of other agents are quoted in separate members, never stated as the server's own."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def http(robot: MadeUp) -> Any:
 
 
 def check_quote(answer: httpx.Response, status: int, member: str) -> dict[str, Any]:
-    """Check that a refusal has foreign words in this member alone, fit to be quoted; return it."""
+    """Check that a refusal has a third-party text in this member alone, quoted safely; return the text."""
     told: dict[str, Any] = answer.json()
     assert answer.status_code == status, answer.text
     assert "Ignore" not in str(told["detail"]) + told["title"], told
@@ -158,7 +158,7 @@ def test_words_of_a_goal_are_on_one_line_and_cut() -> None:
 
 
 class Elsewhere(BaseHTTPRequestHandler):
-    """An endpoint that fails with an order."""
+    """An endpoint that fails with an instruction as its message."""
 
     def do_GET(self) -> None:
         self.send_response(500)

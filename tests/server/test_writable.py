@@ -1,4 +1,4 @@
-"""Which topics are written to: not those of ROS itself, of the robot's nodes, or that nobody listens to."""
+"""Writable topics: not those of ROS itself, of the robot's nodes, or without subscribers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ STRING = "std_msgs/msg/String"
 
 
 def reserved(robot: MadeUp) -> None:
-    """Topics of ROS's names, which a node listens to, and one that is not ROS's."""
+    """Topics with ROS's names and a subscriber, and one other topic."""
     for name in (*RESERVED, "/display"):
         robot.topic(name, STRING, {"data": "of the robot"}, published=False, heard=True)
 
@@ -46,7 +46,7 @@ def test_a_glob_does_not_open_the_topics_of_an_action(robot: MadeUp, serving: Se
 
 
 def test_a_topic_without_a_subscriber_is_written_only_where_that_is_allowed(robot: MadeUp, serving: Serving) -> None:
-    """It is seen although no node publishes it, as with a ROS master that knows its type."""
+    """It is visible although no node publishes it, as with a ROS master that knows its type."""
     robot.topic("/unheard", STRING, published=False, heard=False)
     http = serving()
     refused = http.put("/topics/unheard", json={"data": "x"})

@@ -1,4 +1,4 @@
-"""A robot with limits, whose verdicts on bodies are held against those of validators of SHACL on its linked shapes."""
+"""A robot with limits, whose responses to bodies are compared to SHACL validators on its linked shapes."""
 
 from __future__ import annotations
 
@@ -82,12 +82,12 @@ RELATIONS = f"""
 
 
 VALUES = (*SOME, NamedNode("http://h/x"), rdf.nil, BlankNode("b"))
-"""What may stand where one value is expected."""
+"""Candidates for a field with one value."""
 
 
 @contextmanager
 def served_robot(folder: Path) -> Iterator[httpx.Client]:
-    """A client of a robot with limits, and with parameters that its nodes declare."""
+    """A client of a robot with limits, and with declared parameters."""
     robot = MadeUp()
     robot.capabilities = replace(robot.capabilities, parameter_trees=False)
     robot.owners = ("/lamp",)
@@ -110,7 +110,7 @@ def served_robot(folder: Path) -> Iterator[httpx.Client]:
 
 
 def linked_shape(client: httpx.Client, url: str) -> rdflib.Graph:
-    """The shapes graph that a resource says its writes are constrained by."""
+    """Return the shapes graph that a resource links to as the constraint of its writes."""
     link = ", ".join(client.get(url).headers.get_list("link"))
     (shape,) = {each.target for each in parse_links(link) if each.rel == CONSTRAINED_BY}
     answer = client.get(shape, headers={"Accept": "application/n-triples"})
@@ -121,7 +121,7 @@ def linked_shape(client: httpx.Client, url: str) -> rdflib.Graph:
 
 
 def is_taken(client: httpx.Client, url: str, triples: Sequence[Triple], method: str = "PUT") -> bool:
-    """What the server makes of a body."""
+    """Whether the server accepts a body."""
     content = serialize(triples, format=RdfFormat.N_TRIPLES)
     answer = client.request(method, url, content=content, headers=N_TRIPLES)
     assert answer.is_success or answer.status_code == 422, answer.text
@@ -129,7 +129,7 @@ def is_taken(client: httpx.Client, url: str, triples: Sequence[Triple], method: 
 
 
 def is_malformed(value: object) -> bool:
-    """Whether a value is no well-formed array of a parameter in rdf:JSON: whoever knows rdf:JSON sees that."""
+    """Whether a value is a malformed array of a parameter in rdf:JSON, as any reader of rdf:JSON can see."""
     if not isinstance(value, Literal) or value.datatype != rdf.JSON:
         return False
     try:
@@ -141,14 +141,14 @@ def is_malformed(value: object) -> bool:
 
 @dataclass(frozen=True)
 class Together:
-    """Many bodies about one node as one graph, in which the nodes of each have other names."""
+    """Many bodies about one node as one graph, with the nodes of each renamed."""
 
     data: rdflib.Graph
     shapes: rdflib.Graph
     prefixes: tuple[str, ...]
 
     def conforming(self, report: rdflib.Graph) -> list[bool]:
-        """Which bodies a validation report finds nothing wrong with."""
+        """Return the bodies without violations in a validation report."""
         broken = {f"{str(each).rpartition('/')[0]}/" for each in report.objects(None, rdflib.SH.focusNode)}
         return [prefix not in broken for prefix in self.prefixes]
 
@@ -156,7 +156,7 @@ class Together:
 def put_together(
     shapes: rdflib.Graph, bodies: Sequence[Sequence[Triple]], node: NamedNode, apart: str = ""
 ) -> Together:
-    """Bodies about `node`, and their shape with a target in each; `apart` is in the names of their nodes."""
+    """Return bodies about `node`, and their shape with a target in each; `apart` is in the names of their nodes."""
     prefixes = tuple(f"http://example.org/{apart}{number}/" for number in range(len(bodies)))
     data = [
         Triple(_apart(one.subject, node, prefix), one.predicate, _apart(one.object, node, prefix))
@@ -183,7 +183,7 @@ def _apart(term: N, node: NamedNode, prefix: str) -> N | NamedNode:
 def difference(
     bodies: Sequence[Sequence[Triple]], by_server: Sequence[bool], by_shape: Sequence[bool]
 ) -> list[tuple[str, bool]]:
-    """The bodies about which the two differ, each with the server's verdict."""
+    """Return the bodies for which the two differ, each with the server's response."""
     verdicts = zip(bodies, by_server, by_shape, strict=True)
     return [(" ".join(map(str, body)), taken) for body, taken, conforms in verdicts if taken != conforms]
 
@@ -198,7 +198,7 @@ def point(subject: NamedNode | BlankNode, *values: str) -> list[Triple]:
 
 
 def stamped(url: str) -> list[Triple]:
-    """A PointStamped that is sent to a topic."""
+    """Return a PointStamped for a topic."""
     class_, node = f"{TYPES}geometry_msgs/msg/PointStamped", NamedNode(f"{url}#message")
     header, stamp, where = BlankNode("h"), BlankNode("s"), BlankNode("p")
     time, head = f"{TYPES}builtin_interfaces/msg/Time#", f"{TYPES}std_msgs/msg/Header#"

@@ -1,4 +1,4 @@
-"""What may be written, as its shape says it to pySHACL, is what lowering takes, body by random body."""
+"""Lowering accepts exactly the bodies that conform to the shape of writes according to pySHACL, for random bodies."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def shapes_of(schema: MessageSchema, *, is_command: bool = False) -> ShapesGraph
 
 
 def refusal(schema: MessageSchema, triples: Sequence[Triple], *, is_command: bool = False) -> str:
-    """Why lowering refuses a body, or a command of it would be refused; nothing where it is taken."""
+    """Return why lowering, or the check of commands, rejects a body; None if it is accepted."""
     try:
         message = lowerer(schema).from_body(index_triples(triples), URL)
         if is_command:
@@ -80,17 +80,17 @@ def refusal(schema: MessageSchema, triples: Sequence[Triple], *, is_command: boo
 
 
 def violations(schema: MessageSchema, triples: Sequence[Triple]) -> str:
-    """What a body breaks of the shape; nothing where it conforms."""
+    """Return the violations of the shape by a body."""
     try:
         conforms, _, words = validate(graph(triples), shapes_of(schema))
-    except ValueError as error:  # it means to tell of a list without end, and follows that
+    except ValueError as error:  # it tries to describe an infinite list, and follows it
         if "recursive rdf:rest" not in str(error):
             raise
         return str(error)
     return "" if conforms else str(words)
 
 
-# What may stand in a field
+# Candidates for a field
 
 KINDS = [(1, kind) for kind in ("bool", "int8", "uint64", "float32", "float64", "string", "float64[]", "float64[3]",
          "int16[]", "uint64[]", "string[]", "uint8[]", "uint8[5]", "bool[2]")]  # fmt: skip
@@ -136,7 +136,7 @@ literals = st.sampled_from(LITERALS)
 
 @st.composite
 def bodies(draw: st.DrawFn, schema: MessageSchema, ros_version: int) -> list[Triple]:
-    """A message as it is lifted, with a change or two."""
+    """Return a message as lifted, with a change or two."""
     message = lowerer(schema).from_json(FILLED[ros_version], defaults=True)
     triples = list(lifter(schema, LiftSettings(inline_limit=1 << 62)).triples(message, URL, "#message"))
     for change in draw(st.lists(st.sampled_from(CHANGES), max_size=2)):

@@ -1,4 +1,4 @@
-"""What a real server takes is what the shape that it links to lets pass, as pySHACL has it; and the other way round."""
+"""A real server accepts exactly the bodies that conform to its linked shapes according to pySHACL."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tests.shapes.values import JSON, graph, typed
 pytestmark = pytest.mark.slow
 
 ALIKE = ("/lamp/free_gain", "/lamp/flags", "/lamp/gains")
-"""Parameters that are judged as others are."""
+"""Parameters validated like others."""
 STRANGE = NamedNode("http://example.org/strange")
 
 
@@ -42,12 +42,12 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
 
 
 def conforms(shapes: rdflib.Graph, triples: Sequence[Triple]) -> bool:
-    """What pySHACL makes of it."""
+    """Whether a body conforms according to pySHACL."""
     return bool(pyshacl.validate(graph(triples), shacl_graph=shapes)[0])
 
 
 def conforming(shapes: rdflib.Graph, bodies: Sequence[Sequence[Triple]], node: NamedNode) -> list[bool]:
-    """The same of many bodies about `node`, looked at together."""
+    """Return which of many bodies about `node` conform, validated together."""
     together = put_together(shapes, bodies, node)
     _, report, _ = pyshacl.validate(together.data, shacl_graph=together.shapes)
     assert isinstance(report, rdflib.Graph)
@@ -169,7 +169,7 @@ def test_a_property_that_is_a_message_is_taken_where_it_conforms(client: httpx.C
 
 @pytest.fixture
 def related(client: httpx.Client) -> Iterator[httpx.Client]:
-    """The same robot while limits are in force that relate values."""
+    """The same robot with limits that relate values."""
     kept = client.put("/shapes/relations", content=RELATIONS, headers={"Content-Type": "text/turtle"})
     assert kept.status_code == 201, kept.text
     yield client

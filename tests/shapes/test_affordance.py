@@ -1,4 +1,4 @@
-"""Shapes of what to send: pyshacl takes what may be sent and refuses what may not."""
+"""Shapes of requests: pyshacl accepts valid bodies and rejects others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Node shapes, compiled and judged by pyshacl: one verdict, and nothing malformed gets as far as judging."""
+"""Node shapes, compiled and run by pyshacl: equal results, and malformed shapes are rejected before validation."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Results = set[tuple[str | None, ...]]
 
 
 def by_pyshacl(shapes: Sequence[Triple], data: Sequence[Triple]) -> tuple[bool, Results]:
-    """pyshacl's verdict with its defaults, by way of N-Triples: conforms, and focus, path and component of each."""
+    """Return pyshacl's result with its defaults, via N-Triples: conforms, and focus, path and component of each."""
     targeted = [*shapes, Triple(SHAPE, sh.targetNode, FOCUS)]
     conforms, report, words = pyshacl.validate(graph(data), shacl_graph=graph(targeted))
     assert isinstance(report, rdflib.Graph), words
@@ -152,7 +152,7 @@ _ONCE = {"in", "minLength", "maxLength", "datatype", "nodeKind", "minCount", "ma
 
 
 def bodies(*parts: st.SearchStrategy[str], least: int = 0) -> st.SearchStrategy[str]:
-    """Statements, of each of those that may be there once only one."""
+    """Return statements, each possibly omitted if it is the only one."""
     return st.lists(st.one_of(*parts), min_size=least, max_size=3, unique_by=lambda text: (
         name if (name := text.split()[0].removeprefix("sh:")) in _ONCE else text
     )).map(" ; ".join)  # fmt: skip
@@ -217,13 +217,13 @@ def test_the_verdict_on_every_other_shape_is_that_of_pyshacl(other: str, body: s
     shape = compile_shape(ShapesGraph(shapes), SHAPE)
     try:
         expected = by_pyshacl(shapes, data)
-    except ReportableRuntimeError:  # blank nodes, which it will not order
+    except ReportableRuntimeError:  # blank nodes, which it cannot order
         assert shape.violations(FOCUS, data)
     else:
         assert by_rosld(shape, data) == expected
 
 
-# What surprises
+# Surprises
 
 
 def of_p(*values: str) -> list[Triple]:
@@ -253,7 +253,7 @@ def of_p(*values: str) -> list[Triple]:
         ('sh:in ( "on"@EN )', ['"on"@en'], True),
         ('sh:hasValue "on"', [], False),
         ('sh:in ( "on" )', [], True),
-        # What is ill-typed is of no datatype, and compares by the name of its own.
+        # An ill-typed literal has no datatype, and compares by the name of its own.
         ("sh:datatype xsd:byte", ['"300"^^xsd:byte'], False),
         ("sh:datatype xsd:long", ['"99999999999999999999"^^xsd:long'], True),
         ("sh:maxInclusive 0", ['"300"^^xsd:byte'], True),
@@ -271,7 +271,7 @@ def of_p(*values: str) -> list[Triple]:
         ('sh:pattern "^1000.0$"', ['"1e3"^^xsd:double'], True),
         ("sh:minLength 0", ["[]"], True),
         ("sh:maxLength 99", ["[]"], False),
-        # A warning is a refusal too; a deactivated shape is none.
+        # A warning is a violation too; a deactivated shape has none.
         ("sh:maxInclusive 0 ; sh:severity sh:Warning", ["1"], False),
         ("sh:maxInclusive 0 ; sh:severity sh:Info", ["1"], False),
         ("sh:maxInclusive 0 ; sh:deactivated true", ["1"], True),
@@ -292,7 +292,7 @@ def test_the_end_of_a_pattern_is_that_of_the_text_though_pyshacl_lets_a_newline_
     assert shape.violations(FOCUS, of_p('"on\\n"'))
 
 
-# What a violation tells
+# Content of a violation
 
 
 def test_a_violation_is_a_sentence_with_everything_for_a_report() -> None:
@@ -344,7 +344,7 @@ def test_a_shape_tells_at_most_twenty_violations() -> None:
     assert len(shape.violations(FOCUS, of_p(*map(str, range(1, 100))))) == 20
 
 
-# What a shape tells of itself
+# Properties of a shape
 
 
 def test_paths_are_the_predicates_looked_at() -> None:
@@ -377,7 +377,7 @@ def test_bounds_are_those_that_must_hold_together() -> None:
     assert shape.within[(q, p)].min_length == 1
 
 
-# What is refused
+# Invalid shapes
 
 
 @pytest.mark.parametrize(
@@ -441,7 +441,7 @@ def test_shapes_nested_too_deep_or_too_large_are_refused() -> None:
     deep = f":shape sh:node :s0 . {chain} :s12 sh:nodeKind sh:IRI ."
     with pytest.raises(ValueError, match="nested deeper than 10"):
         compiled(deep)
-    with pytest.raises(ValueError, match="nested deeper"):  # whatever is read first
+    with pytest.raises(ValueError, match="nested deeper"):  # in any order of reading
         compiled(deep.replace("sh:node :s0", "sh:node :s8, :s0"))
     wide = ":shape sh:and ( :s0 :s0 ) . :s5 sh:nodeKind sh:IRI ."
     for number in range(5):

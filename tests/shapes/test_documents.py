@@ -1,4 +1,4 @@
-"""What robots say conforms to the shapes that they link to: the first document of each kind of each robot."""
+"""Documents of robots conform to the shapes that they link to: the first document of each kind of each robot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.crawl.site import CONFORMS_TO, Site, document, site
 pytestmark = pytest.mark.slow
 
 WITHOUT_SHAPE = {"queries/graph", ".well-known/wot"}
-"""A query that constructs a graph, and a Thing Description, which W3C's own shapes judge (tests/server/hypermedia)."""
+"""A query that constructs a graph, and a Thing Description, which W3C's own shapes cover (tests/server/hypermedia)."""
 PREFIXES = """@prefix rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> .
 @prefix map: <https://w3id.org/rosld/mapping#> . @prefix ros: <https://w3id.org/rosld#> .
 """
@@ -43,17 +43,17 @@ _COMPILED: dict[tuple[str, str], ShapesGraph] = {}
 
 
 def violations(robot: Site, url: str) -> str:
-    """Return what a document breaks of the shapes graphs that it links to, as pySHACL says it."""
+    """Return the violations of the shapes graphs that a document links to, according to pySHACL."""
     linked = dict.fromkeys(map(document, robot.documents[url].links(CONFORMS_TO)))
     return "".join(violations_of(robot, url, shapes) for shapes in linked)
 
 
 def violations_of(robot: Site, url: str, shapes: str) -> str:
-    """Return what a document breaks of a shapes graph; what several robots say alike is judged once."""
+    """Return the violations of a shapes graph by a document; equal documents of several robots are validated once."""
     texts = (url, robot.documents[url].text, shapes, "" if shapes == document(SHACL_SHACL) else text(robot, shapes))
     key = tuple(each.replace(robot.base, "http://robot/") for each in texts)
     if key not in _JUDGED:
-        # As `pyshacl.validate` does it, which would compile the shapes again for each document.
+        # As in `pyshacl.validate`, which would compile the shapes again for each document.
         options = {"logger": logging.getLogger("pyshacl")}
         validator = Validator(DataGraph.from_rdflib(graph(robot, url)), shacl_graph=rdflib.Graph(), options=options)
         validator.shacl_graph = compiled(robot, shapes)
@@ -81,7 +81,7 @@ def graph(robot: Site, url: str) -> rdflib.Graph:
 
 @cache
 def shacl_shacl() -> ShapesGraph:
-    """W3C's shapes of shapes graphs (SHACL 1.0, appendix C), as pySHACL brings them along."""
+    """Return W3C's shapes of shapes graphs (SHACL 1.0, appendix C), as shipped with pySHACL."""
     turtle = (files("pyshacl.assets") / "shacl-shacl.ttl").read_text()
     return ShapesGraph(rdflib.Graph().parse(data=turtle, format="turtle", publicID=SHACL_SHACL))
 
@@ -99,7 +99,7 @@ def is_target(robot: Site, url: str, shape: str) -> bool:
 @each_robot
 def test_every_document_conforms_to_the_shapes_that_it_links_to(name: str) -> None:
     robot = site(name)
-    kept = f"{robot.base}data/"  # what clients say of other things is theirs
+    kept = f"{robot.base}data/"  # statements of clients about other resources are theirs
     judged = [url for url in robot.of_each_kind() if not url.startswith(kept)]
     wrong = {url: words for url in judged if (words := violations(robot, url))}
     assert not wrong, "\n".join(f"{url}\n{words}" for url, words in wrong.items())
@@ -111,7 +111,7 @@ def test_every_document_conforms_to_the_shapes_that_it_links_to(name: str) -> No
 def test_every_resource_is_itself_judged_by_the_shape_that_its_document_links_to(name: str) -> None:
     robot = site(name)
     shapes = {url: shape for url in robot.documents for shape in robot.documents[url].links(CONFORMS_TO)[:1]}
-    # An ontology is called by its permanent IRI, wherever it is served.
+    # The IRI of an ontology is permanent, wherever it is served.
     own = {
         url: shape
         for url, shape in shapes.items()

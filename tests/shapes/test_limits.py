@@ -1,4 +1,4 @@
-"""Limits: what is written is bounded by type and by resource, as pyshacl would, and NaN slips through nowhere."""
+"""Limits: writes are bounded by type and by resource, as with pyshacl, and NaN never conforms."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def test_bounds_of_a_message_are_by_dotted_path_and_merged() -> None:
     assert given.bounds_of_message(schema_of("std_msgs/msg/String")) == {}
 
 
-# What is refused
+# Invalid limits
 
 
 @pytest.mark.parametrize(
@@ -203,7 +203,7 @@ def test_limits_that_could_not_be_held_are_refused_with_a_sentence(turtle: str, 
         limits(turtle)
 
 
-# The same as pyshacl
+# Comparison with pyshacl
 
 
 FIELDS = {

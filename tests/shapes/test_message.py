@@ -1,4 +1,4 @@
-"""Shapes of message types, judged by pyshacl: what lifting writes conforms, what is broken does not."""
+"""Shapes of message types, validated by pyshacl: lifted messages conform, broken ones do not."""
 
 from __future__ import annotations
 

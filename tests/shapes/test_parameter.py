@@ -1,4 +1,4 @@
-"""What a node declares of a parameter, as RDF, as a SHACL shape, and held against values."""
+"""Declarations of parameters as RDF, as a SHACL shape, and in the validation of values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Patterns of strangers: what RE2 does not know is refused, what is taken is quick on the worst of texts."""
+"""Untrusted patterns: those that RE2 does not support are rejected, others are fast on the worst of texts."""
 
 from __future__ import annotations
 
@@ -89,4 +89,4 @@ def test_what_takes_others_for_ever_is_quick_on_the_longest_text_it_is_tried_wit
     long = ("a" * found.max_length)[:1_000_000]
     began = time.thread_time()
     found.is_found_in(long[:-1] + "?")
-    assert time.thread_time() - began < 10  # to double a character of these patterns is to double the time
+    assert time.thread_time() - began < 10  # doubling a character of these patterns doubles the time

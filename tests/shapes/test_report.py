@@ -1,4 +1,4 @@
-"""Reports of refused bodies as SHACL says them."""
+"""Reports of rejected bodies in SHACL."""
 
 from __future__ import annotations
 

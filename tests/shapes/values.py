@@ -1,4 +1,4 @@
-"""Literals of every kind that RDF has for what ROS has, well-formed or not, and graphs that leave them as they are."""
+"""Literals of every RDF datatype for ROS values, well-formed or not, and graphs that do not normalize them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from rosld.ontology.vocab import rdf, xsd
 
 
 def graph(triples: Sequence[Triple]) -> rdflib.Graph:
-    """A graph for pySHACL."""
+    """Return a graph for pySHACL."""
     text = serialize(triples, format=RdfFormat.N_TRIPLES)
     assert text is not None
     return parsed(text.decode())
 
 
 def parsed(text: str) -> rdflib.Graph:
-    """N-Triples for pySHACL, their literals as they are: rdflib would write others in their place."""
+    """Return N-Triples for pySHACL with unchanged literals, which rdflib would normalize."""
     normalize, rdflib.NORMALIZE_LITERALS = rdflib.NORMALIZE_LITERALS, False
     try:
         return rdflib.Graph().parse(data=text, format="nt")
@@ -32,12 +32,12 @@ def parsed(text: str) -> rdflib.Graph:
 
 
 def compiled(shapes: rdflib.Graph) -> ShapesGraph:
-    """A shapes graph as pySHACL works with it."""
+    """Return a shapes graph in the form that pySHACL uses."""
     return ShapesGraph(shapes)
 
 
 def validate(data: rdflib.Graph, shapes: ShapesGraph) -> tuple[bool, rdflib.Graph, str]:
-    """What `pyshacl.validate` tells, which would compile the shapes each time."""
+    """Return the result of `pyshacl.validate`, which would compile the shapes each time."""
     options = {"logger": logging.getLogger("pyshacl")}
     validator = Validator(DataGraph.from_rdflib(data), shacl_graph=rdflib.Graph(), options=options)
     validator.shacl_graph = shapes
@@ -84,7 +84,7 @@ SOME = (
         ("0", "-1", "100", "101", "9223372036854775808", "007"), ("integer", "byte", "unsignedLong", "double"))),
     *(typed(text, datatype) for text, datatype in product(
         ("0.5", "15e-1", "1e309", "nope", "INF", "NaN"), ("double", "float", "integer"))),
-    *(typed(text, "decimal") for text in ("0.5", "1.0", ".5", "5.", "")),  # pySHACL cannot compare what is no decimal
+    *(typed(text, "decimal") for text in ("0.5", "1.0", ".5", "5.", "")),  # not comparable in pySHACL
     *(typed(text, "boolean") for text in ("true", "false", "1", "0", "yes", " true ")),
     *(typed(text, rdf.JSON) for text in ("1", "[1]", '["a"]', "{}", "[1", '["\\ud800"]')),
     *(typed(text, "hexBinary") for text in ("", "61", "6", " 61 ")),

@@ -1,4 +1,4 @@
-"""The journal: what it keeps, for how long, on the disk and off it."""
+"""The journal: its entries, their lifetime, in memory and on disk."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def journal(folder: Path | None = None, *, limit: int = 100, age: float = 3600.0
 
 
 def receipt(*requests: AuditEntry, excerpt: int = 500) -> Receipt:
-    """The receipt of the last of these requests."""
+    """Return the receipt of the last of these requests."""
 
     async def noted() -> Receipt:
         kept = journal(excerpt=excerpt)
@@ -61,7 +61,7 @@ def run(work: Callable[[], Awaitable[None]]) -> None:
     asyncio.run(main())
 
 
-# What a receipt tells
+# Content of a receipt
 
 
 def test_of_a_body_that_looks_like_credentials_nothing_is_told() -> None:
@@ -69,7 +69,7 @@ def test_of_a_body_that_looks_like_credentials_nothing_is_told() -> None:
         asked(b'{"password": "hunter2"}', plan=("set the parameter /a to hunter2",), words="hunter2 is no number"),
         asked(b'"hunter2"', url=f"{BASE}parameters/wifi/password", plan=("set it to hunter2",), words="not hunter2"),
         asked(b"hunter2 " + b" " * 1000 + b'"the password"', words="hunter2 is no number"),
-        asked(b'{"password": "hunter2"}' + b" " * 5000),  # too long to be held: it came with a digest
+        asked(b'{"password": "hunter2"}' + b" " * 5000),  # too long to be stored: it has a digest
     ):
         found = receipt(request_)
         assert found.withheld
@@ -77,7 +77,7 @@ def test_of_a_body_that_looks_like_credentials_nothing_is_told() -> None:
         assert "hunter2" not in repr(found)
 
 
-# What is kept
+# Retention
 
 
 def test_the_oldest_go_first_and_refusals_push_out_nothing_that_was_done() -> None:

@@ -1,4 +1,4 @@
-"""What looks like credentials is found, however it is written; what robots say every day is not taken for any."""
+"""Detection of credentials in any notation, without false positives in typical texts of robots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files, on the real server: whole, in ranges, and to readers who leave (LDP 4.4, RFC 9110 14, RFC 6266)."""
+"""Files, on the real server: whole, in ranges, and to readers that disconnect (LDP 4.4, RFC 9110 14, RFC 6266)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def app(path: Path, size: int, media_type: str = "image/png", name: str | None =
 
 
 def with_server(served: ASGIApp, work: Callable[[int], Awaitable[_V]]) -> _V:
-    """What `work` makes of a running server's port; the server has ended afterwards."""
+    """Return the result of `work` on the port of a server, which has ended afterwards."""
 
     async def main() -> _V:
         listens = asyncio.Event()
@@ -101,7 +101,7 @@ def test_a_range_within_or_across_chunks_is_sent_alone(large: Path) -> None:
         assert answer.headers["etag"] == TAG
 
 
-# What a browser may make of it
+# Interpretation by browsers
 
 
 def test_no_script_in_a_stored_page_or_drawing_runs_in_the_name_of_this_server(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_no_script_in_a_stored_page_or_drawing_runs_in_the_name_of_this_server(t
         for method, headers in (("GET", {}), ("GET", {"range": "bytes=0-9"}), ("HEAD", {})):
             answer = read(app(path, 39, media_type), method, **headers)
             policy = [part.strip().split() for part in answer.headers["content-security-policy"].split(";")]
-            assert ["sandbox"] in policy  # alone: nothing is allowed again
+            assert ["sandbox"] in policy  # alone: no other header relaxes it
             assert ["default-src", "'none'"] in policy
             assert not [part for part in policy if part[0].startswith("script-src")]
             assert answer.headers["x-content-type-options"] == "nosniff"
@@ -150,7 +150,7 @@ def test_what_is_no_media_type_is_refused() -> None:
 
 
 def open_files(path: Path) -> int:
-    """How often this process has a file open."""
+    """Return the number of open descriptors of a file in this process."""
     gc.collect()
     here = Path("/proc/self/fd")
     return sum(1 for each in here.iterdir() if _target(each) == str(path))
@@ -172,7 +172,7 @@ def huge(tmp_path: Path) -> Path:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    """Until something is so that no event tells of; the server of each test ends within its own time."""
+    """Wait until a condition holds that no event reports; the server of each test ends within its own time."""
     while not condition():  # noqa: ASYNC110
         await asyncio.sleep(0.01)
 

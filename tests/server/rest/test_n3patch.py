@@ -116,7 +116,7 @@ def test_whatever_turtle_writes_can_be_inserted() -> None:
         assert set(apply_patch(insert_delete(inserts=statement), [])) == set(triples(statement))
 
 
-# What is no patch (422) and no N3 (400)
+# Invalid patches (422) and invalid N3 (400)
 
 PATCH = "_:p a solid:InsertDeletePatch ; "
 

@@ -1,4 +1,4 @@
-"""Asking a server about resources, in plain JSON and in RDF."""
+"""Queries of resources, in plain JSON and in RDF."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ UPDATE = {"Content-Type": "application/sparql-update"}
 
 
 def value(http: httpx.Client, path: str) -> Any:
-    """What a resource says in plain JSON."""
+    """Return the plain JSON of a resource."""
     answer = http.get(path, headers=JSON)
     assert answer.status_code == 200, answer.text
     return answer.json()
 
 
 def triples(answer: httpx.Response) -> set[Triple]:
-    """What an answer says in RDF."""
+    """Return the triples of a response."""
     assert answer.status_code == 200, answer.text
     syntax = RdfFormat.from_media_type(answer.headers["content-type"].partition(";")[0])
     assert syntax is not None
@@ -41,7 +41,7 @@ def triples(answer: httpx.Response) -> set[Triple]:
 
 
 def objects(answer: httpx.Response, predicate: str, subject: str | None = None) -> set[str]:
-    """What an answer says of its resource (or of `subject`) by a predicate."""
+    """Return the objects of a predicate in a response, of its resource or of `subject`."""
     about = NamedNode(subject or str(answer.url))
     return {
         one.object.value for one in triples(answer) if one.subject == about and one.predicate == NamedNode(predicate)
@@ -49,12 +49,11 @@ def objects(answer: httpx.Response, predicate: str, subject: str | None = None) 
 
 
 def mapped(http: httpx.Client, document: str, name: str = "mine") -> None:
-    """Put a mapping in force."""
     answer = http.put(f"/mappings/{name}", content=PREFIXES + document, headers=TURTLE)
     assert answer.status_code in (201, 204), answer.text
 
 
 def detail(answer: httpx.Response, status: int) -> str:
-    """What a problem says."""
+    """Return the detail of a problem."""
     assert answer.status_code == status, (answer.status_code, answer.text)
     return str(answer.json()["detail"])

@@ -1,4 +1,4 @@
-"""The aircraft with a folder of data, one server after the other."""
+"""The aircraft with a data folder, served repeatedly."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.serving_thread import ServingThread
 
 @contextmanager
 def running(folder: Path, port: int) -> Iterator[httpx.Client]:
-    """A server on a folder of data, at the one port that the folder's URLs have."""
+    """Run a server on a data folder, always at the port in the folder's URLs."""
     server = ServingThread.of_command("aircraft", "--data", str(folder), "--port", str(port))
     try:
         with httpx.Client(base_url=server.url(), timeout=15) as client:

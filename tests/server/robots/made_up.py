@@ -1,4 +1,4 @@
-"""A robot made up by a test, and served: what it offers comes and goes, and every call of it is counted."""
+"""A robot simulated by a test, and served: its resources appear and disappear, and all calls are counted."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ from tests.serving_thread import ServingThread
 T = TypeVar("T")
 
 Act: TypeAlias = Callable[[dict[str, Any]], "Mapping[str, Any] | Awaitable[Mapping[str, Any]]"]
-"""What a service does: from its request to its response, both as plain JSON; what is left out is ROS's default."""
+"""Effect of a service: from its request to its response, both as plain JSON; missing fields have ROS's defaults."""
 
 ROBOT, LISTENER, ROSLD = "/robot", "/listener", "/rosld"
 PATIENCE = 20.0
@@ -89,12 +89,11 @@ class _Topic:
 
 
 class MadeUp:
-    """An `Adapter` of services that are functions, and of topics and parameters, all of which a test changes at will.
+    """An `Adapter` of services that are functions, and of topics and parameters, all of which a test can change.
 
-    `calls` counts the calls of each service, `reads` those for the value of each parameter; `sent` is what was
-    published, as plain JSON; `sets` are the parameters that were set together, `owners` the nodes whose they are, where
-    they are not the system's, and `declared` what those declare. Everything may be called from the test's thread, and
-    on the loop.
+    `calls` counts the calls of each service, `reads` those for the value of each parameter; `sent` are the published
+    messages, as plain JSON; `sets` are the groups of parameters set together, `owners` the nodes of parameters that are
+    not the system's, and `declared` their declarations. Methods may be called from the test's thread and on the loop.
     """
 
     capabilities = Capabilities("made-up", Encoding.ROS1, writes=True, creates_topics=False, parameter_trees=True)
@@ -121,22 +120,22 @@ class MadeUp:
         self._loop_thread = 0
         self._happened = threading.Condition()
 
-    # What a test does
+    # For tests
 
     def offer(self, name: str, type: str, act: Act) -> None:
-        """A service of this name, from now on."""
+        """Add a service with this name."""
         schema = self._library.find(TypeRef(type))
         assert isinstance(schema, ServiceSchema)
         self.run(lambda: self._revised(self._services.__setitem__, name, (schema, act)))
 
     def answer(self, name: str, type: str, **values: Any) -> None:
-        """A service that always answers the same."""
+        """Add a service that always returns the same response."""
         self.offer(name, type, lambda _: values)
 
     def variable(
         self, name: str, kind: str, *, get: str | None = "get_{}", set: str | None = "set_{}", **values: Any
     ) -> dict[str, Any]:
-        """A getter and a setter of `made_up/srv/GetKIND` and `SetKIND`, and the values between them."""
+        """Add a getter and a setter of `made_up/srv/GetKIND` and `SetKIND`, and return the values between them."""
         namespace, _, own = name.rpartition("/")
 
         def written(request: dict[str, Any]) -> Mapping[str, Any]:
@@ -150,72 +149,72 @@ class MadeUp:
         return values
 
     def withdraw(self, name: str) -> None:
-        """The service is gone, and is known to be."""
+        """Remove a service, also from the graph."""
         self.run(lambda: self._revised(self._services.pop, name))
 
     def break_off(self, name: str) -> None:
-        """The service is gone, and nobody has noticed."""
+        """Break a service, which stays in the graph."""
         self.run(lambda: self._services.pop(name))
 
     def topic(self, name: str, type: str, value: Any = None, *, published: bool = True, heard: bool = False) -> None:
-        """A topic that the robot publishes, that a node listens to, or both; and its first message, if there is one."""
+        """Add a topic with a publishing or a subscribing node, or both, and optionally its first message."""
         self.topics([name], type, published=published, heard=heard)
         if value is not None:
             self.publishes(name, value)
 
     def topics(self, names: Iterable[str], type: str, *, published: bool = True, heard: bool = False) -> None:
-        """Topics of one type, all with one change of the graph."""
+        """Add topics of one type, all with one change of the graph."""
         ref = self._message(type).ref
         added = {name: _Topic(ref, published, heard) for name in names}
         self.run(lambda: self._revised(self._topics.update, added))
 
     def slot(self, name: str) -> Slot:
-        """The slot of a topic, which counts its subscriptions."""
+        """Return the slot of a topic, which counts its subscriptions."""
         return self._topics[name].slot
 
     def subscribed(self) -> set[str]:
-        """The topics that somebody is subscribed to."""
+        """Return the topics with a subscription."""
         return {name for name, topic in self._topics.items() if topic.slot.subscriptions}
 
     def forget(self, name: str) -> None:
-        """The topic is gone: no node has it any more."""
+        """Remove a topic, with all its endpoints."""
         self.run(lambda: self._revised(self._topics.pop, name))
 
     def publishes(self, name: str, value: Any) -> None:
-        """The robot sends a message."""
+        """Publish a message as the robot."""
         self.run(lambda: self._put(name, ROBOT, self._encoded(name, value)))
 
     def strange(self, *things: Topic | Service | Action) -> None:
-        """What is in the graph, and of which nothing more is known than that says."""
+        """Add names to the graph about which nothing else is known."""
         self.run(lambda: self._revised(self._strange.extend, things))
 
     def parameter(self, name: str, value: ParameterValue) -> None:
-        """A parameter has this value."""
+        """Set the value of a parameter."""
         self.run(lambda: self._parameters_are(trees.with_value(self._parameters, name, value)))
 
     def lose_parameter(self, name: str) -> None:
-        """The parameter is gone, and nobody has noticed."""
+        """Break a parameter, which stays in the graph."""
         self._parameters = trees.without_name(self._parameters, name)
 
     def goes_stale(self, why: str) -> None:
-        """The robot does not answer any more; what the graph says is what was known last."""
+        """Make the robot unreachable; the graph is the last known one."""
         self.run(lambda: self._announce(replace(self.graph, state=Stale(time.time_ns(), why))))
 
     def hold(self, name: str) -> None:
-        """Calls of this service hang until `release`."""
+        """Let calls of this service hang until `release`."""
         self.run(lambda: self._held.__setitem__(name, asyncio.Event()))
 
     def release(self, name: str) -> None:
-        """Those that hang get their answer."""
+        """Answer the calls that hang."""
         self.run(lambda: self._held.pop(name).set())
 
     def until(self, true: Callable[[], object], what: str = "what was waited for") -> None:
-        """Wait for something about the calls."""
+        """Wait for a condition on the calls."""
         with self._happened:
             assert self._happened.wait_for(true, PATIENCE), f"never came: {what}"
 
     def run(self, act: Callable[[], T]) -> T:
-        """Do it on the loop that serves the robot: at once where this is called there, or before it is served."""
+        """Run a function on the loop that serves the robot, or directly on that loop or before the robot is served."""
         if self._loop is None or not self._loop.is_running() or self._loop_thread == threading.get_ident():
             return act()
 
@@ -224,7 +223,7 @@ class MadeUp:
 
         return asyncio.run_coroutine_threadsafe(on_the_loop(), self._loop).result(PATIENCE)
 
-    # What an adapter does
+    # The adapter
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
         self._sink, self._loop, self._loop_thread = sink, asyncio.get_running_loop(), threading.get_ident()
@@ -311,7 +310,7 @@ class MadeUp:
             tree = trees.without_name(tree, name)
         self._parameters_are(tree)
 
-    # How it is done
+    # Implementation
 
     def _message(self, type: str) -> MessageSchema:
         schema = self._library.find(TypeRef(type))
@@ -385,7 +384,7 @@ class Counted:
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         self.calls[service] += 1
-        await asyncio.sleep(0)  # as on a wire: others have their turn between the question and the answer
+        await asyncio.sleep(0)  # as on a wire: other tasks run between the request and the response
         answer = await self._adapter.call(service, type, request, deadline=deadline)
         await asyncio.sleep(0)
         return answer
@@ -393,7 +392,7 @@ class Counted:
 
 @contextmanager
 def served(adapter: Adapter, **settings: Any) -> Iterator[httpx.Client]:
-    """Yield a client of a server of this adapter, on a free port and a thread of its own."""
+    """Yield a client of a server of this adapter, on a free port and a separate thread."""
     server = ServingThread.of_adapter(adapter, **settings)
     try:
         with httpx.Client(base_url=server.url(), timeout=PATIENCE) as client:
@@ -408,7 +407,7 @@ Serving: TypeAlias = Callable[..., httpx.Client]
 
 @pytest.fixture
 def robot() -> MadeUp:
-    """A robot to be made up."""
+    """A new simulated robot."""
     return MadeUp()
 
 

@@ -1,4 +1,4 @@
-"""A robot with managed nodes, made up by a test: they make transitions as those of ROS 2 do."""
+"""A simulated robot with managed nodes, which make transitions as those of ROS 2 do."""
 
 from __future__ import annotations
 
@@ -56,17 +56,17 @@ CHANGE = "lifecycle_msgs/srv/ChangeState"
 
 
 def standing(node: str, state: str) -> Lifecycle:
-    """A lifecycle in a state, with what is legal in it."""
+    """Return a lifecycle in a state, with the transitions that are legal in it."""
     legal = TRANSITIONS.get(state, {})
     transitions = tuple(Transition(label, id, STATES[goal]) for label, (id, goal, _) in legal.items())
     return Lifecycle(f"{node}/change_state", STATES[state], transitions)
 
 
 class Managed(MadeUp):
-    """`/camera` is a managed node, unconfigured at first, `/plain` one that is not.
+    """`/camera` is a managed node, initially unconfigured, `/plain` one that is not.
 
-    `fails` are what transitions end in instead: an error, or False where the node does not make them. `asked` are
-    those that were asked for. Both nodes are on the topic `/chatter`.
+    `fails` are the results of transitions that fail: an error, or False if the node refuses. `asked` are the requested
+    transitions. Both nodes are on the topic `/chatter`.
     """
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class Managed(MadeUp):
         )
 
     def stands(self, lifecycle: str | Lifecycle) -> None:
-        """The lifecycle of `/camera` is in this state, or is this."""
+        """Set the lifecycle of `/camera`, or its state."""
         self._lifecycle = standing("/camera", lifecycle) if isinstance(lifecycle, str) else lifecycle
         self.run(lambda: self._revised(lambda: None))
 

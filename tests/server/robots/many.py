@@ -24,7 +24,7 @@ _SINGLE = {
 
 
 def topics() -> dict[str, str]:
-    """The names of the topics, `COUNT` of them, with their types."""
+    """Return the names of the topics, `COUNT` of them, with their types."""
     found = dict(_SINGLE)
     for part, (count, own) in _PARTS.items():
         for number in range(1, count + 1):
@@ -37,7 +37,7 @@ def topics() -> dict[str, str]:
 
 
 def furnish(robot: MadeUp) -> None:
-    """Give a robot all these topics, none of which has a message yet, and some parameters."""
+    """Add all these topics, without messages, and some parameters to a robot."""
     for name, type in topics().items():
         robot.topic(name, type, published=True, heard=name == "/cmd_vel")
     for number in range(40):

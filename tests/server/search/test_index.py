@@ -1,4 +1,4 @@
-"""The index: finds what has all words of a query, the best first."""
+"""The index: it finds entries with all words of a query, the best first."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def found(query: str, *entries: Entry) -> list[tuple[str, str, str | None]]:
 
 
 def fits(term: str, entry: Entry) -> bool:
-    """Whether a term fits an entry at all, looked at without an index."""
+    """Whether a term matches an entry, computed without an index."""
     words = [word for text in entry.texts for word in words_of(text)]
     for name in entry.types:
         words += words_of(name)

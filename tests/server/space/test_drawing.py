@@ -1,4 +1,4 @@
-"""What is drawn of messages: points that are there, lines that are not too long, and refusals in words."""
+"""Drawings of messages: valid points, lines of limited length, and refusals with reasons."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LIBRARY = TypeLibrary(ros_version=2)
 
 
 def drawn(type_name: str, value: dict[str, Any]) -> Drawing:
-    """What is drawn of a message, from its JSON; what is left out is as it is by default."""
+    """Return the drawing of a message, given by its JSON; missing fields have defaults."""
     schema = LIBRARY.find(TypeRef(type_name))
     assert isinstance(schema, MessageSchema)
     data = schema.codec.encode(lowerer(schema).from_json(value, defaults=True), Encoding.CDR)

@@ -1,4 +1,4 @@
-"""Look-ups among frames, judged by tf2 itself on trees at random, and what is no tree."""
+"""Look-ups of frames, compared to tf2 on random trees, and graphs that are no trees."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
 def message(*transforms: tuple[str, str, int, Any, Any]) -> Any:
-    """A tf2_msgs/TFMessage: parent, child, stamp, translation, rotation of each."""
+    """Return a tf2_msgs/TFMessage: parent, child, stamp, translation, rotation of each."""
     return SimpleNamespace(
         transforms=[
             SimpleNamespace(
@@ -46,7 +46,7 @@ def buffer_of(*transforms: tuple[str, str, int, Any, Any]) -> FrameBuffer:
 
 
 def trees(chance: random.Random) -> list[tuple[str, str, int, Any, Any]]:
-    """Two trees of twelve frames, each said at ten times within five seconds."""
+    """Return two trees of twelve frames, each published at ten times within five seconds."""
     parents = {f"frame{each}": f"frame{chance.randrange(each)}" for each in range(1, 12)}
     parents |= {f"other{each}": f"other{chance.randrange(each)}" for each in range(1, 12)}
     said = []

@@ -1,4 +1,4 @@
-"""Point clouds of any layout as PLY files, read by plyfile; and those that contradict themselves, refused in words."""
+"""Point clouds of any layout as PLY files, read by plyfile; inconsistent ones are refused with a reason."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DATATYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8"
 
 
 def cloud(points: np.ndarray, row_gap: int = 0, **changes: Any) -> SimpleNamespace:
-    """A sensor_msgs/PointCloud2 of structured points, in rows with a gap after each."""
+    """Return a sensor_msgs/PointCloud2 of structured points, in rows with a gap after each."""
     rows = np.atleast_2d(points)
     data = b"".join(each.tobytes() + b"\xff" * row_gap for each in rows)
     kinds = points.dtype.fields

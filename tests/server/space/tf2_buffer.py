@@ -1,4 +1,4 @@
-"""Look-ups by tf2 itself, under Debian's Python: transforms and questions as JSON on stdin, answers on stdout."""
+"""Look-ups by tf2 itself, under Debian's Python: transforms and queries as JSON on stdin, answers on stdout."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A server under load of every kind whose query process is killed again and again, and what becomes of each request."""
+"""A server under load of every kind whose query process is killed repeatedly, and the result of each request."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import httpx
 
 from tests.server.sparql.processes import query_processes
 
-# `Served` of conftest.py arrives as what its fixture starts.
+# `Served` of conftest.py is the value of its fixture.
 Served = Any
 Send: TypeAlias = Callable[[httpx.Client, int], httpx.Response]
 PATIENCE = 60.0
@@ -24,8 +24,7 @@ OPTIONS = (
     *("--max-publish-rate", "100000", "--setting", "receipts_kept", "500"),
     *("--setting", "query_time_limit", "60"),
 )
-"""Of a server for this: the writes of the load are the robot's to take, few receipts are to be told anew, and a query
-that takes long on a busy machine is not one that takes too long."""
+"""Settings of the server: a high publish rate, few receipts, and a time limit that suffices on a busy machine."""
 _TURTLE, _UPDATE = {"Content-Type": "text/turtle"}, {"Content-Type": "application/sparql-update"}
 _CSV = {"Accept": "text/csv, application/problem+json;q=0.9"}
 _VALUE = "<http://h/v>"
@@ -33,7 +32,7 @@ _LAST = "the last"
 _LOADED, _PATCHED, _DISPLAY = "/data/load", "/data/patched", "/topics/cockpit/display"
 STREAMS = {"stream of a document": _LOADED, "stream of a topic": _DISPLAY}
 OF_SPARQL = frozenset({"SELECT", "SELECT of much", "stored query", "page of a query", "update"})
-"""The kinds of requests that need the query process."""
+"""Kinds of requests that need the query process."""
 
 
 def _get(client: httpx.Client, turn: int) -> httpx.Response:
@@ -96,11 +95,11 @@ REQUESTS: Mapping[str, Send] = {
 
 
 class Load:
-    """A client of each kind, each a thread with a connection of its own.
+    """A client of each kind, each a thread with its own connection.
 
-    `statuses` counts the answers by kind and status, 0 for a connection that broke; `slowest` are seconds by kind.
-    `without_retry` are the kinds of 503s that did not say when to come again, `events` counts what streams told.
-    `wrong` is what else went wrong.
+    `statuses` counts the responses by kind and status, 0 for a broken connection; `slowest` are seconds by kind.
+    `without_retry` are the kinds of 503s without Retry-After, `events` counts the events of streams. `wrong` lists
+    other faults.
     """
 
     def __init__(self, url: str) -> None:
@@ -122,7 +121,7 @@ class Load:
             each.start()
 
     def end(self) -> None:
-        """Send no more. Streams end by what is written last: they have lived until then, or `wrong` tells."""
+        """Stop sending. Streams end with the last write: if they have ended before, `wrong` lists that."""
         self._ended.set()
         clients, readers = self._threads[: len(REQUESTS)], self._threads[len(REQUESTS) :]
         for each in clients:
@@ -134,7 +133,7 @@ class Load:
             each.join()
 
     def statuses_of(self, kind: str) -> set[int]:
-        """The statuses that requests of a kind were answered with."""
+        """Return the statuses of requests of a kind."""
         return {status for each, status in self.statuses if each == kind}
 
     def _ask(self, kind: str, send: Send) -> None:
@@ -173,9 +172,9 @@ class Load:
 
 
 def kill(served: Served, load: Load, times: int) -> Iterator[float]:
-    """Kill the query process so often, each time once SELECTs are answered again: the seconds until they were.
+    """Kill the query process this many times, each time once SELECTs are answered again; return the seconds until then.
 
-    Raises AssertionError where they are not.
+    Raises AssertionError if they are not.
     """
     last: int | None = None
     for _ in range(times):

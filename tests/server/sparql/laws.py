@@ -1,6 +1,6 @@
-"""Random queries against each other: what SPARQL says of a query must hold of those that are made from it.
+"""Random queries compared to each other: laws of SPARQL that must hold for derived queries.
 
-A live robot says more as time goes by, so what must hold all of a set is asked before the set or after it.
+The results of a live robot grow with time, so a query that must have all results of a set runs before or after it.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import httpx
 
 Rows = set[tuple[str, ...]]
 _ATTEMPTS = 3
-"""Times that the same queries may contradict each other: the next message has more or fewer nodes."""
+"""Number of times that queries may contradict each other: the next message may have more or fewer nodes."""
 _BULKY = ("Image", "PointCloud", "OccupancyGrid", "Mesh")
-"""Types of values that only queries which name them have: on the rover those of its camera and map."""
+"""Types of values that are only in queries that name them: on the rover those of its camera and map."""
 
 
 @dataclass
 class Asked:
-    """A robot that is asked at random. All queries are about ?x, whose IRIs do not change with the values."""
+    """A robot for random queries. All queries are about ?x, whose IRIs do not change with the values."""
 
     http: httpx.Client
     random: Random
@@ -35,11 +35,11 @@ class Asked:
         self.subjects = said("SELECT DISTINCT ?s { ?s a ?c FILTER(ISIRI(?s) && !CONTAINS(STR(?s), '/shapes')) }")
 
     def rows(self, query: str) -> Rows:
-        """The rows that begin with an IRI: values change meanwhile, and a list that comes anew has other nodes."""
+        """Return the rows that begin with an IRI: values change meanwhile, and a new list has new nodes."""
         return {tuple(line.split("\t")) for line in self.lines(query) if line.startswith("<")}
 
     def lines(self, query: str) -> list[str]:
-        """The rows of a SELECT. Raises TimeoutError where it takes too long."""
+        """Return the rows of a SELECT. Raises TimeoutError if it takes too long."""
         answer = self.http.post("/sparql", data={"query": query}, headers={"Accept": "text/tab-separated-values"})
         if answer.status_code == 503 and answer.json().get("reason") == "time":
             raise TimeoutError
@@ -47,7 +47,7 @@ class Asked:
         return answer.text.split("\n")[1:-1]
 
     def pattern(self, depth: int = 0) -> str:
-        """A random pattern about ?x."""
+        """Return a random pattern about ?x."""
         one, other = f"?o{depth}", f"?n{depth}"
         predicate = f"<{self.random.choice(self.predicates)}>"
         field = f"<{self.random.choice([each for each in self.predicates if '/types/' in each] or self.predicates)}>"
@@ -68,14 +68,14 @@ class Asked:
 
 
 def adding(asked: Asked) -> None:
-    """Adding a pattern adds no solutions."""
+    """Check that adding a pattern adds no solutions."""
     one, other = asked.pattern(), asked.pattern(1)
     more = asked.rows(f"SELECT DISTINCT ?x {{ {one} {other} }}")
     assert more <= asked.rows(f"SELECT DISTINCT ?x {{ {one} }}"), (one, other)
 
 
 def parting(asked: Asked) -> None:
-    """EXISTS and NOT EXISTS part the rows."""
+    """Check that EXISTS and NOT EXISTS partition the rows."""
     one, other = asked.pattern(), asked.pattern(1)
     least = asked.rows(f"SELECT DISTINCT ?x {{ {one} }}")
     found = [
@@ -85,7 +85,7 @@ def parting(asked: Asked) -> None:
 
 
 def joining(asked: Asked) -> None:
-    """UNION is the union of its parts."""
+    """Check that UNION is the union of its parts."""
     one, other = asked.pattern(), asked.pattern(1)
     ask_parts = [f"SELECT DISTINCT ?x {{ {part} }}" for part in (one, other)]
     least = asked.rows(ask_parts[0]) | asked.rows(ask_parts[1])
@@ -94,7 +94,7 @@ def joining(asked: Asked) -> None:
 
 
 def counting(asked: Asked) -> None:
-    """COUNT is the number of rows; OPTIONAL takes none away; a LIMIT gives a part."""
+    """Check that COUNT is the number of rows, that OPTIONAL removes none, and that LIMIT returns a part."""
     one, other = asked.pattern(), asked.pattern(1)
     least = asked.rows(f"SELECT DISTINCT ?x {{ {one} }}")
     [count] = asked.lines(f"SELECT (COUNT(DISTINCT ?x) AS ?n) {{ {one} FILTER(ISIRI(?x)) }}")
@@ -108,7 +108,7 @@ def counting(asked: Asked) -> None:
 
 
 def choosing(asked: Asked) -> None:
-    """Naming all graphs is naming none; a graph that is named has what it has among all."""
+    """Check that naming all graphs equals naming none, and that a named graph has its part of all."""
     one = asked.pattern().replace("GRAPH ?g0", "")
     graphs = sorted(row[0].strip("<>") for row in asked.rows("SELECT DISTINCT ?g { GRAPH ?g { ?s ?p ?o } }"))
     least = asked.rows(f"SELECT DISTINCT ?x {{ {one} }}")
@@ -124,7 +124,7 @@ LAWS: list[Callable[[Asked], None]] = [adding, parting, joining, counting, choos
 
 
 def keep(http: httpx.Client, law: Callable[[Asked], None], turns: int, seed: int = 0) -> None:
-    """Have a robot keep a law for queries at random; few may take too long."""
+    """Check a law for random queries on a robot; few may take too long."""
     asked, late = Asked(http, Random(f"{law.__name__} {seed}")), 0
     for _ in range(turns):
         state = asked.random.getstate()

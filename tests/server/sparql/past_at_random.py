@@ -1,4 +1,4 @@
-"""Queries about recorded messages, made at random: times in every spelling, patterns in every kind of group."""
+"""Random queries about recorded messages: times in every notation, patterns in every kind of group."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _KEYS = (
 
 
 class PastMaker:
-    """Makes one query about messages recorded from `start` on, for `seconds`; NOW() is taken to be `now`."""
+    """Generator of a query about messages recorded from `start` on, for `seconds`; `now` is the assumed NOW()."""
 
     def __init__(self, base: str, start: datetime, seconds: float, now: datetime) -> None:
         self._base, self._start, self._seconds, self._now = base, start, seconds, now
@@ -44,7 +44,7 @@ class PastMaker:
         self._count = 0
 
     def query(self, seed: int) -> str:
-        """A query, the same for the same seed."""
+        """Return a query, the same for the same seed."""
         random = self._random
         random.seed(seed)
         self._count = 0
@@ -68,7 +68,7 @@ class PastMaker:
         return f"{PREFIXES}SELECT DISTINCT ?t WHERE {group} ORDER BY {direction}(?t) LIMIT {limit}"
 
     def first_rows(self, seed: int) -> tuple[str, str]:
-        """A query for all of its rows, in an order of time or in none, and what it ends with for the first of them."""
+        """Return a query for all of its rows, ordered by time or unordered, and an ending that selects the first."""
         random = self._random
         random.seed(seed)
         self._count = 0
@@ -165,7 +165,7 @@ class PastMaker:
             return f"{{ SELECT {chosen} WHERE {inner} {grouped} }}"
         return f"{kind} {inner}"
 
-    # --- aggregates: numbers are whole, also those that are doubles, so that their sums come out alike in any order
+    # --- aggregates: numbers are integers, even those that are doubles, so that sums are equal in any order
 
     def _aggregates(self) -> str:
         random = self._random

@@ -1,4 +1,4 @@
-"""The processes of a server, as the system tells of them."""
+"""The processes of a server according to the system."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 
 from tests.waiting import until
 
-# `Served` of conftest.py arrives as what its fixture starts.
+# `Served` of conftest.py is the value of its fixture.
 Served = Any
 
 
 def children_of(pid: int) -> set[int]:
-    """The processes that a process has started and not yet seen end; none where it is gone."""
+    """Return the processes that a process has started and not awaited; empty if it is gone."""
     found: set[int] = set()
     for file in Path(f"/proc/{pid}/task").glob("*/children"):
         try:
@@ -23,7 +23,7 @@ def children_of(pid: int) -> set[int]:
 
 
 def command_of(pid: int) -> str:
-    """What a process was started with; nothing where it is gone."""
+    """Return the command line of a process; empty if it is gone."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes().decode("utf-8", "replace")
     except (FileNotFoundError, ProcessLookupError):
@@ -31,7 +31,7 @@ def command_of(pid: int) -> str:
 
 
 def is_running(pid: int) -> bool:
-    """Whether a thread of a process uses the processor now, or waits for it."""
+    """Whether a thread of a process is running or waiting for a processor."""
     states = list[str]()
     for file in Path(f"/proc/{pid}/task").glob("*/stat"):
         try:
@@ -42,11 +42,11 @@ def is_running(pid: int) -> bool:
 
 
 def query_processes(served: Served) -> set[int]:
-    """The query process of a server, if it has one now."""
+    """Return the query process of a server, if it has one now."""
     return {pid for pid in children_of(served.process.pid) if "sparql.process" in command_of(pid)}
 
 
 def until_ready(served: Served) -> Served:
-    """The server, when its dataset is there, which within a short limit of time it may not be."""
+    """Return the server once its dataset is ready, which may exceed a short time limit."""
     until(lambda: served.http.get("/sparql", params={"query": "ASK {}"}).status_code == 200, "queries are answered")
     return served

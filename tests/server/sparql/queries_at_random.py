@@ -1,4 +1,4 @@
-"""Queries of every form, made at random from what a dataset says: most of them find something in it."""
+"""Random queries of every form, derived from the statements of a dataset, so that most of them find results."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ Term = NamedNode | BlankNode | Literal | Triple
 
 
 _MAX_PATTERNS = 4
-"""Of a query that nothing ends: the store knows no limit of time."""
+"""Time limit of a query that nothing ends: the store has none."""
 _BEGINNINGS = ("", "_", "0", "__")
-"""What the name of a variable may begin with (SPARQL 1.1 Query, 19.8, VARNAME)."""
+"""Initial characters of the name of a variable (SPARQL 1.1 Query, 19.8, VARNAME)."""
 
 
 KINDS = ("OPTIONAL", "OPTIONAL", "MINUS", "EXISTS", "NOT EXISTS", "UNION", "group", "GRAPH", "GRAPH", "SELECT", "COUNT")
 
 
 class Maker:
-    """Makes one query: terms of the dataset stand for themselves, or for variables that mean the same in all of it."""
+    """Generator of a query: terms of the dataset stand for themselves, or for variables with a consistent meaning."""
 
     def __init__(self, quads: Sequence[Quad], interesting: Sequence[Sequence[Quad]], random: Random) -> None:
         self._quads, self._kinds, self._random = quads, interesting, random
@@ -36,11 +36,11 @@ class Maker:
 
     @property
     def _interesting(self) -> Sequence[Quad]:
-        """Triples that are worth asking for: of any kind as often as of another."""
+        """Return triples worth querying: each kind equally often."""
         return self._random.choice(self._kinds)
 
     def query(self, seed: int) -> str:
-        """A query, the same for the same seed."""
+        """Return a query, the same for the same seed."""
         self._random.seed(seed)
         self._left = _MAX_PATTERNS
         self._names = {}
@@ -122,7 +122,7 @@ class Maker:
         )
 
     def _patterns(self, count: int, paths: bool = True) -> str:
-        """Triple patterns that match connected triples."""
+        """Return triple patterns that match connected triples."""
         random = self._random
         count = max(1, min(count, self._left))
         self._left -= count
@@ -135,7 +135,7 @@ class Maker:
         return " ".join(found)
 
     def _start(self) -> Quad:
-        """A triple about something that the query speaks of already, mostly: its groups are to have to do something."""
+        """Return a triple, usually about a resource already in the query, so that its groups have an effect."""
         random = self._random
         known = [term for term in self._names if term in self._about or term in self._to]
         term = random.choice(known) if known and random.random() < 0.97 else None
@@ -154,7 +154,7 @@ class Maker:
         return f"{subject} {quad.predicate} {object} ."
 
     def _path(self, subject: str, quad: Quad, object: str) -> str:
-        """A path of at least one step: one of none matches in GRAPH as the store's order of joins has it."""
+        """Return a path of at least one step: in GRAPH, results of empty paths depend on the store's order of joins."""
         random = self._random
         step, other = str(quad.predicate), str(random.choice(self._interesting).predicate)
         onward = random.choice(self._about.get(quad.object) or [quad])
@@ -179,7 +179,7 @@ class Maker:
         return str(term) if isinstance(term, NamedNode) else str(rdf.nil)
 
     def _term(self, term: Term, chance: float) -> str:
-        """A term, or with this chance the variable that stands for it."""
+        """Return a term or, with this probability, the variable that stands for it."""
         if isinstance(term, BlankNode | Triple) or term in self._names or self._random.random() < chance:
             if term in self._names and not isinstance(term, BlankNode | Triple) and self._random.random() < 0.15:
                 return str(term)

@@ -15,7 +15,7 @@ _START_NS = 1_700_000_000_000_000_000
 
 
 def record(folder: Path) -> Path:
-    """A ROS 2 recording of eight topics, a few messages each."""
+    """Write a ROS 2 recording of eight topics, a few messages each."""
     writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
     with writer:
         for topic, message in messages():
@@ -27,7 +27,7 @@ def record(folder: Path) -> Path:
 
 
 def messages() -> list[tuple[str, Any]]:
-    """A message of each topic."""
+    """Return a message of each topic."""
     vector = _made("geometry_msgs/msg/Vector3", x=1.0, y=2.0)
     twist = _made("geometry_msgs/msg/Twist", linear=vector)
     stamped = [_made("geometry_msgs/msg/TransformStamped", child_frame_id=f"frame{each}") for each in range(2)]
@@ -46,7 +46,7 @@ def messages() -> list[tuple[str, Any]]:
 
 
 def _made(type: str, /, **values: Any) -> Any:
-    """A message of a type: zeros, but for these fields."""
+    """Return a message of a type: zeros, except for these fields."""
     fields = dict(STORE.fielddefs[type][1])
     return STORE.types[type](**{field: values.get(field, _zero(kind)) for field, kind in fields.items()})
 

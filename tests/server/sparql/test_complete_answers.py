@@ -1,4 +1,4 @@
-"""A query answers the same however it is put, over all that it can match; or it is refused."""
+"""A query has the same complete result in any form, or it is refused."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ STRING = "std_msgs/msg/String"
 
 @pytest.fixture
 def http(own_aircraft: httpx.Client) -> httpx.Client:
-    """An aircraft, none of whose topics is subscribed to until a query needs them."""
+    """An aircraft without subscriptions to its topics until a query needs them."""
     return own_aircraft
 
 
 def ask(http: httpx.Client, query: str) -> list[list[str]]:
-    """The rows of a SELECT in an order of their own."""
+    """Return the sorted rows of a SELECT."""
     answer = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"})
     assert answer.status_code == 200, answer.text
     return sorted(list(csv.reader(io.StringIO(answer.text)))[1:])
@@ -130,7 +130,7 @@ def test_equivalent_spellings_give_equal_answers(http: httpx.Client) -> None:
 
 def test_equivalent_spellings_subscribe_to_what_they_name() -> None:
     for query in OF_A_TOPIC:
-        with served(adapter_for("aircraft", AdapterOptions())) as http:  # where nobody has asked for anything before
+        with served(adapter_for("aircraft", AdapterOptions())) as http:  # where no request has been sent before
             found = ask(http, query)
             assert found, query
             assert found == ask(http, OF_A_TOPIC[0]), query

@@ -1,4 +1,4 @@
-"""Queries at random answer over HTTP what pyoxigraph answers over a dump of the same dataset."""
+"""Random queries over HTTP have the results of pyoxigraph over a dump of the same dataset."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from tests.waiting import once_started
 pytestmark = pytest.mark.slow
 
 QUERIES = 100
-"""Queries over each dataset."""
+"""Number of queries over each dataset."""
 MOST = 300_000
-"""Bytes of an answer that is compared: larger ones are cross products."""
+"""Maximum size in bytes of a compared result: larger ones are cross products."""
 ACCEPT = "application/sparql-results+json, application/n-triples;q=0.9, application/problem+json;q=0.8"
 XSD, HIDDEN = "<http://www.w3.org/2001/XMLSchema#", "<urn:xsd:"
-"""Of the datatypes that it knows pyoxigraph keeps values, not terms: here it does not know them."""
+"""Placeholders for datatypes: pyoxigraph stores values, not terms, of those that it knows."""
 LISTS = re.compile(r"resources/.*|(nodes|topics|services|actions|parameters)/(.*/)?")
 LIVE = ("topics", "nodes", "services", "parameters", "data")
 EX = "http://example.org/"
 
 
 class Dataset(NamedTuple):
-    """The dataset of a server: its quads, and those that are there for the query that names their graph."""
+    """The dataset of a server: its quads, and those only in the results of queries that name their graph."""
 
     base: str
     quads: list[Quad]
@@ -52,7 +52,7 @@ class Dataset(NamedTuple):
 
 @pytest.fixture(scope="module")
 def http() -> Iterator[httpx.Client]:
-    """A robot that stands still: nested messages, lists with and without members, equal values, parameters."""
+    """A robot at rest: nested messages, lists with and without members, equal values, parameters."""
     robot = MadeUp()
     for name in ("grip", "lift"):
         robot.variable(f"/arm/{name}", "Byte", value=1)
@@ -70,7 +70,7 @@ def http() -> Iterator[httpx.Client]:
 
 
 def dump(http: httpx.Client) -> Dataset:
-    """The dataset: resources, and what listings and trees say of their members, stand apart."""
+    """Return the dataset, with resources and the statements of listings and trees about their members kept apart."""
     once_started(lambda: http.get("/sparql", params={"query": "ASK {}"}))
     text = http.get("/graphs?all", headers={"Accept": "application/n-quads"}).text
     quads = [quad for quad in parse(text.encode(), RdfFormat.N_QUADS) if isinstance(quad.graph_name, NamedNode)]
@@ -86,7 +86,7 @@ def dump(http: httpx.Client) -> Dataset:
 
 
 def facts(about: Dataset, start: str) -> list[Quad]:
-    """What the live graphs of a container say of their own resources."""
+    """Return the statements of a container's live graphs about their own resources."""
     return [
         quad
         for quad in about.quads
@@ -96,7 +96,7 @@ def facts(about: Dataset, start: str) -> list[Quad]:
 
 
 def claims(about: Dataset) -> Mapping[str, str]:
-    """What clients may say: notes, and what contradicts the robot by giving a resource the facts of another."""
+    """Return statements of clients: notes, and contradictions that give one resource the statements of another."""
     told = [fact for kind in LIVE[:4] for fact in facts(about, kind) if "_:" not in str(fact.object)]
     nodes = [*sorted({str(each.subject) for each in told}), f"<{rdf.nil.value}>", f"<{EX}thing>"]
     found: dict[str, list[str]] = defaultdict(list)
@@ -109,13 +109,13 @@ def claims(about: Dataset) -> Mapping[str, str]:
 
 
 def shown(term: object) -> str:
-    """A term as both sides tell it; blank nodes have no names."""
+    """Return a term as in both results; blank nodes have no labels."""
     text = str(term)
     return "_:" if text.startswith("_:") else text.replace(XSD, HIDDEN)
 
 
 def comparable(found: QuerySolutions | QueryBoolean | Iterator[Triple]) -> list[str]:
-    """Results in an order of their own."""
+    """Return sorted results."""
     if isinstance(found, QueryBoolean):
         return [str(bool(found))]
     if isinstance(found, QuerySolutions):
@@ -125,11 +125,11 @@ def comparable(found: QuerySolutions | QueryBoolean | Iterator[Triple]) -> list[
 
 
 def ask(http: httpx.Client, query: str) -> httpx.Response | None:
-    """The answer to a query, None where it is too large to compare or there is none, as of BIND of a bound variable."""
+    """Return the result of a query, None if it is too large to compare or invalid, such as BIND of a bound variable."""
     direct = {"Content-Type": "application/sparql-query", "Accept": ACCEPT}
     try:
         answer = http.post("/sparql", content=query, headers=direct, params={"timeout": "0.2"})
-    except httpx.RemoteProtocolError:  # its time was over before its end
+    except httpx.RemoteProtocolError:  # it timed out
         return None
     if answer.status_code in (400, 503) or len(answer.content) > MOST:
         return None
@@ -138,14 +138,14 @@ def ask(http: httpx.Client, query: str) -> httpx.Response | None:
 
 
 def answered(answer: httpx.Response) -> list[str]:
-    """The results in an answer."""
+    """Return the results in a response."""
     if "json" in answer.headers["content-type"]:
         return comparable(parse_query_results(answer.content, QueryResultsFormat.JSON))
     return comparable(quad.triple for quad in parse(answer.content, RdfFormat.N_TRIPLES))
 
 
 class Judge:
-    """pyoxigraph over the quads of a dataset, in whose default graph are all triples (RDF 1.1 Semantics, 4.1)."""
+    """pyoxigraph over the quads of a dataset, whose default graph has all triples (RDF 1.1 Semantics, 4.1)."""
 
     def __init__(self, about: Dataset) -> None:
         self.about = about
@@ -155,14 +155,14 @@ class Judge:
         self._status = self._hidden([each for each in about.quads if each.graph_name.value == f"{about.base}status"])
 
     def agrees(self, query: str, answer: httpx.Response) -> bool:
-        """Whether an answer is right with what stands apart where the query names it, or with all of that."""
+        """Whether a result is right, with the separate statements that the query names, or with all of them."""
         found, unread = answered(answer), answer.headers.get("unread-graphs", "")
         named = [quads for graph, quads in self._apart.items() if f"<{graph}>" in query or f"<{graph}#" in query]
         without = self._status if "status" in unread else []
         return found in (self._answer(query, named, without), self._answer(query, list(self._apart.values()), []))
 
     def _hidden(self, quads: list[Quad]) -> list[Quad]:
-        """Quads as the store has them, each also in the default graph."""
+        """Return quads as in the store, each also in the default graph."""
         lines = "".join(f"{quad} .\n" for quad in quads).replace(XSD, HIDDEN)
         found = list(parse(lines.encode(), RdfFormat.N_QUADS))
         return [*found, *(Quad(*quad.triple) for quad in found)]

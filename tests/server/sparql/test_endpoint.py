@@ -1,4 +1,4 @@
-"""Answers over HTTP: functions, values that look like rows, and large results."""
+"""Results over HTTP: functions, values that look like rows, and large results."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FORMATS = {
 
 
 def rows(http: httpx.Client, query: str) -> list[list[str]]:
-    """The rows of a SELECT, without the heading."""
+    """Return the rows of a SELECT, without the heading."""
     answer = http.post("/sparql", data={"query": query}, headers={"Accept": "text/csv"})
     assert answer.status_code == 200, (query, answer.text)
     return list(csv.reader(io.StringIO(answer.text)))[1:]
@@ -73,7 +73,7 @@ ARRAYS: dict[tuple[str, str], object] = {
     ("age()", ""): "",
     ("age(<http://elsewhere/topics/b>)", ""): "",
 }
-"""Calls of functions of ros: with an array, and what they come to: "" is an error."""
+"""Calls of functions of ros: with an array, and their results: "" is an error."""
 
 
 def test_arrays_are_read_and_what_is_none_is_an_error(http: httpx.Client) -> None:

@@ -1,4 +1,4 @@
-"""What a query touches of a robot: no more than it names, and the values are those of now."""
+"""Resources of a robot that a query reads: only those that it names, with current values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WING = """
 
 
 class Touched(MadeUp):
-    """A robot that notes what is looked at: `t:NAME` for topics, `p:NAME` for parameters, `grip` for its getter."""
+    """A robot that records reads: `t:NAME` for topics, `p:NAME` for parameters, `grip` for its getter."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,7 +54,7 @@ class Touched(MadeUp):
 
 
 def ask(http: httpx.Client, query: str) -> list[str]:
-    """The rows of a query of one column."""
+    """Return the rows of a query with one column."""
     answer = once_started(
         lambda: http.post("/sparql", data={"query": PREFIXES + query}, headers={"Accept": "text/csv"})
     )
@@ -99,7 +99,7 @@ NAMED = {
     "SELECT * { <resources/arm/grip> rdf:value ?v }": "grip",
     "SELECT * { ?plane ex:tail ?w }": "",
 }
-"""Queries, and what they look at."""
+"""Queries, and the resources that they read."""
 
 
 def test_a_query_reads_what_its_constants_can_match_and_no_more() -> None:

@@ -1,4 +1,4 @@
-"""Random queries against each other, on embedded robots; `tests/rover/test_on_ros.py` does it on real ones."""
+"""Random queries compared to each other, on embedded robots; `tests/rover/test_on_ros.py` does so on real ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The past in queries over HTTP: as pyoxigraph answers over all recorded messages, as their own URLs say them."""
+"""Queries of the past over HTTP have the results of pyoxigraph over all recorded messages."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _SECOND = 1_000_000_000
 
 
 class Recorded(NamedTuple):
-    """A server that plays a recording, and a store with all that is said of its messages, recorded from `start` on."""
+    """A server that plays a recording, and a store with all statements about its messages, recorded from `start` on."""
 
     http: httpx.Client
     full: Store
@@ -46,7 +46,7 @@ class Recorded(NamedTuple):
 
 
 def write(folder: Path, start_ns: int) -> Path:
-    """A recording of the topics of `recorded.py`, each some times, at times of its own."""
+    """Write a recording of the topics of `recorded.py`, each several times, at different times."""
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for number, (topic, message) in enumerate(recorded.messages()):
             connection = writer.add_connection(topic, message.__msgtype__, typestore=recorded.STORE)
@@ -60,7 +60,7 @@ def write(folder: Path, start_ns: int) -> Path:
 
 @pytest.fixture(scope="module")
 def past(tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., Any]) -> Recorded:
-    """A recording of a minute ago."""
+    """A recording that began a minute ago."""
     start_ns = time.time_ns() // _SECOND * _SECOND - 60 * _SECOND
     source = str(write(tmp_path_factory.mktemp("past") / "run", start_ns))
     http: httpx.Client = start_server(source).http
@@ -69,7 +69,7 @@ def past(tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., A
 
 
 def everything(http: httpx.Client) -> Store:
-    """What is said of topics, all messages as their own URLs say them, and the links to these."""
+    """Return all statements about topics, all messages from their own URLs, and the links to these."""
     store, base, ntriples = Store(), str(http.base_url), {"Accept": "application/n-triples"}
     for topic, message in recorded.messages():
         node, name = f"<{base}topics{topic}>", f"<https://w3id.org/rosld/types/{message.__msgtype__}>"
@@ -90,7 +90,7 @@ def spelt(query: str, now: datetime) -> str:
 
 
 def rows_of(found: Any) -> list[tuple[str, ...]]:
-    """The rows of a result in their order, the value of ?t first; blank nodes have no names, numbers no datatypes."""
+    """Return the rows of a result in order, the value of ?t first, without labels of blank nodes and number types."""
     if isinstance(found, QueryBoolean):
         return [(str(bool(found)),)]
     names = None
@@ -106,7 +106,7 @@ def rows_of(found: Any) -> list[tuple[str, ...]]:
 
 
 def shown(term: object) -> str:
-    """A term by its value: the server tells it as it was written, pyoxigraph as it has it."""
+    """Return a term by its value: the server returns its lexical form, pyoxigraph a normalized one."""
     store = Store()
     found = store.query(f"SELECT ({term} AS ?x) {{}}") if str(term).startswith('"') else None
     return str(term if found is None else next(iter(found))[0])  # type: ignore[arg-type, index]
@@ -120,7 +120,7 @@ ACCEPT = "application/sparql-results+json, application/n-triples;q=0.9, applicat
 
 
 def answered(past: Recorded, query: str) -> list[tuple[str, ...]] | None:
-    """What the server answers, None where it does not take the query."""
+    """Return the server's result, None if it refuses the query."""
     headers = {"Content-Type": "application/sparql-query", "Accept": ACCEPT}
     answer = past.http.post("/sparql", content=query, headers=headers)
     if answer.status_code in (400, 503):
@@ -132,7 +132,7 @@ def answered(past: Recorded, query: str) -> list[tuple[str, ...]] | None:
 
 
 class Compared(NamedTuple):
-    """A query without its LIMIT, what the server answers with it, and all rows that there are."""
+    """A query without its LIMIT, the server's result with it, and all rows."""
 
     query: str
     ending: str
@@ -150,7 +150,7 @@ class Compared(NamedTuple):
 
 
 def compare(past: Recorded, make: Callable[[PastMaker], tuple[str, str]]) -> Compared | None:
-    """A query compared, None where it is not taken; again where NOW() may have passed a message meanwhile."""
+    """Compare a query, None if it is refused; repeat it if NOW() may have passed a message meanwhile."""
     for _ in range(4):
         now = datetime.now(timezone.utc)
         query, ending = make(PastMaker(str(past.http.base_url), past.start, SECONDS, now))

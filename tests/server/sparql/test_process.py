@@ -1,4 +1,4 @@
-"""The query process, its workers and the server's end of them, in states that a test over HTTP cannot bring about."""
+"""The query process, its workers and the server's end of them, in states that tests over HTTP cannot reach."""
 
 from __future__ import annotations
 

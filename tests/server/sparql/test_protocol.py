@@ -1,4 +1,4 @@
-"""The SPARQL 1.1 Protocol: each wrong use is told as what it is. Right ones are in `tests/conformance/sparql`."""
+"""The SPARQL 1.1 Protocol: errors for each wrong use. Valid requests are in `tests/conformance/sparql`."""
 
 from __future__ import annotations
 

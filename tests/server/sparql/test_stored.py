@@ -1,4 +1,4 @@
-"""Stored queries over HTTP: parameters are terms whatever they hold, and what is wrong is told with its place."""
+"""Stored queries over HTTP: parameters are terms with any content, and errors have their position."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def run(http: httpx.Client, name: str, **values: str) -> httpx.Response:
 
 
 def row(answer: httpx.Response) -> list[tuple[str, str]]:
-    """The values of the one row, with their datatypes or types."""
+    """Return the values of the single row, with their datatypes or types."""
     assert answer.status_code == 200, answer.text
     found = answer.json()
     [bindings] = found["results"]["bindings"]
@@ -168,7 +168,7 @@ BAD = [
     ("# A.\nSELECT (1 AS ?nobodys0) { ?a ?b }", "bad:2: with its parameters bound it is no query"),
     ("# A.\nASK { ?a nobody:knows ?b }", "bad:2: with its parameters bound it is no query"),
 ]
-"""Others are in `test_kept_queries.py`."""
+"""Further refusals are in `test_kept_queries.py`."""
 
 
 def test_what_is_wrong_in_a_stored_query_is_told_with_its_place(http: httpx.Client) -> None:

@@ -1,4 +1,4 @@
-"""The queries that come with rosld, each asked over HTTP of a small robot."""
+"""The queries shipped with rosld, each run over HTTP on a small robot."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ NODES = (
 
 
 class Walker(MadeUp):
-    """A robot whose graph has all that the queries ask for. Messages are received `later_ns` after they are."""
+    """A robot whose graph has everything the queries select. Messages are received `later_ns` after their stamp."""
 
     later_ns = 0
 
@@ -100,7 +100,7 @@ Ask = Callable[..., list[tuple[object, ...]]]
 
 @pytest.fixture(scope="module")
 def http() -> Iterator[httpx.Client]:
-    """That robot, called twice and moved twice."""
+    """That robot, after two calls and two movements."""
     robot = Walker()
     with served(robot, subscribe=("*",), max_publish_rate=1000, allow_publish=("/cmd_vel",)) as client:
         for _ in range(2):
@@ -120,7 +120,7 @@ def http() -> Iterator[httpx.Client]:
 
 @pytest.fixture
 def ask(http: httpx.Client) -> Ask:
-    """The rows a stored query answers with these parameters; IRIs of the robot as paths, other terms as texts."""
+    """Return the rows of a stored query with these parameters; IRIs of the robot as paths, other terms as texts."""
 
     def asked(name: str, **given: str) -> list[tuple[object, ...]]:
         return rows(http, name, **given)

@@ -1,4 +1,4 @@
-"""What clients keep is in the dataset as soon as it is written: its graphs say what a GET of each says."""
+"""Writes of clients are in the dataset immediately: each graph has the triples of a GET."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TURNS = count()
 
 
 def canonical(content: bytes) -> set[str]:
-    """The triples of N-Triples, whatever their blank nodes are called."""
+    """Return the triples of N-Triples, independent of labels of blank nodes."""
     dataset = Dataset(Quad(*quad.triple) for quad in parse(content, RdfFormat.N_TRIPLES))
     dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
     return {str(quad) for quad in dataset}
@@ -36,7 +36,7 @@ def ask(http: httpx.Client, query: str, accept: str = "text/csv") -> httpx.Respo
 
 
 def differences(http: httpx.Client, below: str) -> list[str]:
-    """The graphs below a container that are not as a GET says, or of which there is none."""
+    """Return the graphs below a container that are missing or differ from a GET."""
     found = ask(http, f"SELECT DISTINCT ?g {{ GRAPH ?g {{ ?s ?p ?o }} FILTER(STRSTARTS(STR(?g), '{below}')) }}")
     graphs = set(found.text.split()[1:])
     wrong = []
@@ -63,7 +63,7 @@ STEPS = st.tuples(st.sampled_from(NAMES), st.sampled_from(["put", "put", "patch"
 
 
 def write(http: httpx.Client, url: str, name: str, kind: str, number: int) -> None:
-    """Write, or be refused where it does not fit."""
+    """Send a write, which may be refused as invalid."""
     said = f'<> <http://h/said> "{number}" , [ {P} [] ] , "kept" . '
     if name.startswith("i/") and name != "i/":
         said += f"<> <http://h/is> <http://h/{number}> ."

@@ -1,6 +1,6 @@
-"""Queries as texts over HTTP: what is understood, what is wrong in words, and what is refused before it does harm.
+"""Texts of queries over HTTP: valid ones, messages about invalid ones, and refusals of malicious ones.
 
-W3C's syntax tests judge the same in `tests/conformance/sparql`.
+W3C's syntax tests are in `tests/conformance/sparql`.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ def ask(http: httpx.Client, text: str) -> httpx.Response:
 
 
 def taken(http: httpx.Client, texts: list[str]) -> list[str]:
-    """The texts that are not refused as no query: they may still be too much."""
+    """Return the texts that are accepted as queries: they may still exceed a limit."""
     return [text[:100] for text in texts if ask(http, text).status_code != 400]
 
 
 @pytest.fixture(scope="module")
 def trap() -> Iterator[socket.socket]:
-    """A place that nobody is to connect to, whatever is asked."""
+    """A server to which no query must connect."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         yield listening
         listening.settimeout(0.01)
@@ -116,7 +116,7 @@ def test_the_whole_of_sparql_1_1_is_understood(http: httpx.Client) -> None:
 
 
 def ask_any(http: httpx.Client, text: str) -> httpx.Response:
-    """The answer to a query of any form."""
+    """Return the result of a query of any form."""
     return http.post("/sparql", content=text.encode(), headers={**DIRECT, "Accept": "*/*"})
 
 
@@ -238,7 +238,7 @@ BOMBS = [
     f"DESCRIBE {'<h:x> ' * 100}",
     f"SELECT * {{ LATERAL {{ {'?s ?p ?o . ' * 100} }} }}",
 ]
-"""What would keep a lexer, a parser or the optimiser busy, or overflow a stack."""
+"""Texts that might block a lexer, a parser or the optimizer, or overflow a stack."""
 AT_THE_BOUNDS = [
     "SELECT * " + "{" * 127 + "?s ?p ?o" + "}" * 127,
     "SELECT * { ?s ?p ?o FILTER(" + "(" * 126 + "1" + ")" * 126 + ") }",
@@ -269,16 +269,16 @@ def test_bombs_are_refused_and_what_is_let_through_leaves_the_server_alive(http:
 
 
 def ask_at_once(http: httpx.Client, text: str) -> httpx.Response:
-    """The answer to a query over a dataset of nothing."""
+    """Return the result of a query over an empty dataset."""
     return http.post("/sparql", data={"query": text, "default-graph-uri": "http://nowhere/"}, headers={"Accept": "*/*"})
 
 
-# Updates of one graph, as PATCH takes them
+# Updates of one graph, as in PATCH
 
 
 @pytest.fixture(scope="module")
 def one(http: httpx.Client) -> str:
-    """A graph that says something."""
+    """A graph with a triple."""
     body = {"Content-Type": "text/turtle"}
     assert http.put("/data/one", content="<h:m> <h:p#x> 1 .", headers=body).status_code == 201
     return "/data/one"

@@ -1,4 +1,4 @@
-"""Values in queries over HTTP: filters find what pyoxigraph finds by value, and orders are those of values."""
+"""Values in queries over HTTP: filters find the values that pyoxigraph finds, and order is by value."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LITERALS = [
     *(typed("2020-01-01", "date"), typed("2020-01-01+00:00", "date"), typed("PT60S", "duration")),
     *(typed("many", "integer"), '""', '"2"', '"x"', '"x"@en', "<urn:x>", '"x"^^<urn:own>', "_:blank"),
 ]
-"""Terms of one value and of many, with forms that are canonical and others, and such as have no value."""
+"""Terms with equal and different values, canonical and other lexical forms, and ill-typed ones."""
 CONSTANTS = st.sampled_from(
     ["1", "2.5", "1e0", "007", "true", "'x'", "'x'@en", "<urn:x>", "'2020-01-01T01:00:00Z'^^xsd:dateTime", "?w", "?v"]
 )
@@ -68,7 +68,7 @@ TESTS = st.recursive(
 
 
 def put(http: httpx.Client, lines: list[str]) -> str:
-    """Put a graph of its own; its path."""
+    """Put a new graph; return its path."""
     path = f"data/values{next(TURNS)}"
     headers = {"Content-Type": "text/turtle"}
     assert http.put(path, content="\n".join(lines), headers=headers).status_code == 201
@@ -77,7 +77,7 @@ def put(http: httpx.Client, lines: list[str]) -> str:
 
 @pytest.fixture(scope="module")
 def judged(http: httpx.Client) -> tuple[str, pyoxigraph.Store]:
-    """A graph with one literal a subject, some of them twice, and a store of pyoxigraph's own making with the same."""
+    """Return a graph with one literal per subject, some of them twice, and a pyoxigraph store with the same."""
     lines = [f"<urn:s{at}> {P} {literal} ." for at, literal in enumerate(LITERALS)]
     lines += [f"<urn:s{at}> <urn:q> {literal} ." for at, literal in enumerate(LITERALS) if at % 5 == 0]
     plain = pyoxigraph.Store()

@@ -25,11 +25,11 @@ async def opened(folder: Path) -> AsyncIterator[Records]:
 
 @pytest.fixture
 def kept(tmp_path: Path) -> Opened:
-    """What opens the records of one folder, again and again."""
+    """A function that opens the records of one folder, repeatedly."""
     return lambda: opened(tmp_path)
 
 
 @pytest.fixture
 def records(kept: Opened) -> Opened:
-    """What opens new records."""
+    """A function that opens new records."""
     return kept

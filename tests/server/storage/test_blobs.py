@@ -1,4 +1,4 @@
-"""Blobs: bytes that are kept as they came, and removed when nothing refers to them any more."""
+"""Blobs: bytes that are stored unchanged, and removed once nothing references them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ async def receive(records: Records, *parts: bytes, limit: int = 10**8) -> Blob:
 
 
 def files(records: Records, blob: Blob) -> list[str]:
-    """All files where this blob is."""
+    """Return all files with this blob."""
     return sorted(path.name for path in records.file(blob).parent.iterdir())
 
 
@@ -175,7 +175,7 @@ def test_an_earlier_process_leaves_nothing_behind(tmp_path: Path) -> None:
         for name in ("0" * 32, "1" * 32 + ".part", "README"):
             (tmp_path / "blobs" / name).write_text("x")
         blobs = Blobs(tmp_path / "blobs", durable=True)
-        with blobs.hold_files():  # as a dump does, or a load that is not finished
+        with blobs.hold_files():  # like a dump, or an unfinished load
             kept = open_records(tmp_path)
             assert len(files(kept, used)) == 4
             await kept.close()

@@ -44,7 +44,7 @@ async def put(records: Records, path: str, triples: bytes = b"", **more: object)
 
 
 async def refused(records: Records, *writes: Write) -> Conflict:
-    """Why writes are refused, having checked that nothing of them was done."""
+    """Return why writes are refused, after checking that none had an effect."""
     before = records.version, records.changes_since(0)
     with pytest.raises(Conflict) as caught:
         await records.write(*writes)
@@ -317,5 +317,5 @@ def test_records_are_as_a_dictionary_would_tell(batches: list[list[tuple[str, st
 
 
 def _twice(writes: Sequence[Write]) -> bool:
-    """Whether a path is written twice, with expectations that the model above does not follow."""
+    """Whether a path is written twice, with expectations that the model above does not implement."""
     return len({write.path for write in writes}) < len(writes)

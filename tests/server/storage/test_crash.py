@@ -1,4 +1,4 @@
-"""Records outlive their process, at whatever moment it is killed."""
+"""Records survive a kill of their process at any moment."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ pytestmark = pytest.mark.slow
 
 KILLS = 16
 LONGEST = 0.12
-"""Seconds a writer writes at most."""
+"""Maximum time in seconds that a writer runs."""
 _CONTEXT = multiprocessing.get_context("forkserver")
 
 
 def killed(folder: Path, first: int, delay: float, *, opening: bool) -> list[list[str]]:
-    """What a writer says until it is killed, so many seconds after it has begun, or has opened the records."""
+    """Return the output of a writer killed this many seconds after its start, or after it has opened the records."""
     reading, writing = _CONTEXT.Pipe(duplex=False)
     process = _CONTEXT.Process(target=writer.run, args=(folder, first, writing))
     process.start()
@@ -34,10 +34,10 @@ def killed(folder: Path, first: int, delay: float, *, opening: bool) -> list[lis
     try:
         if not opening:
             said.append(reading.recv())
-        time.sleep(delay)  # the moment is what is tried here
+        time.sleep(delay)  # the test varies this moment
     finally:
         process.kill()
-    with contextlib.suppress(EOFError, OSError):  # also in the middle of a message
+    with contextlib.suppress(EOFError, OSError):  # even in the middle of a message
         while True:
             said.append(reading.recv())
     process.join()
@@ -46,7 +46,7 @@ def killed(folder: Path, first: int, delay: float, *, opening: bool) -> list[lis
 
 
 class Expected:
-    """What must be there: for each lane and kind what was acknowledged last, and what was under way."""
+    """Required records: for each lane and kind, the last acknowledged write and a pending one."""
 
     def __init__(self) -> None:
         self.done: dict[tuple[int, str], int] = {}
@@ -88,7 +88,7 @@ class Expected:
             assert container is None or container.count == len(records.members(f"data/{lane}/", limit=10**6))
 
     def _check(self, records: Records, lane: int, kind: str) -> None:
-        """Each record is whole, and is what was acknowledged last or what was under way."""
+        """Check that each record is whole, and is the last acknowledged or the pending one."""
         possible = {self.done.get((lane, kind)), self.begun.get((lane, kind), self.done.get((lane, kind)))}
         found = [records.get(path) for path in writer.paths(lane, kind, 0)]
         number = None

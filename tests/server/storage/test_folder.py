@@ -1,4 +1,4 @@
-"""Records in a folder: durable, opened again, and what happens when the disk or the database fails."""
+"""Records in a folder: durable, reopened, and with failures of the disk or the database."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ async def chunks(*parts: bytes) -> AsyncIterator[bytes]:
 
 @pytest.fixture
 def connections(monkeypatch: pytest.MonkeyPatch) -> list[sqlite3.Connection]:
-    """The connections to databases that were made, in their order."""
+    """The connections to databases, in order of creation."""
     made: list[sqlite3.Connection] = []
     connect = sqlite3.connect
 
@@ -195,7 +195,7 @@ def test_a_corrupt_database_answers_what_it_can_and_says_what_it_cannot(tmp_path
 
 
 def test_a_container_of_many_members_is_as_quick_as_a_small_one(connections: list[sqlite3.Connection]) -> None:
-    """Counted in pages that SQLite touches, as time tells little on a machine that does something else too."""
+    """Measured in pages that SQLite touches, as time is unreliable on a busy machine."""
 
     async def run() -> None:
         kept = open_records(None)

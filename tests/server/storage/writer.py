@@ -1,7 +1,7 @@
 """A process that writes records until it is killed.
 
-Before each write it sends `began LANE KIND NUMBER`, when it is acknowledged `done LANE KIND NUMBER VERSION`. What a
-number stands for, `text` and `data` tell.
+Before each write it sends `began LANE KIND NUMBER`, and on its acknowledgement `done LANE KIND NUMBER VERSION`. `text`
+and `data` return the content for a number.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ KINDS = ("rdf", "file", "pair", "brief", "away")
 
 
 def text(number: int) -> bytes:
-    """Triples, now a few bytes, now some pages."""
+    """Return triples, from a few bytes to several pages."""
     return b'<http://a/b> <http://a/c> "%s" .\n' % (b"%d," % number * (1 + number % 7 * 400))
 
 
 def data(number: int) -> bytes:
-    """The bytes of a file, now a few, now more than are written at once."""
+    """Return the bytes of a file, from a few to more than are written at once."""
     return b"%d;" % number * (1 + number % 5 * 20_000)
 
 
 def paths(lane: int, kind: str, number: int) -> list[str]:
-    """What a write is about."""
+    """Return the paths of a write."""
     if kind == "pair":
         return [f"data/{lane}/a", f"data/{lane}/b"]
     return [f"data/{lane}/{kind}" if kind in ("rdf", "file") else f"data/{lane}/brief{number}"]
@@ -70,5 +70,5 @@ async def main(folder: Path, first: int, say: Callable[[list[str]], None]) -> No
 
 
 def run(folder: Path, first: int, output: Connection) -> None:
-    """Write from this number on, and say so."""
+    """Write from this number on, and report progress."""
     asyncio.run(main(folder, first, output.send))

@@ -1,6 +1,6 @@
 """Updates by pyoxigraph over the merge of the graphs of USING, which is a set (SPARQL 1.1 Update, 3.1.3).
 
-pyoxigraph itself finds a triple of several graphs once in each of them, so that COUNT and new blank nodes are too many.
+pyoxigraph itself finds a triple once per graph that contains it, so that COUNT and new blank nodes are too many.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _MERGED = NamedNode("urn:graph:merged")
 
 
 def run_update(store: pyoxigraph.Store, text: str, base: str | None = None) -> None:
-    """Carry out one operation; the graphs of its USING, if any, are copied into one for it."""
+    """Run one operation; the graphs of its USING, if any, are first merged into one."""
     graphs = re.findall(r"USING <([^>]*)>", text)
     if graphs:
         triples = {

@@ -1,4 +1,4 @@
-"""SPARQL Update over HTTP: each graph it changes is written as its resource is, all of them or none."""
+"""SPARQL Update over HTTP: each changed graph is written like its resource, all of them or none."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ def update(client: httpx.Client, text: str, **query: str) -> httpx.Response:
 
 
 def done(answer: httpx.Response) -> None:
-    """Hold that an update was carried out."""
+    """Check that an update was carried out."""
     assert answer.status_code == 204, answer.text
 
 
 def says(client: httpx.Client, path: str, pattern: str) -> bool:
-    """Whether a pattern is found in the graph of a resource, as queries see it."""
+    """Whether a pattern matches the graph of a resource in queries."""
     query = f"ASK {{ GRAPH <{path}> {{ {pattern} }} }}"
     answer = client.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"})
     return bool(answer.json()["boolean"])
 
 
 def lines(answer: httpx.Response) -> set[str]:
-    """The triples of an answer, as N-Triples."""
+    """Return the triples of a response, as N-Triples."""
     return {str(quad.triple) for quad in parse(answer.content, RdfFormat.TURTLE, base_iri=str(answer.url))}
 
 
@@ -60,7 +60,7 @@ def test_what_names_no_graph_goes_to_the_default_document_and_all_are_the_docume
     assert "DROP ALL: 3 documents; left are containers, files, policies and what the robot says" in receipt
 
 
-# What is kept
+# Stored documents
 
 
 def test_what_is_deleted_is_a_term_and_not_its_value(plane: httpx.Client) -> None:
@@ -103,7 +103,7 @@ def test_a_graph_that_was_dropped_is_made_again_by_who_names_it(plane: httpx.Cli
         assert plane.get(path).status_code == 410
 
 
-# What moves the robot
+# Commands of the robot
 
 
 def test_changing_the_graph_of_a_parameter_sets_it_and_emptying_it_deletes_it(plane: httpx.Client) -> None:
@@ -150,7 +150,7 @@ def test_changing_the_graph_of_a_command_topic_publishes_once(plane: httpx.Clien
     done(update(plane, text))
     assert plane.get(display, headers={"Accept": "application/json"}).json() == {"data": "after"}
     tag = plane.get(display).headers["etag"]
-    done(update(plane, text))  # it says so already
+    done(update(plane, text))  # it has that value already
     assert plane.get(display).headers["etag"] == tag
 
 

@@ -1,4 +1,4 @@
-"""What SPARQL 1.1 Update and the Graph Store Protocol say of blank nodes, of copies, of SILENT and of new graphs."""
+"""Blank nodes, copies, SILENT and new graphs according to SPARQL 1.1 Update and the Graph Store Protocol."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TURNS = count()
 
 @pytest.fixture
 def room() -> str:
-    """A path below `/data/` of the test's own."""
+    """A new path below `/data/` for one test."""
     return f"/data/letter{next(_TURNS)}/"
 
 
@@ -26,7 +26,7 @@ def update(client: httpx.Client, text: str) -> httpx.Response:
 
 
 def done(client: httpx.Client, text: str) -> None:
-    """Send an update, and hold that it was carried out."""
+    """Send an update, and check that it was carried out."""
     answer = update(client, text)
     assert answer.status_code == 204, answer.text
 
@@ -38,20 +38,20 @@ def put(client: httpx.Client, path: str, turtle: str, **headers: str) -> None:
 
 
 def triples(client: httpx.Client, path: str) -> set[Triple]:
-    """What a graph says."""
+    """Return the triples of a graph."""
     answer = client.get(path, headers={"Accept": "application/n-triples"})
     assert answer.status_code == 200, answer.text
     return {quad.triple for quad in parse(answer.content, RdfFormat.N_TRIPLES)}
 
 
 def said(client: httpx.Client, path: str) -> set[Triple]:
-    """What a graph says of something else than its own resource."""
+    """Return the triples of a graph about other resources than its own."""
     url = str(client.base_url.join(path))
     return {each for each in triples(client, path) if getattr(each.subject, "value", "") != url}
 
 
 def blank_nodes(client: httpx.Client, path: str) -> set[BlankNode]:
-    """The blank nodes of a graph."""
+    """Return the blank nodes of a graph."""
     terms = (term for each in triples(client, path) for term in (each.subject, each.object))
     return {term for term in terms if isinstance(term, BlankNode)}
 
@@ -190,7 +190,7 @@ FAILING = [
 
 
 def test_silent_is_silent_and_leaves_everything_as_it_was(plane: httpx.Client, room: str) -> None:
-    """SPARQL 1.1 Update 3.1.4 and 3.2: the operation that fails does nothing, what stands beside it is done."""
+    """SPARQL 1.1 Update 3.1.4 and 3.2: the operation that fails has no effect, others are carried out."""
     put(plane, f"{room}kept", "<urn:a> <urn:p> 1 .")
     silent, wrong = [], []
     for text in FAILING:
@@ -241,7 +241,7 @@ NTRIPLES = "application/n-triples"
 
 
 def test_what_no_graph_is_made_of_is_posted_to_nothing(plane: httpx.Client, room: str) -> None:
-    """A file is put; and what is posted to a container that is missing was to be its member."""
+    """A file requires PUT; and a body posted to a missing container was intended as a member."""
     assert plane.post(f"{room}file", content=b"x", headers={"Content-Type": "image/png"}).status_code == 404
     assert plane.post(f"{room}c/", content=b"<> <urn:p> 1 .", headers=TURTLE).status_code == 404
     assert plane.post(f"{room}new").status_code == 404

@@ -1,4 +1,4 @@
-"""Updates of a robot that fails, refuses and changes meanwhile: nobody is told what is not so."""
+"""Updates of a robot that fails, refuses and changes meanwhile: no response is wrong."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ def update(http: httpx.Client, text: str, **query: str) -> httpx.Response:
 
 
 def fates(answer: httpx.Response) -> dict[str, str]:
-    """What became of each graph, by its path."""
+    """Return the outcome for each graph, by its path."""
     base = str(answer.url.join("/"))
     return {"/" + each["graph"].removeprefix(base): each["outcome"] for each in answer.json()["graphs"]}
 
 
 def seen(http: httpx.Client, path: str, predicate: str = "rdf:value") -> list[str]:
-    """The values in the graph of a resource, as a query sees them now."""
+    """Return the current values in the graph of a resource, as in a query."""
     query = f"{PREFIXES} SELECT ?v {{ GRAPH <{path}> {{ ?s {predicate} ?v }} }}"
     answer = http.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"})
     return [row["v"]["value"] for row in answer.json()["results"]["bindings"]]
 
 
 def to(path: str, new: object, predicate: str = "rdf:value") -> str:
-    """An operation that has the graph of a resource say another value."""
+    """Return an operation that sets the value in the graph of a resource."""
     return (
         f"DELETE {{ GRAPH <{path}> {{ ?s {predicate} ?old }} }} INSERT {{ GRAPH <{path}> {{ ?s {predicate} {new} }} }} "
         f"WHERE {{ GRAPH <{path}> {{ ?s {predicate} ?old }} }}"
@@ -63,7 +63,7 @@ def arm(robot: MadeUp) -> MadeUp:
 
 
 def refuses(_: object) -> Mapping[str, Any]:
-    """What a setter does that will not."""
+    """Refuse, as a setter."""
     raise Refused("/arm/set_second refused: it is jammed")
 
 
@@ -104,7 +104,7 @@ def test_a_robot_that_fails_part_way_is_told_graph_by_graph(
 
 
 def test_what_was_unknown_is_read_anew(arm: MadeUp, serving: Serving) -> None:
-    """The setter does its work, and its answer is lost."""
+    """The setter succeeds, but its answer is lost."""
     values = {"value": 1}
 
     def lost(request: dict[str, Any]) -> Mapping[str, Any]:
@@ -123,7 +123,7 @@ def test_what_was_unknown_is_read_anew(arm: MadeUp, serving: Serving) -> None:
 
 def test_a_publish_that_nobody_hears_is_202_with_the_report() -> None:
     class Deaf(MadeUp):  # type: ignore[misc,valid-type]
-        """A robot whose listeners are all away when something is published."""
+        """A robot without subscribers at the time of publishing."""
 
         async def publish(
             self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
@@ -146,7 +146,7 @@ def test_a_publish_that_nobody_hears_is_202_with_the_report() -> None:
         assert seen(http, "/parameters/size", "ros:value") == ["4"]
 
 
-# What changes meanwhile
+# Concurrent changes
 
 
 def test_what_was_read_and_changes_before_it_is_carried_out_is_drawn_again(arm: MadeUp, serving: Serving) -> None:
@@ -195,7 +195,7 @@ def test_topics_that_an_update_does_not_name_go_on_meanwhile(arm: MadeUp, servin
     assert "changed 4 times" in detail(named, 409)
 
 
-# What is refused
+# Refusals
 
 
 DOOR = """
@@ -272,7 +272,7 @@ def test_what_is_closed_is_closed_to_updates(robot: MadeUp, serving: Serving) ->
 
 
 def lit(topic: str, words: str) -> str:
-    """An operation that has a topic say something else, whatever it said before."""
+    """Return an operation that publishes another message on a topic, whatever the last one was."""
     graph, string = f"/topics{topic}", f"{TYPES}std_msgs/msg/String"
     return (
         f"DELETE {{ GRAPH <{graph}> {{ ?m ?p ?o }} }} INSERT {{ GRAPH <{graph}> {{ <{graph}#message> a <{string}> ; "
@@ -295,7 +295,7 @@ def test_the_publish_rate_holds_for_updates(robot: MadeUp, serving: Serving) -> 
     assert value(http, "/topics/lamp") == {"data": str(turn - 1)}
 
 
-# What is kept beside it
+# Side effects on stored documents
 
 
 def test_a_mapping_that_an_update_stores_is_in_force_and_a_bad_one_refuses_it_all(

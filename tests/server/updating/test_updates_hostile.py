@@ -1,4 +1,4 @@
-"""Updates that are meant to do harm: each is refused in time, nothing is done, and the server lives on."""
+"""Malicious updates: each is refused in time, has no effect, and the server survives."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CROSS = "?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l"
 
 @pytest.fixture(scope="module")
 def plane(start_server: Callable[..., Any]) -> httpx.Client:
-    """An aircraft that gives a query half a second."""
+    """An aircraft with a time limit of half a second for queries."""
     client: httpx.Client = start_server("aircraft", "--setting", "query_time_limit", "0.5").http
     client.timeout = httpx.Timeout(60)
     client.put("/data/numbers", content=" , ".join(["<> <urn:n> 0", *map(str, range(1, 400))]) + " .", headers=TURTLE)
@@ -35,7 +35,7 @@ def update(client: httpx.Client, text: str | bytes) -> httpx.Response:
 
 
 def lives(client: httpx.Client) -> None:
-    """Hold that the server answers, and does what it is told."""
+    """Check that the server answers, and carries out updates."""
     answer = once_started(lambda: update(client, "INSERT DATA { GRAPH </data/lives> { <urn:a> <urn:b> 1 } }"))
     assert answer.status_code == 204, answer.text
     assert client.get("/data/never").status_code == 404
@@ -125,7 +125,7 @@ def test_what_is_no_utf8_is_400(plane: httpx.Client, text: bytes) -> None:
 
 
 def test_a_client_that_hangs_up_does_no_harm(plane: httpx.Client) -> None:
-    """Whatever became of its update, it is whole, and others have their turn."""
+    """Whether or not its update was carried out, it is atomic, and other clients are served."""
     address = urlsplit(str(plane.base_url))
     assert address.hostname is not None
     texts = [

@@ -1,4 +1,4 @@
-"""Random sequences of update requests over HTTP leave the dataset that plain pyoxigraph makes of them."""
+"""Random sequences of update requests over HTTP lead to the same dataset as in plain pyoxigraph."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.server.updating.merged_update import run_update
 pytestmark = pytest.mark.slow
 
 GRAPHS = ("urn:graph:one", "urn:graph:two", "urn:graph:box", "urn:graph:new")
-"""The last is not there at the beginning."""
+"""The last does not exist at the beginning."""
 PATHS = ("one", "two", "box/", "new")
 START = {
     GRAPHS[0]: "<urn:a> <urn:p> 1 , 'x'@en ; <urn:q> [ <urn:p> 1 , _:b ] . _:b <urn:q> _:b .",
@@ -42,13 +42,13 @@ TURNS = count()
 
 @dataclass(frozen=True)
 class Operation:
-    """An operation as rosld has it, and as pyoxigraph does; where that is None, it is to do nothing."""
+    """An operation for rosld and for pyoxigraph; None if it is to have no effect."""
 
     here: str
     there: str | None
 
 
-# Made up at random
+# Random operations
 
 TERMS = st.sampled_from(["<urn:a>", "<urn:b>", "<urn:c>"])
 VALUES = TERMS | st.sampled_from(["1", "2.5", "'x'", "'x'@en", "true"])
@@ -87,7 +87,7 @@ def _same(text: str) -> Operation:
 
 @st.composite
 def data(draw: DrawFn) -> Operation:
-    """INSERT DATA or DELETE DATA."""
+    """Return INSERT DATA or DELETE DATA."""
     insert = draw(st.booleans())
     objects = VALUES | BLANKS if insert else VALUES
     triples = " . ".join(f"{draw(TERMS)} {draw(VERBS)} {draw(objects)}" for _ in range(draw(st.integers(0, 3))))
@@ -96,7 +96,7 @@ def data(draw: DrawFn) -> Operation:
 
 @st.composite
 def modification(draw: DrawFn) -> Operation:
-    """DELETE, INSERT or both, by WITH, USING, USING NAMED or GRAPH."""
+    """Return DELETE, INSERT or both, by WITH, USING, USING NAMED or GRAPH."""
     deleted, inserted, group, source = draw(DELETED), draw(INSERTED), draw(GROUPS), draw(NAMES)
     kind = draw(st.sampled_from(["with", "using", "named", "graph", "pattern"]))
     if kind == "with":
@@ -115,7 +115,7 @@ def modification(draw: DrawFn) -> Operation:
 
 @st.composite
 def management(draw: DrawFn) -> Operation:
-    """An operation on whole graphs; pyoxigraph empties the target where there is no source, which is no error to it."""
+    """Return an operation on whole graphs; pyoxigraph empties the target without an error if there is no source."""
     verb, target = draw(st.sampled_from(["CLEAR", "DROP", "CREATE", "ADD", "COPY", "MOVE"])), draw(NAMES)
     if verb in ("CLEAR", "DROP", "CREATE"):
         return _same(f"{verb} SILENT GRAPH {target}")
@@ -138,11 +138,11 @@ COPY = _same(f"COPY <{GRAPHS[0]}> TO <{GRAPHS[3]}>")
 ADD = _same(f"ADD <{GRAPHS[0]}> TO <{GRAPHS[3]}>")
 
 
-# Compared
+# Comparison
 
 
 def canonical(quads: Sequence[Quad]) -> object:
-    """A dataset, whatever its blank nodes are called; of very many, which would take for ever, their number."""
+    """Return a dataset independent of labels of blank nodes or, for very many of them, their number."""
     blanks = {term for quad in quads for term in (quad.subject, quad.object) if isinstance(term, BlankNode)}
     if len(blanks) > MAX_BLANK_NODES:
         return len(blanks), sorted(" ".join(map(_anonymous, quad)) for quad in quads)
@@ -156,7 +156,7 @@ def _anonymous(term: object) -> str:
 
 
 def told(plane: httpx.Client, names: Mapping[str, str]) -> Iterator[Quad]:
-    """What queries find in the graphs, but for what the server says of each resource."""
+    """Return the triples of the graphs in queries, without the server's statements about each resource."""
     values = " ".join(f"<{name}>" for name in names.values())
     query = f"SELECT ?g ?s ?p ?o WHERE {{ VALUES ?g {{ {values} }} GRAPH ?g {{ ?s ?p ?o }} }}"
     answer = plane.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"})
@@ -170,7 +170,7 @@ def told(plane: httpx.Client, names: Mapping[str, str]) -> Iterator[Quad]:
 
 
 def read(plane: httpx.Client, names: Mapping[str, str]) -> Mapping[str, object]:
-    """What GET of each graph says, but for what the server says of it."""
+    """Return the triples of each graph by GET, without the server's statements about it."""
     found = {}
     for graph, name in names.items():
         answer = plane.get(name, headers={"Accept": "application/n-triples"})

@@ -1,4 +1,4 @@
-"""Updates as texts over HTTP: each wrong one is refused where it is wrong, and nothing of it is done."""
+"""Texts of updates over HTTP: invalid ones are refused with the position, without any effect."""
 
 from __future__ import annotations
 

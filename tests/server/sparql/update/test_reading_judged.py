@@ -1,4 +1,4 @@
-"""Updates made up at random are taken or refused as pyoxigraph's parser has it."""
+"""Random updates are accepted or rejected as by pyoxigraph's parser."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ ANALYSER = Analyser(BASE, "https://w3id.org/rosld/types/", prefixes={})
 
 
 def read(text: str) -> tuple[Operation, ...]:
-    """The operations of a text."""
+    """Return the operations of a text."""
     return read_update(UpdateRequest(text), {}, BASE, DEFAULT_BOUNDS, DEFAULT.value)
 
 
 def refusal(text: str) -> Problem | None:
-    """Why a text is refused; None where it is read."""
+    """Return why a text is rejected; None if it is accepted."""
     try:
         read(text)
     except Problem as problem:
@@ -76,7 +76,7 @@ PIECES = [*TOKENS.split(), *PHRASES.split(","), '"""']
 
 @st.composite
 def mutated(draw: DrawFn) -> str:
-    """A valid update of which a few tokens are others, elsewhere, gone or twice there."""
+    """Return a valid update with a few tokens replaced, moved, removed or repeated."""
     found = [token.text for token in tokens(draw(st.sampled_from(VALID)))]
     for _ in range(draw(st.integers(0, 3))):
         at = draw(st.integers(0, len(found) - 1)) if found else 0
@@ -100,7 +100,7 @@ def mutated(draw: DrawFn) -> str:
 
 
 def taken_here(text: str) -> str | None:
-    """None where an update is taken, WHEREs included, else why it is not. No IRI of the texts is reached out to."""
+    """Return None if an update including its WHEREs is accepted, else why not. No IRI in it is fetched."""
     problem = refusal(text)
     if problem is not None:
         return problem.detail
@@ -110,13 +110,13 @@ def taken_here(text: str) -> str | None:
                 pyoxigraph.Store().query(ANALYSER.analyse(operation.where.query).text, base_iri=BASE)
             except (SyntaxError, Problem) as error:
                 return str(error)
-            except (OSError, RuntimeError, ValueError):  # whether it can be carried out is another matter
+            except (OSError, RuntimeError, ValueError):  # execution is another matter
                 pass
     return None
 
 
 def taken_there(text: str) -> str | None:
-    """None where pyoxigraph takes an update, else why it does not; whether it can be carried out is another matter."""
+    """Return None if pyoxigraph accepts an update, else why not; execution is another matter."""
     try:
         pyoxigraph.Store().update(text, base_iri=BASE)
     except SyntaxError as error:
@@ -127,19 +127,19 @@ def taken_there(text: str) -> str | None:
 
 
 REFUSED_HERE_ONLY = re.compile(
-    r"stands where (\. or \}|a predicate \(an IRI, a variable or a\)) is expected"  # it wants no dot after a triple
-    r"|a literal is no subject"  # which the grammar lets stand there and RDF does not
+    r"stands where (\. or \}|a predicate \(an IRI, a variable or a\)) is expected"  # it accepts no dot after a triple
+    r"|a literal is no subject"  # the grammar permits it there and RDF does not
     r"|^[+-] at \S+ stands where the object of a triple"  # a sign apart from its number
     r"|^; at \S+ stands where an operation"  # a semicolon without an operation before it
-    r"|triple terms and reifiers|SERVICE"  # what is refused by the lexer
+    r"|triple terms and reifiers|SERVICE"  # the lexer rejects it
     r"| is no part of SPARQL|escapes nothing|an escape of a character| has no end"  # and this
     r"|joins more than|nests deeper"
 )
-"""Why what pyoxigraph takes is refused on purpose."""
+"""Reasons for intentionally rejecting updates that pyoxigraph accepts."""
 
 
 def taken_here_only(text: str) -> bool:
-    """Whether pyoxigraph refuses what the grammar has: a prologue after an operation, booleans in capitals, escapes."""
+    """Whether pyoxigraph rejects valid syntax: a prologue after an operation, booleans in capitals, escapes."""
     found = [token for token in tokens(text) if token.kind not in (Kind.SPACE, Kind.COMMENT)]
     after = any(one.is_mark(";") and two.is_word("PREFIX", "BASE") for one, two in pairwise(found))
     shouted = any(one.is_word("TRUE", "FALSE") and not one.text.islower() for one in found)

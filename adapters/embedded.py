@@ -298,7 +298,7 @@ class EmbeddedRobot(ABC):
     def _message(self, ref: TypeRef) -> MessageSchema:
         schema = self._library.find(ref)
         if not isinstance(schema, MessageSchema):
-            raise Refused(f"{ref.name} is no message type: only messages can be published")
+            raise Refused(f"{ref.name} is not a message type: only messages can be published")
         return schema
 
     def _service(self, name: str, requested: TypeRef) -> ServiceSchema:
@@ -322,7 +322,7 @@ class EmbeddedRobot(ABC):
         try:
             return schema.codec.decode(data, self._capabilities.encoding)
         except ValueError as error:
-            raise Refused(f"{name} cannot read what it is sent", words=str(error)) from error
+            raise Refused(f"{name} cannot decode its request", words=str(error)) from error
 
     def _announce(self, action: str, id: str, event: GoalEvent) -> None:
         if self._sink is not None:

@@ -95,7 +95,7 @@ def check(name: str, value: object, depth: int = 0) -> None:
         for item in value:
             check(name, item, depth + 1)
     elif not isinstance(value, (bool, int, float, str, bytes, datetime)):
-        raise Refused(f"the parameter {name} cannot be {value!r}: it is no value that ROS 1 parameters hold")
+        raise Refused(f"the parameter {name} cannot be {value!r}: ROS 1 parameters cannot have such a value")
 
 
 def deep_copy(value: ParameterValue) -> ParameterValue:

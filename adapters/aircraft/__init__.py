@@ -9,7 +9,7 @@ SCHEME = "aircraft"
 def adapter(source: str, options: AdapterOptions) -> Adapter:
     """Return the adapter of the source `aircraft`. Raises ValueError for anything after it."""
     if source.rstrip(":/") != SCHEME:
-        raise ValueError(f"there is only one aircraft: say {SCHEME!r}, not {source!r}")
+        raise ValueError(f"there is only one aircraft: use {SCHEME!r}, not {source!r}")
     return Aircraft(options)
 
 

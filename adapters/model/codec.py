@@ -71,11 +71,11 @@ def read_default(kind: FieldType, text: str) -> Default:
     if not isinstance(kind, Array) or not isinstance(kind.element, Primitive):
         raise ValueError("a field that is a message has no default value of its own")
     if not (text.startswith("[") and text.endswith("]")):
-        raise ValueError(f"{text} is no array: it stands in brackets")
+        raise ValueError(f"{text} is not an array: write it in brackets")
     element = kind.element
     values = tuple(_scalar(element, each) for each in _elements(text[1:-1], element))
     if (kind.most is not None and len(values) > kind.most) or (kind.length is not None and len(values) < kind.length):
-        raise ValueError(f"{len(values)} elements are not as many as there may be")
+        raise ValueError(f"an array cannot have {len(values)} elements here")
     return values
 
 
@@ -89,7 +89,7 @@ def _elements(text: str, element: Primitive) -> Sequence[str]:
     while place < len(text):
         match = _ELEMENT.match(text, place)
         if match is None:
-            raise ValueError(f"{text} is no list of strings")
+            raise ValueError(f"{text} is not a list of strings")
         double, single, bare = match.groups()
         quoted = _unescaped(double, '"') if double is not None else _unescaped(single or "", "'")
         found.append(quoted if bare is None else bare.rstrip())
@@ -113,7 +113,7 @@ def _scalar(kind: Primitive, text: str) -> Scalar:
 def _integer(name: str, text: str) -> int:
     """Return the integer in a text: decimal, or with the prefix of another base. Raises ValueError."""
     if len(text) > _MAX_DIGITS:
-        raise ValueError(f"{len(text)} characters are no {name}")
+        raise ValueError(f"{len(text)} characters do not fit {name}")
     try:
         value = int(text)
     except ValueError:
@@ -195,7 +195,7 @@ class RosbagsCodec:
             message = reader.message(self._root)
             reader.end()
         except (ValueError, struct.error, OverflowError) as error:
-            raise ValueError(f"{len(data)} bytes are no {self._root}: {error}") from error
+            raise ValueError(f"cannot decode {len(data)} bytes as {self._root}: {error}") from error
         return message
 
     def encode(self, message: Message, encoding: Encoding) -> bytes:

@@ -37,9 +37,9 @@ def require_bounded(name: str, types: Mapping[str, MessageType]) -> None:
     """Raise ValueError if a message type has too many fields, RecursionError if it contains itself."""
     fields, fixed = _Extent(types).of(name)
     if fields > MAX_FIELDS:
-        raise ValueError(f"{name} comes to more than {MAX_FIELDS} fields, with those of the messages in it")
+        raise ValueError(f"{name} has more than {MAX_FIELDS} fields, including those of nested messages")
     if fixed > MAX_FIXED:
-        raise ValueError(f"the arrays of fixed length of {name} come to more than {MAX_FIXED} values")
+        raise ValueError(f"the fixed-length arrays of {name} have more than {MAX_FIXED} values in total")
 
 
 def may_be_empty(types: Mapping[str, MessageType]) -> bool:

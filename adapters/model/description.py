@@ -115,7 +115,7 @@ def _default(field: FieldMessage) -> str:
 def _type(found: FieldTypeMessage) -> str:
     block, kind = divmod(found.type_id, _BLOCK)
     if block >= len(_SUFFIXES):
-        raise ValueError(f"there is no type of a field with the id {found.type_id}")
+        raise ValueError(f"unknown field type id {found.type_id}")
     if kind == _NESTED:
         element = _short(found.nested_type_name)
     elif kind in (_BOUNDED_STRING, _BOUNDED_WSTRING):

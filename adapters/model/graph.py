@@ -124,7 +124,7 @@ def without_lifecycle(nodes: Container[str], node: str) -> NotFound | Refused:
     """Return the error of `Adapter.change_state` for a node that is unmanaged or missing."""
     if node not in nodes:
         return NotFound(f"there is no node {node}")
-    return Refused(f"{node} is no managed node: it has no lifecycle")
+    return Refused(f"{node} is not a managed node: it has no lifecycle")
 
 
 _V = TypeVar("_V")

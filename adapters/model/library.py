@@ -123,7 +123,7 @@ class TypeLibrary:
     def _look_for(self, ref: TypeRef) -> Schema:
         if (half := self._part(ref.name)) is not None:
             return half
-        reason = "its definition is neither shipped with rosld nor in the folders given; name one with --types DIR"
+        reason = "its definition is neither shipped with rosld nor in the given folders; add one with --types DIR"
         written = written_form(ref.name) if self._ros_version == 2 else ref.name.partition("/")[2].partition("/")[0]
         learn = self._learn_as.get(written, self.learn_message)
         hash = ref.hash or self._nested_hash(ref.name)

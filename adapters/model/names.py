@@ -13,7 +13,7 @@ def segments(name: str) -> tuple[str, ...]:
     Raises ValueError for a name that does not begin with a slash.
     """
     if not name.startswith("/"):
-        raise ValueError(f"{name!r} is no global ROS name: it must begin with '/'")
+        raise ValueError(f"{name!r} is not a global ROS name: it must begin with '/'")
     return () if name == "/" else tuple(name[1:].split("/"))
 
 

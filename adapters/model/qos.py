@@ -50,7 +50,7 @@ def read_profile(text: str) -> Qos:
     for word in text.split(","):
         policy, value = _policy(word.strip())
         if policy in policies:
-            raise ValueError(f"{word.strip()!r} says again what the {policy.removesuffix('_ns')} is")
+            raise ValueError(f"{word.strip()!r} sets the {policy.removesuffix('_ns')} twice")
         policies[policy] = value
     return replace(Qos(), **policies)  # type: ignore[arg-type]
 
@@ -64,14 +64,16 @@ def _policy(word: str) -> tuple[str, str | int]:
     elif name == "depth":
         if number.isascii() and number.isdigit() and len(number) < 9 and 1 <= int(number) <= _DEEPEST:
             return name, int(number)
-        raise ValueError(f"{word!r}: a depth is a whole number from 1 to {_DEEPEST}")
+        raise ValueError(f"{word!r}: the depth must be an integer from 1 to {_DEEPEST}")
     elif name in _TIMES:
         nanoseconds = _nanoseconds(number)
         if nanoseconds is not None:
             return f"{name}_ns", nanoseconds
         raise ValueError(f"{word!r}: a {name} is a number of seconds from 0.000000001 to {_LONGEST:.0e}")
     words = ", ".join(each for words in _WORDS.values() for each in words)
-    raise ValueError(f"{word!r} is no policy; there are {words}, depth:N, {', '.join(f'{each}:S' for each in _TIMES)}")
+    raise ValueError(
+        f"{word!r} is not a policy; choose from {words}, depth:N, {', '.join(f'{each}:S' for each in _TIMES)}"
+    )
 
 
 def _nanoseconds(text: str) -> int | None:

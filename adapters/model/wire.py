@@ -161,6 +161,6 @@ class Writer:
         if kind.length is None:
             self._pack("I", len(items))
         elif len(items) != kind.length:
-            raise ValueError(f"an array of exactly {kind.length} elements was given {len(items)}")
+            raise ValueError(f"an array must have exactly {kind.length} elements, not {len(items)}")
         for item in items:
             self._value(kind.element, item)

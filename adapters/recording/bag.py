@@ -56,7 +56,7 @@ def learn(library: TypeLibrary, connection: RecordedConnection, ros_version: Ros
 def _message_ref(library: TypeLibrary, named: TypeRef) -> TypeRef:
     schema = library.find(named)
     if not isinstance(schema, MessageSchema):
-        raise ValueError("it is no message type")
+        raise ValueError("it is not a message type")
     return schema.ref
 
 

@@ -46,7 +46,7 @@ def read_exactly(source: ByteSource, at: int, size: int) -> bytes:
     if at < 0 or size < 0 or at + size > source.size:
         raise Damaged(f"{size} bytes are missing at {at}: it ends at {source.size}")
     if size > MAX_PIECE:
-        raise Damaged(f"{size} bytes at {at} are more than the {MAX_PIECE} that are read at a time")
+        raise Damaged(f"{size} bytes at {at} exceed the read limit of {MAX_PIECE}")
     data = source.read_up_to(at, size)
     if len(data) != size:
         raise Damaged(f"only {len(data)} of {size} bytes could be read at {at}")
@@ -133,7 +133,7 @@ def decompress_zstd(data: bytes) -> bytes:
     except zstd.ZstdError as error:
         raise Damaged(f"it cannot be decompressed: {error}") from error
     if len(inflated) > MAX_PIECE:
-        raise Damaged(f"it holds more than the {MAX_PIECE} bytes that are read")
+        raise Damaged(f"it exceeds the read limit of {MAX_PIECE} bytes")
     if not decompressor.eof:
         raise Damaged("it is cut off")
     return inflated

@@ -167,7 +167,7 @@ def _read(file: RandomFile, budget: OpenBudget) -> tuple[Contents, list[_Chunk]]
         scan = _by_walking(file, header.end, budget)
         scan.notes.append(f"its index cannot be used ({damage}), so it was read through")
         if not scan.connections:
-            raise Damaged(f"{damage}, and no whole channel was found in it either") from damage
+            raise Damaged(f"{damage}, and no complete channel was found in it either") from damage
     version: RosVersion = 1 if profile == "ros1" else 2
     messages = concatenate(scan.tables)
     notes, places = tuple(scan.notes), 1 + len(scan.chunks)
@@ -217,7 +217,7 @@ def _silent(file: RandomFile, index: _Fields, budget: OpenBudget) -> tuple[str, 
     budget.spend(octets=record.size)
     fields = _Fields(read_exactly(file, record.data_at, record.size))
     if record.op != _METADATA or fields.text() != SILENT_TOPICS:
-        raise Damaged("metadata is not where its index says")
+        raise Damaged("metadata is not at its indexed position")
     return tuple(fields.texts())
 
 
@@ -231,7 +231,7 @@ def _chunk_by_index(file: RandomFile, index: _Fields, scan: _Scan) -> None:
         offsets.uint(2)
         record = _record_at(file, offsets.uint(8))
         if record.op != _MESSAGE_INDEX:
-            raise Damaged("a message index is not where its chunk says")
+            raise Damaged("a message index is not at the position in its chunk")
         scan.tables.append(_index_table(file, record, place, scan))
     if len(scan.tables) == before:
         _walk(BytesSource(_inflate(file, scan.chunks[place - 1], scan.budget)), 0, place, scan)
@@ -291,7 +291,7 @@ def _walk_chunk(source: ByteSource, record: _Record, scan: _Scan) -> None:
 
 def _place(source: ByteSource, record: _Record, scan: _Scan) -> int:
     if record.op != _CHUNK:
-        raise Damaged("there is no chunk where the index says")
+        raise Damaged("there is no chunk at the indexed position")
     scan.budget.spend(parts=1)
     head = _Fields(source.read_up_to(record.data_at, min(record.size, 256)))
     head.uint(8), head.uint(8)
@@ -332,7 +332,7 @@ def _connection(schema: _Schema | None, channel: _Fields) -> RecordedConnection:
     if encoding not in _ENCODINGS:
         odd = f"its messages are in {encoding!r}, which is neither of {', '.join(_ENCODINGS)}"
     elif syntax not in _SYNTAXES:
-        odd = f"its schema is in {syntax!r}, which is none of {', '.join(filter(None, _SYNTAXES))}"
+        odd = f"its schema is in {syntax!r}, not in one of {', '.join(filter(None, _SYNTAXES))}"
     return RecordedConnection(
         topic=topic,
         type=name,

@@ -57,7 +57,7 @@ class Part(NamedTuple):
         if self.end is not None:
             beyond = int(np.searchsorted(table.times, self.end.at(start, last), "right"))
         if first >= beyond:
-            raise Damaged(f"it has no messages in that time: it is from {_utc_text(start)} to {_utc_text(last)}")
+            raise Damaged(f"it has no messages in that period: it lasts from {_utc_text(start)} to {_utc_text(last)}")
         opening = latched(table, first)
         found = table.rows(np.concatenate([opening, np.arange(first, beyond)]))
         if self.begin is not None:
@@ -74,7 +74,9 @@ def parse_part(query: str) -> Part:
     parameters = dict(pairs)
     unknown = parameters.keys() - _NAMES
     if unknown or len(parameters) != len(pairs):
-        raise ValueError(f"{'&'.join(sorted(unknown)) or query!r} after the recording: from, to and rate, each once")
+        raise ValueError(
+            f"{'&'.join(sorted(unknown)) or query!r} after the recording: use from, to and rate, each once"
+        )
     begin, end = _moment(parameters, "from"), _moment(parameters, "to")
     if begin is not None and end is not None and begin.is_absolute == end.is_absolute:
         both_sides = begin.ns >= 0 > end.ns
@@ -89,7 +91,7 @@ def _rate(parameters: Mapping[str, str]) -> float | None:
     try:
         return float(parameters["rate"])
     except ValueError as error:
-        raise ValueError(f"rate={parameters['rate'][:40]} is no number") from error
+        raise ValueError(f"rate={parameters['rate'][:40]} is not a number") from error
 
 
 def _moment(parameters: Mapping[str, str], name: str) -> Moment | None:
@@ -106,7 +108,7 @@ def _moment(parameters: Mapping[str, str], name: str) -> Moment | None:
         plain = text.replace(" ", "+")  # a plus sign is decoded as a space
         found = datetime.fromisoformat(f"{plain[:-1]}+00:00" if plain.endswith(("Z", "z")) else plain)
     except ValueError as error:
-        words = f"{name}={text[:60]} is no time such as 2030-01-31T12:00:00Z, nor seconds such as 10 or -60"
+        words = f"{name}={text[:60]} is neither a time such as 2030-01-31T12:00:00Z nor seconds such as 10 or -60"
         raise ValueError(words) from error
     aware = found if found.tzinfo is not None else found.replace(tzinfo=timezone.utc)
     whole = aware.replace(microsecond=0)

@@ -154,7 +154,7 @@ def _read(file: RandomFile, budget: OpenBudget) -> tuple[Contents, list[_Chunk]]
         scan = _by_walking(file, header.end, budget)
         scan.notes.append(f"its index cannot be used ({damage}), so it was read through")
         if not scan.connections:
-            raise Damaged(f"{damage}, and it holds no whole chunk either") from damage
+            raise Damaged(f"{damage}, and it has no complete chunk either") from damage
     return (
         Contents(
             "ROS 1 bag 2.0", 1, scan.connections, concatenate(scan.tables), 1 + len(scan.chunks), tuple(scan.notes)
@@ -230,7 +230,7 @@ def _by_walking(file: RandomFile, at: int, budget: OpenBudget) -> _Scan:
 def _place(file: RandomFile, record: _Record, scan: _Scan) -> tuple[int, int]:
     """Return the place of a chunk, and the base of its offsets: of uncompressed messages, offsets are in place 0."""
     if record.op != _CHUNK:
-        raise Damaged(f"there is no chunk where the index says, at {record.data_at}")
+        raise Damaged(f"there is no chunk at the indexed position, at {record.data_at}")
     scan.budget.spend(parts=1)
     compression = _text(record.header, b"compression")
     if compression == "none":

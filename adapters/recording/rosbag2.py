@@ -127,8 +127,8 @@ def _require_room(folder: Path, budget: OpenBudget) -> None:
     budget.work(STEP)
     if shutil.disk_usage(folder).free < _RESERVE:
         raise Damaged(
-            f"it inflates to more than there is room for in {tempfile.gettempdir()}: give the environment variable "
-            "TMPDIR a folder on a larger disk"
+            f"decompressed, it does not fit in {tempfile.gettempdir()}: set the environment variable TMPDIR to a "
+            "folder on a larger disk"
         )
 
 
@@ -184,7 +184,7 @@ def _yaml(path: Path, budget: OpenBudget) -> _Yaml:
         elif (key := keys[-1]) is not None:
             container[key], keys[-1] = value, None
         else:
-            raise ValueError("a key in it is no text")
+            raise ValueError("a key in it is not a string")
         if not isinstance(value, str):
             above.append(value)
             keys.append(None)
@@ -196,7 +196,7 @@ def _yaml(path: Path, budget: OpenBudget) -> _Yaml:
 def _member(value: _Yaml, name: str) -> _Yaml:
     """Return a member of a mapping, or an empty string. Raises ValueError if the value is not a mapping."""
     if not isinstance(value, dict):
-        raise ValueError(f"{name} is looked for in what is no mapping")
+        raise ValueError(f"the parent of {name} is not a mapping")
     return value.get(name, "")
 
 
@@ -251,7 +251,7 @@ class Sqlite:
         except (sqlite3.Error, UnicodeDecodeError) as error:
             self._database.close()
             budget.work(0)
-            raise Damaged(f"it is no database of messages: {error}") from error
+            raise Damaged(f"it is not a database of messages: {error}") from error
         except BaseException:
             self._database.close()
             raise

@@ -225,7 +225,7 @@ class OpenBudget:
         self.check()
         self.work_done += units
         if self.work_done > self._allowed:
-            raise OpeningRefused("reading it takes more work than a file of its size justifies")
+            raise OpeningRefused("reading it takes too much work for a file of its size")
 
     def learn(self, types: int, characters: int) -> None:
         """Account for the definitions of types. Raises OpeningRefused if there are too many, or if cancelled."""

@@ -194,7 +194,7 @@ class Actions:
         except asyncio.TimeoutError as error:
             entry.decided = None
             self._flush(action, id, entry)
-            raise TimedOut(f"{action} has not said whether it takes the goal", sent=Sent.YES) from error
+            raise TimedOut(f"{action} has neither accepted nor rejected the goal", sent=Sent.YES) from error
         if status.status is GoalStatus.REJECTED:
             words = status.words or None
             raise Refused(f"{action} rejected the goal", words=words, sent=Sent.YES)
@@ -258,7 +258,7 @@ class Actions:
             raise Refused(f"the action {action} is a {used.name}, not this {type.name}")
         schema = await self._types.schema(type)
         if not isinstance(schema, ActionSchema):
-            raise UnknownType(f"{type.name} is no action type")
+            raise UnknownType(f"{type.name} is not an action type")
         return schema
 
     async def _publication(

@@ -49,7 +49,9 @@ def master_address(source: str, environment: Mapping[str, str] = os.environ) -> 
     except ValueError as error:
         raise ValueError(f"{uri!r} does not name a master: {error}") from error
     if parts.scheme != "http" or not host or parts.path.strip("/"):
-        raise ValueError(f"{source!r} names no master: give ros1://HOST:PORT, or set ROS_MASTER_URI=http://HOST:PORT")
+        raise ValueError(
+            f"{source!r} does not name a master: use ros1://HOST:PORT, or set ROS_MASTER_URI=http://HOST:PORT"
+        )
     return host, port or 11311
 
 

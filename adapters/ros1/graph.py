@@ -14,7 +14,7 @@ from rosld.adapters.ros1.types import EndpointFacts, Facts, ServiceFacts, messag
 
 _V = TypeVar("_V")
 _NOTHING = EndpointFacts()
-_UNPROBED = ServiceFacts(None, "its type is not known yet: its node is being asked")
+_UNPROBED = ServiceFacts(None, "its type is not known yet: waiting for its node to report it")
 
 
 class SystemState(Struct, frozen=True):
@@ -94,7 +94,7 @@ def _topic(name: str, system: SystemState, facts: Facts, unreadable: Mapping[Typ
     types = _types(system.topic_types.get(name), [endpoint.type for endpoint in endpoints])
     words = next((unreadable[each] for each in types if each in unreadable), None)
     if not types and (stated := system.topic_types.get(name)) and stated != "*":
-        words = f"{stated!r} is no name of a type"
+        words = f"{stated!r} is not a type name"
     return Topic(name, types, publishers, subscribers, words)
 
 

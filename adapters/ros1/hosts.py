@@ -33,7 +33,7 @@ def host_and_port(uri: str, *schemes: str) -> tuple[str, int]:
         host = port = None
         parts = urlsplit("")
     if parts.scheme not in schemes or not host or not port:
-        raise Unreachable(f"{uri[:200]!r} is no address of the form {schemes[0]}://HOST:PORT/")
+        raise Unreachable(f"{uri[:200]!r} is not an address of the form {schemes[0]}://HOST:PORT/")
     return host, port
 
 

@@ -149,7 +149,7 @@ def _text_objection(text: str) -> str | None:
 
 def _tree_objection(tree: Mapping[object, object], depth: int) -> str | None:
     for key, value in tree.items():
-        words = _text_objection(key) if isinstance(key, str) else f"{key!r} is no key"
+        words = _text_objection(key) if isinstance(key, str) else f"{key!r} is not a valid key"
         if words := words or _objection(value, depth + 1):
             return words
     return None
@@ -158,7 +158,7 @@ def _tree_objection(tree: Mapping[object, object], depth: int) -> str | None:
 def _plain_name(name: str) -> str:
     """Return the name if the master preserves it. Raises Refused if the master would change it to another name."""
     if not name.startswith("/") or (name != "/" and "" in name[1:].split("/")):
-        raise Refused(f"the parameter {name!r}: ROS 1 folds empty segments; set the tree that holds it whole")
+        raise Refused(f"the parameter {name!r}: ROS 1 drops empty segments; set its whole parent tree")
     if words := _text_objection(name):
         raise Refused(f"the parameter {name!r}: {words}")
     return name
@@ -237,7 +237,7 @@ class Parameters:
         """Delete parameters. Raises NotFound, Refused."""
         for name in names:
             if name == "/":
-                raise Refused("the root of the parameters cannot be deleted; delete what lies in it")
+                raise Refused("the root of the parameters cannot be deleted; delete its children")
             self._check_settable(name)
         for name in names:
             with _WriteMark(self):
@@ -253,7 +253,7 @@ class Parameters:
     def _check_settable(self, name: str) -> None:
         leaf = self.leaves.get(name)
         if leaf is not None and leaf.odd:
-            raise Refused(f"the parameter {name} lies under a key that is empty or holds a slash; set its tree whole")
+            raise Refused(f"a parent key of the parameter {name} is empty or contains a slash; set its whole tree")
         _plain_name(name)
 
     async def _get(self, name: str, until: float) -> ParameterValue | None:

@@ -140,7 +140,7 @@ class Publications:
     async def _advertise(self, topic: str, type: TypeRef, until: float) -> tuple[Publication, list[str]]:
         schema = await self._types.schema(type)
         if not isinstance(schema, MessageSchema):
-            raise UnknownType(f"{type.name} is no message type")
+            raise UnknownType(f"{type.name} is not a message type")
         servers = await self._serve()
         publication = Publication(topic, schema, self._node)
         self.by_topic[topic] = publication
@@ -186,8 +186,8 @@ class Publications:
                     return servers
                 tried.append(address)
             raise Refused(
-                f"nothing is published: rosld does not answer at {' or '.join(tried) or 'any address'}, where ROS "
-                "would look for it; give this machine's address with --ros-ip"
+                f"nothing is published: rosld cannot be reached at {' or '.join(tried) or 'any address'}, where ROS "
+                "would connect to it; set this machine's address with --ros-ip"
             )
 
     async def _try_address(self, address: str) -> Servers | None:

@@ -73,7 +73,7 @@ class Services:
             raise Unreachable(f"{service} cannot be called: {words}", sent=sent) from error
         except BadFrame as error:
             limit = f" (--setting message_limit is {self._message_limit})" if progress[0] is Sent.YES else ""
-            raise Refused(f"{service} gives no answer that can be read: {error}{limit}", sent=progress[0]) from error
+            raise Refused(f"the response of {service} cannot be read: {error}{limit}", sent=progress[0]) from error
 
     async def _call(self, service: str, type: TypeRef, request: bytes, progress: list[Sent]) -> bytes:
         reader, writer = await self._connect(service)
@@ -136,7 +136,7 @@ class Services:
             return ServiceFacts(None, f"its node refuses to tell its type: {header['error']}")
         name = service_type(header.get("type", ""))
         if name is None:
-            return ServiceFacts(None, f"its node says its type is {header.get('type', '')[:80]!r}")
+            return ServiceFacts(None, f"its node reports the type {header.get('type', '')[:80]!r}")
         ref = TypeRef(name, header.get("md5sum"))
         try:
             found = await self._types.service(ref)

@@ -148,9 +148,7 @@ class PublisherReader:
         if "error" in header:
             raise Refused(f"{self.slot.publisher} refuses", words=header["error"])
         if self._guessed and header.get("callerid", self.slot.publisher) != self.slot.publisher:
-            raise Unreachable(
-                f"at the master's host another node answers for {self.slot.publisher}: give its --host-map"
-            )
+            raise Unreachable(f"another node responds for {self.slot.publisher} at the master's host: use --host-map")
         name = message_type(header.get("type", ""))
         if name is None:
             raise Refused(f"{self.slot.publisher} names no type of messages", words=header.get("type"))

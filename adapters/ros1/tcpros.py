@@ -119,7 +119,7 @@ def decode_header(body: bytes | bytearray) -> dict[str, str]:
         name, equals, value = bytes(body[position : position + length]).partition(b"=")
         position += length
         if position > len(body) or not equals:
-            raise BadFrame("a header field is cut off or has no '='")
+            raise BadFrame("a header field is truncated or has no '='")
         fields[name.decode("utf-8", "replace")] = value.decode("utf-8", "replace")
     return fields
 
@@ -133,7 +133,7 @@ async def read_frame(reader: asyncio.StreamReader, limit: int) -> bytes:
     """Return the next frame of a stream; memory grows with the received data. Raises BadFrame if it exceeds `limit`."""
     (length,) = LENGTH.unpack(await reader.readexactly(4))
     if length > limit:
-        raise BadFrame(f"it announces {length} bytes, more than {limit}")
+        raise BadFrame(f"it announces {length} bytes, more than the limit of {limit}")
     return await reader.readexactly(length)
 
 

@@ -80,7 +80,7 @@ class Types:
         """Return the schema of a service type. Raises UnknownType."""
         schema = await self.schema(ref)
         if not isinstance(schema, ServiceSchema):
-            raise UnknownType(f"{ref.name} is no service type")
+            raise UnknownType(f"{ref.name} is not a service type")
         return schema
 
     async def _learn(self, ref: TypeRef, definition: str) -> None:

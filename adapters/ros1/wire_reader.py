@@ -48,7 +48,7 @@ class WireReader:
         """Return an array of elements returned by `read`. Raises ValueError if it is longer than `limit`."""
         count = self.length()
         if count > limit:
-            raise ValueError(f"{count} elements are more than {limit}")
+            raise ValueError(f"{count} elements exceed the limit of {limit}")
         return [read() for _ in range(count)]
 
     def rest(self) -> bytes:

@@ -98,7 +98,7 @@ def _parser(target: xmlrpc.client.Unmarshaller) -> expat.XMLParserType:
         target.end(tag)
 
     def doctype(*_: object) -> None:
-        raise Malformed("a DOCTYPE has no place in XML-RPC")
+        raise Malformed("XML-RPC does not allow a DOCTYPE")
 
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -117,7 +117,7 @@ def _value(found: object) -> ParameterValue:
         return [_value(each) for each in found]
     if isinstance(found, dict):
         return {str(key): _value(each) for key, each in found.items()}
-    raise Malformed(f"a {type(found).__name__} has no place in XML-RPC")
+    raise Malformed(f"XML-RPC cannot represent a {type(found).__name__}")
 
 
 class XmlRpcClient:
@@ -236,5 +236,5 @@ async def _read_to_end(reader: asyncio.StreamReader) -> bytes:
 
 def _words(error: BaseException) -> str:
     if isinstance(error, asyncio.IncompleteReadError):
-        return "the connection closed before the answer was whole"
+        return "the connection closed before the response was complete"
     return str(error) or type(error).__name__

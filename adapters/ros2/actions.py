@@ -107,7 +107,7 @@ class Actions:
                 Any, await self._calls.call(f"{action.name}/_action/send_goal", f"{type}_SendGoal", request, until)
             )
             if not answer.accepted:
-                raise Refused(f"{action.name} rejected the goal; ROS 2 gives no reason", sent=Sent.YES)
+                raise Refused(f"{action.name} rejected the goal; ROS 2 does not provide a reason", sent=Sent.YES)
         except BaseException:
             state.goals.pop(id.hex(), None)
             self._leave(state)

@@ -34,7 +34,7 @@ class LiveGraph:
             self._note_leave(graph)
             self._show(graph)
         else:
-            self._show(stale(self._last_whole(), time.time_ns(), "none of its nodes can be seen any more"))
+            self._show(stale(self._last_whole(), time.time_ns(), "none of its nodes is visible any more"))
 
     def mark_stale(self, reason: str) -> None:
         """Mark the graph as stale, with a reason."""

@@ -101,12 +101,12 @@ class Lifecycles(Struct):
         """
         entry = self._managed.get(node)
         if entry is None:
-            raise Refused(f"{node} is no managed node: it has no lifecycle")
+            raise Refused(f"{node} is not a managed node: it has no lifecycle")
         if _available_transition(entry, label) is None:
             await self._refresh(node, entry, until)
         transition = _available_transition(entry, label)
         if transition is None:
-            raise Refused(f"{label!r} is no legal transition of {node} now")
+            raise Refused(f"{label!r} is not a valid transition of {node} now")
         transition_message = make_message(_TRANSITION, {"id": transition.id, "label": transition.label})
         try:
             answer = await self._call(node, "change_state", _CHANGE, {"transition": transition_message}, until)

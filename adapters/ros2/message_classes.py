@@ -46,7 +46,7 @@ def _deserialize(kind: Any, data: bytes) -> object:
     try:
         return cast(object, importlib.import_module("rclpy.serialization").deserialize_message(data, kind))
     except Exception as error:
-        raise ValueError(f"{len(data)} bytes are no {kind.__name__}: {error}") from error
+        raise ValueError(f"cannot decode {len(data)} bytes as {kind.__name__}: {error}") from error
 
 
 def message_class(type: str) -> Any:
@@ -56,19 +56,17 @@ def message_class(type: str) -> Any:
     package, _, rest = type.partition("/")
     kind, _, name = rest.partition("/")
     if not (package.isidentifier() and kind in ("msg", "srv", "action") and name.isidentifier()):
-        raise UnknownType(f"{type!r} is no name of a type")
+        raise UnknownType(f"{type!r} is not a type name")
     try:
         found = _within(importlib.import_module(f"{package}.{kind}"), kind, name)
         importlib.import_module("rclpy.type_support").check_for_type_support(found)
     except ModuleNotFoundError as error:
         raise UnknownType(
-            f"the type {type} is not known here: its package {package} is not installed where rosld runs; "
-            "source the workspace that has it before starting rosld"
+            f"unknown type {type}: its package {package} is not installed; source the workspace that contains it "
+            "before starting rosld"
         ) from error
     except AttributeError as error:
-        raise UnknownType(
-            f"the type {type} is not known here: the package {package} installed here has none"
-        ) from error
+        raise UnknownType(f"unknown type {type}: the installed package {package} does not contain it") from error
     except Exception as error:
         raise UnknownType(f"the type {type} cannot be used: {error}") from error
     _classes[type] = found

@@ -40,7 +40,7 @@ def read_source(text: str) -> Source:
         raise ValueError(f"the options of {text!r} cannot be read: write ros2:?domain=42&namespace=/robot1") from error
     for name, _ in pairs:
         if name not in _OPTIONS:
-            raise ValueError(f"{name!r} is no option of ros2: there are {' and '.join(_OPTIONS)}")
+            raise ValueError(f"{name!r} is not an option of ros2: the options are {' and '.join(_OPTIONS)}")
     if len({name for name, _ in pairs}) < len(pairs):
         raise ValueError(f"an option is given twice in {text!r}")
     options = dict(pairs)
@@ -51,13 +51,13 @@ def read_source(text: str) -> Source:
 
 def _domain(text: str) -> int:
     if not (text.isascii() and text.isdigit()) or int(text) not in _DOMAINS:
-        raise ValueError(f"domain={text!r} is no ROS domain: give a number from 0 to {_DOMAINS[-1]}")
+        raise ValueError(f"domain={text!r} is not a ROS domain: use a number from 0 to {_DOMAINS[-1]}")
     return int(text)
 
 
 def _namespace(text: str) -> str:
     if text != "/" and (not _NAMESPACE.match(text) or "__" in text):
-        raise ValueError(f"namespace={text!r} is no namespace of nodes: give one such as /robot1")
+        raise ValueError(f"namespace={text!r} is not a valid namespace: use one such as /robot1")
     return text
 
 
@@ -68,8 +68,8 @@ def require_rclpy() -> None:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "rclpy":
             raise ValueError(
-                f"rclpy is there but lacks {error.name}: is its whole ROS sourced in this shell?"
+                f"rclpy is installed but lacks {error.name}: is ROS fully sourced in this shell?"
             ) from error
         raise ValueError(HOW_TO_GET_IT) from error
     except ImportError as error:
-        raise ValueError(f"rclpy is there but cannot be loaded: {error}; is its ROS sourced in this shell?") from error
+        raise ValueError(f"rclpy is installed but cannot be loaded: {error}; is ROS sourced in this shell?") from error

@@ -110,9 +110,9 @@ def _check(name: str, value: object) -> None:
         try:
             value.encode("utf-8")
         except UnicodeEncodeError as error:
-            raise Refused(f"the parameter {name} cannot be set: its text is no Unicode") from error
+            raise Refused(f"the parameter {name} cannot be set: its text is not valid Unicode") from error
         if "\0" in value:
-            raise Refused(f"the parameter {name} cannot be set: its text holds a NUL, where ROS 2 would cut it")
+            raise Refused(f"the parameter {name} cannot be set: its text contains a NUL, where ROS 2 would truncate it")
 
 
 _LONGEST = 4096

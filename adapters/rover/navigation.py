@@ -72,7 +72,7 @@ def heading_of(x: float, y: float, z: float, w: float) -> float:
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     if not abs(norm - 1) <= _QUATERNION_TOLERANCE:  # NaN fails this comparison
         raise Declined(
-            f"the orientation ({x:g}, {y:g}, {z:g}, {w:g}) is no unit quaternion: (0, 0, 0, 1) is straight to the east"
+            f"the orientation ({x:g}, {y:g}, {z:g}, {w:g}) is not a unit quaternion; (0, 0, 0, 1) faces east"
         )
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
@@ -80,9 +80,9 @@ def heading_of(x: float, y: float, z: float, w: float) -> float:
 def check_goal(frame: str, x: float, y: float, heading: float) -> Pose:
     """Return the goal with these numbers. Raises Declined for an unknown frame, and for numbers that are not finite."""
     if frame not in FRAMES:
-        raise Declined(f"the frame {frame!r} is not known: a goal is told in 'map'")
+        raise Declined(f"unknown frame {frame!r}: goals must be in 'map'")
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise Declined(f"the position ({x:g}, {y:g}) is no place")
+        raise Declined(f"the position ({x:g}, {y:g}) is not a valid position")
     return Pose(x, y, heading)
 
 

@@ -170,7 +170,7 @@ class Simulation:
         """Drive with a velocity from now on. While a goal is pursued, navigation replaces it in the next step."""
         self.advance(now)
         if not all(map(math.isfinite, velocity)):
-            self._lines.append(LogLine(Severity.ERROR, f"a velocity of {tuple(velocity)} is no command"))
+            self._lines.append(LogLine(Severity.ERROR, f"a velocity of {tuple(velocity)} is not a valid command"))
             return
         self.state = replace(self.state, command=velocity)
 
@@ -261,7 +261,7 @@ def read_source(text: str) -> Start:
         raise ValueError(f"the options of {text!r} cannot be read: write {_EXAMPLE}") from error
     for name, _ in pairs:
         if name not in _OPTIONS:
-            raise ValueError(f"{name!r} is no option of the rover: there are {', '.join(_OPTIONS)}")
+            raise ValueError(f"{name!r} is not an option of the rover: the options are {', '.join(_OPTIONS)}")
     options = dict(pairs)
     if len(options) < len(pairs):
         raise ValueError(f"an option is given twice in {text!r}")
@@ -279,7 +279,7 @@ def read_source(text: str) -> Start:
 def _pose(text: str) -> Pose:
     numbers = text.split(",")
     if len(numbers) != 3:
-        raise ValueError(f"pose={text!r} is no pose: give x, y and the heading in radians, such as 1,0,1.57")
+        raise ValueError(f"pose={text!r} is not a pose: use x, y and the heading in radians, such as 1,0,1.57")
     return Pose(*(_number("pose", each, -1000.0, 1000.0) for each in numbers))
 
 

@@ -74,16 +74,16 @@ class Authenticator:
             return self.anonymous
         sent = parse_credentials(field)
         if sent is None:
-            raise invalid_token("Authorization is neither Bearer nor Basic with a token as its password.")
+            raise invalid_token("Authorization must be Bearer, or Basic with a token as the password.")
         token = sent.token
         agent = self._holder(token)
         if agent is not None:
             if sent.name not in ("", agent.name):
-                raise invalid_token("That token is another's.")
+                raise invalid_token("The token belongs to another agent.")
             return self._auth_context(agent, lambda: self._holder(token), None)
         claims = await self._claims(token)
         if claims is None:
-            raise invalid_token("That token is not known.")
+            raise invalid_token("Unknown token.")
         return self._auth_context(self._agent_of(claims), lambda: self._agent_of(claims), claims.expires)
 
     def permissions(self, agent: Agent) -> Permissions:
@@ -126,10 +126,10 @@ class Authenticator:
         try:
             found = await asyncio.to_thread(config.read_config, self._path, self._space.base)
         except ValueError as error:
-            _log.error("%s. The rights stay as they were.", error)
+            _log.error("%s. The permissions are unchanged.", error)
             return
         self._replace(found)
-        _log.info("the rights in %s have been read anew", self._path)
+        _log.info("permissions reloaded from %s", self._path)
 
     def _replace(self, access: AuthConfig) -> None:
         self.config = access

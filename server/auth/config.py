@@ -101,7 +101,7 @@ class _Table:
         """Return an optional text, or None."""
         found = self._left.pop(name, None)
         if found is not None and (not isinstance(found, str) or not found):
-            raise ValueError(f"{self._where}: {name} is a text, not {found!r}")
+            raise ValueError(f"{self._where}: {name} must be a string, not {found!r}")
         return found
 
     def texts(self, name: str, default: Sequence[str] | None = None) -> tuple[str, ...]:
@@ -110,7 +110,7 @@ class _Table:
         found = [found] if isinstance(found, str) else found
         if not isinstance(found, Sequence) or not all(isinstance(each, str) and each for each in found):
             raise ValueError(
-                f"{self._where}: {name} is a list of texts" + ("" if found is None else f", not {found!r}")
+                f"{self._where}: {name} must be a list of strings" + ("" if found is None else f", not {found!r}")
             )
         if not found and default is None:
             raise ValueError(f"{self._where}: {name} is empty")
@@ -120,7 +120,7 @@ class _Table:
         """Return a boolean, by default False."""
         found = self._left.pop(name, False)
         if not isinstance(found, bool):
-            raise ValueError(f"{self._where}: {name} is true or false, not {found!r}")
+            raise ValueError(f"{self._where}: {name} must be true or false, not {found!r}")
         return found
 
     def drop(self, *names: str) -> None:
@@ -131,7 +131,7 @@ class _Table:
     def end(self) -> None:
         """Raise ValueError if unknown members are left."""
         if self._left:
-            raise ValueError(f"{self._where}: {next(iter(self._left))!r} is not known here")
+            raise ValueError(f"{self._where}: unknown key {next(iter(self._left))!r}")
 
     def checked(self, make: Callable[[], _V]) -> _V:
         """Return the result of `make`, adding the location to its ValueError."""
@@ -147,7 +147,7 @@ def from_toml(data: bytes) -> AuthConfig:
     kinds = ("agent", "token", "issuer", "rule")
     for kind, tables in members.items():
         if kind not in kinds or not isinstance(tables, list):
-            raise ValueError(f"{kind!r} is not known; there are {', '.join(f'[[{each}]]' for each in kinds)}")
+            raise ValueError(f"unknown table {kind!r}; choose from {', '.join(f'[[{each}]]' for each in kinds)}")
     agents, subjects = _agents(_tables(members, "agent"))
     tokens: dict[str, str] = {}
     for table in _tables(members, "token"):
@@ -174,9 +174,9 @@ def _agents(tables: Iterable[_Table]) -> tuple[dict[str, Agent], dict[tuple[str,
         name = table.checked(lambda table=table: _name(table.text("name")))  # type: ignore[misc]
         webid, issuer, subject = table.maybe("webid"), table.maybe("issuer"), table.maybe("subject")
         if name in agents:
-            raise ValueError(f"there are two agents called {name!r}")
+            raise ValueError(f"two agents are named {name!r}")
         if (issuer is None) != (subject is None):
-            raise ValueError(f"agent {name!r}: issuer and subject stand together")
+            raise ValueError(f"agent {name!r}: issuer and subject must be given together")
         agents[name] = Agent(name, webid)
         if issuer is not None and subject is not None:
             subjects[issuer, subject] = name
@@ -218,7 +218,7 @@ def _mode(name: str) -> Mode:
     try:
         return Mode(name)
     except ValueError:
-        raise ValueError(f"{name!r} is no mode; there are {', '.join(mode.value for mode in Mode)}") from None
+        raise ValueError(f"{name!r} is not a mode; choose from {', '.join(mode.value for mode in Mode)}") from None
 
 
 # Both
@@ -226,16 +226,16 @@ def _mode(name: str) -> Mode:
 
 def _name(name: str) -> str:
     if name in (ANONYMOUS.name, AUTHENTICATED):
-        raise ValueError(f"nobody can be called {name!r}: that means all of them")
+        raise ValueError(f"{name!r} is not a valid agent name: it is reserved for all agents")
     if not name.isprintable() or ":" in name or len(name) > 200:
-        raise ValueError(f"{name[:200]!r} is no name of an agent: letters without colons, at most 200")
+        raise ValueError(f"{name[:200]!r} is not a valid agent name: use at most 200 letters, without colons")
     return name
 
 
 def _digest(text: str) -> str:
     found = text if text.startswith("sha256:") else f"sha256:{text}"
     if not DIGEST.fullmatch(found):
-        raise ValueError(f"{text[:20]!r}... is no SHA-256 digest of a token: `rosld token add` writes one")
+        raise ValueError(f"{text[:20]!r}... is not the SHA-256 digest of a token: create one with `rosld token add`")
     return found
 
 
@@ -244,10 +244,10 @@ def _checked_issuer(issuer: Issuer) -> Issuer:
         parts = urlsplit(url)
         is_local = parts.hostname in ("localhost", "127.0.0.1", "::1")
         if not (parts.scheme == "https" or (parts.scheme == "http" and is_local)) or parts.username is not None:
-            raise ValueError(f"{url!r} is no https URL: keys that come otherwise may be anybody's")
+            raise ValueError(f"{url!r} is not an https URL, which the keys must come from")
     for one in issuer.algorithms:
         if one not in _ALGORITHMS:
-            raise ValueError(f"the algorithm {one!r} is not taken; there are {', '.join(_ALGORITHMS)}")
+            raise ValueError(f"the algorithm {one!r} is not supported; choose from {', '.join(_ALGORITHMS)}")
     return issuer
 
 
@@ -262,12 +262,12 @@ def _whole(
     urls = {issuer.url for issuer in issuers}
     for issuer, subject in subjects:
         if issuer not in urls:
-            raise ValueError(f"agent {subjects[issuer, subject]!r}: there is no [[issuer]] {issuer}")
+            raise ValueError(f"agent {subjects[issuer, subject]!r}: no [[issuer]] {issuer} is configured")
     known = {ANONYMOUS.name, AUTHENTICATED, *agents, *(one.webid for one in agents.values() if one.webid)}
     for rule in rules:
         for name in rule.agents:
             if name not in known and not issuers:
-                _log.warning("--auth: a rule is about %r, whom no [[agent]] or [[token]] names", name)
+                _log.warning("--auth: a rule names %r, but no [[agent]] or [[token]] does", name)
     return AuthConfig(Policy(rules, agents), TokenTable(tokens), issuers, subjects)
 
 
@@ -318,19 +318,19 @@ class _Graph:
         """Return the single text of a subject."""
         found = self.all(node, predicate)
         if len(found) != 1:
-            raise ValueError(f"{node} has {len(found)} of {predicate}, and needs one")
+            raise ValueError(f"{node} must have one {predicate}, not {len(found)}")
         return _text(found[0])
 
 
 def _text(term: object) -> str:
     if not isinstance(term, Literal) or not term.value:
-        raise ValueError(f"{term} should be a text")
+        raise ValueError(f"{term} must be a string")
     return term.value
 
 
 def _iri(term: object) -> str:
     if not isinstance(term, NamedNode):
-        raise ValueError(f"{term} should be an IRI")
+        raise ValueError(f"{term} must be an IRI")
     return term.value
 
 
@@ -346,38 +346,40 @@ _CLASSES: Mapping[object, str] = {foaf.Agent: ANONYMOUS.name, acl.AuthenticatedA
 def _authorization(graph: _Graph, node: _Node, base: str, called: Mapping[str, str]) -> Rule:
     """Return a rule as an acl:Authorization (Web Access Control 4)."""
     if unknown := graph.predicates(node) - _AUTHORIZATION:
-        raise ValueError(f"the authorization {node} has {next(iter(unknown))}, which is not known here")
+        raise ValueError(f"the authorization {node} has an unknown property {next(iter(unknown))}")
     agents = {called.get(_iri_or_label(each), _iri_or_label(each)) for each in graph.all(node, acl.agent)}
     for each in graph.all(node, acl.agentClass):
         if each not in _CLASSES:
-            raise ValueError(f"the authorization {node}: acl:agentClass is foaf:Agent or acl:AuthenticatedAgent")
+            raise ValueError(f"the authorization {node}: acl:agentClass must be foaf:Agent or acl:AuthenticatedAgent")
         agents.add(_CLASSES[each])
     modes = set()
     for each in graph.all(node, acl.mode):
         if not isinstance(each, NamedNode) or each not in MODES:
-            raise ValueError(f"the authorization {node}: {each} is no mode; there are {', '.join(map(str, MODES))}")
+            raise ValueError(
+                f"the authorization {node}: {each} is not a mode; choose from {', '.join(map(str, MODES))}"
+            )
         modes.add(MODES[each])
     globs = [Glob(_text(each)) for each in graph.all(node, ros.glob)]
     globs += [Glob(_local(_iri(each), base)) for each in graph.all(node, acl.accessTo)]
     globs += [Glob(_local(_iri(each), base).rstrip("/") + "/**") for each in graph.all(node, acl.default)]
     deny = graph.all(node, ros.deny)
     if not agents or not modes or not globs:
-        raise ValueError(f"the authorization {node} lacks an agent, a mode, or what it is about")
+        raise ValueError(f"the authorization {node} needs an agent, a mode and a resource")
     types = tuple(map(_text, graph.all(node, ros.typeGlob)))
     return Rule(frozenset(agents), frozenset(modes), tuple(globs), types, [_text(each) for each in deny] == ["true"])
 
 
 def _iri_or_label(term: object) -> str:
     if not isinstance(term, NamedNode | BlankNode):
-        raise ValueError(f"acl:agent {term} should be an agent that is described")
+        raise ValueError(f"acl:agent {term} must be a described agent")
     return term.value
 
 
 def _local(iri: str, base: str) -> str:
     """Return the path of an IRI of this server, as a glob that matches only this path."""
     if not iri.startswith(base):
-        raise ValueError(f"{iri} is not of this server, which is {base}")
+        raise ValueError(f"{iri} does not belong to this server, which is {base}")
     path = iri[len(base) - 1 :].partition("#")[0]
     if "*" in path:
-        raise ValueError(f"{iri} holds a *: say it by ros:glob")
+        raise ValueError(f"{iri} contains a *: use ros:glob for patterns")
     return path

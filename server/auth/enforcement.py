@@ -74,14 +74,14 @@ def authorize(permissions: Permissions, method: str, place: Location | None, res
     if not permissions.may_at(method, place):
         what = _WORDS.get(method, "read this")
         if not permissions.may_about(method, place):
-            what += ": it tells of others, too, that are not yours to read"
+            what += ": it also describes resources that you may not read"
         raise forbidden(permissions.agent, what)
     if method in _SAFE:
         return
     if resource.changes_subtree:
         require_subtree(permissions, method, place)
     if not all(permissions.may(method, url) for url in resource.also_changes):
-        raise forbidden(permissions.agent, f"{_WORDS[method]}: it changes others, too, that are not yours to change")
+        raise forbidden(permissions.agent, f"{_WORDS[method]}: it also changes resources that you may not change")
 
 
 def allowed_methods(permissions: Permissions, place: Location, resource: Protected) -> frozenset[str]:
@@ -107,7 +107,7 @@ def is_write(method: str, place: Location | None) -> bool:
 def require_subtree(permissions: Permissions, method: str, place: Location) -> None:
     """Refuse a change of a subtree if part of it is not permitted. Raises 401, 403."""
     if not permissions.may_subtree(method, place):
-        raise forbidden(permissions.agent, f"{_WORDS[method]}: not everything below it is yours to change")
+        raise forbidden(permissions.agent, f"{_WORDS[method]}: you may not change everything below it")
 
 
 def with_auth_headers(

@@ -15,9 +15,9 @@ _REALM = 'realm="rosld"'
 _BASIC = f'Basic {_REALM}, charset="UTF-8"'
 CHALLENGE = f"Bearer {_REALM}, {_BASIC}"
 """Accepted schemes of Authorization (RFC 6750 3, RFC 7617 2.1): the password of Basic is a token."""
-NOT_VISIBLE_DETAIL = "There is nothing here that you may know of."
-GONE_DETAIL = "What was here is gone: it was deleted, or it has ended."
-WITHHELD = "The reason speaks of what you may not read"
+NOT_VISIBLE_DETAIL = "Not found, or not visible to you."
+GONE_DETAIL = "This resource is gone: it was deleted, or it has ended."
+WITHHELD = "The reason mentions something that you may not read"
 _DONE = frozenset({"sent", "members"})
 """Members of a problem about the outcome of a write: they only mention what the client requested."""
 
@@ -25,7 +25,7 @@ _DONE = frozenset({"sent", "members"})
 def invalid_token(why: str) -> Problem:
     """Return the 401 for invalid credentials (RFC 6750 3.1)."""
     challenge = f'Bearer {_REALM}, error="invalid_token", {_BASIC}'
-    return Problem(401, f"{why} Ask whoever runs this server for a token.", headers={"WWW-Authenticate": challenge})
+    return Problem(401, f"{why} Ask the operator of this server for a token.", headers={"WWW-Authenticate": challenge})
 
 
 def not_visible(agent: Agent) -> Problem:
@@ -37,7 +37,7 @@ def not_visible(agent: Agent) -> Problem:
 
 def authentication_required() -> Problem:
     """Return the 401 for a request that requires authentication (RFC 9110 15.5.2)."""
-    sentence = "Say who you are: send a token, as 'Authorization: Bearer TOKEN' or as the password of Basic."
+    sentence = "Authentication required: send a token as 'Authorization: Bearer TOKEN', or as the password of Basic."
     return Problem(401, sentence, headers={"WWW-Authenticate": CHALLENGE})
 
 
@@ -66,4 +66,4 @@ def forbidden(agent: Agent, what: str) -> Problem:
     """Return the refusal for an agent that may know of the resource, but not do this."""
     if agent == ANONYMOUS:
         return authentication_required()
-    return Problem(403, f"You, {agent.name}, may not {what}. Rights are given by whoever runs this server.")
+    return Problem(403, f"You, {agent.name}, may not {what}. Ask the operator of this server for permission.")

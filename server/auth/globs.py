@@ -34,9 +34,11 @@ class Glob(Struct, frozen=True, dict=True):
 
     def __post_init__(self) -> None:
         if not self.text.startswith("/"):
-            raise ValueError(f"{self.text!r} must begin with a slash: it is a path below the base, such as /topics/**")
+            raise ValueError(
+                f"{self.text!r} must begin with a slash: globs are paths below the base, such as /topics/**"
+            )
         if found := _NOT_IN_PATHS.search(self.text):
-            raise ValueError(f"{self.text!r} holds {found[0]!r}: only * and ** stand for something else in a glob")
+            raise ValueError(f"{self.text!r} contains {found[0]!r}: the only wildcards are * and **")
         assert self._parts is not None
 
     @cached_property
@@ -49,9 +51,9 @@ class Glob(Struct, frozen=True, dict=True):
 
     def _part(self, segment: str) -> re.Pattern[str]:
         if _ANY in segment:
-            raise ValueError(f"{self.text!r}: ** stands for whole segments, so it stands alone between slashes")
+            raise ValueError(f"{self.text!r}: ** matches whole segments and must stand alone between slashes")
         if not segment:
-            raise ValueError(f"{self.text!r} has an empty segment: a name with an empty part is written with ~")
+            raise ValueError(f"{self.text!r} has an empty segment: write an empty part of a name as ~")
         if "*" not in segment:
             try:
                 return re.compile(re.escape(decode_segment(segment)))

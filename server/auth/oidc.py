@@ -76,7 +76,7 @@ class TokenVerifier(Struct):
         try:
             key_id = jwt.get_unverified_header(token).get("kid")
         except jwt.PyJWTError as error:
-            raise InvalidToken("That token is malformed") from error
+            raise InvalidToken("The token is malformed") from error
         key = await self._key(issuer, key_id)
         try:
             claims = jwt.decode(
@@ -89,9 +89,9 @@ class TokenVerifier(Struct):
                 options={"require": ["exp", "iss", "aud", "sub"], "verify_signature": True},
             )
         except jwt.ExpiredSignatureError as error:
-            raise InvalidToken("That token has expired") from error
+            raise InvalidToken("The token has expired") from error
         except (jwt.PyJWTError, ValueError, TypeError) as error:
-            raise InvalidToken("That token does not hold") from error
+            raise InvalidToken("The token is invalid") from error
         webid = claims.get("webid")
         return Claims(issuer.url, str(claims["sub"]), float(claims["exp"]), webid if isinstance(webid, str) else None)
 
@@ -107,7 +107,7 @@ class TokenVerifier(Struct):
                     known = _Keys(await asyncio.to_thread(_fetch, issuer), now)
                 except (OSError, ValueError) as error:
                     if known is None:
-                        raise InvalidToken("The issuer's keys cannot be had now") from error
+                        raise InvalidToken("The issuer's keys are currently unavailable") from error
                 self._keys[issuer] = known
         found = _find_key(known, key_id)
         if found is None:
@@ -141,7 +141,7 @@ def _keys_url(issuer: Issuer) -> str:
     """Return the URL of an issuer's keys (OpenID Connect Discovery 4). Raises OSError and ValueError."""
     url = _json(f"{issuer.url.rstrip('/')}/.well-known/openid-configuration").get("jwks_uri")
     if not isinstance(url, str) or not _is_safe(url, issuer.url):
-        raise ValueError("the issuer's configuration names no keys")
+        raise ValueError("the issuer's configuration has no keys")
     return url
 
 
@@ -169,10 +169,10 @@ def _json(url: str) -> dict[str, object]:
         error.close()
         raise
     if len(data) > _MAX_BYTES:
-        raise ValueError(f"{url} says more than {_MAX_BYTES} bytes")
+        raise ValueError(f"the response of {url} is larger than {_MAX_BYTES} bytes")
     found = json.loads(data)
     if not isinstance(found, dict):
-        raise ValueError(f"{url} is no JSON object")
+        raise ValueError(f"{url} is not a JSON object")
     return found
 
 
@@ -181,4 +181,4 @@ def require_library() -> None:
     try:
         import jwt  # noqa: F401
     except ImportError:
-        raise ValueError("tokens of issuers are checked by PyJWT: pip install '.[oidc]' in a clone of rosld") from None
+        raise ValueError("verifying tokens of issuers needs PyJWT: pip install '.[oidc]' in a clone of rosld") from None

@@ -103,11 +103,11 @@ class ClientLimiter:
             return None
         client, now, limits = self._client(name), self._clock(), self._limits
         if client.requests >= limits.requests:
-            words = f"{limits.requests} requests of yours are being answered already, as many as may be at a time"
-            raise _exceeded(f"{words}: wait for one to end.", 1.0)
+            words = f"{limits.requests} of your requests are in progress, the maximum"
+            raise _exceeded(f"{words}: wait for one to finish.", 1.0)
         wait = client.bucket.wait(now)
         if wait > 0.0:
-            raise _exceeded(f"You send more than {limits.rate:g} requests a second: send fewer.", wait)
+            raise _exceeded(f"You sent more than {limits.rate:g} requests per second: slow down.", wait)
         client.bucket.take(now)
         client.requests += 1
         return client
@@ -124,8 +124,8 @@ class ClientLimiter:
             return _nothing
         client = self._client(name)
         if client.connections >= self._limits.connections:
-            words = f"{client.connections} connections come from your address already, as many as may be at a time"
-            raise _exceeded(f"{words}: use those, or end some.", 5.0)
+            words = f"{client.connections} connections from your address are open, the maximum"
+            raise _exceeded(f"{words}: reuse or close some.", 5.0)
         client.connections += 1
 
         def ended() -> None:
@@ -140,8 +140,8 @@ class ClientLimiter:
         """
         client = self._client(f"WebSockets of {client_name(address, loopback=True)}")
         if client.websockets >= self._limits.websockets:
-            words = f"{client.websockets} WebSockets are open at your address already, as many as may be at a time"
-            raise _exceeded(f"{words} (client_websockets): use those, or end some.", 5.0)
+            words = f"{client.websockets} WebSockets from your address are open, the maximum"
+            raise _exceeded(f"{words} (client_websockets): reuse or close some.", 5.0)
         client.websockets += 1
 
         def ended() -> None:

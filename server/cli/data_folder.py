@@ -28,8 +28,8 @@ def lock(folder: Path) -> Iterator[None]:
     try:
         if not _acquire(lock):
             raise ValueError(
-                f"{folder} is served by another rosld (process {lock.read() or 'unknown'}): "
-                "end that one first, or give this one another folder with --data"
+                f"{folder} is served by another rosld (process {lock.read() or 'unknown'}): stop that one first, or "
+                "choose another folder with --data"
             )
         with suppress(OSError):  # a full disk: the lock works without it
             lock.write(f"{os.getpid()}\n")

@@ -24,7 +24,7 @@ def dump(folder: Path, output: Path) -> None:
     with user_errors():
         base = data_folder.read_base(folder)
         if base is None:
-            raise Failure(f"{folder} is no folder that rosld keeps data in: {data_folder.NAME} is missing")
+            raise Failure(f"{folder} is not a rosld data folder: {data_folder.NAME} is missing")
         try:
             with draft.open("wb") as file:
                 packed = pack(folder, file, base)
@@ -35,7 +35,7 @@ def dump(folder: Path, output: Path) -> None:
             raise Failure(str(error)) from error
         finally:
             draft.unlink(missing_ok=True)
-    click.echo(f"rosld: {packed.records} resources, {packed.blobs} of them files, are in {output}", err=True)
+    click.echo(f"rosld: wrote {packed.records} resources, {packed.blobs} of them files, to {output}", err=True)
 
 
 NOTICED_SECONDS = 4 * CHECK_SECONDS
@@ -53,8 +53,8 @@ def load(archive: Path, folder: Path, base: str | None) -> None:
         to = base or owner or canonical_base(unpacking.base)
         if to != unpacking.base and base is None:
             raise Failure(
-                f"{archive} belongs to {unpacking.base}, the data in {folder} to {owner}: "
-                f"--base-url {owner} rewrites its IRIs, or load it into another folder"
+                f"{archive} belongs to {unpacking.base}, the data in {folder} to {owner}: rewrite its IRIs with "
+                f"--base-url {owner}, or load it into another folder"
             )
         data_folder.bind_base(folder, to)
         try:
@@ -65,7 +65,7 @@ def load(archive: Path, folder: Path, base: str | None) -> None:
             if isinstance(error, StorageError):
                 raise Failure(str(error)) from error
             raise
-    click.echo(f"rosld: {packed.records} resources, {packed.blobs} of them files, are in {folder}", err=True)
+    click.echo(f"rosld: loaded {packed.records} resources, {packed.blobs} of them files, into {folder}", err=True)
     if freed:
         time.sleep(NOTICED_SECONDS)
         with contextlib.closing(Blobs(folder / BLOBS, durable=True)) as blobs:

@@ -67,7 +67,7 @@ async def _watch(session: Session, notes: HoldNotes, folder: Path, *, once: bool
         if not is_served and (was_served or once):
             await _end_all(session, notes, folder, _ONCE_SECONDS if once else None)
         elif is_served and not was_served:
-            _log.info("%s is served again, and watched", folder)
+            _log.info("%s is being served again, watching it", folder)
         if once:
             return
         was_served = is_served
@@ -84,7 +84,7 @@ def _is_served(lock: FileLock) -> bool:
 
 async def _end_all(session: Session, notes: HoldNotes, folder: Path, limit: float | None) -> None:
     left = [note for note in notes.read() if note.outcome is None]
-    _log.info("nobody serves %s; holds that did not end: %d", folder, len(left))
+    _log.info("%s is not being served; holds that could not be ended: %d", folder, len(left))
     ending = asyncio.gather(*(_end(session, notes, note) for note in left))
     with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
         await asyncio.wait_for(ending, limit)

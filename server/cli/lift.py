@@ -116,4 +116,4 @@ def draft_file(to: Target) -> Iterator[IO[bytes]]:
 
 def _report_unread(unread: Counter[str]) -> None:
     for words, count in unread.most_common():
-        click.echo(f"rosld: {count} messages are told of but could not be read: {words}", err=True)
+        click.echo(f"rosld: {count} messages are listed but could not be read: {words}", err=True)

@@ -38,7 +38,7 @@ class _GlobCommand(click.Command):
         except click.UsageError as error:
             if "unexpected extra argument" not in error.message:
                 raise
-            words = "Quote globs, such as --history '*': a shell puts names of files in their place"
+            words = "Quote globs, such as --history '*', or the shell expands them to file names"
             raise click.UsageError(f"{error.message}. {words}", ctx) from error
 
 
@@ -55,9 +55,9 @@ def main() -> None:
       rosld serve ros1://localhost:11311   a live ROS 1 system
       rosld lift run.bag -o run.nq.gz      a whole recording as RDF
       rosld types run.bag                  the message types in it
-      rosld guard ros2: --data DIR         ends the holds of a rosld on DIR that is killed
-      rosld token add anna --file a.toml   a token for somebody who may use a server with --auth
-      rosld dump DIR -o data.tar.gz        a copy of what clients have put; rosld load brings it back
+      rosld guard ros2: --data DIR         end the holds on DIR when its rosld is killed
+      rosld token add anna --file a.toml   a token for a user of a server with --auth
+      rosld dump DIR -o data.tar.gz        a copy of stored resources; restore it with rosld load
 
     A SOURCE is `aircraft`, `rover`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder), `ros1://HOST:PORT`
     (`ros1:` takes ROS_MASTER_URI), or `ros2:?domain=42&namespace=/robot1` (`ros2:` takes ROS_DOMAIN_ID).
@@ -151,7 +151,7 @@ def _others() -> str:
 def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:
     """Serve SOURCE on the web.
 
-    Listens once the source is open, then prints one line, the URL to begin with. Ends on Ctrl-C, SIGTERM, SIGQUIT,
+    Listens once the source is open, then prints one line, the URL of the start page. Exits on Ctrl-C, SIGTERM, SIGQUIT,
     and SIGHUP unless that is ignored (nohup).
 
     \b
@@ -179,21 +179,21 @@ def settings_of(others: tuple[tuple[str, str], ...], base_url: str | None, **opt
 @main.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @_output("Where to write: .nq, .nt, .ttl or .trig, each also with .gz.")
-@click.option("--base-url", default=_DEFAULT_BASE, show_default=True, metavar="URL", help="What every URL begins with.")
+@click.option("--base-url", default=_DEFAULT_BASE, show_default=True, metavar="URL", help="The base of all URLs.")
 @click.option(
     "--inline-limit",
     type=click.IntRange(0),
     default=Settings.inline_limit,
     show_default=True,
     metavar="BYTES",
-    help="A larger array or string is elided: its length and the URL of its bytes stand for it.",
+    help="Replace larger arrays and strings by their length and the URL of their bytes.",
 )
 @_options("types")
 def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types: tuple[Path, ...]) -> None:
     """Turn a whole RECORDING into RDF.
 
-    Each message gets its own URL (BASE/bags/NAME/messages/K) and, in .nq and .trig, a named graph of that name. FILE is
-    there when it is whole, not before.
+    Each message gets its own URL (BASE/bags/NAME/messages/K) and, in .nq and .trig, a named graph of that name. FILE
+    appears only once it is complete.
 
     \b
     Examples:
@@ -210,9 +210,9 @@ def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types:
 
 @main.command(cls=_GlobCommand, short_help="Record live topics of SOURCE into FILE.")
 @click.argument("source", default="ros2:")
-@_output("Where to write: x.mcap, x.bag (a bag of ROS 1), or a name without a suffix (a bag of ROS 2).")
-@click.option("--topic", "topics", multiple=True, metavar="GLOB", help="What to record; default: all. Repeatable.")
-@click.option("--duration", type=click.FloatRange(min=0), metavar="SECONDS", help="End after so long.")
+@_output("Where to write: x.mcap, x.bag (a ROS 1 bag), or a name without a suffix (a ROS 2 bag).")
+@click.option("--topic", "topics", multiple=True, metavar="GLOB", help="Topics to record; default: all. Repeatable.")
+@click.option("--duration", type=click.FloatRange(min=0), metavar="SECONDS", help="Stop after this time.")
 @_options("types", "ros_ip", "host_map", "qos")
 def record(
     source: str,
@@ -226,8 +226,8 @@ def record(
 ) -> None:
     """Record live topics of SOURCE (default ros2:) into FILE, until Ctrl-C or for --duration seconds.
 
-    FILE.mcap is MCAP, which any of its readers opens, FILE.bag a bag of ROS 1 for rosbag. A name without a suffix is
-    the folder of a bag of ROS 2 for ros2 bag. Each has its name once it is complete.
+    FILE.mcap is written as MCAP, FILE.bag as a ROS 1 bag for rosbag, and a name without a suffix as the folder of a
+    ROS 2 bag for ros2 bag. The output appears under its name once it is complete.
 
     \b
     Examples:
@@ -239,12 +239,10 @@ def record(
     run(source, output, topics, duration, AdapterOptions(types=types, ros_ip=ros_ip, host_map=dict(host_map), qos=qos))
 
 
-@main.command(short_help="End the holds of a rosld that is killed.")
+@main.command(short_help="End the holds of a rosld that was killed.")
 @click.argument("source")
-@click.option(
-    "--data", "folder", required=True, type=_FOLDER, metavar="DIR", help="The --data of the rosld it watches."
-)
-@click.option("--once", is_flag=True, help="End once nothing is left to be done: for systemd's ExecStopPost.")
+@click.option("--data", "folder", required=True, type=_FOLDER, metavar="DIR", help="The --data of the rosld to watch.")
+@click.option("--once", is_flag=True, help="Exit once nothing is left to do: for systemd's ExecStopPost.")
 @_options("types", "ros_ip", "host_map", "qos")
 def guard(
     source: str,
@@ -255,9 +253,9 @@ def guard(
     host_map: tuple[tuple[str, str], ...],
     qos: tuple[tuple[str, Qos], ...],
 ) -> None:
-    """Watch the rosld that serves SOURCE with --data DIR; when it dies, publish what ends the holds that it had.
+    """Watch the rosld that serves SOURCE with --data DIR; when it dies, publish the final messages of its holds.
 
-    A rosld that ends in order has none left. Runs beside rosld until Ctrl-C or SIGTERM.
+    A rosld that exits normally leaves no holds. Runs alongside rosld until Ctrl-C or SIGTERM.
 
     \b
     Examples:
@@ -285,9 +283,9 @@ def types(source: str, types: tuple[Path, ...]) -> None:
     run(source, AdapterOptions(types=types))
 
 
-@main.group(short_help="Tokens of those who may use a server with --auth.")
+@main.group(short_help="Manage tokens for a server with --auth.")
 def token() -> None:
-    """Make, list and take away tokens, in the file that `rosld serve --auth FILE` reads again whenever it changes.
+    """Create, list and remove tokens in the file of `rosld serve --auth FILE`, which rereads it when it changes.
 
     \b
     Examples:
@@ -300,53 +298,53 @@ def token() -> None:
 _AUTH = click.option("--file", required=True, type=click.Path(dir_okay=False, path_type=Path), metavar="FILE")
 
 
-@token.command("add", short_help="Make a token for NAME, and print it once.")
+@token.command("add", short_help="Create a token for NAME and print it once.")
 @click.argument("name")
 @click.option(
     "--mode",
     "modes",
     multiple=True,
     type=click.Choice(["read", "write", "control", "administer"]),
-    help="What NAME may do. Repeatable; read where only --glob is given.",
+    help="What NAME may do. Repeatable; default with --glob: read.",
 )
 @click.option("--glob", "globs", multiple=True, metavar="GLOB", help="Where, such as '/topics/**'. Repeatable.")
 @_AUTH
 def token_add(name: str, modes: tuple[str, ...], globs: tuple[str, ...], file: Path) -> None:
-    """Make a token for NAME and print it: it is kept nowhere, only its digest is.
+    """Create a token for NAME and print it once: only its digest is stored.
 
-    Without --mode and --glob the rules stay as they are.
+    Without --mode and --glob the rules are unchanged.
     """
     from rosld.server.cli.manage_tokens import add
 
     add(file, name, modes, globs)
 
 
-@token.command("list", short_help="Who has tokens, and how many.")
+@token.command("list", short_help="List agents and their number of tokens.")
 @_AUTH
 def token_list(file: Path) -> None:
-    """List who has tokens: name, tab, how many."""
+    """List agents with tokens: name, tab, number of tokens."""
     from rosld.server.cli.manage_tokens import count_tokens
 
     count_tokens(file)
 
 
-@token.command("remove", short_help="Take all tokens of NAME away.")
+@token.command("remove", short_help="Remove all tokens of NAME.")
 @click.argument("name")
 @_AUTH
 def token_remove(name: str, file: Path) -> None:
-    """Take all tokens of NAME away. A server that runs on FILE refuses them within a second or two."""
+    """Remove all tokens of NAME. A server that uses FILE rejects them within a second or two."""
     from rosld.server.cli.manage_tokens import remove
 
     remove(file, name)
 
 
-@main.command(short_help="Copy what clients have put in DIR into a file.")
+@main.command(short_help="Copy the stored resources of DIR into a file.")
 @click.argument("folder", metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @_output("Where to write: a .tar.gz.")
 def dump(folder: Path, output: Path) -> None:
-    """Copy what clients have put in DIR (`rosld serve --data DIR`) into FILE, RDF and files.
+    """Copy the stored resources, RDF and files, of DIR (`rosld serve --data DIR`) into FILE.
 
-    It is as it was at one moment, whether a server runs on DIR or not. FILE is there when it is whole, not before.
+    The copy is a consistent snapshot, even while a server runs on DIR. FILE appears only once it is complete.
 
     \b
     Examples:
@@ -357,18 +355,16 @@ def dump(folder: Path, output: Path) -> None:
     run(folder, output)
 
 
-@main.command(short_help="Bring back into DIR what a dump holds.")
+@main.command(short_help="Restore a dump into DIR.")
 @click.argument("file", type=_FILE)
 @click.argument("folder", metavar="DIR", type=_FOLDER)
-@click.option(
-    "--base-url", default=None, metavar="URL", help="What IRIs of the dump's own base begin with from now on."
-)
+@click.option("--base-url", default=None, metavar="URL", help="The new base of IRIs that begin with the dump's base.")
 def load(file: Path, folder: Path, base_url: str | None) -> None:
-    """Put what FILE holds in place of everything that clients have put in DIR, at once or not at all.
+    """Replace all stored resources of DIR by those of FILE, atomically.
 
-    A server may run on DIR: it goes on with what FILE holds. What is not in FILE is deleted; what was deleted and is in
-    FILE comes back. DIR belongs to the base URL of the dump, unless --base-url rewrites its IRIs (those in RDF; files
-    stay as they are).
+    A server may run on DIR: it continues with the content of FILE. Resources that are not in FILE are deleted; deleted
+    ones that are in FILE are restored. DIR belongs to the base URL of the dump, unless --base-url rewrites its IRIs
+    (those in RDF; files are unchanged).
 
     \b
     Examples:

@@ -75,7 +75,7 @@ def _is_token_of(part: str, name: str) -> bool:
 
 def _content(file: Path) -> str:
     if file.suffix in (".ttl", ".turtle"):
-        raise ValueError(f"{file}: tokens are added to TOML; to Turtle add ros:tokenDigest by hand")
+        raise ValueError(f"{file}: tokens can only be added to TOML; in Turtle, add ros:tokenDigest by hand")
     return file.read_text("utf-8") if file.exists() else ""
 
 

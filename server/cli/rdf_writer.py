@@ -100,7 +100,7 @@ class Lifting:
         try:
             schema = self.recording.schema(ref)
             if not isinstance(schema, MessageSchema):
-                return f"{ref.name} is no message type"
+                return f"{ref.name} is not a message type"
             return Reader(schema, lifter(schema, self._settings))
         except (RosError, ValueError) as error:
             return str(error)

@@ -34,7 +34,7 @@ def record(source: str, output: Path, topics: Sequence[str], duration: float | N
     file = _mcap_file(output)
     for path in {output, file}:
         if path.exists():
-            raise Failure(f"{path} is there already: name another file")
+            raise Failure(f"{path} already exists: choose another file")
     with user_errors():
         for glob in topics:
             check_topic_glob("--topic", glob)
@@ -49,11 +49,11 @@ def record(source: str, output: Path, topics: Sequence[str], duration: float | N
         try:
             _convert(file, output, options)
         except (OSError, RosError, CannotExport) as error:
-            raise Failure(f"{output} cannot be written: {error}; {file} has what was recorded") from error
+            raise Failure(f"{output} cannot be written: {error}; the recording is in {file}") from error
         file.unlink()
     if writer.silent:
-        click.echo(f"rosld: no message came of {', '.join(writer.silent)}", err=True)
-    click.echo(f"{output}: {writer.count} messages of {len(writer.counts)} topics", err=True)
+        click.echo(f"rosld: no messages received on {', '.join(writer.silent)}", err=True)
+    click.echo(f"{output}: {writer.count} messages on {len(writer.counts)} topics", err=True)
 
 
 def _mcap_file(output: Path) -> Path:
@@ -67,7 +67,7 @@ def _require_format(output: Path, encoding: Encoding) -> None:
     if output.suffix == SUFFIX or output.suffix == (BAG.suffix if encoding is Encoding.ROS1 else ""):
         return
     version = 1 if encoding is Encoding.ROS1 else 2
-    raise ValueError(f"-o {output}: the messages are of ROS {version}; name a FILE.mcap, or a {own}")
+    raise ValueError(f"-o {output}: the messages are of ROS {version}; use FILE.mcap or {own}")
 
 
 def _convert(file: Path, output: Path, options: AdapterOptions) -> None:
@@ -80,8 +80,8 @@ def _not_live(source: str) -> str:
     """Return why a source that is read as the path of a recording cannot be recorded."""
     path = source.removeprefix("recording:").partition("?")[0]
     if Path(path).exists():
-        return f"{source} is a recording already"
-    return f"{source} is no live source, such as ros1://HOST:PORT, ros2: or rover"
+        return f"{source} is already a recording"
+    return f"{source} is not a live source, such as ros1://HOST:PORT, ros2: or rover"
 
 
 class _Recording(NullSink):
@@ -116,7 +116,7 @@ class _Recording(NullSink):
         finally:
             await self._adapter.close()
         for topic, count in sorted(self._live.dropped().items()):
-            click.echo(f"rosld: {count} messages of {topic} came too fast and are not in it", err=True)
+            click.echo(f"rosld: {count} messages on {topic} arrived too fast and were dropped", err=True)
         return writer
 
     def graph_changed(self, graph: Graph) -> None:
@@ -133,5 +133,5 @@ class _Recording(NullSink):
             if writer.problem is not None:
                 ended.set()
             if is_terminal:
-                line = f"{writer.count} messages of {len(writer.counts)} topics, {writer.size / 1e6:.1f} MB"
+                line = f"{writer.count} messages on {len(writer.counts)} topics, {writer.size / 1e6:.1f} MB"
                 click.echo(f"\r{line}\x1b[K", err=True, nl=False)

@@ -155,8 +155,8 @@ def max_open_files() -> int:
 
 def _warn(settings: Settings) -> None:
     if settings.open_beyond_loopback:
-        sentence = "is reached by other machines, so this server is read-only: --auth says who may write"
+        sentence = "is reachable from other machines, so this server is read-only: use --auth to define who may write"
         click.echo(f"rosld: {settings.host} {sentence}", err=True)
     elif settings.beyond_loopback and settings.tls_cert is None:
-        sentence = "is reached by other machines, and tokens go there in the clear: give --tls-cert, or have a proxy"
-        click.echo(f"rosld: {settings.host} {sentence} before it that speaks TLS", err=True)
+        sentence = "is reachable from other machines, and tokens are sent unencrypted: use --tls-cert, or put a proxy"
+        click.echo(f"rosld: {settings.host} {sentence} with TLS before it", err=True)

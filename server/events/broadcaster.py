@@ -138,8 +138,8 @@ class Broadcaster:
         except Problem as error:
             problem = error
         except Exception as error:
-            _log.exception("%s cannot be read for its changes", self._resource.url, exc_info=error)
-            problem = Problem(500, "The server failed to read this resource; its log says more.")
+            _log.exception("cannot read %s to look for changes", self._resource.url, exc_info=error)
+            problem = Problem(500, "The server failed to read this resource; see its log.")
         return Observation(f"{problem.status} {problem.with_quotes}", problem)
 
     async def _renew(self) -> None:
@@ -196,11 +196,15 @@ class Broadcasters:
         Raises a 429 Problem if the readers at this client's address are at their limit; loopback addresses count too.
         """
         if self._of_address[_address_of(client)] >= self._max_of_address:
-            words = f"{self._max_of_address} streams and waiting requests come from your address already"
+            words = f"{self._max_of_address} streams and waiting requests from your address are open, the maximum"
             raise Problem(429, f"{words} (client_streams): end some.", headers={"Retry-After": "5"})
         if self._is_over or self.readers >= MAX_READERS:
-            why = "The server is ending." if self._is_over else f"{MAX_READERS} readers of changes are here already."
-            raise Problem(503, f"{why} Come back later, or read without a stream.", headers={"Retry-After": "10"})
+            why = (
+                "The server is shutting down."
+                if self._is_over
+                else f"{MAX_READERS} clients are already waiting for changes."
+            )
+            raise Problem(503, f"{why} Try again later, or read without a stream.", headers={"Retry-After": "10"})
 
     @contextlib.contextmanager
     def count_reader(self, scope: Scope) -> Iterator[None]:

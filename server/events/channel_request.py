@@ -57,7 +57,7 @@ def check_profile(content_type: str | None) -> None:
         raise Problem(415, f"Content-Type: {error}.") from error
     for one in (profile or "").split():
         if one not in KNOWN_CONTEXTS:
-            raise Problem(415, f"The profile {one[:_MAX_LENGTH]!r} is unknown here: leave it out.")
+            raise Problem(415, f"Unknown profile {one[:_MAX_LENGTH]!r}: omit it.")
 
 
 def read_subscription(data: bytes, media_type: str, service: str, channel_type: str, now: int) -> ChannelRequest:
@@ -72,7 +72,7 @@ def read_subscription(data: bytes, media_type: str, service: str, channel_type: 
     _check_type(body, channel, channel_type)
     start_at, end_at = (_date_time(_text(body, channel, term)) for term in (notify.startAt, notify.endAt))
     if end_at is not None and end_at <= max(now, start_at or now):
-        raise _refusal(f"endAt {_text(body, channel, notify.endAt)} is over before anything begins: name a later time.")
+        raise _refusal(f"endAt {_text(body, channel, notify.endAt)} is in the past: choose a later time.")
     return ChannelRequest(
         topic=_topic(body, channel),
         accept=_accept(_text(body, channel, notify.accept)),
@@ -92,9 +92,9 @@ def with_known_contexts(data: bytes) -> bytes:
     try:
         root = orjson.loads(data)
     except orjson.JSONDecodeError as error:
-        raise BodyError(f"this is no JSON: {error.msg}", error.lineno, error.colno) from error
+        raise BodyError(f"this is not JSON: {error.msg}", error.lineno, error.colno) from error
     if not isinstance(root, dict | list):
-        raise _refusal("A subscription is a JSON object.")
+        raise _refusal("A subscription must be a JSON object.")
     if isinstance(root, dict):
         root.setdefault("@context", DEFINITIONS)
     for part in _objects(root):
@@ -128,41 +128,41 @@ def _known_context(context: object) -> object:
 
 def _unknown_context(context: object) -> Problem:
     return _refusal(
-        f"The JSON-LD context {str(context)[:_MAX_LENGTH]!r} is unknown, and nothing is fetched here: send "
-        f"{sorted(KNOWN_CONTEXTS)[0]} or write the context itself in its place."
+        f"Unknown JSON-LD context {str(context)[:_MAX_LENGTH]!r}; contexts are not fetched: send "
+        f"{sorted(KNOWN_CONTEXTS)[0]}, or include the context itself."
     )
 
 
 def _channel(body: RdfBody) -> Subject:
     found = [subject for subject, properties in body.subjects.items() if notify.topic in properties]
     if len(found) != 1:
-        raise _refusal(f"A subscription has one channel with a {notify.topic.value}; this has {len(found)}.")
+        raise _refusal(f"A subscription must have one channel with a {notify.topic.value}, not {len(found)}.")
     return found[0]
 
 
 def _check_type(body: RdfBody, channel: Subject, wanted: str) -> None:
     types = [one.value for one in body.objects(channel, rdf.type) if isinstance(one, NamedNode)]
     if not types:
-        raise _refusal(f"A subscription has a type: {notify.iri}{wanted} here.")
+        raise _refusal(f"A subscription needs a type; this service supports {notify.iri}{wanted}.")
     for one in types:
         if type_named(one) != wanted:
-            raise _refusal(f"The type {one[:_MAX_LENGTH]!r} is not made here: this service makes {notify.iri}{wanted}")
+            raise _refusal(f"The type {one[:_MAX_LENGTH]!r} is not supported: this service offers {notify.iri}{wanted}")
 
 
 def _topic(body: RdfBody, channel: Subject) -> str:
     found = body.objects(channel, notify.topic)
     if len(found) > 1:
-        raise _refusal(f"A channel has one topic here; this has {len(found)}: subscribe once for each.")
+        raise _refusal(f"A channel must have one topic, not {len(found)}: subscribe to each separately.")
     topic = found[0]
     if not isinstance(topic, NamedNode):
-        raise _refusal(f"The topic {str(topic)[:_MAX_LENGTH]} is no URL: send it as an IRI.")
+        raise _refusal(f"The topic {str(topic)[:_MAX_LENGTH]} is not a URL: send it as an IRI.")
     try:
         fragment = urlsplit(topic.value).fragment
     except ValueError as error:
-        raise _refusal(f"The topic {topic.value[:_MAX_LENGTH]!r} is no URL: {error}.") from error
+        raise _refusal(f"The topic {topic.value[:_MAX_LENGTH]!r} is not a URL: {error}.") from error
     if fragment or topic.value.endswith("#"):
         raise _refusal(
-            f"The topic {topic.value[:_MAX_LENGTH]!r} is a part of a resource: name the resource, without #."
+            f"The topic {topic.value[:_MAX_LENGTH]!r} has a fragment: send the URL of the resource, without #."
         )
     return topic.value
 
@@ -171,12 +171,12 @@ def _text(body: RdfBody, channel: Subject, term: NamedNode) -> str | None:
     found = body.objects(channel, term)
     name = term.value.removeprefix(notify.iri)
     if len(found) > 1:
-        raise _refusal(f"{name} is given {len(found)} times: once is enough.")
+        raise _refusal(f"{name} is given {len(found)} times: send it once.")
     if not found:
         return None
     value = found[0]
     if not isinstance(value, Literal):
-        raise _refusal(f"{name} {str(value)[:_MAX_LENGTH]} is no literal.")
+        raise _refusal(f"{name} {str(value)[:_MAX_LENGTH]} is not a literal.")
     if len(value.value) > _MAX_LENGTH:
         raise _refusal(f"{name} {value.value[:_MAX_LENGTH]!r}... is longer than {_MAX_LENGTH} characters.")
     return value.value
@@ -185,7 +185,7 @@ def _text(body: RdfBody, channel: Subject, term: NamedNode) -> str | None:
 def _accept(accept: str | None) -> str:
     found = choose_offer(accept, MESSAGE_TYPES)
     if found is None:
-        raise _refusal(f"accept {accept!r}: notifications are written in {', '.join(MESSAGE_TYPES)}.")
+        raise _refusal(f"accept {accept!r}: notifications are available as {', '.join(MESSAGE_TYPES)}.")
     return found
 
 
@@ -196,12 +196,12 @@ def _interval(rate: str | None) -> float:
     match = _DURATION.fullmatch(rate.strip().upper())
     if match is None or not any(part is not None for part in match.groups()):
         raise _refusal(
-            f"rate {rate!r} is no xsd:duration of days, hours, minutes and seconds, such as PT10S or PT0.5S."
+            f"rate {rate!r} is not an xsd:duration of days, hours, minutes and seconds, such as PT10S or PT0.5S."
         )
     days, hours, minutes, seconds = (Decimal(part or 0) for part in match.groups())
     wanted = float(((days * 24 + hours) * 60 + minutes) * 60 + seconds)
     if wanted > MAX_INTERVAL:
-        raise _refusal(f"rate {rate!r} is longer than a day ({MAX_INTERVAL:g} s), the longest here.")
+        raise _refusal(f"rate {rate!r} is longer than the maximum of one day ({MAX_INTERVAL:g} s).")
     return max(wanted, MIN_INTERVAL)
 
 
@@ -211,7 +211,7 @@ def _date_time(text: str | None) -> int | None:
         return None
     match = _DATE_TIME.fullmatch(text.strip())
     if match is None:
-        raise _refusal(f"{text!r} is no xsd:dateTime such as 2030-01-31T12:00:00Z.")
+        raise _refusal(f"{text!r} is not an xsd:dateTime such as 2030-01-31T12:00:00Z.")
     *parts, fraction, zone = match.groups()
     try:
         year, month, day, hour, minute, second = map(int, parts)
@@ -219,7 +219,7 @@ def _date_time(text: str | None) -> int | None:
         whole = datetime.fromisoformat(f"{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}{offset}")
         since = whole - _EPOCH
     except (ValueError, OverflowError) as error:
-        raise _refusal(f"{text!r} is no moment that there is: {error}.") from error
+        raise _refusal(f"{text!r} does not exist: {error}.") from error
     return (since.days * 86_400 + since.seconds) * 1_000_000_000 + int((fraction or "0").ljust(9, "0")[:9])
 
 

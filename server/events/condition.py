@@ -88,12 +88,14 @@ class Comparison(Struct, frozen=True):
             return
         written = _write(self.path)
         if isinstance(found, dict | list):
-            raise ConditionError(f"{written} is {_kind(found)}, compare a part of it: {_parts(found)}")
+            raise ConditionError(f"{written} is {_kind(found)}; compare a part of it: {_parts(found)}")
         is_numeric = _is_number(self.literal) and _is_number(_as_number(found))
         if not is_numeric and _kind(found) != _kind(self.literal):
-            raise ConditionError(f"{written} is {_kind(found)}, now {_brief(found)}: it is compared with such a value")
+            raise ConditionError(
+                f"{written} is {_kind(found)}, now {_brief(found)}: compare it with a value of that type"
+            )
         if isinstance(found, bool) and self.comparator not in _EQUALITY:
-            raise ConditionError(f"{written} is true or false: compare it by = or !=")
+            raise ConditionError(f"{written} is true or false: compare it with = or !=")
 
 
 class Negation(Struct, frozen=True):
@@ -138,13 +140,13 @@ def named_members(condition: Condition) -> frozenset[str]:
             return named_members(inner)
         case Combination(parts=parts):
             return frozenset().union(*map(named_members, parts))
-    raise AssertionError(f"{condition!r} is no condition")
+    raise AssertionError(f"{condition!r} is not a condition")
 
 
 def parse_condition(text: str) -> Condition:
     """Parse a condition. Raises ConditionError with the error and its position."""
     if len(text) > MAX_LENGTH:
-        raise ConditionError(f"it has {len(text)} characters: send {MAX_LENGTH} at the most")
+        raise ConditionError(f"it has {len(text)} characters: send at most {MAX_LENGTH}")
     parser = _Parser(_tokens(text))
     found = parser.condition(0)
     parser.require_end()
@@ -271,7 +273,7 @@ def _tokens(text: str) -> tuple[_Token, ...]:
     return tuple(found)
 
 
-_FORM = "a condition is like data >= 300 and status = 'on'"
+_FORM = "a condition looks like data >= 300 and status = 'on'"
 _END = _Token("end", "", -1)
 
 
@@ -320,7 +322,7 @@ class _Parser(Struct):
         self.read += 1
         literal = self._literal()
         if token.text not in _EQUALITY and (literal is None or isinstance(literal, bool)):
-            raise ConditionError(f"nothing is more or less than {_brief(literal)}: compare by = or !=")
+            raise ConditionError(f"{_brief(literal)} has no order: compare it with = or !=")
         return Comparison(path, token.text, literal)
 
     def _path(self) -> Iterator[Step]:
@@ -372,8 +374,8 @@ class _Parser(Struct):
 
     def _unexpected(self, wanted: str) -> ConditionError:
         token = self._next
-        where = "at its end" if token is _END else f"at {token.text[:20]!r} (character {token.at + 1})"
-        return ConditionError(f"{where} there should be {wanted}; {_FORM}")
+        where = "at the end" if token is _END else f"at {token.text[:20]!r} (character {token.at + 1})"
+        return ConditionError(f"expected {wanted} {where}; {_FORM}")
 
 
 def _number(text: str) -> int | float:
@@ -381,5 +383,5 @@ def _number(text: str) -> int | float:
         return int(text)
     found = float(text)
     if math.isinf(found):
-        raise ConditionError(f"{text[:20]} is larger than any number here")
+        raise ConditionError(f"{text[:20]} is too large a number")
     return found

@@ -180,7 +180,7 @@ def check_origin(site: OriginPolicy, origin: str | None) -> None:
     if origin is None or site.allows_any_origin or origin.lower() in site.origins or origin in site.shared_origins:
         return
     raise Problem(
-        403, f"Pages of {origin[:200]!r} may not read here. To let them, start the server with --cors-origin."
+        403, f"Pages of {origin[:200]!r} may not read this server. To allow it, start the server with --cors-origin."
     )
 
 
@@ -239,7 +239,7 @@ class WebSocketReceiver:
 
     def _ending(self, is_done: bool) -> tuple[int, str]:
         if is_done:
-            return NORMAL, "the topic is gone for good"
+            return NORMAL, "the topic is permanently gone"
         end = self._channel.terms.end_at
         if end is not None and time.time_ns() >= end - _CLOCKS_NS:
             return NORMAL, "endAt has passed"
@@ -247,7 +247,7 @@ class WebSocketReceiver:
             return NORMAL, "the channel was deleted"
         if self._channel.receiver is not None:
             return NORMAL, "another connection receives from this channel"
-        return GOING_AWAY, "the server is ending"
+        return GOING_AWAY, "the server is shutting down"
 
     def _subprotocol(self, scope: Scope) -> str | None:
         """Return the name of the channel type if the client offers it: browsers need one of their offers chosen."""

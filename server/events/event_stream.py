@@ -87,7 +87,7 @@ def event_frame(data: bytes, id: str | None = None, name: str | None = None) -> 
     for field, value in (("event", name), ("id", id)):
         if value is not None:
             if not value.isprintable():
-                raise ValueError(f"{value!r} cannot be the {field} of an event")
+                raise ValueError(f"{value!r} is not a valid {field} of an event")
             lines.append(f"{field}: {value}".encode())
     lines += [b"data: " + line for line in data.splitlines() or [b""]]
     return b"\n".join(lines) + b"\n\n"

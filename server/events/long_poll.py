@@ -39,7 +39,8 @@ class Until:
         if view.plain is None:
             raise Problem(
                 400,
-                "?until= is for values: of topics, resources, parameters, calls, goals. Here is none: use ?after=.",
+                "?until= needs a value, as topics, resources, parameters, calls and goals have. This has none: use "
+                "?after=.",
             )
         value = cast(Value, view.json_value)
         if not self._is_checked and value is not None:
@@ -51,13 +52,13 @@ class Until:
         if self._condition.holds(value):
             return True
         if isinstance(view, EndedState) and not view.open_members & named_members(self._condition):
-            detail = "?until= no longer comes true: what it waits for has ended, and `state` is how it stands."
+            detail = "?until= can no longer become true: the resource has ended; `state` is its final state."
             raise Problem(409, detail, title="Has ended", extra={"state": value})
         return False
 
 
 def _refusal(error: ConditionError) -> Problem:
-    return Problem(400, f"?until= cannot be waited for: {error}.")
+    return Problem(400, f"?until= is invalid: {error}.")
 
 
 async def wait_for_state(

@@ -103,7 +103,7 @@ class Channels:
         If the topic's state differs from the one that the client says it has, the first notification is due at once.
         Raises a 503 Problem if there are too many channels.
         """
-        record_step(f"open a channel that tells of {resource.url}")
+        record_step(f"open a notification channel for {resource.url}")
         self._make_room()
         end_dry_run()
         token = secrets.token_urlsafe(24)
@@ -120,7 +120,7 @@ class Channels:
         channel = self._channels.get(token)
         if channel is None or channel.is_over or not channel.auth.is_valid():
             self._channels.pop(token, None)
-            raise Problem(404, "There is no such channel, or its time has passed: subscribe again.")
+            raise Problem(404, "The channel does not exist or has expired: subscribe again.")
         return channel
 
     def topic_of(self, token: str) -> str | None:
@@ -182,7 +182,7 @@ class Channels:
         over = [one for one in self._channels.values() if one.is_over]
         waiting = [one for one in self._channels.values() if one.receiver is None]
         if not over and not waiting:
-            words = f"{self._limit} channels have receivers already. Come back later."
+            words = f"{self._limit} channels already have receivers. Try again later."
             raise Problem(503, words, headers={"Retry-After": "60"})
         end_dry_run()
         for channel in over or [min(waiting, key=lambda one: one.since)]:

@@ -27,7 +27,8 @@ def parse_rate(query: Mapping[str, str], default: float = DEFAULT_RATE) -> float
     if wanted is None or wanted < MIN_RATE:
         raise Problem(
             400,
-            f"?rate={query['rate'][:100]} is no number of events a second: send one from {MIN_RATE:g} to {MAX_RATE:g}.",
+            f"?rate={query['rate'][:100]} is not a number of events per second: send a number from {MIN_RATE:g} "
+            f"to {MAX_RATE:g}.",
         )
     return min(wanted, MAX_RATE)
 
@@ -37,7 +38,8 @@ def parse_timeout(query: Mapping[str, str]) -> float:
     wanted = _number(query, "timeout", DEFAULT_TIMEOUT)
     if wanted is None:
         raise Problem(
-            400, f"?timeout={query['timeout'][:100]} is no number of seconds: send one from 0 to {MAX_TIMEOUT:g}."
+            400,
+            f"?timeout={query['timeout'][:100]} is not a number of seconds: send a number from 0 to {MAX_TIMEOUT:g}.",
         )
     return min(wanted, MAX_TIMEOUT)
 

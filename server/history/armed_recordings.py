@@ -54,7 +54,7 @@ class ArmedRecording:
     @property
     def trigger(self) -> Trigger:
         """The trigger of the order."""
-        assert self.order.trigger is not None, "what is armed has a trigger"
+        assert self.order.trigger is not None, "an armed recording needs a trigger"
         return self.order.trigger
 
     def suspend(self, why: str | None) -> None:
@@ -103,7 +103,7 @@ class ArmedRecordings:
             try:
                 recording = _from_note(name, members)
             except (KeyError, TypeError, ValueError) as error:
-                log.warning("the recording %s, which waited for its trigger, cannot be read: %s", name, error)
+                log.warning("the armed recording %s cannot be read: %s", name, error)
                 continue
             if recording.trigger.limit == 1 and not self._is_free(name):
                 with contextlib.suppress(OSError):
@@ -121,9 +121,9 @@ class ArmedRecordings:
         """Wait for a trigger; store the order in the folder, if any. Raises RecordingRefused, OSError."""
         if len(self.all) >= MAX_ARMED:
             raise RecordingRefused(
-                f"{MAX_ARMED} recordings wait for triggers already: delete one first", is_conflict=True
+                f"{MAX_ARMED} recordings are already waiting for triggers: delete one first", is_conflict=True
             )
-        record_step(f"have the recording {name} wait for its trigger")
+        record_step(f"arm the recording {name}")
         end_dry_run()
         recording = self.all[name] = ArmedRecording(name, order, agent)
         try:
@@ -139,7 +139,7 @@ class ArmedRecordings:
         """Disarm a recording; return whether it existed. Recordings already started continue. Raises OSError."""
         if name not in self.all:
             return False
-        record_step(f"have the recording {name} wait no more for its trigger")
+        record_step(f"disarm the recording {name}")
         end_dry_run()
         recording = self.all.pop(name)
         if recording.task is not None:
@@ -167,16 +167,16 @@ class ArmedRecordings:
                 if self._has_place(recording) and await self._follow(recording, occurrences):
                     return
             except (RecordingRefused, OSError) as error:
-                _fail(recording, f"The recording could not be begun: {getattr(error, 'strerror', None) or error}.")
+                _fail(recording, f"The recording could not be started: {getattr(error, 'strerror', None) or error}.")
             except Exception as error:  # an unexpected error must not lose the order
-                _fail(recording, f"What it waits for could not be followed: {type(error).__name__}.", error)
+                _fail(recording, f"The trigger could not be watched: {type(error).__name__}.", error)
             await asyncio.sleep(self._retry_seconds)
 
     def _has_place(self, recording: ArmedRecording) -> bool:
         """Whether the order is within the limit. An older release with a higher limit may have stored more."""
         if list(self.all).index(recording.name) < MAX_ARMED:
             return True
-        recording.suspend(f"{MAX_ARMED} recordings wait for triggers already, and no more may: delete one.")
+        recording.suspend(f"{MAX_ARMED} recordings are already waiting for triggers, the maximum: delete one.")
         return False
 
     async def _follow(self, recording: ArmedRecording, occurrences: Occurrences) -> bool:
@@ -187,7 +187,7 @@ class ArmedRecordings:
                 try:
                     await (self._remove(recording.name) if is_last else self._write(recording))
                 except OSError as error:
-                    log.error("how often the recording %s was begun cannot be stored: %s", recording.name, error)
+                    log.error("the number of starts of the recording %s cannot be stored: %s", recording.name, error)
                 if is_last:
                     return True
         return False
@@ -242,10 +242,10 @@ def _from_note(name: str, members: Mapping[str, object]) -> ArmedRecording:
     """Return the stored order. Raises KeyError, TypeError, ValueError."""
     order, agent, count = members["order"], members["agent"], members["count"]
     if not isinstance(order, dict) or not isinstance(agent, dict) or not isinstance(count, int):
-        raise TypeError("its order, its agent or its count is none")
+        raise TypeError("its order, its agent or its count is invalid")
     if order.get("trigger") is None:
         raise ValueError("it has no trigger")
     called, webid = agent["name"], agent.get("webid")
     if not isinstance(called, str) or not isinstance(webid, str | None):
-        raise TypeError("its agent is none")
+        raise TypeError("its agent is invalid")
     return ArmedRecording(name, order_from_json(order), Agent(called, webid), count)

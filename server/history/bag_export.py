@@ -71,8 +71,9 @@ def require_encoding(name: str, encoding: Encoding, format: ExportFormat) -> Non
         own = next(each for each in EXPORT_FORMATS.values() if each.encoding is encoding)
         version = 1 if encoding is Encoding.ROS1 else 2
         raise CannotExport(
-            f"the messages of {name} are of ROS {version}, which {format.about} cannot hold: ?format={own.name} is "
-            f"{own.about}, and rosbags-convert (of the PyPI package rosbags) makes one of the other ROS of that"
+            f"the messages of {name} are of ROS {version}, which {format.about} cannot hold: ?format={own.name} "
+            f"is {own.about}, and rosbags-convert (of the PyPI package rosbags) converts that to the other "
+            "version of ROS"
         )
 
 
@@ -90,7 +91,7 @@ class BagExports:
         Raises CannotExport, OSError, RosError, and Problem 503 if too many exports are waiting.
         """
         if self._pending >= _MAX_PENDING:
-            words = "Too many recordings are being converted: try again."
+            words = "Too many recordings are being converted: try again later."
             raise Problem(503, words, headers={"Retry-After": "30"})
         self._pending += 1
         try:
@@ -229,7 +230,7 @@ def _hash(recording: Recording, topic: str, ref: TypeRef) -> str:
     except UnknownType:
         found = None
     if not found:
-        raise CannotExport(f"the type {ref.name} of {topic} is not known: give its definition by --types")
+        raise CannotExport(f"the type {ref.name} of {topic} is not known: provide its definition with --types")
     return found
 
 

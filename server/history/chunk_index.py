@@ -79,7 +79,7 @@ class ChunkIndex:
         (found,) = self._db.execute("PRAGMA user_version").fetchone()
         if found not in (0, _VERSION):
             self._db.close()
-            raise sqlite3.DatabaseError(f"the index has version {found}, not {_VERSION}")
+            raise sqlite3.DatabaseError(f"the index has version {found}, expected {_VERSION}")
         (self.identity,) = self._db.execute("PRAGMA application_id").fetchone()
         if not self.identity:
             self.identity = secrets.randbits(31) or 1

@@ -171,7 +171,7 @@ class HistoryRecording:
         except KeyError:  # its segment was removed in the meantime
             found = None
         if found is None:
-            raise NotFound(f"the history has no message {index} any more")
+            raise NotFound(f"the history no longer has message {index}")
         channel, sample = found
         return RecordedMessage(index, channel.topic, sample)
 
@@ -278,7 +278,10 @@ class History:
     ) -> None:
         """Raise ValueError if the source has no live topics to record."""
         if settings.history and adapter.capabilities.system == "recording":
-            raise ValueError(f"--history {settings.history[0]}: a recording is served, whose messages are kept already")
+            raise ValueError(
+                f"--history {settings.history[0]}: not possible when serving a recording, whose messages "
+                "are already stored"
+            )
         folder = None if settings.data is None else settings.data / FOLDER
         segments = Segments(folder, history_limits(settings), lambda: live.latched(self.writer))
         self.writer = HistoryWriter(segments, definition_of)
@@ -319,7 +322,7 @@ class History:
         try:
             await asyncio.to_thread(self.writer.open)
         except (OSError, sqlite3.Error) as error:
-            self._failure = f"The history is not recorded: {error}. Make room for it, then start rosld anew."
+            self._failure = f"The history is not recorded: {error}. Free some space, then restart rosld."
             log.error("%s", self._failure)
             return
         self._live.add(self.writer, self.will_record)

@@ -217,7 +217,7 @@ class HistoryWriter:
         self._current = segment, writer, time.monotonic()
         self.segments.refresh()
         if self.problem is not None:
-            log.warning("the history is recorded again")
+            log.warning("recording of the history has resumed")
             self.problem = None
         return self._current
 
@@ -281,7 +281,7 @@ class HistoryWriter:
         if self.problem is None:
             where = "" if self.segments.folder is None else f" in {self.segments.folder}"
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-            self.problem = f"The history is not recorded: {reason}{where}. It goes on by itself once there is room."
+            self.problem = f"The history is not recorded: {reason}{where}. Recording resumes when space is available."
             log.error("%s", self.problem)
         self._retry_at = time.monotonic() + _RETRY
         with self._lock:

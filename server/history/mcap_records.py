@@ -154,7 +154,7 @@ def chunk_head(data: bytes, at: int = 0) -> ChunkHead:
         name = at + _CHUNK_HEAD.size + 4
         compression = data[name : name + length].decode("ascii")
     except (struct.error, UnicodeDecodeError) as error:
-        raise ValueError(f"the chunk at {at} has no head: {error}") from error
+        raise ValueError(f"the chunk at {at} has no valid header: {error}") from error
     return ChunkHead(start, end, size, crc, compression, name + length + 8)
 
 
@@ -170,5 +170,5 @@ def decompress(data: bytes, size: int) -> bytes:
     except ZstdError as error:
         raise ValueError(f"a chunk cannot be decompressed: {error}") from error
     if len(found) != size:
-        raise ValueError(f"a chunk has {len(found)} bytes, not {size}")
+        raise ValueError(f"a chunk has {len(found)} bytes, expected {size}")
     return found

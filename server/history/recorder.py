@@ -111,7 +111,7 @@ class Recorder:
             except queue.Empty:
                 pass
             except Exception:  # a failure of one message or recording must not end the others
-                log.exception("what was to be recorded could not be")
+                log.exception("messages could not be recorded")
             now = time.monotonic()
             if now - written >= _PERIOD:
                 written = now

@@ -66,7 +66,7 @@ class RecordingWriter:
         if self._writer is None or self.problem is not None or (is_opening and not sample.latched):
             return
         if not self._writer.has_room():
-            self._end("it has more channels than MCAP can number")
+            self._end("it has more channels than MCAP allows")
             return
         chunk = self._open.get(topic)
         if chunk is None:

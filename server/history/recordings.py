@@ -205,7 +205,7 @@ class Recordings:
     def begin(self, order: RecordingOrder, may_record: MayRecord) -> RunningRecording:
         """Start a recording of the topics that may be recorded. Raises RecordingRefused, and OSError for the disk."""
         if len(self._running) >= _MAX_RUNNING:
-            raise RecordingRefused(f"{_MAX_RUNNING} recordings are being made already: end one first", is_conflict=True)
+            raise RecordingRefused(f"{_MAX_RUNNING} recordings are already running: end one first", is_conflict=True)
         name = self._free_name(order.name)
         record_step(f"record {', '.join(order.topics)} as {name}"[:_LONGEST_STEP])
         end_dry_run()
@@ -229,7 +229,7 @@ class Recordings:
         """Wait for the trigger of an order before recording. Raises RecordingRefused, OSError."""
         name, trigger = self._free_name(order.name), order.trigger
         if trigger is not None and trigger.limit > 1 and FILE_NAME.fullmatch(f"{name}-{trigger.limit}") is None:
-            raise RecordingRefused(f"{name[:100]!r} is too long a name for more than one recording: 96 letters at most")
+            raise RecordingRefused(f"{name[:100]!r} is too long a name for repeated recordings: use at most 96 letters")
         return await self._armed.arm(name, order, agent, occurrences)
 
     async def disarm(self, name: str) -> bool:
@@ -265,7 +265,7 @@ class Recordings:
                 draft.unlink(missing_ok=True)
             await self._open(name, path)
         except UploadRefused as error:
-            raise RecordingRefused(f"{name} is not taken: {error}", is_too_large=error.is_too_large) from error
+            raise RecordingRefused(f"{name} was rejected: {error}", is_too_large=error.is_too_large) from error
         finally:
             self._receiving.discard(name)
 
@@ -357,7 +357,9 @@ class Recordings:
         """Open a file; if that fails, or another file has its name, add it to the unreadable files."""
         try:
             if name in self._opened:
-                raise RecordingRefused(f"{path.name} is not opened: {self._opened[name][1].path.name} has its name")
+                raise RecordingRefused(
+                    f"{path.name} is not opened: its name is already used by {self._opened[name][1].path.name}"
+                )
             await self._open(name, path)
         except RecordingRefused as error:
             log.warning("%s", error)
@@ -404,18 +406,19 @@ class Recordings:
     def _require_free(self, name: str) -> None:
         if FILE_NAME.fullmatch(name) is None:
             raise RecordingRefused(
-                f"{name[:100]!r} is no name of a recording: letters, digits, dots, dashes and underscores, 100 at most"
+                f"{name[:100]!r} is not a valid recording name: use at most 100 letters, digits, dots, dashes and "
+                "underscores"
             )
         if name in self._unreadable:
             file = self._unreadable[name]
             raise RecordingRefused(
-                f"There is a file {file.path.name} already, which cannot be opened: DELETE it, or take another name",
+                f"The file {file.path.name} already exists and cannot be opened: DELETE it, or choose another name",
                 is_conflict=True,
             )
         if self._is_used(name):
             can_be_deleted = name != HISTORY and name not in self._adapter.recordings
-            way = "DELETE it, or take another name" if can_be_deleted else "take another name"
-            raise RecordingRefused(f"There is a recording {name} already: {way}", is_conflict=True)
+            way = "DELETE it, or choose another name" if can_be_deleted else "choose another name"
+            raise RecordingRefused(f"The recording {name} already exists: {way}", is_conflict=True)
 
     def _is_used(self, name: str) -> bool:
         owners = (
@@ -428,7 +431,7 @@ class Recordings:
         if self._folder is None:
             self._temporary = tempfile.TemporaryDirectory(prefix="rosld-bags-", ignore_cleanup_errors=True)
         folder = self._folder
-        assert folder is not None, "there is one now"
+        assert folder is not None, "it exists now"
         folder.mkdir(parents=True, exist_ok=True)
         return folder / f"{name}{suffix}"
 

@@ -51,7 +51,7 @@ class DiskFile:
 
     def append(self, data: bytes) -> None:
         """Append all of the data. If the disk takes only a part, that is removed again."""
-        assert self._file is not None, "a closed segment is not written to"
+        assert self._file is not None, "cannot write to a closed segment"
         left = memoryview(data)
         try:
             while left:
@@ -63,7 +63,7 @@ class DiskFile:
 
     def truncate(self, size: int) -> None:
         """Truncate the file to `size` bytes."""
-        assert self._file is not None, "a closed segment is not written to"
+        assert self._file is not None, "cannot write to a closed segment"
         with contextlib.suppress(OSError):
             os.ftruncate(self._file, size)
             os.lseek(self._file, size, os.SEEK_SET)
@@ -129,7 +129,7 @@ def read_records(file: SegmentFile, at: int, length: int) -> bytes:
     """Return the records of the chunk record at `at`. Raises OSError, and ValueError if it is damaged."""
     data = file.read(at, length)
     if len(data) != length or data[0] != mcap.CHUNK:
-        raise ValueError(f"there is no chunk at {at}")
+        raise ValueError(f"no chunk found at {at}")
     head = mcap.chunk_head(data, mcap.RECORD_HEAD.size)
     return mcap.decompress(data[head.records_at :], head.size)
 

@@ -43,7 +43,7 @@ class Scan(Struct):
 def scan(data: bytes) -> Scan:
     """Return the contents up to the last complete chunk. Raises ValueError for another format."""
     if not data.startswith(MAGIC):
-        raise ValueError("it is no MCAP file")
+        raise ValueError("it is not an MCAP file")
     found = Scan(end=len(MAGIC))
     names: dict[int, str] = {}
     pending: tuple[mcap.Record, ScannedChunk, Counter[int]] | None = None

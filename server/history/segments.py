@@ -193,7 +193,7 @@ class Segments:
         try:
             found = recover(file)
         except (ValueError, KeyError, OSError) as error:
-            log.warning("%s of the history cannot be used: %s", file.path.name, error)
+            log.warning("the history file %s cannot be used: %s", file.path.name, error)
             with contextlib.suppress(OSError):
                 file.close()
             return
@@ -249,10 +249,10 @@ def _open_index(path: Path) -> ChunkIndex:
     try:
         return ChunkIndex(path)
     except sqlite3.Error as error:
-        log.warning("the index of the history is made anew: %s", error)
+        log.warning("rebuilding the index of the history: %s", error)
     for each in path.parent.glob(f"{path.name}*"):
         each.unlink()
     try:
         return ChunkIndex(path)
     except sqlite3.Error as error:
-        raise OSError(f"the index {path} cannot be made: {error}") from error
+        raise OSError(f"the index {path} cannot be created: {error}") from error

@@ -111,7 +111,7 @@ def _inflate(packed: Path, target: Path, limit: int) -> None:
             while block := source.read(_STEP):
                 size += len(block)
                 if size > limit:
-                    words = f"it inflates to more than the {limit} bytes that the setting `upload_limit` allows"
+                    words = f"decompressed, it exceeds the {limit} bytes that the setting `upload_limit` allows"
                     raise UploadRefused(words, is_too_large=True)
                 _write(out.write, target.parent, block)
     except (zstd.ZstdError, EOFError) as error:
@@ -127,6 +127,6 @@ def _suffix(path: Path) -> str:
     head = _head(path)
     if head not in SUFFIXES:
         raise UploadRefused(
-            "this is neither a ROS 1 bag nor an MCAP file nor a ROS 2 database, nor one compressed by zstd"
+            "this is not a ROS 1 bag, an MCAP file or a ROS 2 database (optionally compressed with zstd)"
         )
     return SUFFIXES[head]

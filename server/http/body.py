@@ -59,7 +59,7 @@ async def read_body(request: IncomingRequest, *, limit: int, timeout: float = TI
     except TimeoutError as error:
         raise Problem(408, f"The body did not arrive within {timeout:g} s.", headers=_CLOSE) from error
     except ClientDisconnect as error:
-        raise Problem(400, "The connection ended within the body.", headers=_CLOSE) from error
+        raise Problem(400, "The connection ended before the body was complete.", headers=_CLOSE) from error
     if declared is not None and len(body) != declared:
         raise Problem(400, f"Content-Length says {declared} bytes, the body has {len(body)}.", headers=_CLOSE)
     return body
@@ -78,15 +78,15 @@ async def read_chunks(request: IncomingRequest, *, limit: int, timeout: float = 
     size, more, begun = 0, True, time.monotonic()
     while more:
         if time.monotonic() - begun > timeout + size / MIN_BYTES_PER_SECOND:
-            words = f"The body came at less than {MIN_BYTES_PER_SECOND} bytes a second, {size} bytes of it."
+            words = f"The body arrived at less than {MIN_BYTES_PER_SECOND} bytes a second; {size} bytes were received."
             raise Problem(408, words, headers=_CLOSE)
         try:
             with anyio.fail_after(timeout):
                 message = await request.receive()
         except TimeoutError as error:
-            raise Problem(408, f"Nothing of the body arrived for {timeout:g} s.", headers=_CLOSE) from error
+            raise Problem(408, f"No data arrived for {timeout:g} s while reading the body.", headers=_CLOSE) from error
         if message["type"] != "http.request":
-            raise Problem(400, "The connection ended within the body.", headers=_CLOSE)
+            raise Problem(400, "The connection ended before the body was complete.", headers=_CLOSE)
         chunk: bytes = message.get("body", b"")
         size += len(chunk)
         if size > limit:
@@ -104,7 +104,7 @@ def require_identity_coding(coding: str | None) -> None:
     if coding is not None and coding.strip().lower() not in ("", "identity"):
         raise Problem(
             415,
-            f"Content-Encoding: {coding} is not read here. Send the body as it is.",
+            f"Content-Encoding: {coding} is not supported. Send the body without it.",
             headers={"Accept-Encoding": "identity", **_CLOSE},
         )
 
@@ -114,7 +114,7 @@ def parse_content_length(text: str | None) -> int | None:
     if text is None:
         return None
     if not (text.isascii() and text.isdigit() and len(text) < 20):
-        raise Problem(400, f"Content-Length: {text[:100]!r} is no number of bytes.", headers=_CLOSE)
+        raise Problem(400, f"Content-Length: {text[:100]!r} is not a number of bytes.", headers=_CLOSE)
     return int(text)
 
 
@@ -181,7 +181,7 @@ async def _let_finish(request: IncomingRequest) -> None:
 
 
 def _too_large(limit: int) -> Problem:
-    return Problem(413, f"The body is larger than {limit} bytes, the most that is read here.", headers=_CLOSE)
+    return Problem(413, f"The body is larger than the limit of {limit} bytes.", headers=_CLOSE)
 
 
 FORM = "application/x-www-form-urlencoded"
@@ -201,7 +201,9 @@ def codec_for(media_type: MediaType) -> str:
     except UnknownCharset as error:
         raise Problem(415, f"Content-Type: {media_type}: {error}.") from error
     if found.startswith("utf-16") and media_type.essence == FORM:
-        raise Problem(415, f"Content-Type: {media_type}: a form is in a charset that has ASCII in it, such as UTF-8.")
+        raise Problem(
+            415, f"Content-Type: {media_type}: the charset of a form must be a superset of ASCII, such as UTF-8."
+        )
     return found
 
 
@@ -216,7 +218,7 @@ def to_utf8(data: bytes, media_type: MediaType) -> bytes:
     try:
         text = decode(data, found)
     except UnicodeDecodeError as error:
-        raise Problem(400, f"The body is not in {stated}, as it says: {error.reason} at byte {error.start}.") from error
+        raise Problem(400, f"The body is not valid {stated}: {error.reason} at byte {error.start}.") from error
     return (strip_encoding_declaration(text) if declares_another else text).encode()
 
 
@@ -245,7 +247,9 @@ def split_parts(body: bytes, boundary: str | None) -> tuple[Part, ...]:
     Raises ValueError naming the error.
     """
     if boundary is None or not _BOUNDARY.fullmatch(boundary):
-        raise ValueError(f"boundary={boundary!r} cuts no multipart body: 1 to 70 characters of RFC 2046 5.1.1 do")
+        raise ValueError(
+            f"boundary={boundary!r} is not a valid boundary: use 1 to 70 of the characters that RFC 2046 5.1.1 allows"
+        )
     _, *pieces = (b"\r\n" + body).split(b"\r\n--" + boundary.encode("ascii"), _MAX_PARTS + 1)
     if len(pieces) > _MAX_PARTS:
         raise ValueError(f"the body has more than {_MAX_PARTS} parts")
@@ -255,7 +259,7 @@ def split_parts(body: bytes, boundary: str | None) -> tuple[Part, ...]:
             return tuple(found)
         begin = _DELIMITED.match(piece)
         if begin is None:
-            raise ValueError(f"part {len(found) + 1} does not begin on a line of its own")
+            raise ValueError(f"part {len(found) + 1} does not start on its own line")
         found.append(_parse_part(piece[begin.end() :], len(found) + 1))
     raise ValueError(f"the body does not end in --{boundary}--")
 
@@ -263,14 +267,14 @@ def split_parts(body: bytes, boundary: str | None) -> tuple[Part, ...]:
 def _parse_part(piece: bytes, number: int) -> Part:
     head, blank, body = (b"\r\n" + piece).partition(b"\r\n\r\n")
     if not blank or len(head) > _LONGEST_HEAD:
-        raise ValueError(f"part {number} has no blank line that ends its header fields")
+        raise ValueError(f"part {number} has no blank line after its header fields")
     fields: dict[str, str] = {}
     for line in head.split(b"\r\n"):
         name, _, value = line.decode("latin-1").partition(":")
         fields.setdefault(name.strip().lower(), value.strip())
     coding = fields.get("content-transfer-encoding", "")
     if coding.lower() not in _PLAIN_CODINGS:
-        raise ValueError(f"part {number} is in {coding[:100]!r}: send its bytes as they are (RFC 7578 4.7)")
+        raise ValueError(f"part {number} uses {coding[:100]!r}: send its bytes unencoded (RFC 7578 4.7)")
     stated = fields.get("content-type")
     try:
         return Part(None if stated is None else parse_media_type(stated), body)

@@ -40,7 +40,7 @@ class ETag(Struct, frozen=True):
 
     def __post_init__(self) -> None:
         if not _PART.fullmatch(self.state) or not _VARIANT.fullmatch(self.variant):
-            raise ValueError(f"{self.state!r} and {self.variant!r} make no entity tag")
+            raise ValueError(f"{self.state!r} and {self.variant!r} do not form a valid entity tag")
 
     def __str__(self) -> str:
         return f'"{self.state}.{self.variant}"'
@@ -78,7 +78,10 @@ def parse(text: str, name: str = "If-Match") -> Tags:
     if stripped == "*":
         return "*"
     if not _LIST.fullmatch(stripped):
-        raise Problem(400, f'{name}: {text[:100]!r} is no list of entity tags; one looks like "abc-1.ttl", with quotes')
+        raise Problem(
+            400,
+            f'{name}: {text[:100]!r} is not a list of entity tags; an entity tag looks like "abc-1.ttl", with quotes',
+        )
     return tuple(ReceivedTag(found[2], bool(found[1])) for found in _TAG.finditer(stripped))
 
 
@@ -107,7 +110,9 @@ def check_preconditions(method: str, current: ETag | None, *, if_match: str | No
     result = evaluate(method, current, if_match=if_match, if_none_match=if_none_match)
     if result is PreconditionResult.PRECONDITION_FAILED:
         raise Problem(
-            412, "The resource is not in the state the request asks for; read it again.", headers=_etag_headers(current)
+            412,
+            "The resource is not in the state that the request requires; read it again.",
+            headers=_etag_headers(current),
         )
     return result is PreconditionResult.NOT_MODIFIED
 
@@ -115,7 +120,7 @@ def check_preconditions(method: str, current: ETag | None, *, if_match: str | No
 def require_if_match(if_match: str | None, why: str) -> str:
     """Return the required If-Match field. Raises a 428 Problem (RFC 6585 3) with `why` if it is missing."""
     if if_match is None:
-        raise Problem(428, f"{why} Send If-Match with the ETag of the state you have read.")
+        raise Problem(428, f"{why} Send If-Match with the ETag of the state that you read.")
     return if_match
 
 
@@ -177,7 +182,7 @@ def parse_ranges(text: str | None, size: int) -> tuple[Span, ...] | None:
     if not spans:
         raise Problem(
             416,
-            f"There are {size} bytes, from 0 to {size - 1}: none of what Range asks for is among them.",
+            f"Range is not satisfiable: the representation has {size} bytes, 0 to {size - 1}.",
             headers={"Content-Range": f"bytes */{size}"},
         )
     return _coalesce(spans)

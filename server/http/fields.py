@@ -36,9 +36,9 @@ def require_field_value(value: str) -> str:
     Raises ValueError for CR, LF, NUL, other controls, and characters outside ASCII.
     """
     if _UNSAFE.search(value):
-        raise ValueError(f"a header field cannot hold control characters: {value!r}")
+        raise ValueError(f"a header field cannot contain control characters: {value!r}")
     if not value.isascii():
-        raise ValueError(f"a header field holds ASCII only: {value!r}")
+        raise ValueError(f"a header field can contain only ASCII: {value!r}")
     return value
 
 
@@ -91,7 +91,7 @@ def parse_parameter(text: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     name, value = name.strip(" \t").lower(), value.strip(" \t")
     if not is_token(name):
-        raise ValueError(f"{name!r} is no parameter name")
+        raise ValueError(f"{name!r} is not a parameter name")
     if equals and not (is_token(value) or re.fullmatch(QUOTED, value, re.DOTALL)):
         raise ValueError(f"{value!r} is neither a token nor a quoted string")
     return name, unquote_string(value)
@@ -129,7 +129,7 @@ class Link(Struct, frozen=True):
             yield from _text("title", self.title)
         for name, value in self.attributes:
             if not is_token(name):
-                raise ValueError(f"{name!r} is no name of a target attribute")
+                raise ValueError(f"{name!r} is not a valid target attribute name")
             yield f"{name}={quote_string(value)}"
 
 
@@ -149,7 +149,7 @@ def to_uri(iri: str) -> str:
     Raises ValueError for characters that no IRI reference contains, such as spaces, quotes and angle brackets.
     """
     if _FORBIDDEN.search(iri):
-        raise ValueError(f"{iri!r} is no IRI reference")
+        raise ValueError(f"{iri!r} is not an IRI reference")
     return quote(iri, safe=_RESERVED)
 
 

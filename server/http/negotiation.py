@@ -42,7 +42,7 @@ def parse_media_type(text: str) -> MediaType:
     essence, *rest = split_members(text, ";") or [""]
     kind, slash, subtype = essence.partition("/")
     if not slash or not is_token(kind) or not is_token(subtype):
-        raise ValueError(f"{text!r} is no media type; one looks like text/turtle")
+        raise ValueError(f"{text!r} is not a media type such as text/turtle")
     parameters: dict[str, str] = {}
     for part in rest:
         name, value = parse_parameter(part)
@@ -136,13 +136,13 @@ def _range(member: str) -> MediaRange:
         parts.append(part)
     found = parse_media_type(";".join(parts))
     if found.type == "*" and found.subtype != "*":
-        raise ValueError(f"{member!r} is no media range")
+        raise ValueError(f"{member!r} is not a media range")
     return MediaRange(found, weight)
 
 
 def _weight(text: str) -> float:
     if not _WEIGHT.fullmatch(text):
-        raise ValueError(f"{text!r} is no weight: 0 to 1 with at most three decimals")
+        raise ValueError(f"{text!r} is not a weight: use 0 to 1 with at most three decimals")
     return float(text)
 
 
@@ -246,7 +246,7 @@ def _write(name: str, preference: Preference) -> str:
 
 def _pair(name: str, value: str) -> str:
     if not is_token(name):
-        raise ValueError(f"{name!r} is no preference name")
+        raise ValueError(f"{name!r} is not a preference name")
     return name if not value else f"{name}={value if is_token(value) else quote_string(value)}"
 
 

@@ -98,10 +98,10 @@ def normalize_origin(origin: str) -> str:
 def check_host(site: OriginPolicy, hosts: Sequence[str]) -> None:
     """Raise a Problem unless the request names this server: 400 without exactly one Host, 421 for another host."""
     if len(hosts) != 1:
-        raise Problem(400, f"A request has one Host header, this one has {len(hosts)} (RFC 9112 3.2).")
+        raise Problem(400, f"The request has {len(hosts)} Host headers; send exactly one (RFC 9112 3.2).")
     named = hosts[0]
     if named not in site.hosts and normalize_authority(named, urlsplit(site.base).scheme) not in site.hosts:
-        raise Problem(421, f"This server is not {named[:200]!r}. It is {site.base}", extra={"base": site.base})
+        raise Problem(421, f"Unknown host {named[:200]!r}. This server is {site.base}", extra={"base": site.base})
 
 
 def check_origin(site: OriginPolicy, method: str, origin: str | None, fetch_site: str | None = None) -> None:
@@ -116,8 +116,8 @@ def check_origin(site: OriginPolicy, method: str, origin: str | None, fetch_site
     if origin is None or not (origin.lower() in site.origins or origin in site.shared_origins):
         raise Problem(
             403,
-            f"Pages of {(origin or 'another site')[:200]!r} may not change anything here. "
-            "To let them, start the server with --cors-origin.",
+            f"Pages of {(origin or 'another site')[:200]!r} may not change anything here. To allow it, start the "
+            "server with --cors-origin.",
         )
 
 
@@ -145,7 +145,7 @@ def _split(url: str) -> tuple[str, str]:
     """Return the scheme and the normalized authority of an http(s) URL. Raises ValueError."""
     parts = urlsplit(url)
     if parts.scheme not in _DEFAULT_PORTS or not parts.hostname or parts.username is not None:
-        raise ValueError(f"{url!r} is no http or https URL")
+        raise ValueError(f"{url!r} is not an http or https URL")
     assert parts.port is None or parts.port >= 0  # reading it raises ValueError for a bad one
     return parts.scheme, normalize_authority(parts.netloc, parts.scheme)
 
@@ -172,4 +172,6 @@ class FormKey:
     def require(self, token: str | None, action: str) -> None:
         """Raise a 403 Problem unless the token is valid."""
         if token is None or not self.is_valid(token, action):
-            raise Problem(403, "This form is not from this run of the server. Load the page again, and send it again.")
+            raise Problem(
+                403, "The server was restarted since this form was loaded. Reload the page and submit the form again."
+            )

@@ -27,7 +27,7 @@ _QUOTED = {
     ROBOT_SAID: "The robot said",
     "holder": "Held by",
     "stoppedBy": "Stopped by",
-    AGENT_SAID: "The reason given",
+    AGENT_SAID: "Reason given",
 }
 """Members that quote others, names included, and their labels on pages."""
 

@@ -161,6 +161,8 @@ class RejectTokensInUrls:
         if may_have_one and exchange.method != "DELETE" and contains_token(target.decode("latin-1")):
             if enforcement.is_write(exchange.method, enforcement.location_of(scope, self._space)):
                 exchange.audit.begin()
-            sentence = "The URL has a token in it: send it as 'Authorization: Bearer TOKEN', and have it replaced."
+            sentence = (
+                "The URL contains a token: send it as 'Authorization: Bearer TOKEN' instead, and have it replaced."
+            )
             raise Problem(400, sentence)
         return self._next(exchange)

@@ -68,11 +68,11 @@ class ErrorResponses:
             lasts = error.full or error.final
             error = Problem(507, str(error)) if lasts else Problem(503, str(error), headers={"Retry-After": "1"})
         elif is_out_of_memory(error):
-            _log.error("%s %s: %s", exchange.method, scope["path"], error or "no memory is left")
+            _log.error("%s %s: %s", exchange.method, scope["path"], error or "out of memory")
             error = problem_of_out_of_memory(error, is_write=self._would_write(exchange))
         if not isinstance(error, Problem):
             _log.exception("%s %s failed", exchange.method, scope["path"], exc_info=error)
-            error = Problem(500, "The server failed on this request; its log says more.")
+            error = Problem(500, "The server failed to handle this request; see its log.")
         error = redact_problem(error, exchange.permissions, enforcement.location_of(scope, self._space))
         self._explain_release(error, exchange)
         exchange.audit.set_refusal(error.with_quotes, error.about)
@@ -115,7 +115,7 @@ class ServerOptions:
     async def _answer(self, exchange: Exchange) -> Response:
         self._admission.admit(exchange)
         if exchange.method != "OPTIONS":
-            raise Problem(400, "Only OPTIONS is for the whole server (*): name a resource.")
+            raise Problem(400, "Only OPTIONS is allowed for the whole server (*): name a resource.")
         return Response(status_code=204, headers=_OF_SERVER)
 
 
@@ -144,7 +144,7 @@ class WebSockets:
         client = scope["client"]
         if not self._admission.admit_websocket(client[0] if client else None):
             await asyncio.sleep(RETRY_SECONDS)
-            await reject_handshake(scope, send, Problem(429, "You open too many WebSockets a second: open fewer."))
+            await reject_handshake(scope, send, Problem(429, "You opened too many WebSockets per second: slow down."))
             return
         try:
             check_request(self._site, scope)

@@ -94,7 +94,7 @@ class Exchange:
         """
         found = self._content_type
         if found is None:
-            raise Problem(415, "The request has a body of unknown type: send Content-Type.")
+            raise Problem(415, "The request has a body but no Content-Type: send one.")
         codec_for(found)
         return found.essence
 
@@ -180,7 +180,7 @@ class Exchange:
             return False
         value = self.query.get(name, "false").lower()
         if value not in ("true", "false", ""):
-            raise Problem(400, f"?{name}={value} is neither true nor false.")
+            raise Problem(400, f"?{name}={value} must be true or false.")
         return value != "false"
 
 

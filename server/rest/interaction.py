@@ -51,16 +51,16 @@ def requested_model(links: Sequence[Link], url: str, media_type: str | None, *, 
     if container_hint:
         raise Problem(
             409,
-            f"{_words(requested)} is asked for, but the URL of a container: leave out the slash at the end, "
-            "or ask for ldp:BasicContainer.",
+            f"The URL is that of a container, but the request asks for {_words(requested)}: omit the trailing "
+            "slash, or ask for ldp:BasicContainer.",
         )
     if "NonRDFSource" in requested:
         return Model.NON_RDF_SOURCE
     if "RDFSource" in requested and not is_rdf:
         raise Problem(
             409,
-            f"ldp:RDFSource is asked for with a body of {media_type}: send one of {', '.join(sorted(_RDF))}, "
-            "or ask for ldp:NonRDFSource.",
+            f"ldp:RDFSource cannot have a body of type {media_type}: send one of {', '.join(sorted(_RDF))}, or "
+            "ask for ldp:NonRDFSource.",
         )
     return Model.RDF_SOURCE if is_rdf else Model.NON_RDF_SOURCE
 
@@ -84,7 +84,8 @@ def _requested_types(links: Sequence[Link], url: str) -> frozenset[str]:
     for name in found:
         if name not in _KNOWN:
             raise Problem(
-                400, f"<{ldp.iri}{name}> is no interaction model; there are {', '.join(_prefixed(sorted(_KNOWN)))}."
+                400,
+                f"<{ldp.iri}{name}> is not an interaction model; choose from {', '.join(_prefixed(sorted(_KNOWN)))}.",
             )
     return frozenset(found)
 
@@ -93,7 +94,7 @@ def _container(requested: frozenset[str]) -> Model | None:
     """Return the requested kind of container; ldp:Container alone means a Basic one."""
     kinds = [model for model in Model if model.is_container and model.value in requested]
     if len(kinds) > 1:
-        raise Problem(400, f"A container is of one kind, not of {_words(requested & {kind.value for kind in kinds})}.")
+        raise Problem(400, f"A container has one type, not {_words(requested & {kind.value for kind in kinds})}.")
     if kinds:
         return kinds[0]
     return Model.BASIC_CONTAINER if "Container" in requested else None
@@ -101,19 +102,17 @@ def _container(requested: frozenset[str]) -> Model | None:
 
 def _check_exclusive(requested: frozenset[str], container: Model | None) -> None:
     if "NonRDFSource" in requested and ("RDFSource" in requested or container is not None):
-        raise Problem(400, f"{_words(requested - {'Resource'})} exclude each other: ask for one interaction model.")
+        raise Problem(400, f"{_words(requested - {'Resource'})} are mutually exclusive: ask for one interaction model.")
 
 
 def _check_container(model: Model, url: str, media_type: str | None, is_rdf: bool) -> None:
     if not url.endswith("/"):
-        raise Problem(
-            409, f"ldp:{model.value} is asked for, and the URL of a container ends in a slash: send it to {url}/"
-        )
+        raise Problem(409, f"The URL of an ldp:{model.value} ends in a slash: send the request to {url}/")
     if not is_rdf:
         raise Problem(
             409,
-            f"A container is described in RDF, and the body is {media_type}: send one of {', '.join(sorted(_RDF))}, "
-            "or make no container of it.",
+            f"A container needs an RDF body, not {media_type}: send one of {', '.join(sorted(_RDF))}, or create a "
+            "resource that is not a container.",
         )
 
 
@@ -143,13 +142,11 @@ def parse_membership(triples: Iterable[Triple], url: str, model: Model) -> Membe
     forward, inverse = _one(declared, ldp.hasMemberRelation), _one(declared, ldp.isMemberOfRelation)
     if forward is not None and inverse is not None:
         raise Problem(
-            409, "A container says either ldp:hasMemberRelation or ldp:isMemberOfRelation, not both (LDP 5.4.1.4)."
+            409, "A container has either ldp:hasMemberRelation or ldp:isMemberOfRelation, not both (LDP 5.4.1.4)."
         )
     relation = forward or inverse or ldp.member
     if relation in _SERVERS_OWN:
-        raise Problem(
-            409, f"{relation} is what the server says of resources: name another property as the membership relation."
-        )
+        raise Problem(409, f"{relation} is managed by the server: choose another property as the membership relation.")
     content = _content(_one(declared, ldp.insertedContentRelation), model)
     return Membership(
         (resource or container).value, relation.value, inverse is not None, None if content is None else content.value
@@ -173,11 +170,11 @@ def member_derived_uri(membership: Membership | None, body: RdfBody, url: str) -
     if len(objects) > 1:
         raise Problem(
             409,
-            f"What is put into this container says by one triple with {relation} what the member is (LDP 5.5.1.2); "
-            f"the body has {len(objects)} triples with it.",
+            f"A resource in this container must name its member by exactly one triple with {relation} (LDP "
+            f"5.5.1.2); the body has {len(objects)}.",
         )
     if not isinstance(objects[0], NamedNode):
-        raise Problem(409, f"What {relation} says is the member must be an IRI, not {objects[0]}.")
+        raise Problem(409, f"The member that {relation} names must be an IRI, not {objects[0]}.")
     return objects[0].value
 
 
@@ -215,9 +212,9 @@ def _one(declared: Sequence[Triple], predicate: NamedNode) -> NamedNode | None:
     found = list(dict.fromkeys(triple.object for triple in declared if triple.predicate == predicate))
     if len(found) > 1:
         values = " and ".join(map(str, found[:5]))
-        raise Problem(409, f"A container says {predicate} once, not as {values}.")
+        raise Problem(409, f"A container has one value of {predicate}, not {values}.")
     if found and not isinstance(found[0], NamedNode):
-        raise Problem(409, f"What a container says by {predicate} must be an IRI, not {found[0]}.")
+        raise Problem(409, f"The value of {predicate} must be an IRI, not {found[0]}.")
     return found[0] if found and isinstance(found[0], NamedNode) else None
 
 
@@ -227,15 +224,15 @@ def _content(relation: NamedNode | None, model: Model) -> NamedNode | None:
         if relation is None:
             raise Problem(
                 409,
-                "An Indirect container says by ldp:insertedContentRelation what stands for its members (LDP 5.5.1.2): "
-                "add it, or ask for ldp:DirectContainer.",
+                "An Indirect Container needs ldp:insertedContentRelation (LDP 5.5.1.2): add it, or ask for "
+                "ldp:DirectContainer.",
             )
         return relation
     if relation not in (None, ldp.MemberSubject):
         raise Problem(
             409,
-            f"The members of a Direct container are what was put into it (LDP 5.4.1.5): leave out {relation}, "
-            "or ask for ldp:IndirectContainer.",
+            f"The members of a Direct Container are its contained resources (LDP 5.4.1.5): omit {relation}, or "
+            "ask for ldp:IndirectContainer.",
         )
     return relation
 
@@ -265,7 +262,7 @@ def choose_name(slug: str | None, taken: Callable[[str], bool], *, suffix: str =
     extension; raises ValueError for an invalid one.
     """
     if not _SUFFIX.fullmatch(suffix) or _RESERVED.search(suffix):
-        raise ValueError(f"{suffix!r} is no extension such as '.png'")
+        raise ValueError(f"{suffix!r} is not an extension such as '.png'")
     stem, extension = _split(_readable(redact_tokens(slug or "")), suffix)
     return next(name for name in _candidates(stem or _word(), extension) if not taken(name))
 

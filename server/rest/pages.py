@@ -272,7 +272,7 @@ class InvalidForm(Exception):
 
 
 def _sentence(count: int) -> str:
-    return f"Nothing was sent: {count} field{'s do' if count != 1 else ' does'} not fit."
+    return f"Nothing was sent: {count} field{'s are' if count != 1 else ' is'} invalid."
 
 
 def _value(form: Form, typed: Sequence[tuple[str, str]]) -> object:

@@ -232,7 +232,7 @@ def parse_named_position(token: str) -> PagePosition:
 
 
 def _no_page(token: str) -> Problem:
-    return Problem(404, f"?page={token[:100]} is no page of this container: follow the links from ?page=0.")
+    return Problem(404, f"?page={token[:100]} is not a page of this container: follow the links from ?page=0.")
 
 
 def page_of_names(container: str, place: PagePosition, names: Sequence[str]) -> tuple[LdpPage, Sequence[str]]:
@@ -305,7 +305,7 @@ def redirect_to_first(container: str, count: int, preferences: Preferences, quer
     first = page_url(container, PagePosition(0, limit).token) + (f"&{query}" if query else "")
     return Problem(
         303,
-        f"Its {count} members come in pages; the first is {first}",
+        f"It has {count} members, listed in pages; the first is {first}",
         title="See Other",
         headers={"Location": to_uri(first), "Vary": "Accept, Prefer"},
     )

@@ -31,11 +31,13 @@ class QueryParameter(Struct, frozen=True):
         return self.schema.get("type") == "array"
 
 
-FORMAT = QueryParameter("format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS]})
-FIELD = QueryParameter("field", "The path of one field, such as `pose.position.x`: its bytes are the answer.")
-PAGE = QueryParameter("page", "A page of messages, from 0.", {"type": "integer", "minimum": 0})
+FORMAT = QueryParameter(
+    "format", "The requested representation; overrides Accept.", {"type": "string", "enum": [*FORMATS]}
+)
+FIELD = QueryParameter("field", "The path of one field, such as `pose.position.x`, whose bytes are returned.")
+PAGE = QueryParameter("page", "The page of messages, counted from 0.", {"type": "integer", "minimum": 0})
 DRY_RUN = QueryParameter(
-    "dry-run", "Whether the write is only planned and checked: 200 with the plan, and nothing is done.", BOOLEAN
+    "dry-run", "Whether to only plan and check the write: returns 200 with the plan and changes nothing.", BOOLEAN
 )
 OF_EVERY_WRITE = (FORMAT, DRY_RUN)
 """Parameters of every write."""
@@ -126,10 +128,10 @@ MAX_PART = 100_000
 PART_QUERY = (
     QueryParameter(
         "below",
-        "A path, such as `/topics/arm/`: only what begins with it, in parts of 100 kB at the most.",
+        "A path prefix, such as `/topics/arm/`: only what begins with it, in parts of at most 100 kB.",
         {"type": "string", "pattern": "^/"},
     ),
-    QueryParameter("part", "The number of a part, from 0.", {"type": "integer", "minimum": 0}),
+    QueryParameter("part", "The number of the part, counted from 0.", {"type": "integer", "minimum": 0}),
 )
 PUNCTUATION = 6
 """Bytes between the members of an object."""
@@ -178,11 +180,9 @@ class PartRequest(Struct, frozen=True):
     def choose(self, parts: Sequence[bytes]) -> bytes:
         """Return the requested part. Raises a 404 Problem if there is none."""
         if not parts:
-            raise Problem(
-                404, f"Nothing that is described here begins with {self.below}: send ?below= with a shorter one."
-            )
+            raise Problem(404, f"No described path begins with {self.below}: send a shorter ?below=.")
         if self.number >= len(parts):
-            raise Problem(404, f"?part={self.number}: there are {len(parts)} parts, from 0 to {len(parts) - 1}.")
+            raise Problem(404, f"?part={self.number} does not exist: the parts are 0 to {len(parts) - 1}.")
         return parts[self.number]
 
 
@@ -198,7 +198,7 @@ def parse_part(query: Mapping[str, str]) -> PartRequest | None:
         return None
     below, number = query.get("below", "/"), query.get("part", "0")
     if not below.startswith("/"):
-        raise Problem(400, f"?below={below[:100]} is no path: begin it with a slash, such as /topics/.")
+        raise Problem(400, f"?below={below[:100]} is not a path: begin it with a slash, such as /topics/.")
     if not (number.isascii() and number.isdigit() and len(number) <= _MAX_DIGITS):
-        raise Problem(400, f"?part={number[:100]} is no number of a part: send one from 0.")
+        raise Problem(400, f"?part={number[:100]} is not a part number: send 0 or more.")
     return PartRequest(below, int(number))

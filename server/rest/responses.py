@@ -244,7 +244,7 @@ def _bytes(file: FileIO, span: Span) -> bytes:
     while missing:
         data = file.read(missing)
         if not data:
-            raise OSError(f"the file ends {missing} bytes before what was promised")
+            raise OSError(f"the file is {missing} bytes shorter than announced")
         parts.append(data)
         missing -= len(data)
     return parts[0] if len(parts) == 1 else b"".join(parts)

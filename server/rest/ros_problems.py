@@ -49,7 +49,7 @@ def problem_of(error: RosError) -> Problem:
 
 def problem_of_out_of_memory(error: BaseException, *, is_write: bool) -> Problem:
     """Return a 507 for a write that lacks memory, a 503 for anything else."""
-    words = str(error) if isinstance(error, NotEnoughMemory) else "The server is short of memory: try again later."
+    words = str(error) if isinstance(error, NotEnoughMemory) else "The server is low on memory: try again later."
     headers = {"Retry-After": str(RETRY_AFTER_SECONDS)}
     return Problem(507 if is_write else 503, words, headers=headers, extra={"reason": "memory"})
 

@@ -140,7 +140,7 @@ class Calls:
             return CallOutcome(self._calls.get(call.id, call), settled.result())
         self._replace(call, CallState.UNKNOWN)
         self._settled(service)
-        late = TimedOut(f"{service} has not answered yet; see the call for what becomes of it.", sent=Sent.YES)
+        late = TimedOut(f"{service} has not responded yet; follow the call for its outcome.", sent=Sent.YES)
         return CallOutcome(self._calls.get(call.id, call), late)
 
     async def call_idempotent(
@@ -193,8 +193,8 @@ class Calls:
             self._replace(call, _state_of(error), words=error.words if error.words is not None else error.sentence)
             return error
         except ValueError as error:
-            self._replace(call, CallState.UNKNOWN, words=f"the answer cannot be read: {error}")
-            return UnreadableResponse(f"the answer of {call.service} cannot be read: {error}", sent=Sent.YES)
+            self._replace(call, CallState.UNKNOWN, words=f"the response cannot be read: {error}")
+            return UnreadableResponse(f"the response of {call.service} cannot be read: {error}", sent=Sent.YES)
         failed = getattr(response, "success", True) is False
         words = getattr(response, "message", None) if failed else None
         self._replace(call, CallState.FAILED if failed else CallState.SUCCEEDED, response, words)

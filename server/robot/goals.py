@@ -320,7 +320,7 @@ class Goals:
             try:
                 self._take(key, event, count)
             except Exception:  # the events of other goals are still processed
-                _log.exception("what became known of goal %.100r of %s was not taken", key.id, key.action)
+                _log.exception("failed to process an update about goal %.100r of %s", key.id, key.action)
 
     def _take(self, key: GoalId, event: GoalEvent, count: int) -> None:
         if self._store.is_dropped(key):

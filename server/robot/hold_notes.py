@@ -85,7 +85,7 @@ class HoldNotes:
             try:
                 found.append(msgspec.json.decode(path.read_bytes(), type=HoldNote))
             except (OSError, ValueError) as error:
-                _log.warning("the note of a hold %s cannot be read: %s", path, error)
+                _log.warning("the record of a hold %s cannot be read: %s", path, error)
         return found
 
     def reread(self, note: HoldNote) -> HoldNote:
@@ -104,7 +104,9 @@ class HoldNotes:
             write_note(self._folder / f"{note.id}{_SUFFIX}", msgspec.json.encode(note))
         except OSError as error:
             _log.warning(
-                "the hold on %s is not on the disk, and is not ended where rosld is killed: %s", note.topic, error
+                "the hold on %s cannot be written to disk, and will not be ended if rosld is killed: %s",
+                note.topic,
+                error,
             )
 
     def _remove(self, id: str) -> None:
@@ -112,4 +114,4 @@ class HoldNotes:
         try:
             remove_note(self._folder / f"{id}{_SUFFIX}")
         except OSError as error:
-            _log.warning("the note of the hold %s, which has ended, stays on the disk: %s", id, error)
+            _log.warning("the record of the ended hold %s cannot be deleted from disk: %s", id, error)

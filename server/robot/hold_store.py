@@ -151,7 +151,7 @@ class Holds:
         self._require_passage(hold.message)
         interlock.require_free(hold.topic)
         if self._closed is not None:
-            raise Problem(503, f"No hold can begin: {self._closed}.")
+            raise Problem(503, f"No hold can be started: {self._closed}.")
         require_rate(session.limiter, hold.topic)
         end_dry_run()
         holder = interlock.held[hold.topic] = Holder(hold.holder.name, session.space.hold(hold.id))
@@ -161,7 +161,7 @@ class Holds:
             await running.publish(loop_time() + session.settings.publish_wait)
             self._require_passage(hold.message)
             if self._closed is not None:
-                raise Problem(503, f"No hold can begin: {self._closed}.")
+                raise Problem(503, f"No hold can be started: {self._closed}.")
         except BaseException:
             if interlock.held.get(hold.topic) is holder:
                 del interlock.held[hold.topic]
@@ -225,7 +225,7 @@ class Holds:
             why = None if topic is None else denied_reason(topic, graph, permitted, needs_subscriber=False)
             if why is not None:
                 _log.warning("the hold on %s ends: %s", hold.topic, why)
-                self._running[hold.id].end(f"it would be refused now. {why.removesuffix('.')}")
+                self._running[hold.id].end(f"it is no longer permitted. {why.removesuffix('.')}")
 
     def close(self, why: str) -> None:
         """End every hold at once, and refuse new ones."""
@@ -371,7 +371,7 @@ class _Running:
         step = self._schedule.step(self._loop.time())
         match step:
             case LeaseExpired():
-                self.end(f"its {self.hold.lease:g} s were over" if self.hold.is_timed else "its lease lapsed")
+                self.end(f"its {self.hold.lease:g} s elapsed" if self.hold.is_timed else "its lease expired")
                 return
             case Publish(after=after):
                 self._schedule = after
@@ -392,7 +392,7 @@ class _Running:
             trouble = one_line(str(error))
         except Exception:
             _log.exception("the message of a hold on %s was not published", self.hold.topic)
-            trouble = "The server failed to publish; its log says more."
+            trouble = "The server failed to publish; see its log."
         if trouble != self.hold.last_error:
             self.hold = replace(self.hold, last_error=trouble)
             self._holds.on_changed(self.hold)
@@ -428,6 +428,8 @@ class _Running:
                 return
             except (RosError, ValueError) as error:
                 if self._loop.time() + _AGAIN_SECONDS >= deadline:
-                    _log.error("the hold on %s ended (%s), but what ends it was not published: %s", topic, why, error)
+                    _log.error(
+                        "the hold on %s ended (%s), but its final message was not published: %s", topic, why, error
+                    )
                     raise
             await asyncio.sleep(_AGAIN_SECONDS)

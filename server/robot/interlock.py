@@ -49,7 +49,7 @@ class Stopped(RosError):
 
     def __init__(self, stop_state: StopState, *, sent: Sent = Sent.NO) -> None:
         effect = (
-            "This write was refused" if sent is Sent.NO else "This write was cut off, and may have been carried out"
+            "This write was refused" if sent is Sent.NO else "This write was interrupted, and may have been carried out"
         )
         super().__init__(f"{stop_state.sentence}. {effect}.", sent=sent)
         self.stop_state = stop_state

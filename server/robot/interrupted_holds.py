@@ -57,7 +57,7 @@ class InterruptedHolds:
         found = self._holds.notes.read()
         for note in found:
             self._holds.set_interrupted(note, f"{_story(note)}: {_THEN_WAITS if note.data else _NO_THEN}")
-            _log.warning("the hold %s on %s did not end: %s", note.id, note.topic, _story(note))
+            _log.warning("the interrupted hold %s on %s could not be ended: %s", note.id, note.topic, _story(note))
         await asyncio.gather(*(self._end(note) for note in found))
 
     async def _end(self, note: HoldNote) -> None:
@@ -90,8 +90,8 @@ class InterruptedHolds:
         )
 
 
-_NO_THEN = "nothing is published at its end (then=none), so what was commanded last may go on"
-_THEN_WAITS = "what ends it is published once the robot and a subscriber are there"
+_NO_THEN = "nothing is published at its end (then=none), so the last command may remain in effect"
+_THEN_WAITS = "its final message is published once the robot and a subscriber are available"
 
 
 def _story(note: HoldNote) -> str:
@@ -147,14 +147,14 @@ def _refusal(session: Session, note: HoldNote) -> str | None:
     if session.settings.read_only:
         return "this server is read-only"
     if note.topic in session.interlock.held or note.topic in session.adapter.published:
-        return "somebody commands it by this rosld already"
+        return "another client of this rosld already commands it"
     topic = session.graph.topics.get(note.topic)
     if topic is None:
         return None
     if not all(map(_is_rosld, _other_publishers(topic, note, session.graph))):
-        return "another node publishes there"  # the node's name is not for everybody who may read the hold
+        return "another node publishes on it"  # the node's name is not for everybody who may read the hold
     if topic.type is not None and topic.type.name != note.type:
-        return f"its type is {topic.type.name} now, not {note.type}"
+        return f"its type is now {topic.type.name}, not {note.type}"
     return None
 
 
@@ -193,10 +193,10 @@ async def _publish(session: Session, topic: Topic, note: HoldNote, data: bytes) 
             subscribers = published.matched
             session.announce_write(Kind.TOPIC, topic.name)
     except (RosError, ValueError) as error:
-        return Outcome(f"what ends it was not published: {error}", is_final=False)
+        return Outcome(f"its final message was not published: {error}", is_final=False)
     finally:
         interlock.held.pop(topic.name, None)
     if not subscribers:
-        return Outcome("what ends it reached no subscriber", is_final=False)
-    words = "zero" if note.then == "zero" else f"what ends it ({note.then})"
+        return Outcome("its final message reached no subscriber", is_final=False)
+    words = "zero" if note.then == "zero" else f"its final message ({note.then})"
     return Outcome(f"{words} was published to {subscribers} subscriber{'s' if subscribers > 1 else ''}", subscribers)

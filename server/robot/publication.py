@@ -62,34 +62,35 @@ async def publish(session: Session, publication: Publication) -> Published:
     finally:
         session.announce_write(Kind.TOPIC, topic)
         if publication.goes_on:  # after the step of the publish, also in the plan of a dry run
-            record_step(f"what {topic} commands goes on until something stops it")
+            record_step(f"the command on {topic} stays in effect until something stops it")
 
 
 def require_rate(limiter: PublishLimiter, topic: str) -> None:
     """Count one publish, unless it is a dry run. Raises a 429 Problem if the topic is published to too often."""
     wait = limiter.wait(topic, loop_time(), is_counted=not is_dry_run())
     if wait > 0:
-        sentence = f"More than {limiter.rate:g} messages a second on {topic} (--max-publish-rate)."
+        sentence = f"More than {limiter.rate:g} messages per second on {topic} (--max-publish-rate)."
         raise Problem(429, sentence, headers={"Retry-After": str(max(1, round(wait)))})
 
 
 def goes_on_link(topic_url: str) -> Link:
     """Return the link to the documentation of holds, for a velocity that was published once."""
-    title = "It goes on until something stops it: hold it instead, POST ?for=3 for three seconds"
+    title = "It stays in effect until something stops it: hold it instead, with POST ?for=3 for three seconds"
     return Link(f"{topic_url}#hold", "help", title=title)
 
 
 def goes_on_problem(topic: str, topic_url: str) -> Problem:
     """Return the problem details (200) of a velocity that was published once."""
     sentence = (
-        f"The velocity was published once on {topic}: a robot without a time-out of its own goes on until something "
-        f"stops it. POST it to {topic_url}?for=3 to have it stop after three seconds, or PUT zero to stop it now."
+        f"The velocity was published once on {topic}: a robot without a time-out of its own keeps moving "
+        f"until something stops it. POST to {topic_url}?for=3 to stop after three seconds, or PUT zero to "
+        "stop now."
     )
     link = str(goes_on_link(topic_url))
-    return Problem(200, sentence, title="Goes on until something stops it", headers={"Link": link})
+    return Problem(200, sentence, title="Stays in effect until something stops it", headers={"Link": link})
 
 
 def no_subscriber_problem(topic: str) -> Problem:
     """Return the problem details (202) of a message that was published without a subscriber."""
-    sentence = f"The message was published, but no subscriber of {topic} was there to get it."
+    sentence = f"The message was published, but {topic} had no subscriber to receive it."
     return Problem(202, sentence, title="Nobody is listening")

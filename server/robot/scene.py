@@ -71,7 +71,7 @@ class Drawings:
                 return await asyncio.to_thread(_draw_sample, schema, sample)
             return _draw_sample(schema, sample)
         except (RosError, ValueError, MemoryError) as error:
-            return DrawnSample(sample, None, b"null", f"{error}" or "It cannot be drawn")
+            return DrawnSample(sample, None, b"null", f"{error}" or "This cannot be displayed")
 
 
 def _draw_sample(schema: MessageSchema, sample: Sample) -> DrawnSample:

@@ -59,19 +59,19 @@ class Schemas:
         """Return the schema of a message type. Raises UnknownType also for a service or action type."""
         schema = await self.get(ref)
         if not isinstance(schema, MessageSchema):
-            raise UnknownType(f"{ref.name} is no message type, which is needed here")
+            raise UnknownType(f"{ref.name} is not a message type")
         return schema
 
     async def service(self, ref: TypeRef) -> ServiceSchema:
         """Return the schema of a service type. Raises UnknownType also for a message or action type."""
         schema = await self.get(ref)
         if not isinstance(schema, ServiceSchema):
-            raise UnknownType(f"{ref.name} is no service type, which is needed here")
+            raise UnknownType(f"{ref.name} is not a service type")
         return schema
 
     async def action(self, ref: TypeRef) -> ActionSchema:
         """Return the schema of an action type. Raises UnknownType also for a message or service type."""
         schema = await self.get(ref)
         if not isinstance(schema, ActionSchema):
-            raise UnknownType(f"{ref.name} is no action type, which is needed here")
+            raise UnknownType(f"{ref.name} is not an action type")
         return schema

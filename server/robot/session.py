@@ -251,9 +251,9 @@ class GraphFollower:
         graph = self._session.graph
         match graph.state:
             case Stale(_, why) if not self._is_stale:
-                _log.warning("the robot cannot be seen, and is waited for: %s", why)
+                _log.warning("the robot cannot be reached, waiting for it: %s", why)
             case Live() if self._is_stale:
-                _log.info("the robot is there: %d nodes, %d topics", len(graph.nodes), len(graph.topics))
+                _log.info("connected to the robot: %d nodes, %d topics", len(graph.nodes), len(graph.topics))
         self._is_stale = isinstance(graph.state, Stale)
 
     async def _follow(self) -> None:

@@ -32,7 +32,7 @@ from rosld.server.runtime.tasks import Signal, loop_time
 from rosld.shapes.command_numbers import require_finite_message
 
 _log = logging.getLogger("rosld")
-_NOTHING = "no topic of a velocity type has a subscriber (--stop-zero names others), and no mapping says what stops it"
+_NOTHING = "no topic of a velocity type has a subscriber (add others by --stop-zero), and no mapping defines a stop"
 _ENDING_SECONDS = 1.0
 """Seconds to watch a goal that could not be canceled; its end may become known after the refusal."""
 
@@ -113,7 +113,7 @@ class SoftwareStop:
     def unusable_reason(self) -> str | None:
         """Sentence on why the robot cannot be stopped and released from here, None if it can."""
         if self._session.settings.read_only:
-            return "This server is read-only: it tells the robot nothing, not even to stop."
+            return "This server is read-only: it sends no commands to the robot, not even to stop."
         return None if self.is_usable else f"Nothing moves in a {self._session.adapter.capabilities.system}."
 
     @property
@@ -138,15 +138,15 @@ class SoftwareStop:
         """Sentence on why the robot may still move although it is stopped, None if there is no sign of it."""
         steps = self.steps
         if self.stop_state is None:
-            return None if steps else f"A stop would publish and call nothing: {_NOTHING}."
+            return None if steps else f"A stop would have no effect: {_NOTHING}."
         sending = [step for step in steps if step.sends]
         failed = sum(step.status is StepStatus.FAILED for step in sending)
         if self._running or (sending and not failed):
             return None
         if not sending:
-            return f"The robot may go on moving, for nothing was told to stand still: {_NOTHING}."
+            return f"The robot may still be moving, because nothing was told to stop: {_NOTHING}."
         failure = "nothing could be told" if failed == len(sending) else "not everything could be told"
-        return f"The robot may go on moving, for {failure} to stand still: {failed} of {len(sending)} steps failed."
+        return f"The robot may still be moving, because {failure} to stop: {failed} of {len(sending)} steps failed."
 
     def start(self) -> None:
         """Advertise the topics of a stop in advance, if the settings require that."""
@@ -275,12 +275,12 @@ class SoftwareStop:
         except (RosError, LoweringError, ValueError) as error:
             reason = one_line(str(error))  # may include text of the robot
             if is_at_rest is not None and await is_at_rest():
-                words = f"it is at rest already: {reason}"
+                words = f"it is already at rest: {reason}"
             else:
                 fate, words = StepStatus.FAILED, reason
                 _log.error("while the robot was stopped: %s: %s", does, words)
         except Exception as error:
-            fate, words = StepStatus.FAILED, "the server failed; its log says more"
+            fate, words = StepStatus.FAILED, "the server failed; see its log"
             _log.exception("while the robot was stopped: %s", does, exc_info=error)
         if does in self._steps:
             count = None if reached is None else reached.subscribers
@@ -303,7 +303,7 @@ class SoftwareStop:
         step = self._steps.get(_zero_on(topic))
         if reached is None or step is None or step.status is not StepStatus.FAILED:
             return
-        words = f"told late, {loop_time() - begun:.1f} s after the stop"
+        words = f"sent late, {loop_time() - begun:.1f} s after the stop"
         words = "; ".join(each for each in (words, _missed_subscribers(reached)) if each)
         self._steps[step.description] = replace(
             step, status=StepStatus.DONE, words=words, subscribers=reached.subscribers
@@ -317,7 +317,7 @@ class SoftwareStop:
         if mapped.service is not None:
             service = session.graph.services.get(mapped.service)
             if service is None or service.type is None:
-                raise ValueError(f"there is no service {mapped.service} that can be called")
+                raise ValueError(f"no service {mapped.service} can be called")
             called = await session.schemas.service(service.type)
             request = called.request.codec.encode(
                 self._message(Kind.SERVICE, mapped.service, called.request, mapped), encoding
@@ -325,17 +325,17 @@ class SoftwareStop:
             answer = await session.adapter.call_always(mapped.service, called.ref, request, deadline=deadline)
             response = called.response.codec.decode(answer, encoding)
             if getattr(response, "success", True) is False:
-                raise ValueError(str(getattr(response, "message", "") or "it answered that it did not succeed"))
+                raise ValueError(str(getattr(response, "message", "") or "the service reported failure"))
             return None
         assert mapped.topic is not None
         topic = session.graph.topics.get(mapped.topic)
         if topic is None or topic.type is None:
-            raise ValueError(f"there is no topic {mapped.topic} that can be published to")
+            raise ValueError(f"no topic {mapped.topic} can be published to")
         schema = await session.schemas.message(topic.type)
         data = schema.codec.encode(self._message(Kind.TOPIC, mapped.topic, schema, mapped), encoding)
         published = await session.adapter.publish_always(mapped.topic, schema.ref, data, deadline=deadline)
         if not published.matched:
-            raise ValueError(f"no subscriber of {mapped.topic} was there to get it")
+            raise ValueError(f"{mapped.topic} had no subscriber to receive it")
         return Receivers(published.matched, subscribers_of(topic, session.graph))
 
     def _message(self, kind: Kind, name: str, schema: MessageSchema, mapped: StopCommand) -> Message:

@@ -29,18 +29,18 @@ def denied_reason(
     if name in permitted:
         return type_conflict(topic)
     if is_reserved(name, graph):
-        return f"{name} belongs to ROS itself; to publish there anyway start rosld with --allow-publish {name}."
+        return f"{name} belongs to ROS itself; to publish there anyway, start rosld with --allow-publish {name}."
     if any(fnmatchcase(name, glob) for glob in permitted):
         return type_conflict(topic)
     others = [endpoint.node for endpoint in topic.publishers if endpoint.node != graph.own_node]
     if others:
         return (
-            f"{name} is published by {', '.join(others[:3])}: it tells of the robot, it does not command it. "
-            f"To publish there anyway start rosld with --allow-publish {name}."
+            f"{name} is published by {', '.join(others[:3])}: it reports on the robot and does not command it. To "
+            f"publish there anyway, start rosld with --allow-publish {name}."
         )
     own = any(endpoint.node == graph.own_node for endpoint in topic.publishers)
     if needs_subscriber and not own and not any(endpoint.node != graph.own_node for endpoint in topic.subscribers):
-        return f"No node subscribes to {name}; to publish there anyway start rosld with --allow-publish {name}."
+        return f"No node subscribes to {name}; to publish there anyway, start rosld with --allow-publish {name}."
     return type_conflict(topic)
 
 
@@ -59,12 +59,12 @@ def takes_finite_numbers(graph: Graph, permitted: tuple[str, ...], kind: Kind, n
 
 def any_number_hint(name: str) -> str:
     """Return the hint on how to allow any number, for the end of a sentence."""
-    return f"start rosld with --allow-non-finite {name} to send it all the same"
+    return f"start rosld with --allow-non-finite {name} to send it anyway"
 
 
 def resources_only_reason(name: str) -> str:
     """Return why a name that `--resources-only` matches cannot be written to by its own URL."""
-    return f"{name} is written under /resources/ only (--resources-only), where mappings guard it."
+    return f"{name} can be written only through /resources/ (--resources-only), where mappings protect it."
 
 
 def parameter_denied_reason(graph: Graph, name: str, *, delete: bool = False) -> str | None:
@@ -74,9 +74,9 @@ def parameter_denied_reason(graph: Graph, name: str, *, delete: bool = False) ->
     if descriptor is None:
         return None
     if descriptor.read_only:
-        return f"The parameter {name} is read-only: its node declares that its value never changes."
+        return f"The parameter {name} is read-only: its node declares its value constant."
     if delete and descriptor.type is not None:
-        return f"The parameter {name} cannot be deleted: its node declares it, and keeps it."
+        return f"The parameter {name} cannot be deleted: its node declares it statically."
     return None
 
 
@@ -84,7 +84,7 @@ def type_conflict(topic: Topic) -> str | None:
     """Return why a topic has no single type, in a sentence; None if its nodes agree."""
     if len(topic.types) > 1:
         names = " and ".join(f"{ref.name} ({ref.hash})" if ref.hash else ref.name for ref in topic.types)
-        return f"The nodes on {topic.name} do not agree on its type: {names}."
+        return f"The nodes on {topic.name} disagree on its type: {names}."
     return None
 
 

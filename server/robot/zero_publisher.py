@@ -237,7 +237,7 @@ class ReadyPublications:
                 await session.adapter.advertise(topic.name, topic.type, deadline=loop_time() + _OPEN_SECONDS)
             except (RosError, ValueError) as error:
                 if self._failures.get(topic.name) != str(error):
-                    _log.warning("%s cannot be advertised for the stop: %s", topic.name, error)
+                    _log.warning("cannot advertise %s for the stop: %s", topic.name, error)
                 self._failures[topic.name] = str(error)
             else:
                 self._failures.pop(topic.name, None)

@@ -152,7 +152,7 @@ class Connection(HttpToolsProtocol):
 
     def _become_websocket(self, *, is_early: bool) -> None:
         if is_early:
-            self._end(Problem(400, "Bytes follow a WebSocket's handshake: wait for its answer (RFC 6455 4.1)."))
+            self._end(Problem(400, "Data follows the WebSocket handshake: wait for the response first (RFC 6455 4.1)."))
         else:
             self.handle_websocket_upgrade()
 
@@ -162,7 +162,7 @@ class Connection(HttpToolsProtocol):
             return
         if not self._head_is_open:
             if self._framing < 0:
-                self._end(Problem(431, "The chunk extensions and trailers are far larger than the body."))
+                self._end(Problem(431, "The chunk extensions and trailers are much larger than the body."))
             elif self._is_answered:  # this body is not read: it must not keep the connection open
                 self.timeout_keep_alive_task = self.loop.call_later(
                     self.timeout_keep_alive, self.timeout_keep_alive_handler
@@ -252,7 +252,7 @@ class Connection(HttpToolsProtocol):
 
     def _too_slow(self) -> None:
         self._impatience = None
-        self._end(Problem(408, f"No whole request came within {self._bounds.head_seconds:g} s."))
+        self._end(Problem(408, f"No complete request arrived within {self._bounds.head_seconds:g} s."))
 
     def pause_writing(self) -> None:
         """Start the timer for a client that reads more slowly than data is sent."""
@@ -335,11 +335,11 @@ class Connection(HttpToolsProtocol):
 
 _FULL = Problem(
     503,
-    "There are as many connections as may be; on this one only POST /stop is answered. Come back later.",
+    "The maximum number of connections is open; this one accepts only POST /stop. Try again later.",
     headers={"Retry-After": "5"},
 )
-_UNREADABLE = Problem(400, "This is no HTTP request that can be read.")
-_UNREADABLE_BODY = Problem(400, "The chunks of the body are not as RFC 9112 7.1 has them. Nothing was done.")
+_UNREADABLE = Problem(400, "This is not a valid HTTP request.")
+_UNREADABLE_BODY = Problem(400, "The body is not valid chunked encoding (RFC 9112 7.1). Nothing was done.")
 
 
 def _response(ending: Problem) -> bytes:

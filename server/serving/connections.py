@@ -149,6 +149,6 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         self.stop_keepalive()
         if self.handshake_complete and not self.close_sent and not self.transport.is_closing():
             self.queue.put_nowait({"type": "websocket.disconnect", "code": TRY_AGAIN_LATER})
-            self.conn.send_close(TRY_AGAIN_LATER, "room is needed for others")
+            self.conn.send_close(TRY_AGAIN_LATER, "closed to make room for others")
             self.transport.write(b"".join(self.conn.data_to_send()))
         self.transport.close()

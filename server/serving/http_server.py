@@ -30,7 +30,7 @@ def require_certificate(certificate: Path, key: Path | None) -> None:
     except ssl.SSLError as error:
         where = f"--tls-cert {certificate}" + ("" if key is None else f", --tls-key {key}")
         words = (error.reason or str(error)).replace("_", " ").lower()
-        raise ValueError(f"{where}: {words}: a certificate and its private key, both in PEM, are needed") from error
+        raise ValueError(f"{where}: {words}: need a certificate and its private key, both in PEM") from error
 
 
 def configure_tls(config: uvicorn.Config, certificate: Path | None, key: Path | None) -> None:
@@ -41,7 +41,7 @@ def configure_tls(config: uvicorn.Config, certificate: Path | None, key: Path | 
 
 
 def _no_password() -> str:
-    raise ValueError("the private key is encrypted: give it without a password, in a file that nobody else can read")
+    raise ValueError("the private key is encrypted: provide it without a password, in a file that nobody else can read")
 
 
 _log = logging.getLogger("rosld")
@@ -149,7 +149,7 @@ def _unless_cancelled(record: logging.LogRecord) -> bool:
     A deliberately aborted response is logged in one line instead.
     """
     if record.exc_info is not None and isinstance(record.exc_info[1], Aborted):
-        _log.info("an answer was broken off: %s", record.exc_info[1])
+        _log.info("a response was aborted: %s", record.exc_info[1])
         return False
     cancelled = record.exc_info is not None and record.exc_info[0] is asyncio.CancelledError
     return not cancelled and not record.msg.startswith("Cancel %s running task")

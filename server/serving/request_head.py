@@ -59,15 +59,15 @@ class RequestHead(NamedTuple):
         if len(self.target) > LONGEST_TARGET:
             raise Problem(431, f"The request line is longer than {LONGEST_TARGET} bytes.")
         if self.version not in _VERSIONS:
-            raise Problem(505, f"HTTP/{self.version} is not spoken here: send HTTP/1.1.")
+            raise Problem(505, f"HTTP/{self.version} is not supported: send HTTP/1.1.")
         if self.method == b"CONNECT":
-            raise Problem(501, "This server is no proxy: it has no tunnel to CONNECT to.")
+            raise Problem(501, "This server is not a proxy: CONNECT is not supported.")
         codings = self._values(b"transfer-encoding")
         if codings and self.version == "1.0":
-            raise Problem(400, "A request in HTTP/1.0 cannot have a Transfer-Encoding (RFC 9112 6.1).")
+            raise Problem(400, "An HTTP/1.0 request cannot have a Transfer-Encoding (RFC 9112 6.1).")
         if codings and [coding.strip(b" \t").lower() for coding in codings] != [b"chunked"]:
             named = b", ".join(codings).decode("latin-1")[:200]
-            raise Problem(501, f"Only the transfer coding chunked is known here, not {named!r}.")
+            raise Problem(501, f"Only the transfer coding chunked is supported, not {named!r}.")
 
     def _values(self, name: bytes) -> list[bytes]:
         return [value for each, value in self.headers if each == name]

@@ -83,7 +83,7 @@ class Analyser:
         """
         checked = check_text(text, reach=self._reach)
         if keyword := update_keyword(checked.tokens):
-            raise Problem(400, f"{keyword} is an update, and this is the endpoint for queries: it only reads.")
+            raise Problem(400, f"{keyword} is an update, but this is the query endpoint, which only reads.")
         query = parse_query(checked, self.prefixes, self.base, AGE)
         past = past_query(query, MessageTerms(self._types, self.base))
         return Analysis(
@@ -138,9 +138,9 @@ def parse_problem(error: QueryError, text: str) -> Problem:
     """
     where = _PLACE.match(str(error))
     if where is None:
-        return Problem(400, f"The query is refused: {error}.")
+        return Problem(400, f"The query was rejected: {error}.")
     is_as_written = NAMESPACE not in text
-    return Problem(400, f"The query is not understood{f' at {where[1]}' if is_as_written else ''}.")
+    return Problem(400, f"The query cannot be parsed{f' at {where[1]}' if is_as_written else ''}.")
 
 
 _PLACE = re.compile(r"error at (\d+:\d+): ")

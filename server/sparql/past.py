@@ -322,8 +322,8 @@ def past_query(query: Query, terms: MessageTerms) -> PastQuery | None:
     if any(group.graph is not None for group in asking):
         raise Problem(
             400,
-            "ros:past stands in a GRAPH: recorded messages have none, they are in the default graph. To say of which "
-            f"recording, write ?message ros:recordedIn <{terms.base}bags/NAME/>.",
+            "ros:past is inside a GRAPH, but recorded messages are in the default graph. To select a recording, "
+            f"write ?message ros:recordedIn <{terms.base}bags/NAME/>.",
         )
     return PastQuery(query, terms)
 

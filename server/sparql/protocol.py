@@ -62,7 +62,7 @@ def query_request(method: str, query_string: bytes, content_type: str | None = N
         return _remembered(query_string) if len(query_string) <= _LONGEST_CACHED else _from_url(query_string)
     request = posted_request(query_string, content_type, body)
     if isinstance(request, UpdateRequest):
-        raise Problem(400, "This is an update, and only queries are taken here.")
+        raise Problem(400, "This is an update, but only queries are accepted here.")
     return request
 
 
@@ -74,7 +74,7 @@ def posted_request(query_string: bytes, content_type: str | None, body: bytes) -
     """
     in_url = _parameters(query_string, "query string")
     if any(name == "update" for name, _ in in_url):
-        raise Problem(400, "An update stands in the body of a POST, never in the URL (SPARQL 1.1 Protocol 2.2).")
+        raise Problem(400, "An update must be in the body of a POST, not in the URL (SPARQL 1.1 Protocol 2.2).")
     stated = _media_type(content_type)
     essence = stated.essence
     if essence == FORM:
@@ -82,7 +82,7 @@ def posted_request(query_string: bytes, content_type: str | None, body: bytes) -
         if any(name == "update" for name, _ in in_form):
             return _update([*in_url, *in_form])
         if any(name == "query" for name, _ in in_url):
-            raise Problem(400, "The query stands in the URL and the form: send it in one of them.")
+            raise Problem(400, "The query is in both the URL and the form: send it in one of them.")
         return _request([*in_url, *in_form])
     if essence == QUERY_MEDIA_TYPE:
         return _request([*in_url, ("query", _decode(body, "query", stated))])
@@ -90,8 +90,8 @@ def posted_request(query_string: bytes, content_type: str | None, body: bytes) -
         return _update([*in_url, ("update", _decode(body, "update", stated))])
     raise Problem(
         415,
-        f"A query comes as {QUERY_MEDIA_TYPE}, an update as {UPDATE_MEDIA_TYPE}, either as a form ({FORM}), not as "
-        f"{content_type}.",
+        f"Send a query as {QUERY_MEDIA_TYPE}, an update as {UPDATE_MEDIA_TYPE}, or either as a form ({FORM}), "
+        f"not as {content_type}.",
         headers=_ACCEPTED,
     )
 
@@ -110,7 +110,7 @@ def _media_type(content_type: str | None) -> MediaType:
     if content_type is None:
         raise Problem(
             415,
-            f"The request has no Content-Type; a query comes as {QUERY_MEDIA_TYPE}, an update as {UPDATE_MEDIA_TYPE}.",
+            f"The request has no Content-Type; send a query as {QUERY_MEDIA_TYPE}, an update as {UPDATE_MEDIA_TYPE}.",
             headers=_ACCEPTED,
         )
     try:
@@ -118,7 +118,9 @@ def _media_type(content_type: str | None) -> MediaType:
     except ValueError as error:
         raise Problem(415, f"{error}.", headers=_ACCEPTED) from error
     if codec_for(found).startswith("utf-16"):
-        sentence = f"Queries and updates are in UTF-8, not in {found.parameter('charset')} (SPARQL 1.1 Protocol 2.1.3)."
+        sentence = (
+            f"Queries and updates must be in UTF-8, not {found.parameter('charset')} (SPARQL 1.1 Protocol 2.1.3)."
+        )
         raise Problem(415, sentence, headers=_ACCEPTED)
     return found
 
@@ -142,11 +144,11 @@ def _parameters(raw: bytes, where: str, codec: str = UTF_8) -> list[tuple[str, s
 def _request(parameters: list[tuple[str, str]]) -> QueryRequest:
     queries = [value for name, value in parameters if name == "query"]
     if any(name == "update" for name, _ in parameters):
-        raise Problem(400, "An update stands in the body of a POST, never in the URL (SPARQL 1.1 Protocol 2.2).")
+        raise Problem(400, "An update must be in the body of a POST, not in the URL (SPARQL 1.1 Protocol 2.2).")
     if not queries:
-        raise Problem(400, "There is no query: give one as ?query= (SPARQL 1.1 Protocol 2.1).")
+        raise Problem(400, "The request has no query: send one as ?query= (SPARQL 1.1 Protocol 2.1).")
     if len(queries) > 1:
-        raise Problem(400, f"There are {len(queries)} queries in one request; send one.")
+        raise Problem(400, f"The request has {len(queries)} queries; send one.")
     _refuse(parameters, _USING, "are for updates; a query has default-graph-uri and named-graph-uri")
     default, named = (_graphs(parameters, name) for name in _DATASET)
     return QueryRequest(
@@ -161,7 +163,7 @@ def requested_timeout(parameters: Iterable[tuple[str, str]]) -> float | None:
         return None
     seconds = parse_decimal(given[0])
     if len(given) > 1 or seconds is None or not 0 < seconds < inf:
-        raise Problem(400, f"timeout={given[0]} is no number of seconds above 0, such as 2.5, given once.")
+        raise Problem(400, f"timeout={given[0]} must be a number of seconds above 0, such as 2.5, given once.")
     return seconds
 
 
@@ -176,9 +178,9 @@ def requested_partial(parameters: Iterable[tuple[str, str]]) -> bool:
 def _update(parameters: list[tuple[str, str]]) -> UpdateRequest:
     updates = [value for name, value in parameters if name == "update"]
     if any(name == "query" for name, _ in parameters):
-        raise Problem(400, "There is a query and an update in one request; send one of them.")
+        raise Problem(400, "The request has both a query and an update; send one of them.")
     if len(updates) > 1:
-        raise Problem(400, f"There are {len(updates)} updates in one request; send one, its operations joined by ';'.")
+        raise Problem(400, f"The request has {len(updates)} updates; send one, with its operations joined by ';'.")
     _refuse(parameters, _DATASET, "are for queries; an update has using-graph-uri and using-named-graph-uri")
     using, named = (_graphs(parameters, name) for name in _USING)
     if using or named:
@@ -201,7 +203,7 @@ def _refuse_own_dataset(text: str) -> None:
         if token.is_word("WITH") or (token.kind is Kind.WORD and token.text.upper().startswith("USING")):
             where = line_and_column(text, token.start)
             raise Problem(
-                400, f"{token.text} at {where}: the graphs are named beside the update already, name them once."
+                400, f"{token.text} at {where}: the graphs are already given outside the update; name them once."
             )
 
 
@@ -211,5 +213,5 @@ def _graphs(parameters: list[tuple[str, str]], name: str) -> tuple[str, ...]:
         try:
             NamedNode(graph)
         except ValueError as error:
-            raise Problem(400, f"{name}={graph!r} is no absolute IRI: {error}.") from error
+            raise Problem(400, f"{name}={graph!r} is not an absolute IRI: {error}.") from error
     return graphs

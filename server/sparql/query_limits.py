@@ -66,7 +66,7 @@ class StopReason(Enum):
 def out_of_time(seconds: float) -> Problem:
     """Return the problem of a query that exceeded its time limit."""
     return _stop_problem(
-        StopReason.TIME, f"The query took longer than {seconds:g} s, which is its limit here: ask for less at a time."
+        StopReason.TIME, f"The query exceeded its time limit of {seconds:g} s: ask for less at a time."
     )
 
 
@@ -74,22 +74,22 @@ def out_of_memory(memory: int) -> Problem:
     """Return the problem of a query that exceeded its memory limit."""
     mebibytes = memory // _MIB
     return _stop_problem(
-        StopReason.MEMORY, f"The query needed more than {mebibytes} MiB of memory, this server's limit: ask for less."
+        StopReason.MEMORY, f"The query exceeded this server's memory limit of {mebibytes} MiB: ask for less."
     )
 
 
 def too_many_rows(rows: int) -> Problem:
     """Return the problem of an answer that exceeds the row limit."""
-    return _stop_problem(StopReason.ROWS, f"The answer has more than {rows} rows, this server's limit: ask with LIMIT.")
+    return _stop_problem(StopReason.ROWS, f"The result exceeds this server's limit of {rows} rows: use LIMIT.")
 
 
 def too_much_past(words: str) -> Problem:
     """Return the problem of a query that would have to read too many recorded messages."""
     return _stop_problem(
         StopReason.PAST,
-        f"{words} Ask for less: name in the group of each ros:past a topic (or its ros:name, or a field of one message "
-        'type) and a time, as in FILTER(?received > NOW() - "PT60S"^^xsd:dayTimeDuration). What is asked of a message '
-        "that no ros:past leads to is asked of all.",
+        f"{words} Ask for less: name in the group of each ros:past a topic (or its ros:name, or a field of "
+        'one message type) and a time, as in FILTER(?received > NOW() - "PT60S"^^xsd:dayTimeDuration). A '
+        "message pattern without ros:past matches all messages.",
     )
 
 
@@ -97,7 +97,7 @@ def too_many_queries() -> Problem:
     """Return the problem of a query that finds all workers busy and the queue full."""
     return Problem(
         503,
-        "All workers for queries are busy, and enough queries wait; try again in a moment.",
+        "All query workers are busy and the queue is full; try again in a moment.",
         headers=_RETRY_AFTER,
         extra={"reason": "busy"},
     )
@@ -108,20 +108,20 @@ def incomplete(unread: Mapping[str, str]) -> Problem:
     first = [f"<{url}>: {reason.rstrip('.')}" for url, reason in islice(sorted(unread.items()), _MAX_NAMED)]
     more = f", and {len(unread) - len(first)} more" if len(unread) > len(first) else ""
     words = (
-        f"The answer would not be complete: {'; '.join(first)}{more}. Name the documents that the query is "
-        "about by GRAPH, subscribe by --subscribe, raise the limit, or take what there is by ?partial=true."
+        f"The result would be incomplete: {'; '.join(first)}{more}. Name the documents of the query with "
+        "GRAPH, subscribe with --subscribe, raise the limit, or accept partial results with ?partial=true."
     )
     return Problem(503, words, headers=_RETRY_AFTER, extra={"reason": "incomplete"}, about=tuple(sorted(unread)))
 
 
 def process_crashed(how: str) -> Problem:
     """Return the problem of a query whose process crashed."""
-    return Problem(500, f"The process that answered the query ended before it was done ({how}); the server goes on.")
+    return Problem(500, f"The process of the query died before it finished ({how}); the server keeps running.")
 
 
 def process_restarting(seconds: int, progress: str = "") -> Problem:
     """Return the problem of a query while its process restarts; `progress` is a sentence on the state of loading."""
-    words = "The process that answers queries is being started: try again in a moment."
+    words = "The query process is starting: try again in a moment."
     if progress:
         words = f"{progress} Try again then."
     return Problem(503, words, headers={"Retry-After": str(seconds)}, extra={"reason": "starting"})
@@ -129,7 +129,7 @@ def process_restarting(seconds: int, progress: str = "") -> Problem:
 
 def dataset_behind() -> Problem:
     """Return the problem of a query that must see a change still being loaded."""
-    words = "A large change is being read into the dataset, and the query is to see it: try again in a moment."
+    words = "A large change that the query must see is being loaded into the dataset: try again in a moment."
     return Problem(503, words, headers=_RETRY_AFTER, extra={"reason": "starting"})
 
 

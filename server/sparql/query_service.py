@@ -149,7 +149,7 @@ class QueryService:
             try:
                 return await self._process.result(work, limits, until), versions
             except QueryError as error:
-                raise Problem(400, f"A WHERE cannot be answered: {error}.") from error
+                raise Problem(400, f"A WHERE cannot be evaluated: {error}.") from error
 
     def check(self, text: str) -> Analysis:
         """Return the analysis of a query that is not run, leaving syntax to the store's parser. Raises Problem 400."""
@@ -213,7 +213,7 @@ class QueryService:
         if permissions.is_unrestricted or (permissions.may_read_all and not run.analysis.finds_offers):
             return 0
         if self._restricted is None:
-            raise Problem(403, "Queries are for those who may read everything.")
+            raise Problem(403, "Queries are allowed only for agents that may read everything.")
         return await self._restricted.dataset_for(permissions, run.limits, run.until)
 
     async def _read_past(self, run: _Run, is_counted: bool) -> AsyncIterator[tuple[bytes | None, int]]:
@@ -227,7 +227,7 @@ class QueryService:
             yield None, 0
             return
         if self._past is None:
-            raise Problem(400, "There is no past here: ros:past cannot be asked for.")
+            raise Problem(400, "This server has no recordings: ros:past cannot be used.")
         now = time.time_ns()
         moments = Interval(now - _SECOND, now + int((limits.seconds + 1) * _SECOND))
         graphs, _ = _dataset(analysis, request)

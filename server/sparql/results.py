@@ -78,7 +78,7 @@ def choose_media_type(form: str | None, accept: str | None) -> str:
     chosen = choose_offer(accept, offers)
     if chosen is None:
         of = "A dataset" if form == QUADS else f"The results of {form or 'a query'}"
-        raise Problem(406, f"{of} can be had as {', '.join(offers)}.")
+        raise Problem(406, f"{of} are available as {', '.join(offers)}.")
     return chosen
 
 
@@ -287,7 +287,9 @@ class _XmlOutput(io.RawIOBase):
         piece = bytes(data)
         if found := _NO_CHARACTER.search(self._rest + piece):
             number = ord(found[0].decode())
-            raise _not_in_xml(f"XML cannot carry the character U+{number:04X}, which is in the results: ask for JSON.")
+            raise _not_in_xml(
+                f"The results contain the character U+{number:04X}, which XML cannot represent: ask for JSON."
+            )
         self._rest = piece[-2:]
         self._pass_on(piece.replace(b"\r", b"&#13;"))
         return len(piece)

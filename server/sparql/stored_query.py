@@ -38,9 +38,9 @@ _SUFFIX = ".rq"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _PARAMETER = re.compile(r"@param\s+(?P<name>\S+)\s+(?P<type>\S+)(?:\s+(?P<default>.*?))??\s+--\s+(?P<about>\S.*)")
 OTHER_SETTINGS = {
-    "format": "in which format the results come",
-    "partial": "whether a partial answer is taken",
-    "timeout": "how long the query may take",
+    "format": "the format of the results",
+    "partial": "whether a partial result is accepted",
+    "timeout": "the time limit of the query",
 }
 """Other parameters in the URL of a query, whatever parameters it declares."""
 _SURROGATE = re.compile("[\ud800-\udfff]")
@@ -115,15 +115,15 @@ def _outline(name: str, text: str) -> tuple[StoredQuery, Mapping[str, int]]:
         if line.startswith("@"):
             parameter = _parameter(line, f"{name}:{number}")
             if parameter.name in lines:
-                raise ValueError(f"{name}:{number}: the parameter {parameter.name} is told of twice")
+                raise ValueError(f"{name}:{number}: the parameter {parameter.name} is declared twice")
             parameters.append(parameter)
             lines[parameter.name] = number
         elif parameters and line:
-            raise ValueError(f"{name}:{number}: {_brief(line)} must stand before the parameters, with the purpose")
+            raise ValueError(f"{name}:{number}: {_brief(line)} must come before the parameters, with the purpose")
         elif line:
             purpose.append(line)
     if not purpose:
-        raise ValueError(f"{name}:1: must begin with a comment that says in plain words what it is for")
+        raise ValueError(f"{name}:1: must begin with a comment that states its purpose")
     if len(parameters) > _MAX_PARAMETERS:
         raise ValueError(f"{name}:{number}: a query has at most {_MAX_PARAMETERS} parameters")
     return StoredQuery(name, " ".join(purpose), tuple(parameters), text), lines
@@ -140,15 +140,16 @@ def _comments(text: str) -> Iterable[str]:
 def _parameter(line: str, where: str) -> QueryParameterDeclaration:
     match = _PARAMETER.fullmatch(line)
     if match is None:
-        raise ValueError(f"{where}: {_brief(line)} should look like '@param seconds double 5 -- what it is'")
+        raise ValueError(f"{where}: {_brief(line)} must look like '@param seconds double 5 -- what it is'")
     name, kind, default = match["name"], match["type"], match["default"]
     if not _NAME.fullmatch(name):
         raise ValueError(f"{where}: the parameter {_brief(name)} must be named with ASCII letters, digits, underscores")
     if name in OTHER_SETTINGS:
-        raise ValueError(f"{where}: no parameter can be called {name}: it says {OTHER_SETTINGS[name]}")
+        raise ValueError(f"{where}: a parameter cannot be named {name}, which is {OTHER_SETTINGS[name]}")
     if kind not in (one.value for one in ParameterType):
         raise ValueError(
-            f"{where}: {_brief(kind)} is no type of parameter: take {', '.join(one.value for one in ParameterType)}"
+            f"{where}: {_brief(kind)} is not a parameter type: choose from "
+            f"{', '.join(one.value for one in ParameterType)}"
         )
     return QueryParameterDeclaration(name, ParameterType(kind), "" if default == '""' else default, match["about"])
 
@@ -166,12 +167,10 @@ def _check(query: StoredQuery, lines: Mapping[str, int]) -> None:
         if keyword := update_keyword(checked.tokens):
             word = next(token for token in checked.tokens if token.text.upper() == keyword)
             line = line_and_column(checked.text, word.start).partition(":")[0]
-            raise ValueError(f"{name}:{line}: {keyword} is an update, and a stored query only reads")
+            raise ValueError(f"{name}:{line}: {keyword} is an update, but a stored query only reads")
         there = {token.text[1:] for token in checked.tokens if token.kind is Kind.VARIABLE}
         if unused := [one for one in lines if one not in there]:
-            raise ValueError(
-                f"{name}:{lines[unused[0]]}: no ?{unused[0]} is in the query, though it is told of as a parameter"
-            )
+            raise ValueError(f"{name}:{lines[unused[0]]}: the parameter ?{unused[0]} is not used in the query")
         samples = {one.name: _SAMPLES[one.type] for one in query.parameters if one.default is None}
         bound = bind_parameters(query, samples, _ANYWHERE)
     except Problem as problem:
@@ -181,7 +180,7 @@ def _check(query: StoredQuery, lines: Mapping[str, int]) -> None:
     except Problem as problem:
         found = _PLACE.search(problem.detail)
         where = f"{name}:{found[1]}" if found else name
-        raise ValueError(f"{where}: with its parameters bound it is no query. {problem.detail}") from problem
+        raise ValueError(f"{where}: it is not a valid query with its parameters bound. {problem.detail}") from problem
 
 
 def _parse(text: str, nobodys: str) -> None:
@@ -228,7 +227,7 @@ def _with_terms(query: StoredQuery, terms: Mapping[str, str]) -> Iterator[str]:
         text = f" {terms[token.text[1:]]} " if is_bound else token.text
         size += len(text)
         if size > _MAX_BOUND:
-            raise Problem(413, f"With these values the query {query.name} would be too long: give shorter ones.")
+            raise Problem(413, f"With these values the query {query.name} is too long: use shorter ones.")
         yield text
 
 
@@ -237,16 +236,16 @@ def _bound(parameter: QueryParameterDeclaration, given: str | None, base: str) -
     if given is None or (not given and parameter.type is not ParameterType.STRING):
         given = parameter.default
     if given is None:
-        raise ValueError(f"must be given; it is {parameter.about}")
+        raise ValueError(f"is required: {parameter.about}")
     if _SURROGATE.search(given):
-        raise ValueError(f"{_brief(given)} holds a lone surrogate, which is no character")
+        raise ValueError(f"{_brief(given)} contains a lone surrogate, which is not a character")
     return _TERMS[parameter.type](given, base)
 
 
 def _refusal(query: StoredQuery, wrong: list[str]) -> Problem:
     return Problem(
         400,
-        f"The query {query.name} cannot be run so: {'; '.join(wrong)}. {_offer(query.parameters)}",
+        f"Invalid parameters of the query {query.name}: {'; '.join(wrong)}. {_offer(query.parameters)}",
         extra={
             "parameters": [
                 {"name": one.name, "type": one.type.value, "default": one.default, "about": one.about}
@@ -287,9 +286,9 @@ def _integer(value: str, base: str = "") -> str:
     try:
         number = int(NUMBERS[xsd.integer](value))
     except Misfit as error:
-        raise ValueError(f"{_brief(value)} is no whole number, such as 42") from error
+        raise ValueError(f"{_brief(value)} is not an integer such as 42") from error
     if number not in _INT64:
-        raise ValueError(f"{_brief(value)} is beyond the 64 bits of the store's integers")
+        raise ValueError(f"{_brief(value)} exceeds 64 bits")
     return f'"{number}"^^<{xsd.integer.value}>'
 
 
@@ -297,7 +296,7 @@ def _double(value: str, base: str = "") -> str:
     try:
         return str(double(float(NUMBERS[xsd.double](value))))
     except Misfit as error:
-        raise ValueError(f"{_brief(value)} is no number, such as 2.5") from error
+        raise ValueError(f"{_brief(value)} is not a number such as 2.5") from error
 
 
 def _iri(value: str, base: str) -> str:
@@ -318,7 +317,7 @@ def _url(path: str, base: str) -> str:
     location = locate(match[1])
     space = Space(base)
     if location.kind not in SECTIONS and path != "/":
-        raise ValueError(f"{_brief(path)} is no path of this server, such as /topics/x or /nodes/x")
+        raise ValueError(f"{_brief(path)} is not a path of this server such as /topics/x or /nodes/x")
     if not location.kind:
         return base
     written = space.url(location.kind, location.segments)

@@ -165,7 +165,7 @@ def _render(iri: str, ntriples: Callable[[], str]) -> str | None:
     except MemoryError:
         raise
     except Exception:  # a source's failure concerns one graph only
-        _log.exception("%s cannot be rendered and is left out of the dataset", iri)
+        _log.exception("%s cannot be rendered and is omitted from the dataset", iri)
         return None
 
 
@@ -186,7 +186,7 @@ class _Transfer:
 
     def __str__(self) -> str:
         share = min(99, 100 * self.done // self.total)
-        return f"What clients keep is being read into the dataset: {share} % of it is there."
+        return f"Stored resources are being loaded into the dataset: {share} % done."
 
 
 class StoredSync:
@@ -228,12 +228,12 @@ class StoredSync:
                     self._send_little(wanted)
                     pause = _BATCH_SECONDS
             except MemoryError as error:
-                _log.error("what clients keep cannot be brought to the dataset now: %s", error)
+                _log.error("stored resources cannot be loaded into the dataset now: %s", error)
                 pause = _SHORT_OF_MEMORY
             except Problem:  # the process is being started
                 pass
             except Exception:  # the next attempt or query may succeed
-                _log.exception("what clients keep cannot be brought to the dataset now")
+                _log.exception("stored resources cannot be loaded into the dataset now")
 
     def _soon_wanted(self) -> Sequence[int]:
         """Return the versions that the next query is likely to need, 0 for sources that no query needed lately."""

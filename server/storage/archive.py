@@ -120,10 +120,10 @@ class ArchiveReader:
             )
             about = json.loads(self._member(_ABOUT).read(_SMALL))
             if not isinstance(about, dict) or not isinstance(about.get("base"), str):
-                raise ValueError(f"{_ABOUT} names no base")
+                raise ValueError(f"{_ABOUT} does not contain a base")
         if about.get("format") != FORMAT:
             raise ValueError(
-                f"the dump has the format {about.get('format')}, this rosld knows {FORMAT}: use a newer one"
+                f"the dump has format {about.get('format')}, but this rosld supports {FORMAT}: use a newer rosld"
             )
         self.base: str = about["base"]
         """The base URL that the records belong to."""
@@ -172,7 +172,7 @@ class ArchiveReader:
         member = self._tar.next()
         file = self._tar.extractfile(member) if member is not None and member.name == name and member.isreg() else None
         if file is None:
-            raise ValueError(f"{name} is missing at its place")
+            raise ValueError(f"{name} is missing or out of order")
         return file
 
     def _blobs(self, sizes: Mapping[str, int], new: dict[str, str], blobs: Blobs) -> None:
@@ -181,7 +181,7 @@ class ArchiveReader:
             file = self._member(f"blobs/{id}")
             new[id] = blobs.add(file, size)
         if self._tar.next() is not None:
-            raise ValueError("something follows its last file")
+            raise ValueError("there is data after its last file")
         while self._file.read(_SMALL):  # read to the end, where the checksum is
             pass
         blobs.sync()
@@ -260,7 +260,7 @@ def _entry(line: bytes) -> NumberedRecord:
     members = json.loads(line)
     number, created, modified = members["number"], members["created"], members["modified"]
     if not all(type(value) is int and 0 < value < _MAX_NUMBER for value in (number, created, modified)):
-        raise ValueError(f"{members['path']!r} has no sound number or time")
+        raise ValueError(f"{members['path']!r} has no valid number or time")
     blob, membership = members.get("blob"), members.get("membership")
     record = Record(
         _path(members["path"]),
@@ -279,7 +279,7 @@ def _entry(line: bytes) -> NumberedRecord:
 def _blob(members: Mapping[str, object]) -> Blob:
     size = members["size"]
     if type(size) is not int or not 0 <= size < _MAX_NUMBER:
-        raise ValueError(f"{size!r} is no size")
+        raise ValueError(f"{size!r} is not a size")
     return Blob(
         _require_match(ID, members["id"], "an id"),
         size,
@@ -305,15 +305,15 @@ def _check(record: Record, sizes: dict[str, int]) -> None:
     """Raise ValueError if a record is invalid; add the size of its blob to `sizes`."""
     check_write(Put(record.path, record.model, blob=record.blob, membership=record.membership))
     if not container_of(record.path) and record.model is not Model.BASIC_CONTAINER:
-        raise ValueError(f"{record.path} is in no container")
+        raise ValueError(f"{record.path} is not in a container")
     try:
         for _ in pyoxigraph.parse(unpack_triples(record.triples), pyoxigraph.RdfFormat.N_TRIPLES, lenient=True):
             pass
     except SyntaxError as error:
-        raise ValueError(f"the triples of {record.path} are no N-Triples: {error}") from error
+        raise ValueError(f"the triples of {record.path} are not valid N-Triples: {error}") from error
     if record.blob is not None:
         if record.blob.id in sizes:
-            raise ValueError(f"two records have the file {record.blob.id}")
+            raise ValueError(f"two records refer to the file {record.blob.id}")
         sizes[record.blob.id] = record.blob.size
 
 
@@ -344,6 +344,6 @@ def _archive_errors() -> Iterator[None]:
     try:
         yield
     except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"this is no whole dump of rosld: {error or type(error).__name__}") from error
+        raise ValueError(f"this is not a complete rosld dump: {error or type(error).__name__}") from error
     except ValueError as error:
-        raise ValueError(f"this is no sound dump of rosld: {error}") from error
+        raise ValueError(f"this is not a valid rosld dump: {error}") from error

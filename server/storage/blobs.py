@@ -88,7 +88,7 @@ class Blobs:
                 os.fsync(copy.fileno())
                 written = copy.tell()
             if written != size:
-                raise ValueError(f"a file holds {written} bytes, not {size}")
+                raise ValueError(f"a file has {written} bytes, expected {size}")
         except BaseException:
             _unlink(path)
             raise
@@ -154,7 +154,7 @@ def storage_error(error: OSError) -> StorageError:
     """Return the StorageError for a failed write of a file."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     words = error.strerror or str(error)
-    return StorageError(f"The file could not be kept: {words}.", full=full)
+    return StorageError(f"The file could not be stored: {words}.", full=full)
 
 
 @contextmanager

@@ -204,16 +204,16 @@ def check_write(write: Write) -> None:
     """Raise ValueError for a write that is invalid in any state."""
     path = write.path
     if not path or path[0] == "/" or "//" in path:
-        raise ValueError(f"{path!r} is no path of a record: it has an empty segment")
+        raise ValueError(f"{path!r} is not a valid record path: it has an empty segment")
     if not isinstance(write, Put):
         return
     model = write.model
     if (path[-1] == "/") != model.is_container:
-        raise ValueError(f"{path!r} cannot be a {model.value}: containers, and only they, end in a slash")
+        raise ValueError(f"{path!r} cannot be a {model.value}: only containers end in a slash")
     if (write.blob is not None) != (model is Model.NON_RDF_SOURCE):
-        raise ValueError(f"{path!r}: non-RDF sources, and only they, have a blob")
+        raise ValueError(f"{path!r}: only non-RDF sources have a blob")
     if (write.membership is not None) != (model in _DIRECT):
-        raise ValueError(f"{path!r}: Direct and Indirect containers, and only they, have a membership")
+        raise ValueError(f"{path!r}: only Direct and Indirect Containers have a membership")
 
 
 _PLAIN = (ldp.Resource, ldp.RDFSource)
@@ -237,7 +237,7 @@ def database_error(error: sqlite3.Error) -> StorageError:
     if "locked" in words or "busy" in words:
         return StorageError("Another process is writing to these records: try again.")
     if is_disk_full(error):
-        return StorageError(f"There is no space left to keep this: {words}.", full=True)
+        return StorageError(f"There is no space left to store this: {words}.", full=True)
     return StorageError(f"The database of records failed: {words}.")
 
 

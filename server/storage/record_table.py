@@ -310,15 +310,15 @@ class RecordTable:
         if (put.unused or put.expected) and self.is_tombstone(path):
             raise Conflict(path, "it was deleted", ConflictCause.GONE)
         if put.expected:
-            raise Conflict(path, f"it is not there, and so not in version {put.expected}", ConflictCause.MISSING)
+            raise Conflict(path, f"it does not exist, so it cannot be in version {put.expected}", ConflictCause.MISSING)
         above = container_of(path)
         container = self._present(above)
         if container is None:
-            words = f"its container {above} is not there" if above else "no resource can be made beside the roots"
+            words = f"its container {above} does not exist" if above else "no resource can be created next to the roots"
             raise Conflict(path, words, ConflictCause.CONTAINER)
         other = path[:-1] if path.endswith("/") else path + "/"
         if self._execute("SELECT 1 FROM record WHERE path = ?", (other,)).fetchone() is not None:
-            raise Conflict(path, f"there is {other} already, and a name means one thing", ConflictCause.NAME)
+            raise Conflict(path, f"{other} already exists with the same name", ConflictCause.NAME)
         _take(put, None, applied)
         applied.removed.pop(path, None)
         applied.records[path] = self._insert(put, container.id, now)
@@ -340,7 +340,7 @@ class RecordTable:
         path, blob, triples = put.path, put.blob, put.triples
         _expect(put, present)
         if put.model.value != present.model:
-            words = f"it is a {present.model}, and cannot become a {put.model.value}"
+            words = f"it is a {present.model} and cannot become a {put.model.value}"
             raise Conflict(path, words, ConflictCause.MODEL)
         _take(put, present.blob, applied)
         member = present.member if put.member is None else put.member
@@ -379,7 +379,7 @@ class RecordTable:
             )
         _expect(remove, present)
         if not present.container:
-            raise Conflict(path, "it is always there and cannot be deleted", ConflictCause.ROOT)
+            raise Conflict(path, "it is permanent and cannot be deleted", ConflictCause.ROOT)
         if present.members:
             words = f"it is not empty: delete its {present.members} members first"
             raise Conflict(path, words, ConflictCause.NOT_EMPTY)
@@ -418,7 +418,7 @@ def _expect(write: Write, present: CurrentRow) -> None:
     if write.expected is None or write.expected == present.version:
         return
     if write.expected == 0:
-        raise Conflict(write.path, "it is there already", ConflictCause.THERE)
+        raise Conflict(write.path, "it already exists", ConflictCause.THERE)
     words = f"it has changed: it is in version {present.version}, not {write.expected}"
     raise Conflict(write.path, words, ConflictCause.CHANGED)
 
@@ -430,7 +430,7 @@ def _take(put: Put, present: str | None, applied: Effects) -> None:
         return
     if id is not None:
         if id not in applied.unused:
-            raise Conflict(put.path, "the bytes sent for it are not kept any more: send them again", ConflictCause.BLOB)
+            raise Conflict(put.path, "its uploaded content is no longer available: send it again", ConflictCause.BLOB)
         applied.unused.discard(id)
     if present is not None:
         applied.freed.append(present)

@@ -83,7 +83,7 @@ def unusable_reason(path: str, error: Exception) -> str:
     """Return the message about a database that cannot be opened."""
     words = f"{path} cannot be used as the database of records: {error}"
     broken = any(word in str(error) for word in ("malformed", "not a database", "corrupt"))
-    return f"{words}. Bring a dump back into a new folder with `rosld load`" if broken else words
+    return f"{words}. Restore a dump into a new folder with `rosld load`" if broken else words
 
 
 class Records:
@@ -148,7 +148,7 @@ class Records:
         if self._writer.failure is not None:
             return str(self._writer.failure)
         left = free_bytes(self._place)
-        words = f"The disk that holds the data is full, {left} bytes are left: delete what is not needed."
+        words = f"The data disk is full ({left} bytes left): delete what is not needed."
         return words if left < LOW_BYTES else None
 
     def get(self, path: str) -> Record | None:
@@ -445,9 +445,9 @@ class _Writer:
             if not _is_failed_sync(error.__cause__):
                 raise
             # After a failed sync the kernel marks the pages as clean, so that the next sync would succeed.
-            _log.critical("the records cannot be kept: %s", error)
-            words = f"{error} Nothing is kept from now on: see to the disk, and start rosld again."
-            self.failure = StorageError(f"{words} What was refused just now may be there then.", final=True)
+            _log.critical("the records cannot be stored: %s", error)
+            words = f"{error} Nothing more is stored: check the disk, then restart rosld."
+            self.failure = StorageError(f"{words} The writes just refused may then be present.", final=True)
             raise self.failure from error
         finally:
             table.rollback()

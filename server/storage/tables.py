@@ -58,13 +58,13 @@ def prepare_tables(connection: sqlite3.Connection, name: str) -> None:
         found = read_pragma(connection, "user_version")
         if found == 0:
             if connection.execute("SELECT 1 FROM sqlite_master").fetchone() is not None:
-                raise ValueError(f"{name} is a database of something else: take another folder")
+                raise ValueError(f"{name} is a database of another program: choose another folder")
             _make(connection)
         elif read_pragma(connection, "application_id") != APPLICATION:
-            raise ValueError(f"{name} is a database of something else: take another folder")
+            raise ValueError(f"{name} is a database of another program: choose another folder")
         elif found > FORMAT:
             raise ValueError(
-                f"{name} was written by a newer rosld (its format is {found}, this one knows {FORMAT}): use that one"
+                f"{name} was written by a newer rosld (format {found}; this one supports {FORMAT}): use that version"
             )
         connection.execute("COMMIT")
     finally:

@@ -77,24 +77,24 @@ def test_a_profile_says_what_its_words_say_and_a_word_that_is_no_policy_is_named
     ):
         assert read_profile(text) == profile
     for text, words in (
-        ("", "'' is no policy; there are best_effort, reliable"),
-        ("reliable,", "'' is no policy"),
-        ("besteffort", "'besteffort' is no policy"),
-        ("Reliable", "'Reliable' is no policy"),
-        ("reliable:1", "'reliable:1' is no policy"),
-        ("reliable,best_effort", "'best_effort' says again what the reliability is"),
-        ("lease:1,lease:1", "'lease:1' says again what the lease is"),
-        ("depth:0", "'depth:0': a depth is a whole number from 1 to 100000"),
-        ("depth:-1", "a depth is"),
-        ("depth:1.5", "a depth is"),
-        ("depth:\u0665", "a depth is"),
-        ("depth:" + "9" * 5000, "a depth is"),
+        ("", "'' is not a policy; choose from best_effort, reliable"),
+        ("reliable,", "'' is not a policy"),
+        ("besteffort", "'besteffort' is not a policy"),
+        ("Reliable", "'Reliable' is not a policy"),
+        ("reliable:1", "'reliable:1' is not a policy"),
+        ("reliable,best_effort", "'best_effort' sets the reliability twice"),
+        ("lease:1,lease:1", "'lease:1' sets the lease twice"),
+        ("depth:0", "'depth:0': the depth must be an integer from 1 to 100000"),
+        ("depth:-1", "the depth must be"),
+        ("depth:1.5", "the depth must be"),
+        ("depth:\u0665", "the depth must be"),
+        ("depth:" + "9" * 5000, "the depth must be"),
         ("deadline:nan", "'deadline:nan': a deadline is a number of seconds"),
         ("deadline:inf", "a deadline is"),
         ("lease:0", "a lease is"),
         ("lifespan:soon", "a lifespan is"),
         ("lifespan:1_0", "a lifespan is"),
-        ("history", "'history' is no policy"),
+        ("history", "'history' is not a policy"),
     ):
         with pytest.raises(ValueError, match=re.escape(words)):
             read_profile(text)

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 __all__ = ["guard", "tokens"]
 
 DENIED = "/topics/cockpit/display"
-NOTHING = "There is nothing here that you may know of."
+NOTHING = "Not found, or not visible to you."
 
 
 @pytest.fixture(scope="module")

@@ -171,7 +171,7 @@ def test_an_endpoint_is_listed_by_its_whole_url_letter_by_letter(federated: Serv
         for keyword in ("SERVICE", "service silent"):
             answer = ask(federated, f"SELECT * {{ {keyword} <{each}> {{ ?s ?p ?o }} }}")
             assert answer.status_code == 400, answer.text
-            assert "by its whole URL" in answer.json()["detail"]
+            assert "full URL" in answer.json()["detail"]
     assert len(endpoint.asked) == before
 
 

@@ -129,7 +129,7 @@ def test_a_hold_publishes_until_its_lease_lapses_and_then_stands_still(driven: D
     assert 2 <= len(driven.on(DRIVE)) <= 17
     gone = http.get(hold)
     assert gone.status_code == 410
-    assert "its lease lapsed" in gone.text
+    assert "its lease expired" in gone.text
 
 
 def test_a_hold_for_a_time_needs_no_renewal_and_can_be_prolonged_and_ended(driven: Driven, http: httpx.Client) -> None:
@@ -140,7 +140,7 @@ def test_a_hold_for_a_time_needs_no_renewal_and_can_be_prolonged_and_ended(drive
     driven.until(lambda: driven.is_told(STILL), "standing still")
     (began, *_), (ended, *_) = driven.told[0], driven.told[-1]
     assert 1.15 < ended - began < 5
-    assert "its 1.2 s were over" in http.get(hold).text
+    assert "its 1.2 s elapsed" in http.get(hold).text
     prolonged = begun(http, **{"for": 0.3})
     assert http.patch(prolonged, params={"for": 60}).status_code == 204
     assert http.get(prolonged, headers=JSON).json()["for"] == 60.0
@@ -155,15 +155,15 @@ def test_a_velocity_that_is_published_once_is_answered_with_how_to_hold_it(drive
         driven.told.clear()
         silent = http.put(path, json=ahead(1.0))
         assert silent.status_code == 204
-        assert f'<{http.base_url}topics/drive#hold>; rel="help"; title="It goes on' in silent.headers["link"]
+        assert f'<{http.base_url}topics/drive#hold>; rel="help"; title="It stays in effect' in silent.headers["link"]
         told = http.put(path, json=ahead(1.0), headers=JSON)
-        assert (told.status_code, told.json()["title"]) == (200, "Goes on until something stops it")
-        assert f"POST it to {http.base_url}topics/drive?for=3" in told.json()["detail"]
+        assert (told.status_code, told.json()["title"]) == (200, "Stays in effect until something stops it")
+        assert f"POST to {http.base_url}topics/drive?for=3" in told.json()["detail"]
         shown = http.put(path, json=ahead(1.0), headers={**JSON, "Prefer": "return=representation"})
         assert shown.json() == ahead(1.0)
         assert "#hold" in shown.headers["link"]
         receipt = next(link for link in shown.headers["link"].split("<") if "/activity/" in link).partition(">")[0]
-        assert "what /drive commands goes on until something stops it" in http.get(receipt).text
+        assert "the command on /drive stays in effect until something stops it" in http.get(receipt).text
         assert http.put(path, json=STILL, headers=JSON).status_code == 204
         assert len(driven.on(DRIVE)) == 4
     assert "#hold" not in http.put(f"/topics{NAMED}", json={"data": "x"}, headers=JSON).headers["link"]

@@ -165,7 +165,7 @@ def test_a_hold_that_was_interrupted_is_only_told_of_where_another_node_commands
         other = ros.publish("/cmd_vel", "geometry_msgs/Twist", "{linear: {x: 0.5}}", rate=5)
         try:
             server.start()
-            waiting.until(lambda: "another node publishes there" in server.http.get(driven).text, "what became of it")
+            waiting.until(lambda: "another node publishes on it" in server.http.get(driven).text, "what became of it")
             assert json.dumps(STILL) not in " ".join(wheels.seen[-3:])
         finally:
             other.stop()
@@ -197,4 +197,4 @@ def test_a_guard_stops_the_base_as_soon_as_rosld_is_killed(ros: RosSystem, wheel
             guard.stop()
     assert guard.process.returncode == 0
     once = subprocess.run([*command, "--once"], capture_output=True, text=True, timeout=30, check=True)
-    assert "holds that did not end: 0" in once.stderr
+    assert "holds that could not be ended: 0" in once.stderr

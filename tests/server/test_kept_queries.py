@@ -119,9 +119,9 @@ def test_parameters_are_taken_from_the_url_as_terms_and_by_default(shared: httpx
     hostile = ('") } #', '/air") || true || STRSTARTS("', "\\", "\\u0022) || true #", "'''", "?name", "\n\r\t\0", "<x>")
     assert {value: names(start=value) for value in hostile} == {value: [] for value in hostile}
     for given, words in (
-        ({"least": "many"}, "'many' is no whole number"),
-        ({"least": "1) || (1=1"}, "is no whole number"),
-        ({"least": "9" * 30}, "beyond the 64 bits"),
+        ({"least": "many"}, "'many' is not an integer"),
+        ({"least": "1) || (1=1"}, "is not an integer"),
+        ({"least": "9" * 30}, "exceeds 64 bits"),
         ({"begin": "/"}, "there is no parameter 'begin'"),
     ):
         refused = shared.get("/queries/mine", params=given, headers=CSV)
@@ -221,8 +221,8 @@ BAD: tuple[tuple[str | bytes, str], ...] = (
     ("", "mine:1: must begin with a comment"),
     (b"\xef\xbb\xbf# A.\nASK {}", "mine:1: must begin with a comment"),
     (b"# A.\n# \xff\nASK {}", "mine:2: what stands there is not UTF-8"),
-    ("# A.\n# @param p date -- it\nASK { ?p ?a ?b }", "mine:2: 'date' is no type"),
-    ("# A.\n# @param p integer -- it\nASK { ?a ?p ?b }", "mine:3: with its parameters bound it is no query"),
+    ("# A.\n# @param p date -- it\nASK { ?p ?a ?b }", "mine:2: 'date' is not a parameter type"),
+    ("# A.\n# @param p integer -- it\nASK { ?a ?p ?b }", "mine:3: it is not a valid query with its parameters bound"),
     ("# A.\nPREFIX a: <x:>\nDELETE WHERE { ?s ?p ?o }", "mine:3: DELETE is an update"),
     ("# A.\nASK { SERVICE <http://127.0.0.1:1/> { ?a ?b ?c } }", "SERVICE"),
     ("# A.\nASK { " + "{" * 9000 + "}" * 9000 + " }", "nests deeper"),
@@ -346,7 +346,7 @@ def test_a_query_that_is_none_any_more_is_listed_and_says_why(tmp_path: Path) ->
         assert "old" in contained(client)
         answer = client.get("/queries/old", headers=CSV)
         assert answer.status_code == 409
-        assert "old:2: with its parameters bound it is no query" in answer.json()["detail"]
+        assert "old:2: it is not a valid query with its parameters bound" in answer.json()["detail"]
         assert client.get("/queries/old", headers={"Accept": "text/html"}).status_code == 409
         assert client.get("/queries/old", headers=TEXT).content == bad
         assert "It was good once." in client.get("/queries/old.meta", headers=NT).text

@@ -63,7 +63,7 @@ def test_too_many_requests_are_429_and_others_are_answered_meanwhile(url: str) -
     assert {answer.status_code for answer in answers} == {200, 429}
     told = next(answer for answer in answers if answer.status_code == 429)
     assert int(told.headers["retry-after"]) >= 1
-    assert "40 requests a second" in told.json()["detail"]
+    assert "40 requests per second" in told.json()["detail"]
 
 
 def test_streams_count_and_stopping_the_robot_is_never_too_much(url: str) -> None:
@@ -74,7 +74,7 @@ def test_streams_count_and_stopping_the_robot_is_never_too_much(url: str) -> Non
             assert each.__enter__().status_code == 200
         refused = http.get("/")
         assert (refused.status_code, refused.headers["retry-after"]) == (429, "1")
-        assert "8 requests of yours" in refused.json()["detail"]
+        assert "8 of your requests" in refused.json()["detail"]
         assert http.post("/stop/nothing").status_code == 429
         for path in ("/services/aircraft/stop", "/topics/stop", "/data/stop"):
             assert http.post(path).status_code == 429, path

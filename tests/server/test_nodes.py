@@ -116,7 +116,7 @@ def test_a_transition_that_is_not_legal_or_not_made_is_told_with_the_state(http:
     assert refused.status_code == 409
     told = refused.json()
     assert (told["state"], told["transitions"], told["sent"]) == ("unconfigured", ["configure", "shutdown"], "no")
-    assert told["detail"] == "'activate' is no legal transition of /camera now"
+    assert told["detail"] == "'activate' is not a valid transition of /camera now"
     assert not camera.asked
     camera.fails["configure"] = False
     failed = post(http, "configure").json()
@@ -183,8 +183,8 @@ def test_nodes_without_a_lifecycle_or_whose_state_is_not_known_take_no_post(
 def test_what_is_closed_offers_no_transitions(camera: Managed, triples_of: Any) -> None:
     closed: tuple[tuple[dict[str, Any], str], ...] = (
         ({"read_only": True}, "read-only"),
-        ({"resources_only": ("/camera",)}, "/camera is written under /resources/ only"),
-        ({"resources_only": ("/camera/*",)}, "/camera/change_state is written under /resources/ only"),
+        ({"resources_only": ("/camera",)}, "/camera can be written only through /resources/"),
+        ({"resources_only": ("/camera/*",)}, "/camera/change_state can be written only through /resources/"),
     )
     for settings, says in closed:
         with served(camera, **settings) as http:

@@ -98,9 +98,9 @@ def test_a_missing_part_is_refused_in_words(http: httpx.Client) -> None:
     for path, accept in (("/openapi.json", "application/json"), ("/.well-known/wot", "application/td+json")):
         for query, status, words in (
             ("below=topics", 400, "begin it with a slash"),
-            ("below=/&part=-1", 400, "number of a part"),
-            ("part=1e9", 400, "number of a part"),
-            ("below=/&part=9999", 404, "there are"),
+            ("below=/&part=-1", 400, "not a part number"),
+            ("part=1e9", 400, "not a part number"),
+            ("below=/&part=9999", 404, "the parts are"),
             ("below=/nothing/", 404, "/nothing/"),
         ):
             answer = http.get(f"{path}?{query}", headers={"Accept": accept})

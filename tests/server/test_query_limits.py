@@ -169,7 +169,7 @@ def test_a_query_that_needs_too_much_memory_is_stopped_and_says_so(serve: Callab
     served = serve("aircraft", "--setting", "query_memory_limit", str(64 * 1024 * 1024))
     answer = get(served, ENDLESS)
     stopped(answer, "memory")
-    assert "64 MiB of memory" in answer.json()["detail"]
+    assert "memory limit of 64 MiB" in answer.json()["detail"]
     growing = 'SELECT ?z { BIND("0123456789" AS ?x0) '
     growing += (
         " ".join(f"BIND(CONCAT(?x{at}, ?x{at}) AS ?x{at + 1})" for at in range(40)) + " BIND(STRLEN(?x40) AS ?z) }"

@@ -176,7 +176,7 @@ def test_while_what_clients_keep_is_read_anew_queries_are_503_with_how_far_it_is
             answer = served.http.get("/sparql", params=asked, headers=ACCEPT)
             assert answer.status_code == 503
             assert answer.headers["retry-after"].isdigit()
-            assert "% of it is there" in answer.json()["detail"]
+            assert "% done" in answer.json()["detail"]
         assert served.http.get("/data/d1").status_code == 200
         assert served.http.put("/data/other", content="<> <http://h/size> 1 .", headers=TURTLE).status_code == 201
     finally:

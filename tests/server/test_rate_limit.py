@@ -57,7 +57,7 @@ def test_a_rate_below_one_a_second_lets_one_pass_and_says_when_the_next_may() ->
     limiter = limiter_for(clock, rate=0.1)
     assert passing(limiter) == 1
     clock.now += 4.0
-    with pytest.raises(Problem, match=r"0\.1 requests a second") as refused:
+    with pytest.raises(Problem, match=r"0\.1 requests per second") as refused:
         limiter.acquire(ANONYMOUS, FAR)
     assert refused.value.headers["Retry-After"] == "6"
     clock.now += 6.1
@@ -122,7 +122,7 @@ def test_a_client_with_an_open_connection_is_not_forgotten_however_many_others_c
     for number in range(10):
         passing(limiter, address=f"198.51.100.{number}")
         clock.now += 100
-    with pytest.raises(Problem, match="1 connections come from your address"):
+    with pytest.raises(Problem, match="1 connections from your address"):
         limiter.connect(FAR)
 
 

@@ -50,11 +50,11 @@ BAD_VALUES: tuple[tuple[dict[str, Any], str], ...] = (
     ({"base_url": "http://robot"}, "--base-url"),
     ({"cors_origins": ("app.example",)}, "--cors-origin"),
     ({"types_namespace": "nonsense"}, "types_namespace"),
-    ({"history": ("/odom", "scan")}, "--history scan: a topic or a glob begins with a slash or a star"),
+    ({"history": ("/odom", "scan")}, "--history scan: must begin with a slash or a star"),
     ({"subscribe": ("",)}, "--subscribe"),
     ({"allow_publish": ("cmd_vel",)}, "--allow-publish cmd_vel"),
     ({"stop_zero": ("!cmd_vel",)}, "--stop-zero cmd_vel"),
-    ({"stop_cancels": "all"}, "--stop-cancels all: it is own or others"),
+    ({"stop_cancels": "all"}, "--stop-cancels all: must be own or others"),
 )
 
 
@@ -112,9 +112,9 @@ def test_a_bad_profile_is_refused_before_anything_is_opened() -> None:
         ("/scan", "is not GLOB=PROFILE"),
         ("scan=reliable", "is not GLOB=PROFILE"),
         ("=reliable", "is not GLOB=PROFILE"),
-        ("/scan=", "'' is no policy"),
-        ("/scan=fast", "'fast' is no policy"),
-        ("/scan=depth:many", "'depth:many': a depth is"),
+        ("/scan=", "'' is not a policy"),
+        ("/scan=fast", "'fast' is not a policy"),
+        ("/scan=depth:many", "'depth:many': the depth must be"),
     ):
         result = CliRunner().invoke(main, ["serve", "aircraft", "--qos", value], terminal_width=500)
         assert result.exit_code == 2

@@ -153,7 +153,7 @@ def test_a_service_that_refuses_has_failed_unless_it_is_at_rest(robot: Stoppable
         <#off> a sh:NodeShape ; map:about "/arm/label" ; sh:property [
           sh:path <http://www.w3.org/1999/02/22-rdf-syntax-ns#value> ; sh:hasValue "off" ] ."""
     assert http.put("/mappings/arm", content=mapping, headers=TURTLE).status_code == 204
-    for label, state, words in (("on", "Failed", "the arm is off"), ("off", "Succeeded", "it is at rest already")):
+    for label, state, words in (("on", "Failed", "the arm is off"), ("off", "Succeeded", "it is already at rest")):
         assert http.put("/resources/arm/label", json=label).status_code == 204
         told = stopped(http)
         step = told["steps"][-1]
@@ -339,8 +339,8 @@ def test_the_aircraft_is_stopped_while_it_is_off_and_while_it_flies(own_aircraft
     assert (told["warning"], {step["state"] for step in told["steps"]}) == (None, {"Succeeded"})
     page = http.get("/stop", headers={"Accept": "text/html"}).text
     assert 'class="notice error stopped"' in page
-    assert "is at rest already: the aircraft is off" in page
-    assert "may go on moving" not in page
+    assert "is already at rest: the aircraft is off" in page
+    assert "may still be moving" not in page
     assert release(http).status_code == 204
     assert http.post("/services/aircraft/start", json={}).status_code == 201
     goal = http.post("/actions/aircraft/fly", json={"distance": 5000.0}).headers["location"]

@@ -142,7 +142,7 @@ def test_while_stopped_zero_passes_and_nothing_else(base: Base, http: httpx.Clie
     assert http.put("/topics/cmd_vel", content=zero, headers=turtle).status_code == 204
     assert http.put("/topics/cmd_vel", content=zero.replace("0 .", "1 .", 1), headers=turtle).status_code == 423
     assert http.put("/topics/cmd_vel", json=AHEAD).status_code == 423
-    assert http.put("/topics/joy_vel", json=STILL).status_code == 405, "another node publishes there"
+    assert http.put("/topics/joy_vel", json=STILL).status_code == 405, "another node publishes on it"
     assert http.put("/topics/say", json={"data": ""}).status_code == 423
     assert http.post("/topics/cmd_vel", params={"rate": 20}, json=AHEAD).status_code == 423
     held = http.post("/topics/cmd_vel", params={"rate": 20, "lease": 5}, json=STILL)
@@ -176,15 +176,15 @@ def test_a_topic_that_cannot_be_reached_fails_delays_no_other_and_is_told_zero_l
     query = f"SELECT ?n ?w {{ ?stop <{ROS}warning> ?w ; <{ROS}stopStep> ?s . ?s <{ROS}subscriberCount> ?n }}"
     rows = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.splitlines()
     assert len(rows) == 1 + 4
-    assert rows[1].startswith('1,"The robot may go on moving')
+    assert rows[1].startswith('1,"The robot may still be moving')
     assert "/cmd_vel" not in base.sent
     base.deaf.clear()
     until(lambda: len(base.sent.get("/cmd_vel", ())) >= 15, "zero for a second")
     told = http.get("/stop", headers=JSON).json()
     late = steps(told)[on("/cmd_vel")]
     assert (late["state"], late["subscribers"], told["warning"]) == ("Succeeded", 1, None)
-    assert re.fullmatch(r"told late, \d+\.\d s after the stop", late["words"])
-    assert "told late" in http.get("/stop", headers=HTML).text
+    assert re.fullmatch(r"sent late, \d+\.\d s after the stop", late["words"])
+    assert "sent late" in http.get("/stop", headers=HTML).text
     assert f'"{late["words"]}"' in http.get("/stop", headers={"Accept": "text/turtle"}).text
 
 
@@ -194,21 +194,21 @@ def test_a_topic_whose_types_differ_cannot_be_told_zero(base: Base, http: httpx.
     until(lambda: http.get("/topics/odd").status_code == 200, "the topic")
     failed = steps(stop(http))[on("/odd")]
     assert failed["state"] == "Failed"
-    assert "do not agree on its type" in failed["words"]
+    assert "disagree on its type" in failed["words"]
 
 
 def test_a_stop_that_can_publish_and_call_nothing_warns_that_the_robot_may_go_on() -> None:
     robot = MadeUp()
     robot.topic("/say", STRING, published=False, heard=True)
     with served(robot) as http:
-        assert "A stop would publish and call nothing" in http.get("/stop", headers=JSON).json()["warning"]
+        assert "A stop would have no effect" in http.get("/stop", headers=JSON).json()["warning"]
         assert '<div class="notice error" role="alert">\n  <p><bdi>A stop would' in http.get("/stop", headers=HTML).text
         told = stop(http)
         assert told["steps"] == []
-        assert "The robot may go on moving, for nothing was told to stand still" in told["warning"]
+        assert "The robot may still be moving, because nothing was told to stop" in told["warning"]
         for page in ("/stop", "/topics/say", "/"):
-            assert "<strong>The robot may go on moving" in http.get(page, headers=HTML).text, page
-        assert "may go on moving" in http.get("/stop", headers={"Accept": "text/turtle"}).text
+            assert "<strong>The robot may still be moving" in http.get(page, headers=HTML).text, page
+        assert "may still be moving" in http.get("/stop", headers={"Accept": "text/turtle"}).text
         assert http.put("/topics/say", json={"data": "x"}).status_code == 423, "it is stopped all the same"
 
 
@@ -267,5 +267,5 @@ def test_a_topic_that_is_unreachable_fails_with_its_reason(base: Base) -> None:
     with served(Gone()) as http:
         told = stop(http)
         assert {step["words"] for step in told["steps"]} == {f"the node of {each} is gone" for each in COMMANDS}
-        assert "nothing could be told to stand still" in told["warning"]
+        assert "nothing could be told to stop" in told["warning"]
         assert release(http).status_code == 204

@@ -57,7 +57,7 @@ def test_a_topic_without_a_subscriber_is_written_only_where_that_is_allowed(robo
         answer = serving(allow_publish=(glob,)).put("/topics/unheard", json={"data": "x"})
         assert "no subscriber" in detail(answer, 202)
     as_resource = serving(allow_publish=("/unheard",)).put("/resources/unheard", json="y")
-    assert "no subscriber of /unheard" in detail(as_resource, 202)
+    assert "/unheard had no subscriber" in detail(as_resource, 202)
     assert robot.sent == {"/unheard": [{"data": "x"}, {"data": "x"}, {"data": "y"}]}
 
 

@@ -189,7 +189,7 @@ class QueryProcess:
     def _take(self, message: object) -> None:
         match message:
             case Refused(graph, reason):
-                _log.error("%s is left out of the dataset: %s", graph, reason)
+                _log.error("%s is omitted from the dataset: %s", graph, reason)
             case Ended():
                 self._pool.take_ended(message)
 
@@ -204,14 +204,14 @@ class QueryProcess:
         assert child is not None
         status = await self._loop.run_in_executor(None, child.popen.wait)
         how = f"signal {-status}" if status < 0 else f"exit {status}"
-        _log.error("the query process was ended (%s); it is started again", how)
+        _log.error("the query process died (%s); restarting it", how)
         pause = 0.0 if time.monotonic() - child.started > _AT_ONCE else 0.1
         while not self._closed:
             await asyncio.sleep(pause)
             try:
                 await self.start()
             except (OSError, MemoryError, RuntimeError) as error:  # no memory, no process, no thread
-                _log.error("the query process cannot be started again now: %s", error)
+                _log.error("the query process cannot be restarted now: %s", error)
                 pause = min(_LONGEST_PAUSE, max(0.5, 2 * pause))
             else:
                 return

@@ -201,7 +201,7 @@ class Evaluation:
     def _on_disconnect(self, watch: asyncio.Future[None]) -> None:
         """Give up if the client has disconnected, rather than the watch having been cancelled."""
         if not watch.cancelled() and watch.exception() is None:
-            self._give_up(Problem(503, "The client has hung up."))
+            self._give_up(Problem(503, "The client disconnected."))
 
     def _give_up(self, problem: Problem) -> None:
         if not self._is_over:
@@ -443,4 +443,4 @@ def _log_end(job: Evaluation, ended: ExitStatus | bytes) -> None:
     if isinstance(ended, ExitStatus) and os.WIFSIGNALED(ended.status):
         text = repr(job.work)
         text = text if len(text) <= 2000 else text[:2000] + "..."
-        _log.error("a query worker was ended by signal %d, doing %s", os.WTERMSIG(ended.status), text)
+        _log.error("a query worker was killed by signal %d while doing %s", os.WTERMSIG(ended.status), text)

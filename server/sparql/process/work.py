@@ -131,7 +131,7 @@ def _reaching_others() -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise Problem(502, "Another endpoint that the query asks failed.", extra={AGENT_SAID: str(error)}) from error
+        raise Problem(502, "A federated endpoint of the query failed.", extra={AGENT_SAID: str(error)}) from error
 
 
 class WhereWork(NamedTuple):

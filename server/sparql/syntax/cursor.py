@@ -113,7 +113,7 @@ class Cursor:
                 if name.kind is Kind.END:
                     self.fail_expecting("the name of a prefix, such as ex:,")
                 if name.kind is not Kind.NAME or name.text.index(":") != len(name.text) - 1:
-                    self.fail_at(name, "is no name of a prefix: it ends in a colon, such as ex:, and has no other")
+                    self.fail_at(name, "is not a prefix name: it must end in a colon and contain no other, such as ex:")
                 self.advance()
                 self.prefixes[name.text[:-1]] = self._declared_iri(name.text)
             elif self.take("BASE"):
@@ -162,7 +162,7 @@ class Cursor:
         try:
             [quad] = parse(f"<{iri}> <{TYPE}> <{TYPE}> .", RdfFormat.TURTLE, base_iri=self.base or None)
         except (SyntaxError, ValueError):
-            self.fail_at(token, "is no IRI, or a relative one without a base")
+            self.fail_at(token, "is not an IRI, or a relative one without a base")
         assert isinstance(quad.subject, NamedNode)
         return quad.subject.value
 
@@ -181,17 +181,17 @@ class Cursor:
                 words += f", and {self._where_is(opened)} is not closed"
             raise Problem(400, f"{words}.")
         if self.key == "<":
-            self.fail_at(token, "begins no IRI: it has no end, or a blank, a quote or a bracket in it")
+            self.fail_at(token, "does not begin an IRI: it is not closed, or contains a space, a quote or a bracket")
         if token.kind is Kind.WORD and self.key not in ("A", "TRUE", "FALSE") and self.key not in KEYWORDS:
             near = did_you_mean(self.key, KEYWORDS)
-            self.fail_at(token, f"is no keyword of SPARQL{near}, where {expected} is expected")
-        self.fail_at(token, f"stands where {expected} is expected")
+            self.fail_at(token, f"is not a SPARQL keyword{near}; expected {expected}")
+        self.fail_at(token, f"is unexpected; expected {expected}")
 
     def fail_unknown(self, expected: str) -> NoReturn:
         """Raise a Problem: the next token is not a term."""
         if self.token.kind is Kind.WORD and self.key not in KEYWORDS:
             hint = "put it in quotes, or write it as a variable (?) or with a prefix"
-            self.fail_at(self.token, f"is no term{did_you_mean(self.key, KEYWORDS)}: {hint}")
+            self.fail_at(self.token, f"is not a term{did_you_mean(self.key, KEYWORDS)}: {hint}")
         self.fail_expecting(expected)
 
     def _where_is(self, span: Span) -> str:

@@ -88,7 +88,7 @@ class ExpressionParser(TripleParser):
             key = self.key
             if key in _COMPARISONS:
                 if is_compared:
-                    self.fail_at(self.token, "compares what a comparison says: put brackets around one of them")
+                    self.fail_at(self.token, "compares the result of a comparison: put brackets around one of them")
                 is_compared = True
             elif key in _LOGIC:
                 is_compared = False
@@ -109,7 +109,7 @@ class ExpressionParser(TripleParser):
     def _fail_ambiguous(self) -> None:
         """Raise a Problem for a `<` that the store's parser would read as "less than"."""
         where = line_and_column(self.text, self.token.start)
-        words = f"{self.token.text} at {where} can be read as an IRI or as comparisons: put a blank after the <."
+        words = f"{self.token.text} at {where} is ambiguous, an IRI or comparisons: put a space after the <."
         raise Problem(400, words)
 
     def _choices(self, token: Token, group: Group) -> Choices:
@@ -136,7 +136,7 @@ class ExpressionParser(TripleParser):
                 self.constants.add(iri)
                 parts.append(Constant(token.start, token.end, kind, Iri(iri)))
         elif kind is Kind.BLANK:
-            self.fail_at(token, "is a blank node, which cannot stand in an expression")
+            self.fail_at(token, "is a blank node, which is not allowed in an expression")
         elif (literal := self.literal()) is not None:
             parts.append(literal)
         elif kind is Kind.WORD:
@@ -165,7 +165,7 @@ class ExpressionParser(TripleParser):
         if name not in ARGUMENTS:
             if self.following.is_mark("("):
                 near = did_you_mean(name, ARGUMENTS.keys() | AGGREGATES)
-                self.fail_at(token, f"is no function of SPARQL{near}")
+                self.fail_at(token, f"is not a SPARQL function{near}")
             self.fail_unknown(_EXPRESSION)
         self.advance()
         arguments = self._arguments(token, ARGUMENTS[name], group)
@@ -198,7 +198,7 @@ class ExpressionParser(TripleParser):
             if self.token.kind is not Kind.STRING:
                 self.fail_expecting("a string")
             self.advance()
-        self.expect(")", f"after what {name} is of")
+        self.expect(")", f"after the argument of {name}")
         return Call(token.start, self.end, name, token.end, arguments)
 
     def _arguments(self, function: Token, bounds: tuple[int, int], group: Group) -> tuple[Expression, ...]:
@@ -211,7 +211,7 @@ class ExpressionParser(TripleParser):
         if not self.take(")"):
             while True:
                 if function.is_word("BOUND") and self.token.kind is not Kind.VARIABLE:
-                    self.fail_at(self.token, "stands where BOUND expects a variable")
+                    self.fail_at(self.token, "is unexpected; BOUND needs a variable")
                 found.append(self.expression(group))
                 if not self.take(","):
                     break

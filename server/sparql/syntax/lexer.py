@@ -132,7 +132,7 @@ def unescape_codepoints(text: str) -> str:
 def _character(match: re.Match[str]) -> str:
     code = int(match[1] or match[2], 16)
     if code > 0x10FFFF or 0xD800 <= code < 0xE000:
-        raise Problem(400, f"{match[0]} is no Unicode character.")
+        raise Problem(400, f"{match[0]} is not a Unicode character.")
     return chr(code)
 
 
@@ -158,7 +158,7 @@ def check_text(
     SERVICE calls that `reach` does not allow.
     """
     if len(text) > bounds.size:
-        raise Problem(413, f"The {what} has {len(text)} characters; at most {bounds.size} are read.")
+        raise Problem(413, f"The {what} has {len(text)} characters; the limit is {bounds.size}.")
     if "\\" in text:
         text = unescape_names(text)
     comments: list[Token] = []
@@ -242,8 +242,8 @@ def _check_targets(found: tuple[Token, ...], text: str, keyword: str, allowed: f
                 named = "nothing" if target is None else target.text
                 raise Problem(
                     400,
-                    f"{keyword} at {line_and_column(text, token.start)} names {named}: this server asks only what its "
-                    "settings list, by its whole URL.",
+                    f"{keyword} at {line_and_column(text, token.start)} names {named}: this server contacts only the "
+                    "URLs in its settings; use the full URL.",
                 )
 
 
@@ -252,7 +252,7 @@ def _check_tokens(found: tuple[Token, ...], text: str) -> None:
         if token.kind is Kind.MARK:
             if token.text in _NEW_MARKS:
                 where = line_and_column(text, token.start)
-                raise Problem(400, f"{token.text} at {where}: triple terms and reifiers are not known here.")
+                raise Problem(400, f"{token.text} at {where}: triple terms and reifiers are not supported.")
         elif (token.kind is Kind.ERROR or "\\" in token.text) and (wrong := lexical_error(token, text)):
             raise Problem(400, wrong)
 
@@ -265,7 +265,8 @@ def _check_services(found: tuple[Token, ...], text: str, reach: ServiceAllowlist
             and not (reach.services and token.is_word("SERVICE"))
         ):
             raise Problem(
-                400, f"SERVICE at {line_and_column(text, token.start)} is refused: this server asks no other."
+                400,
+                f"SERVICE at {line_and_column(text, token.start)} is refused: this server contacts no other endpoints.",
             )
     _check_targets(found, text, "SERVICE", reach.services)
 
@@ -284,16 +285,16 @@ def lexical_error(token: Token, text: str) -> str | None:
 
 def _unread(token: str) -> str:
     if token[0] in "\"'":
-        return "The string that begins at {where} has no end."
+        return "The string that begins at {where} is not closed."
     if token == "\\":
-        return "The backslash at {where} escapes nothing that can stand there."
-    return f"{token!a} at {{where}} is no part of SPARQL."
+        return "The backslash at {where} is not a valid escape there."
+    return f"{token!a} at {{where}} is not valid in SPARQL."
 
 
 def _wrong_escape(escape: re.Match[str]) -> str | None:
     if len(escape[0]) == 2:
         known = escape[0][1] in "tbnrf\"'\\"
-        return None if known else "A backslash in the string at {where} escapes nothing: write it as two."
+        return None if known else "The string at {where} has an invalid escape: write a backslash as two."
     _character(escape)
     return None
 
@@ -301,8 +302,8 @@ def _wrong_escape(escape: re.Match[str]) -> str | None:
 def _wrong_iri(iri: str) -> str | None:
     escaped = (_character(match) for match in _ESCAPE.finditer(iri))
     if any(each in '"\\<>{}|^`' or ord(each) <= 0x20 for each in escaped):
-        return "The IRI at {where} has an escape of a character that no IRI has."
-    return "The IRI at {where} has a backslash, which no IRI has." if "\\" in _ESCAPE.sub("", iri) else None
+        return "The IRI at {where} escapes a character that IRIs cannot contain."
+    return "The IRI at {where} contains a backslash, which is not allowed." if "\\" in _ESCAPE.sub("", iri) else None
 
 
 def _check_shape(found: tuple[Token, ...], text: str, bounds: QueryBounds, what: str) -> None:
@@ -326,9 +327,7 @@ def _check_shape(found: tuple[Token, ...], text: str, bounds: QueryBounds, what:
         if data is None and token.kind is Kind.WORD and token.text.upper().endswith(("VALUES", "DATA")):
             data = depth
     if steps > bounds.steps:
-        raise Problem(
-            400, f"The {what} has {steps} keywords, operators and brackets; at most {bounds.steps} are taken."
-        )
+        raise Problem(400, f"The {what} has {steps} keywords, operators and brackets; the limit is {bounds.steps}.")
 
 
 def line_and_column(text: str, at: int) -> str:
@@ -347,7 +346,7 @@ def check_update_of_one_graph(text: str, bounds: QueryBounds = DEFAULT_BOUNDS) -
     for token in checked.tokens:
         if token.kind is Kind.WORD and (keyword := _beyond(token.text.upper())):
             where = line_and_column(text, token.start)
-            raise Problem(422, f"{keyword} at {where}: an update here concerns this one resource only.")
+            raise Problem(422, f"{keyword} at {where}: an update here can change only this resource.")
     return checked
 
 

@@ -45,7 +45,7 @@ def parse_query(query: CheckedText, prefixes: Mapping[str, str], base: str, age:
     try:
         return QueryParser(query, prefixes, base, DEFAULT_BOUNDS.joins, age).query()
     except RecursionError as error:
-        raise Problem(400, "The query nests too deep: ask it in parts.") from error
+        raise Problem(400, "The query is nested too deeply: split it.") from error
 
 
 class _Selection(NamedTuple):
@@ -203,7 +203,7 @@ class QueryParser(ExpressionParser):
         for variable, operand in items:
             name = variable.text[1:]
             if operand is not None and (name in new or name in (visible if grouped is None else grouped)):
-                self.fail_at(variable, "has a value already: choose another name after AS")
+                self.fail_at(variable, "already has a value: choose another name after AS")
             if name in projected:
                 self.fail_at(variable, "is selected twice")
             if grouped is not None:
@@ -217,7 +217,7 @@ class QueryParser(ExpressionParser):
     def _check_grouped(self, needed: Iterable[Span], grouped: Collection[str]) -> None:
         for variable in needed:
             if self.text[variable.start + 1 : variable.end] not in grouped:
-                self.fail_at(variable, "is not grouped by: name it in GROUP BY, or use an aggregate such as SAMPLE")
+                self.fail_at(variable, "is not grouped: name it in GROUP BY, or use an aggregate such as SAMPLE")
 
     # --- solution modifiers
 
@@ -404,7 +404,7 @@ class QueryParser(ExpressionParser):
         variable = self.expect_variable()
         name = variable.text[1:]
         if name in group.visible:
-            self.fail_at(variable, "has a value already, before this BIND: choose another name after AS")
+            self.fail_at(variable, "already has a value before this BIND: choose another name after AS")
         self.expect(")", "after the variable of BIND")
         group.visible.add(name)
         group.bindings.append((name, operand))
@@ -435,16 +435,16 @@ class QueryParser(ExpressionParser):
         while not self.take(")"):
             found.append(self._datum("a value or )"))
         if len(found) != length:
-            self.fail_at(row, f"begins a row of {len(found)} values for {length} variables")
+            self.fail_at(row, f"begins a row with {len(found)} values for {length} variables")
         return found
 
     def _datum(self, expected: str) -> Iri | Value | None:
         """Parse a value of VALUES, None for UNDEF."""
         token = self.token
         if token.kind is Kind.VARIABLE:
-            self.fail_at(token, "stands among the values of VALUES, which are IRIs, literals or UNDEF")
+            self.fail_at(token, "is not allowed in VALUES, which takes IRIs, literals or UNDEF")
         if token.kind is Kind.BLANK:
-            self.fail_at(token, "is a blank node, which cannot be a value of VALUES")
+            self.fail_at(token, "is a blank node, which is not allowed in VALUES")
         if self.take("UNDEF"):
             return None
         term = self.term(expected)

@@ -74,7 +74,7 @@ class TripleParser(Cursor):
         """Count one more join. Raises Problem 400 beyond the limit."""
         self.joins += 1
         if self.joins > self._max_joins:
-            raise Problem(400, f"The query joins more than {self._max_joins} patterns: ask it in parts.")
+            raise Problem(400, f"The query joins more than {self._max_joins} patterns: split it.")
 
     @property
     def is_at_triples(self) -> bool:
@@ -94,7 +94,7 @@ class TripleParser(Cursor):
         """Parse the triples of a template, up to but excluding the closing brace."""
         while self.key != "}":
             if self.key == "{" or self.key in MEMBERS:
-                self.fail_at(self.token, f"cannot stand in {what}: there are triples only")
+                self.fail_at(self.token, f"is not allowed in {what}, which takes only triples")
             if not self.is_at_triples:
                 self.fail_expecting("a triple or }")
             self.triples(add, is_pattern=False)
@@ -134,9 +134,7 @@ class TripleParser(Cursor):
         token = self.token
         term = self.term(expected)
         if is_pattern and token.kind is Kind.BLANK and self._labels.setdefault(token.text, self.block) != self.block:
-            self.fail_at(
-                token, "stands in another group of triples already: use a variable for what is the same in two"
-            )
+            self.fail_at(token, "is already used in another group of triples: use a variable instead")
         return term
 
     def _collection(self, add: AddPattern, is_pattern: bool) -> Term:
@@ -206,7 +204,7 @@ class TripleParser(Cursor):
             else:
                 value = Literal(lexical)
         except ValueError as error:
-            self.fail_at(following, f"cannot stand after a string: {error}")
+            self.fail_at(following, f"is not valid after a string: {error}")
         return Constant(token.start, self.end, Kind.STRING, Value(value))
 
     # --- paths

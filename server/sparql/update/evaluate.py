@@ -202,7 +202,7 @@ def evaluate(operations: Sequence[Operation], staging: StagingDataset, ask: Wher
             case ManageGraph():
                 _manage(operation, staging)
             case Load():
-                raise ValueError(f"what {operation.document} says must be loaded before it is evaluated")
+                raise ValueError(f"{operation.document} must be loaded before it is evaluated")
 
 
 def has_dependent_where(operations: Sequence[Operation]) -> bool:
@@ -249,7 +249,7 @@ def _modify(operation: Modify, staging: StagingDataset, ask: WhereEvaluator) -> 
 def _limit_rows(rows: Iterable[Row]) -> Iterator[Row]:
     for number, row in enumerate(rows):
         if number == MAX_ROWS:
-            raise Problem(422, f"A WHERE has more than {MAX_ROWS} solutions, which is the most here: change less.")
+            raise Problem(422, f"A WHERE has more than the limit of {MAX_ROWS} solutions: change less at a time.")
         yield row
 
 
@@ -284,7 +284,7 @@ def _manage(operation: ManageGraph, staging: StagingDataset) -> None:
     assert not isinstance(source, GraphGroup), source
     if verb is GraphVerb.CREATE:
         if staging.is_there(target) and not operation.silent:
-            raise Problem(409, f"CREATE: there is a graph {target} already.")
+            raise Problem(409, f"CREATE: the graph {target} already exists.")
         staging.create(target)
     elif source is None:
         if not staging.is_there(target):
@@ -315,4 +315,4 @@ def _copy(verb: GraphVerb, source: str, target: str, staging: StagingDataset) ->
 
 def _missing(operation: ManageGraph, graph: str) -> None:
     if not operation.silent and graph != operation.default:
-        raise Problem(409, f"{operation.verb.value}: there is no graph {graph}.")
+        raise Problem(409, f"{operation.verb.value}: the graph {graph} does not exist.")

@@ -79,7 +79,7 @@ class UpdateEvaluator:
     def _plan_where(self, where: Where) -> _PlannedWhere:
         analysis = self._analyser.analyse(where.query)
         if analysis.past is not None:
-            raise Problem(400, "ros:past is for queries, and this is an update: ask first, then write what you found.")
+            raise Problem(400, "ros:past is not allowed in updates: query first, then write the results.")
         graphs = where.default_graphs + where.named_graphs
         needs = analysis.needs.restrict_to(graphs) if graphs else analysis.needs
         scope = frozenset(graphs) if graphs else analysis.is_enclosed

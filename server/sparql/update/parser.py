@@ -58,7 +58,7 @@ def read_update(
     try:
         return UpdateParser(checked, prefixes, base, bounds.joins, request, default).operations()
     except RecursionError as error:
-        raise Problem(400, "The update nests too deep: write it in parts.") from error
+        raise Problem(400, "The update is nested too deeply: split it.") from error
 
 
 _DATA = re.compile(
@@ -96,7 +96,7 @@ def _read_data(
     except BodyError as error:
         if len(text) <= bounds.size:
             return None
-        raise Problem(400, f"The update is not understood: {error}.") from error
+        raise Problem(400, f"The update cannot be parsed: {error}.") from error
     if not head["graph"]:
         quads = [Quad(quad.subject, quad.predicate, quad.object, default) for quad in quads]
     if head["verb"].upper() == "INSERT":
@@ -133,7 +133,7 @@ def _read(checked: CheckedText, base: str) -> tuple[UpdateParser, tuple[Operatio
     try:
         return parser, parser.operations()
     except RecursionError as error:
-        raise Problem(400, "The update nests too deep: write it in parts.") from error
+        raise Problem(400, "The update is nested too deeply: split it.") from error
 
 
 class UpdateParser(QueryParser):
@@ -218,7 +218,7 @@ class UpdateParser(QueryParser):
     def _refuse_holes(self, quads: tuple[QuadTemplate, ...], keyword: str, begin: int) -> None:
         if holes := variables_of(quads):
             where = line_and_column(self.text, begin)
-            raise Problem(400, f"?{holes[0]} stands in the {keyword} DATA at {where}: none can.")
+            raise Problem(400, f"The {keyword} DATA at {where} cannot contain variables such as ?{holes[0]}.")
 
     def _deletes(self, graph: str | None) -> tuple[QuadTemplate, ...]:
         """Parse quads without blank nodes."""
@@ -226,7 +226,7 @@ class UpdateParser(QueryParser):
         quads = self._quads(graph)
         if has_blank_nodes(quads):
             where = line_and_column(self.text, begin)
-            raise Problem(400, f"A blank node stands in the DELETE at {where}: write a variable (SPARQL 1.1, 19.8).")
+            raise Problem(400, f"The DELETE at {where} cannot contain a blank node: use a variable (SPARQL 1.1, 19.8).")
         return quads
 
     def _quads(self, graph: str | None) -> tuple[QuadTemplate, ...]:
@@ -269,13 +269,13 @@ class UpdateParser(QueryParser):
 
         def add(subject: Term, predicate: Predicate, object: Term) -> None:
             if isinstance(subject, Value):
-                raise ValueError("a literal is no subject")
+                raise ValueError("a literal cannot be a subject")
             found.append(QuadTemplate(self._slot(subject), self._predicate(predicate), self._slot(object), graph))
 
         try:
             self.triples(add, is_pattern=False)
         except ValueError as error:
-            self.fail_at(token, f"begins triples that cannot be said: {error}")
+            self.fail_at(token, f"begins invalid triples: {error}")
 
     def _predicate(self, predicate: Predicate) -> TemplateTerm:
         if isinstance(predicate, Variable):

@@ -101,7 +101,7 @@ async def test_what_does_not_fit_a_service_or_a_topic_is_refused() -> None:
         ref, data = await text(aircraft, "fast")
         with pytest.raises(Refused, match=r"carries std_msgs/msg/Float64, not this std_msgs/msg/String"):
             await aircraft.publish(SPEED, ref, data, deadline=soon())
-        with pytest.raises(Refused, match="is no message type"):
+        with pytest.raises(Refused, match="is not a message type"):
             await aircraft.publish("/x", TypeRef("std_srvs/srv/Trigger"), b"", deadline=soon())
 
 

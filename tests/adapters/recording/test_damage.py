@@ -247,7 +247,7 @@ def test_what_is_no_recording_is_refused_in_a_sentence(recorder: ModuleType, tmp
     path = tmp_path / "file.bag"
     for content, words in {
         b"": "is empty",
-        b"hello, this is no recording at all": "neither a ROS 1 bag",
+        b"hello, this is no recording at all": "not a ROS 1 bag",
         b"#ROSBAG V1.2\n": "version 1.2",
         b"#ROSBAG V2.0\n": "there is no record",
         b"#ROSBAG V2.0\n\xff\xff\xff\xff": "there is no record",
@@ -262,7 +262,7 @@ def test_what_is_no_recording_is_refused_in_a_sentence(recorder: ModuleType, tmp
     with sqlite3.connect(other) as database:
         database.execute("CREATE TABLE cats (name TEXT)")
     database.close()
-    assert "no database of messages" in refused(other)
+    assert "not a database of messages" in refused(other)
 
 
 def encrypted(data: bytes) -> bytes:

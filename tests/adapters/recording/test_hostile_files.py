@@ -100,7 +100,7 @@ def test_a_message_that_inflates_beyond_a_message_is_left_where_the_limit_is(mon
     assert len(bomb) < 64 << 10
 
     def refused() -> None:
-        with pytest.raises(Damaged, match="holds more than the"):
+        with pytest.raises(Damaged, match="exceeds the"):
             decompress_zstd(bomb)
 
     assert peak(refused) < 16 * MIB
@@ -177,7 +177,7 @@ def test_a_recording_may_have_as_many_channels_as_mcap_allows(tmp_path: Path) ->
 
 def test_a_recording_of_more_types_than_its_size_justifies_is_refused_before_they_are_compiled(tmp_path: Path) -> None:
     types = {f"p/msg/T{number}": "string data\n" for number in range(20_000)}
-    with pytest.raises(Unreachable, match="of its 20000 types, reading it takes more work than a file of its size"):
+    with pytest.raises(Unreachable, match="of its 20000 types, reading it takes too much work for a file of its size"):
         opened(tmp_path / "types.mcap", described(types))
 
 
@@ -189,7 +189,7 @@ def test_a_chunk_that_is_named_again_and_again_is_not_read_again_and_again(tmp_p
     summary = record(8, body + bytes(8) + text("") + bytes(16)) * 1000
     path = tmp_path / "again.mcap"
     path.write_bytes(head + data + summary + record(2, struct.pack("<QQI", len(head + data), 0, 0)) + MAGIC)
-    with pytest.raises(Unreachable, match="more work than a file of its size justifies"):
+    with pytest.raises(Unreachable, match="too much work for a file of its size"):
         open_storage(path)
 
 
@@ -203,9 +203,9 @@ def nested(deep: int) -> str:
 
 def test_a_definition_that_is_made_to_cost_much_makes_its_topic_unreadable_and_nothing_else(tmp_path: Path) -> None:
     costly = {
-        nested(40): "comes to more than 20000 fields",
-        "uint8[4000000000] data\n": "come to more than 16777216 values",
-        f"F[4000000000] data\n{'=' * 80}\nMSG: q/F\n": "come to more than 16777216 values",
+        nested(40): "has more than 20000 fields",
+        "uint8[4000000000] data\n": "have more than 16777216 values",
+        f"F[4000000000] data\n{'=' * 80}\nMSG: q/F\n": "have more than 16777216 values",
         "".join(f"int32 f{number}\n" for number in range(20_000)): "take more than 131072 characters",
         f"{'a' * 10_000}/b c\n": "whose definition is not known",
     }
@@ -252,7 +252,7 @@ def test_metadata_with_aliases_or_deep_nesting_is_left_unread_with_a_note(tmp_pa
     for metadata, words in (
         ("a: &a [x, x]\nb: [*a, *a]\n", "it has aliases"),
         ("[" * 100_000, "nests deeper than 20 levels"),
-        ("[]", "is no mapping"),
+        ("[]", "is not a mapping"),
         ("{a: b", "flow mapping"),
         ("x" * (3 << 20), "more than 2097152 bytes"),
     ):

@@ -37,7 +37,7 @@ async def test_a_managed_node_goes_through_its_life(ros: Any, opened: Any) -> No
         assert known(session, "/plain") is None
         assert session.adapter.allows(camera) == {Operation.CHANGE_STATE}
         assert session.adapter.allows(Ref(Kind.NODE, "/plain")) == frozenset()
-        with pytest.raises(Refused, match="'activate' is no legal transition of /camera now") as refused:
+        with pytest.raises(Refused, match="'activate' is not a valid transition of /camera now") as refused:
             await change(session, "/camera", "activate")
         assert refused.value.sent is Sent.NO
         await other.until(lambda: standing(other, "/camera") == unconfigured)
@@ -50,7 +50,7 @@ async def test_a_managed_node_goes_through_its_life(ros: Any, opened: Any) -> No
         await change(session, "/camera", "shutdown")
         assert standing(session, "/camera") == ("finalized", [])
         assert session.adapter.allows(camera) == frozenset()
-        with pytest.raises(Refused, match="'configure' is no legal transition of /camera now"):
+        with pytest.raises(Refused, match="'configure' is not a valid transition of /camera now"):
             await change(session, "/camera", "configure")
         with pytest.raises(Refused, match="no lifecycle"):
             await change(session, "/plain", "configure")

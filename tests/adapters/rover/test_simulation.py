@@ -93,7 +93,7 @@ def test_a_velocity_that_is_no_number_is_told_in_the_log_and_not_driven() -> Non
     simulation.command(Velocity(math.nan, 0.0), 0.1)
     simulation.command(Velocity(0.0, math.inf), 0.2)
     assert simulation.state.command == AHEAD
-    assert "no command" in texts(simulation, Severity.ERROR)
+    assert "not a valid command" in texts(simulation, Severity.ERROR)
 
 
 def test_the_battery_is_drained_by_driving_and_the_motors_are_off_once_it_is_empty() -> None:

@@ -692,7 +692,7 @@ async def check_what_may_be_read(reader: Client, admin: Client) -> None:
     assert (await reader("GET", "/bags/open/file")).status == 200
     refused = await reader("GET", "/bags/done/file")
     assert refused.status == 403
-    assert b"it tells of others, too, that are not yours to read" in refused.body
+    assert b"it also describes resources that you may not read" in refused.body
     assert (await reader("GET", "/bags/done/file", Range="bytes=0-10")).status == 403
     for path in ("/calls/", "/goals/", "/holds/", "/activity/"):
         mine, all = [

@@ -89,7 +89,7 @@ def test_an_update_changes_what_its_agent_may_change_and_reads_what_they_may_rea
 def test_the_graph_store_judges_the_graph_that_is_named(guarded: Guarded) -> None:
     for name in ("/data/secret/plan", "/data/secret/nothing", "/nodes/aircraft"):
         answer = guarded["reader"].get("/graphs", params={"graph": name})
-        assert (answer.status_code, answer.json()["detail"]) == (404, "There is nothing here that you may know of.")
+        assert (answer.status_code, answer.json()["detail"]) == (404, "Not found, or not visible to you.")
         assert guarded["reader"].put("/graphs", params={"graph": name}, content="", headers=TURTLE).status_code == 404
     assert guarded["reader"].get("/graphs", params={"graph": "/data/open/plan"}).status_code == 200
     whole = guarded["reader"].get("/graphs?default").text

@@ -266,7 +266,7 @@ def test_a_dump_of_another_base_is_refused_or_rewritten(folder: Path, tmp_path: 
 
 
 def test_folders_without_records_are_refused(tmp_path: Path) -> None:
-    assert "is no folder that rosld keeps data in" in failure("dump", tmp_path, "-o", tmp_path / "d.tar.gz")
+    assert "is not a rosld data folder" in failure("dump", tmp_path, "-o", tmp_path / "d.tar.gz")
     bind_base(tmp_path, BASE)
     assert "holds no records" in failure("dump", tmp_path, "-o", tmp_path / "d.tar.gz")
     assert not (tmp_path / "d.tar.gz").exists()

@@ -35,8 +35,8 @@ def test_a_source_is_recorded_for_a_while(tmp_path: Path) -> None:
     topics = {one.topic for one in found}
     assert "/odom" in topics
     assert all(topic == "/odom" or topic.startswith("/camera/") for topic in topics)
-    assert f"{path}: {len(found)} messages of {len(topics)} topics" in done.stderr
-    assert "rosld: no message came of /odm\n" in done.stderr
+    assert f"{path}: {len(found)} messages on {len(topics)} topics" in done.stderr
+    assert "rosld: no messages received on /odm\n" in done.stderr
     assert len(decode(path)) == len(found)
 
 
@@ -69,10 +69,10 @@ def test_what_is_there_is_not_written_over_and_what_cannot_be_recorded_is_refuse
     path.write_bytes(b"mine")
     (tmp_path / "drive.bag").write_bytes(b"")
     for arguments, words in (
-        (("rover", "-o", path), "is there already"),
-        ((tmp_path / "drive.bag", "-o", other), "is a recording already"),
-        (("rovre", "-o", other), "rovre is no live source"),
-        (("rover", "-o", other, "--topic", "odom"), "--topic odom: a topic or a glob begins with a slash or a star"),
+        (("rover", "-o", path), "already exists"),
+        ((tmp_path / "drive.bag", "-o", other), "is already a recording"),
+        (("rovre", "-o", other), "rovre is not a live source"),
+        (("rover", "-o", other, "--topic", "odom"), "--topic odom: must begin with a slash or a star"),
     ):
         assert words in record(*arguments, code=1).stderr
     assert path.read_bytes() == b"mine"

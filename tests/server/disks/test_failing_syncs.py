@@ -87,7 +87,7 @@ def test_after_a_failed_sync_everything_is_served_and_nothing_is_written_until_t
     assert disk.failures_left == 0
     refused = server.http.put("/data/more", content="<> <http://example.org/p> 1 .", headers=TURTLE)
     assert refused.status_code == 507
-    assert "start rosld again" in refused.json()["detail"]
+    assert "restart rosld" in refused.json()["detail"]
     assert "retry-after" not in refused.headers
     assert server.http.delete("/data/old").status_code == 507
     assert (value(server, "old"), value(server, "new"), value(server, "more")) == ("x", None, None)

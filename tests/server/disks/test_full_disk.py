@@ -81,12 +81,12 @@ def test_a_full_disk_serves_what_is_there_also_after_a_kill_and_goes_on_once_the
 ) -> None:
     made = filled(server)
     crammed(disk)
-    assert "The disk that holds the data is full" in server.http.get("/", headers={"Accept": "text/html"}).text
+    assert "The data disk is full" in server.http.get("/", headers={"Accept": "text/html"}).text
     assert "storageProblem" in server.http.get("/status", headers={"Accept": "text/turtle"}).text
     server.kill()
     crammed(disk)
     server.start()
-    assert "The disk that holds the data is full" in server.log.read_text()
+    assert "The data disk is full" in server.log.read_text()
     assert all(server.http.get(path).status_code == 200 for path in made)
     crammed(disk)  # the start may have freed space, and the log has some
     assert server.http.put("/data/new", content=said(0, 6_000_000), headers=TURTLE).status_code == 507

@@ -69,7 +69,7 @@ def test_an_order_whose_last_recording_could_not_be_begun_says_so_waits_on_and_b
         assert begun.names == ["x"]
         assert not notes(tmp_path)
         kept, words = [f"x{ARMED}"], failure.strerror if isinstance(failure, OSError) else str(failure)
-        assert seen == [(0, None, kept, True), (0, f"The recording could not be begun: {words}.", kept, True)]
+        assert seen == [(0, None, kept, True), (0, f"The recording could not be started: {words}.", kept, True)]
         assert not recordings.all
         await recordings.stop()
 
@@ -92,8 +92,8 @@ def test_an_exception_where_a_trigger_is_followed_is_logged_and_the_order_waits_
         recordings = armed(tmp_path, begun)
         await finished(await recordings.arm("x", ONCE, ANNA, failing))
         assert begun.names == ["x"]
-        assert problems == [None, *["What it waits for could not be followed: KeyError."] * 2]
-        assert sum("could not be followed" in each.message for each in caplog.records) == 1, "the same is logged once"
+        assert problems == [None, *["The trigger could not be watched: KeyError."] * 2]
+        assert sum("could not be watched" in each.message for each in caplog.records) == 1, "the same is logged once"
         await recordings.stop()
 
     asyncio.run(run())

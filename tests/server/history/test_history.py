@@ -159,5 +159,5 @@ def test_a_full_disk_stops_the_history_alone_says_so_and_ends_by_itself(recordin
 
 def test_a_recording_has_no_history(serve: Callable[..., Any], tmp_path: Path) -> None:
     path = write_rosbag1(tmp_path / "talk.bag", lines())
-    with pytest.raises(Failure, match="a recording is served, whose messages are kept already"):
+    with pytest.raises(Failure, match="not possible when serving a recording, whose messages are already stored"):
         serve(str(path), "--history", "*")

@@ -252,7 +252,7 @@ def test_the_history_is_not_one_file(recorded: Any) -> None:
     assert "POST to /bags/" in answer.json()["detail"]
     assert http.put("/bags/history", content=b"x").status_code == 409
     taken = http.post("/bags/", json={"name": "history", "topics": [SPEED]}, headers=JSON).json()["detail"]
-    assert taken == "There is a recording history already: take another name."
+    assert taken == "The recording history already exists: choose another name."
     for denied in (http.delete("/bags/history/", headers=JSON), http.patch("/bags/history/", headers=JSON)):
         assert denied.status_code == 405
         assert "POST to /bags/" in denied.json()["detail"]

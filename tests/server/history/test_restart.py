@@ -87,7 +87,7 @@ def test_orders_and_what_was_interrupted_outlive_a_kill_and_a_stop_and_rights_ar
         assert value(http, "/bags/flight/", "triggerCount") == "1"
         assert value(http, "/bags/flight/", "triggerLimit") == "2"
         assert status(server, "cut") == status(server, "long") == "interrupted"
-        assert "rosld ended while it was being made" in problem(server, "long")
+        assert "rosld exited while it was being recorded" in problem(server, "long")
         for name in ("flight", "speed", "gone", "cut", "long", "flight-1"):
             assert http.delete(f"/bags/{name}/").status_code == 204
         assert list(bags.iterdir()) == []

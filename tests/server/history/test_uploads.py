@@ -77,7 +77,7 @@ def test_the_name_of_a_file_that_cannot_be_opened_is_taken_until_it_is_deleted(
 ) -> None:
     whole = write_rosbag1(tmp_path / "talk.bag", lines()).read_bytes()
     words = refused(http.put("/bags/broken", content=whole, headers=PROBLEM), 409)
-    assert "broken.mcap already, which cannot be opened: DELETE it" in words
+    assert "broken.mcap already exists and cannot be opened: DELETE it" in words
     assert not (data / "bags" / "broken.bag").exists()
     assert "cut off" in refused(http.get("/bags/broken/", headers=PROBLEM), 404)
     assert http.delete("/bags/broken/").status_code == 204
@@ -103,11 +103,11 @@ def test_what_inflates_beyond_the_limit_of_uploads_is_refused_and_the_setting_is
     bomb = zstd.compress(b"#ROSBAG V2.0\n" + bytes(16 * UPLOAD_LIMIT))
     assert len(bomb) < 64 << 10
     words = refused(http.put("/bags/bomb", content=bomb, headers=PROBLEM), 413)
-    assert f"more than the {UPLOAD_LIMIT} bytes that the setting `upload_limit` allows" in words
+    assert f"exceeds the {UPLOAD_LIMIT} bytes that the setting `upload_limit` allows" in words
     for body, reason in (
-        (zstd.compress(b"nothing that is a recording"), "neither a ROS 1 bag"),
+        (zstd.compress(b"nothing that is a recording"), "not a ROS 1 bag"),
         (zstd.compress(b"#ROSBAG V2.0\n" * 1000)[:-5], "cannot be decompressed"),
-        (zstd.compress(zstd.compress(b"#ROSBAG V2.0\n")), "neither a ROS 1 bag"),
+        (zstd.compress(zstd.compress(b"#ROSBAG V2.0\n")), "not a ROS 1 bag"),
     ):
         assert reason in refused(http.put("/bags/bomb", content=body, headers=PROBLEM), 422)
     assert left(data) == before

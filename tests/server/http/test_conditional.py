@@ -37,7 +37,7 @@ def test_a_tag_that_could_not_be_read_back_is_not_made() -> None:
     assert str(NOW) == '"b00t-42.ttl"'
     parts = (("", "ttl"), ("a", ""), ('a"', "ttl"), ("a", "t.l"), ("a\r\nX: y", "ttl"), ("a b", "ttl"), ("ä", "ttl"))
     for state, variant in parts:
-        with pytest.raises(ValueError, match="no entity tag"):
+        with pytest.raises(ValueError, match="valid entity tag"):
             ETag(state, variant)
 
 
@@ -114,7 +114,7 @@ def test_what_cannot_be_read_is_ignored_and_all_is_sent() -> None:
 
 def test_what_no_byte_satisfies_is_416_and_tells_the_size() -> None:
     for text in ("bytes=10000-", "bytes=-0", "bytes=20000-30000,10000-10001", "bytes=99999999999-"):
-        with pytest.raises(Problem, match="from 0 to 9999") as refused:
+        with pytest.raises(Problem, match="0 to 9999") as refused:
             parse_ranges(text, SIZE)
         assert refused.value.status == 416
         assert refused.value.headers == {"Content-Range": "bytes */10000"}

@@ -198,7 +198,7 @@ def test_a_body_with_a_broken_chunk_is_400_with_words_and_reaches_nobody(broken:
                 writer.close()
                 assert head.startswith(b"HTTP/1.1 400 ")
                 assert b"connection: close" in head.lower()
-                assert "chunks of the body" in json.loads(body)["detail"]
+                assert "chunked encoding" in json.loads(body)["detail"]
         return b""
 
     with_server(talk, app=app)

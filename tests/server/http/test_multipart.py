@@ -39,7 +39,7 @@ def test_what_is_wrong_is_named() -> None:
     for data, boundary, words in (
         (b"", "x", "does not end in --x--"),
         (b"--x\r\n\r\na", "x", "does not end in --x--"),
-        (b"--xy\r\n\r\na\r\n--xy--", "x", "line of its own"),
+        (b"--xy\r\n\r\na\r\n--xy--", "x", "its own line"),
         (b"--x\r\nname: value\r\n--x--", "x", "blank line"),
         (b"--x\r\n" + b"a" * 20_000 + b"\r\n\r\n\r\n--x--", "x", "blank line"),
         (body("x", b"", head=b"Content-Type: nonsense"), "x", "nonsense"),
@@ -47,8 +47,8 @@ def test_what_is_wrong_is_named() -> None:
         (body("x", *[b""] * 2000), "x", "1000 parts"),
         (b"", None, "None"),
         (b"", "", "''"),
-        (b"", "x" * 71, "70 characters"),
-        (b"", "a\r\nb", "70 characters"),
+        (b"", "x" * 71, "1 to 70"),
+        (b"", "a\r\nb", "1 to 70"),
     ):
         with pytest.raises(ValueError, match=r".") as caught:
             split_parts(data, boundary)

@@ -100,7 +100,7 @@ def test_the_suffix_is_for_names_that_have_none() -> None:
 
 def test_a_suffix_that_is_none_is_refused() -> None:
     for suffix in ("png", ".", "./x", ".meta", ".a b"):
-        with pytest.raises(ValueError, match="no extension"):
+        with pytest.raises(ValueError, match="not an extension"):
             choose_name("a", free, suffix=suffix)
 
 

@@ -94,7 +94,7 @@ class Managed(MadeUp):
         assert state is not None
         legal = TRANSITIONS.get(state.label, {})
         if transition not in legal:
-            raise Refused(f"{transition!r} is no legal transition of {node} now")
+            raise Refused(f"{transition!r} is not a valid transition of {node} now")
         self.asked.append(transition)
         match self.fails.get(transition, True):
             case RosError() as error:

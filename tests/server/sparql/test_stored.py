@@ -114,19 +114,19 @@ REFUSED = [
     ("iri", "topics/x", "neither an absolute IRI nor a path"),
     ("iri", "http://a> } #", "neither an absolute IRI nor a path"),
     ("iri", "http://a\\u003e", "neither an absolute IRI nor a path"),
-    ("iri", "/turtle1/pose", "'/turtle1/pose' is no path of this server"),
+    ("iri", "/turtle1/pose", "'/turtle1/pose' is not a path of this server"),
     ("iri", "//elsewhere.example/x", "a path segment cannot be"),
     ("iri", "/topics/../x", "a path segment cannot be '..'"),
     ("iri", "/topics/%zz", "malformed percent-escape"),
     ("iri", "/topics/x#>", "neither an absolute IRI nor a path"),
-    ("iri", "", "must be given"),
-    ("integer", "1.5", "'1.5' is no whole number"),
-    ("integer", "1) }", "is no whole number"),
-    ("integer", "٣", "is no whole number"),
-    ("integer", str(2**63), "beyond the 64 bits"),
-    ("integer", "9" * 500, "is no whole number"),
-    ("double", "fast", "'fast' is no number"),
-    ("double", "1e999", "is no number"),
+    ("iri", "", "is required"),
+    ("integer", "1.5", "'1.5' is not an integer"),
+    ("integer", "1) }", "is not an integer"),
+    ("integer", "٣", "is not an integer"),
+    ("integer", str(2**63), "exceeds 64 bits"),
+    ("integer", "9" * 500, "is not an integer"),
+    ("double", "fast", "'fast' is not a number"),
+    ("double", "1e999", "is not a number"),
 ]
 
 
@@ -151,22 +151,22 @@ def test_what_is_not_given_is_as_by_default_and_all_that_is_wrong_is_told_at_onc
         assert words in problem.json()["detail"]
     second = {"name": "second", "type": "integer", "default": "2", "about": "the other -- by default 2"}
     assert problem.json()["parameters"][1] == second
-    assert "first: must be given; it is the one" in run(stored, "add", word="x").json()["detail"]
+    assert "first: is required: the one" in run(stored, "add", word="x").json()["detail"]
     assert "This query has no parameters" in run(stored, "none", x="1").json()["detail"]
 
 
 BAD = [
     ("# @param p iri -- it\nSELECT * { ?p ?a ?b }", "bad:1: must begin with a comment"),
-    ("# A.\n# @param p -- it\nASK { ?p ?a ?b }", "bad:2: '@param p -- it' should look like"),
-    ("# A.\n# @parameter p iri -- it\nASK { ?p ?a ?b }", "should look like"),
+    ("# A.\n# @param p -- it\nASK { ?p ?a ?b }", "bad:2: '@param p -- it' must look like"),
+    ("# A.\n# @parameter p iri -- it\nASK { ?p ?a ?b }", "must look like"),
     ("# A.\n# @param ?p iri -- it\nASK { ?p ?a ?b }", "bad:2: the parameter '?p' must be named"),
-    ("# A.\n# @param format iri -- it\nASK { ?format ?a ?b }", "bad:2: no parameter can be called format"),
-    ("# A.\n# @param p iri -- it\n# More.\nASK { ?p ?a ?b }", "bad:3: 'More.' must stand before"),
-    ("# A.\n# @param p iri -- it\n# @param p iri -- it\nASK { ?p ?a ?b }", "bad:3: the parameter p is told of twice"),
-    ("# A.\n# @param p iri -- it\nASK { ?s ?a '?p' } # ?p", "bad:2: no ?p is in the query"),
-    ("# A.\n# @param p iri -- it\nSELECT ?p { ?p ?a ?b }", "with its parameters bound it is no query"),
-    ("# A.\nSELECT (1 AS ?nobodys0) { ?a ?b }", "bad:2: with its parameters bound it is no query"),
-    ("# A.\nASK { ?a nobody:knows ?b }", "bad:2: with its parameters bound it is no query"),
+    ("# A.\n# @param format iri -- it\nASK { ?format ?a ?b }", "bad:2: a parameter cannot be named format"),
+    ("# A.\n# @param p iri -- it\n# More.\nASK { ?p ?a ?b }", "bad:3: 'More.' must come before"),
+    ("# A.\n# @param p iri -- it\n# @param p iri -- it\nASK { ?p ?a ?b }", "bad:3: the parameter p is declared twice"),
+    ("# A.\n# @param p iri -- it\nASK { ?s ?a '?p' } # ?p", "bad:2: the parameter ?p is not used in the query"),
+    ("# A.\n# @param p iri -- it\nSELECT ?p { ?p ?a ?b }", "it is not a valid query with its parameters bound"),
+    ("# A.\nSELECT (1 AS ?nobodys0) { ?a ?b }", "bad:2: it is not a valid query with its parameters bound"),
+    ("# A.\nASK { ?a nobody:knows ?b }", "bad:2: it is not a valid query with its parameters bound"),
 ]
 """Further refusals are in `test_kept_queries.py`."""
 

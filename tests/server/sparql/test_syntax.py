@@ -47,40 +47,46 @@ WRONG = [
     ("ASK { ?s rdffs:label 1 }", "The prefix rdffs: is not declared (rdfs:?), at 1:10."),
     (
         "PREFIX ex <http://a/> ASK {}",
-        "ex at 1:8 is no name of a prefix: it ends in a colon, such as ex:, and has no other.",
+        "ex at 1:8 is not a prefix name: it must end in a colon and contain no other, such as ex:.",
     ),
-    ("PREFIX ex: http://a/ ASK {}", "http: at 1:12 stands where the IRI of ex: in <> is expected."),
-    ("SELECT * { OPTINAL { ?s ?p ?o } }", "OPTINAL at 1:12 is no keyword of SPARQL (OPTIONAL?), where a triple"),
+    ("PREFIX ex: http://a/ ASK {}", "http: at 1:12 is unexpected; expected the IRI of ex: in <>."),
+    (
+        "SELECT * { OPTINAL { ?s ?p ?o } }",
+        "OPTINAL at 1:12 is not a SPARQL keyword (OPTIONAL?); expected a triple",
+    ),
     ("SELECT * { ?s ?p ?o", "The query ends where . or } is expected, and { at 1:10 is not closed."),
-    ("SELECT * { ?s ?p ?o } }", "} at 1:23 stands where the end of the query is expected."),
-    ("SELECT * { ?s ?p ?o FILTER ?o > 3 }", "?o at 1:28 stands where an expression in brackets, EXISTS"),
-    ("SELECT * { ?s ?p ?o ?t ?q ?r }", "?t at 1:21 stands where . or } is expected."),
-    ("SELECT ?x { ?x a foo }", "foo at 1:18 is no term: put it in quotes, or write it as a variable"),
-    ("SELECT * { ?s ?p <a b> }", "< at 1:18 begins no IRI: it has no end, or a blank, a quote or a bracket in it."),
-    ("SELECT * { ?s ?p 'a }", "The string that begins at 1:18 has no end."),
-    (r"SELECT * { ?s ?p 'C:\data' }", "A backslash in the string at 1:18 escapes nothing: write it as two."),
-    ("SELECT % {}", "'%' at 1:8 is no part of SPARQL."),
+    ("SELECT * { ?s ?p ?o } }", "} at 1:23 is unexpected; expected the end of the query."),
+    ("SELECT * { ?s ?p ?o FILTER ?o > 3 }", "?o at 1:28 is unexpected; expected an expression in brackets, EXISTS"),
+    ("SELECT * { ?s ?p ?o ?t ?q ?r }", "?t at 1:21 is unexpected; expected . or }."),
+    ("SELECT ?x { ?x a foo }", "foo at 1:18 is not a term: put it in quotes, or write it as a variable"),
+    (
+        "SELECT * { ?s ?p <a b> }",
+        "< at 1:18 does not begin an IRI: it is not closed, or contains a space, a quote or a bracket.",
+    ),
+    ("SELECT * { ?s ?p 'a }", "The string that begins at 1:18 is not closed."),
+    (r"SELECT * { ?s ?p 'C:\data' }", "The string at 1:18 has an invalid escape: write a backslash as two."),
+    ("SELECT % {}", "'%' at 1:8 is not valid in SPARQL."),
     ("SELECT (STRLEN() AS ?n) {}", "STRLEN at 1:9 has 0 arguments and takes 1."),
-    ("SELECT (REGX('a', 'b') AS ?n) {}", "REGX at 1:9 is no function of SPARQL (REGEX?)."),
+    ("SELECT (REGX('a', 'b') AS ?n) {}", "REGX at 1:9 is not a SPARQL function (REGEX?)."),
     (
         "SELECT * { ?s ?p ?o } LIMIT ten",
-        "ten at 1:29 is no keyword of SPARQL, where the number of LIMIT is expected.",
+        "ten at 1:29 is not a SPARQL keyword; expected the number of LIMIT.",
     ),
-    ("SELECT ?s (COUNT(?o) AS ?n) { ?s ?p ?o }", "?s at 1:8 is not grouped by: name it in GROUP BY, or use an"),
+    ("SELECT ?s (COUNT(?o) AS ?n) { ?s ?p ?o }", "?s at 1:8 is not grouped: name it in GROUP BY, or use an"),
     ("SELECT * { ?s ?p ?o } GROUP BY ?s", "SELECT * at 1:1 cannot stand with GROUP BY or an aggregate: name what"),
-    ("SELECT * { ?s ?p ?o BIND(1 AS ?o) }", "?o at 1:31 has a value already, before this BIND: choose another"),
-    ("SELECT * { VALUES (?a ?b) { (1) } }", "( at 1:29 begins a row of 1 values for 2 variables."),
+    ("SELECT * { ?s ?p ?o BIND(1 AS ?o) }", "?o at 1:31 already has a value before this BIND: choose another"),
+    ("SELECT * { VALUES (?a ?b) { (1) } }", "( at 1:29 begins a row with 1 values for 2 variables."),
     (
         "SELECT * { _:a ?p 1 { _:a ?q 2 } }",
-        "_:a at 1:23 stands in another group of triples already: use a variable",
+        "_:a at 1:23 is already used in another group of triples: use a variable",
     ),
     (
         "SELECT * { FILTER(1 = 2 = 3) }",
-        "= at 1:25 compares what a comparison says: put brackets around one of them.",
+        "= at 1:25 compares the result of a comparison: put brackets around one of them.",
     ),
-    ("CONSTRUCT WHERE { ?s ?p ?o FILTER(true) }", "FILTER at 1:28 stands where . or } is expected."),
-    ("SELECT (1) {}", ") at 1:10 stands where AS and a variable is expected."),
-    ("ASK { ?s " + "x" * 100 + " ?o }", "x" * 37 + "... at 1:10 is no keyword of SPARQL, where a predicate"),
+    ("CONSTRUCT WHERE { ?s ?p ?o FILTER(true) }", "FILTER at 1:28 is unexpected; expected . or }."),
+    ("SELECT (1) {}", ") at 1:10 is unexpected; expected AS and a variable."),
+    ("ASK { ?s " + "x" * 100 + " ?o }", "x" * 37 + "... at 1:10 is not a SPARQL keyword; expected a predicate"),
 ]
 
 
@@ -143,7 +149,7 @@ AMBIGUOUS = [
 
 def test_what_could_be_read_in_two_ways_or_not_at_all_is_refused(http: httpx.Client) -> None:
     assert not taken(http, AMBIGUOUS)
-    assert "put a blank after the <" in ask(http, AMBIGUOUS[13]).json()["detail"]
+    assert "put a space after the <" in ask(http, AMBIGUOUS[13]).json()["detail"]
     assert ask(http, "SELECT * { ?a ?b ?c FILTER(?a < ?b && ?c > ?a) } LIMIT 1").status_code == 200
 
 

@@ -139,18 +139,18 @@ def test_conflicts_say_why(records: Opened) -> None:
             await put(kept, "data/c/")
             await put(kept, "data/c/d")
             for write, cause, words in (
-                (Put("data/a", RDF, expected=0), ConflictCause.THERE, "it is there already"),
+                (Put("data/a", RDF, expected=0), ConflictCause.THERE, "it already exists"),
                 (Put("data/a", RDF, expected=version + 9), ConflictCause.CHANGED, f"it is in version {version}"),
                 (Remove("data/a", expected=version + 9), ConflictCause.CHANGED, f"it is in version {version}"),
-                (Put("data/new", RDF, expected=3), ConflictCause.MISSING, "not in version 3"),
-                (Remove("data/new"), ConflictCause.MISSING, "it is not there"),
-                (Put("data/x/a", RDF), ConflictCause.CONTAINER, "its container data/x/ is not there"),
-                (Put("data/a/b", RDF), ConflictCause.CONTAINER, "its container data/a/ is not there"),
+                (Put("data/new", RDF, expected=3), ConflictCause.MISSING, "cannot be in version 3"),
+                (Remove("data/new"), ConflictCause.MISSING, "it does not exist"),
+                (Put("data/x/a", RDF), ConflictCause.CONTAINER, "its container data/x/ does not exist"),
+                (Put("data/a/b", RDF), ConflictCause.CONTAINER, "its container data/a/ does not exist"),
                 (Remove("data/c/"), ConflictCause.NOT_EMPTY, "delete its 1 members first"),
                 (
                     Put("data/c/", Model.DIRECT_CONTAINER, membership=Membership("http://a", "http://b")),
                     ConflictCause.MODEL,
-                    "it is a BasicContainer, and cannot become a DirectContainer",
+                    "it is a BasicContainer and cannot become a DirectContainer",
                 ),
             ):
                 conflict = await refused(kept, write)

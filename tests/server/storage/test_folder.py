@@ -111,7 +111,7 @@ def test_files_that_cannot_grow_refuse_what_does_not_fit_and_go_on(tmp_path: Pat
         with files_of_at_most(1_000_000):
             with pytest.raises(StorageError):
                 await kept.write(Put("data/b", RDF, bytes(2_000_000)))
-            with pytest.raises(StorageError, match="could not be kept") as caught:
+            with pytest.raises(StorageError, match="could not be stored") as caught:
                 await kept.receive(chunks(*[bytes(300_000)] * 10), "x/y", limit=10**9)
             assert caught.value.full
             assert not list((tmp_path / "blobs").iterdir())
@@ -154,7 +154,7 @@ def test_a_folder_that_is_none_of_ours_is_refused_in_words(tmp_path: Path) -> No
     with closing(sqlite3.connect(other / "records.sqlite")) as connection:
         connection.execute("CREATE TABLE mine (x)")
         connection.execute("PRAGMA user_version = 1")
-    with pytest.raises(ValueError, match="of something else"):
+    with pytest.raises(ValueError, match="of another program"):
         open_records(other)
     (other / "records.sqlite").write_bytes(b"no database at all " * 1000)
     with pytest.raises(ValueError, match=r"not a database.*rosld load"):

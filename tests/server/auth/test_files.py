@@ -61,7 +61,7 @@ def test_what_is_not_understood_is_refused_at_the_start_in_a_sentence(tmp_path: 
         ("[[rule]]\nagents = ['a']\nmodes = ['fly']\npaths = ['/']", "rule 1: 'fly' is not a mode; choose from read"),
         ("[[rule]]\nagents = ['a']\nmodes = ['read']\npaths = ['topics']", "rule 1: 'topics' must begin"),
         ("[[rule]]\nagents = ['a']\nmodes = ['read']\npaths = ['/']\nallow = 1", "rule 1: unknown key 'allow'"),
-        ("[[token]]\nagent = 'a'\nsha256 = 'plain'", "token 1: 'plain'... is no SHA-256"),
+        ("[[token]]\nagent = 'a'\nsha256 = 'plain'", "token 1: 'plain'... is not the SHA-256"),
         ("[[token]]\nagent = 'anybody'\nsha256 = 'x'", "token 1: 'anybody' is not a valid agent name"),
         ("[[issuer]]\nurl = 'http://evil.example'\naudience = 'x'", "is not an https URL"),
         ("[[issuer]]\nurl = 'https://i.example'\naudience = 'x'\nalgorithms = ['HS256']", "'HS256' is not supported"),

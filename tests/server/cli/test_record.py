@@ -50,7 +50,7 @@ def test_a_name_without_a_suffix_is_the_folder_of_a_ros_2_bag_and_each_ros_has_i
     assert [each.name for each in tmp_path.iterdir()] == ["drive"], "nothing else is left"
     for name in ("drive.bag", "drive.db3"):
         refused = record(*command, tmp_path / name, code=1)
-        assert "the messages are of ROS 2; name a FILE.mcap, or a FOLDER, a ROS 2 bag" in refused.stderr
+        assert "the messages are of ROS 2; use FILE.mcap or FOLDER, a ROS 2 bag" in refused.stderr
 
 
 def test_a_signal_ends_it_and_the_file_is_whole(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable, Hashable, Sequence
 from datetime import datetime, timezone
 from email.utils import format_datetime, parsedate_to_datetime
 from functools import partial
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 from urllib.parse import quote
 
 from msgspec.structs import replace
@@ -55,6 +55,8 @@ _PAGE = 1000
 _SECOND = 1_000_000_000
 _DATE = "Tue, 31 Jan 2030 12:00:00 GMT"
 _T = TypeVar("_T")
+MementoPage: TypeAlias = Callable[[], Awaitable[tuple[Sequence[int], str | None]]]
+"""Returns the times of mementos in ns, and the URL of the TimeMap that goes on; None where it ends here."""
 
 
 def is_recorded(history: History, topic: str) -> bool:
@@ -134,7 +136,7 @@ class Memento(Resource):
         kind: str,
         text: str,
         state: Callable[[], Awaitable[State]],
-        get: Callable[[Resource, Exchange], Awaitable[Response | Motion | None]],
+        get: Callable[[Resource, Exchange], Awaitable[Response | Motion | None]] | None = None,
     ) -> None:
         """`text` is the time in the query, `state` reads the state of then, `get` a part of it."""
         super().__init__(now.space, now.url)
@@ -169,25 +171,21 @@ class Memento(Resource):
         return self._now.redact(state, permissions)
 
     async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
-        return await self._get(self, exchange)
+        return None if self._get is None else await self._get(self, exchange)
 
 
 class TimeMap(Resource):
-    """The mementos of topics, one per message, a thousand at a time, from a number of the history on."""
+    """The mementos of a resource, or a page of them."""
 
     kind = "TimeMap"
     shape = "TimeMap"
     is_cacheable = False
 
-    def __init__(
-        self, space: Space, history: History, original: str, name: str, topics: frozenset[str], start: int
-    ) -> None:
+    def __init__(self, space: Space, original: str, name: str, page: MementoPage, start: int = 0) -> None:
         super().__init__(space, _time_map_url(original, start))
-        self.history = history
         self.title = f"Mementos of {name}"
         self._original = original
-        self._topics = topics
-        self._start = start
+        self._page = page
 
     async def state(self) -> State:
         times, after = await self._page()
@@ -196,32 +194,35 @@ class TimeMap(Resource):
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """As links (RFC 6690), the default."""
-        times, after = await self._page()
-        return time_map_response(self, exchange, self._original, times, after)
-
-    async def _page(self) -> tuple[list[int], str | None]:
-        """Return the times of the mementos, and the URL of the TimeMap that goes on; None where it ends here."""
-        if not self._topics:
-            return [], None
-        settled = time.time_ns() - SETTLED_NS
-        recording = self.history.recording
-        wanted = MessageFilter(self._topics, to_ns=settled, start=max(self._start, recording.first))
-        page = await read_history(lambda: recording.select(wanted, _PAGE))
-        times = dict.fromkeys(each.sample.received_ns for each in page.messages)
-        return list(times), None if page.next is None else _time_map_url(self._original, page.next)
+        return _time_map_response(self, exchange, self._original, *await self._page())
 
 
 def time_map_of(
     space: Space, history: History, original: str, name: str, topics: frozenset[str], exchange: Exchange
 ) -> TimeMap:
-    """The TimeMap that a request asks for: of the resource `original`, which topics tell. Raises a 400 Problem."""
-    start = exchange.query.get("start", "0")
-    if not (start.isascii() and start.isdecimal() and len(start) < 19):
-        raise Problem(400, f"?start={start[:20]} is no number of a message.")
-    return TimeMap(space, history, original, name, topics, int(start))
+    """The requested TimeMap of a resource that topics tell: a memento per message, a thousand at a time.
+
+    `?start` is the number in the history of the first. Raises a 400 Problem.
+    """
+    text = exchange.query.get("start", "0")
+    if not (text.isascii() and text.isdecimal() and len(text) < 19):
+        raise Problem(400, f"?start={text[:20]} is no number of a message.")
+    start = int(text)
+
+    async def page() -> tuple[Sequence[int], str | None]:
+        if not topics:
+            return [], None
+        settled = time.time_ns() - SETTLED_NS
+        recording = history.recording
+        wanted = MessageFilter(topics, to_ns=settled, start=max(start, recording.first))
+        found = await read_history(lambda: recording.select(wanted, _PAGE))
+        times = dict.fromkeys(each.sample.received_ns for each in found.messages)
+        return list(times), None if found.next is None else _time_map_url(original, found.next)
+
+    return TimeMap(space, original, name, page, start)
 
 
-def time_map_response(
+def _time_map_response(
     resource: Resource, exchange: Exchange, original: str, times: Sequence[int], after: str | None
 ) -> Response | None:
     """A TimeMap as links, where that is preferred: of mementos of these times (ns), and of the TimeMap after it."""

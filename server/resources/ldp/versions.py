@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable
+from collections.abc import Sequence
+from functools import partial
 
 from msgspec.structs import replace
-from starlette.responses import Response
 
-from rosld.ontology.describe_views import time_map_document
 from rosld.server.http.problem import Problem
 from rosld.server.policies.stored_cockpits import ROUTE as COCKPITS
 from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.representation import former_state
 from rosld.server.resources.memento import (
     VARY,
+    Memento,
+    TimeMap,
     found,
     memento_datetime,
     memento_url,
     parse_accept_datetime,
     read_time,
-    time_map_response,
     timegate_links,
 )
 from rosld.server.rest.exchange import Exchange
@@ -31,62 +31,6 @@ from rosld.server.storage.record import Model, Record
 from rosld.server.storage.sqlite import Records
 
 _ROOTS = ("data/", COCKPITS)
-
-
-class FormerDocument(Resource):
-    """A document as it was at a time: a memento."""
-
-    kind = "Document as it was"
-    is_cacheable = False
-
-    def __init__(self, documents: Documents, record: Record, at_ns: int, text: str) -> None:
-        super().__init__(documents.space, documents.space.base + record.path)
-        self.links = (RESOURCE, RDF_SOURCE, *timegate_links(self.url))
-        self.title = "/" + record.path
-        self.documents = documents
-        self._record = record
-        self._at_ns, self._text = at_ns, text
-
-    @property
-    def variant_key(self) -> Hashable:
-        return self._text
-
-    @property
-    def query(self) -> str:
-        return f"at={self._text}"
-
-    async def state(self) -> State:
-        state = former_state(self.documents, self._record)
-        headers = {**state.headers, "vary": VARY}
-        if self._at_ns < time.time_ns():  # what is written from now on is of a later time
-            headers["memento-datetime"] = memento_datetime(self._record.modified_ns)
-        return replace(state, headers=headers, renderings={}, redactions={})
-
-
-class DocumentTimeMap(Resource):
-    """The mementos of a document."""
-
-    kind = "TimeMap"
-    shape = "TimeMap"
-    is_cacheable = False
-
-    def __init__(self, documents: Documents, path: str) -> None:
-        self._original = documents.space.base + path
-        super().__init__(documents.space, f"{self._original}?timemap")
-        self.title = f"Mementos of /{path}"
-        self.documents = documents
-        self._path = path
-
-    async def state(self) -> State:
-        times = memento_times(self.documents.records, self._path)
-        mementos = [(memento_url(self._original, each), each) for each in times]
-        return State(lambda: time_map_document(self.url, self._original, mementos))
-
-    async def custom_get(self, exchange: Exchange) -> Response | None:
-        """As links (RFC 6690), the default."""
-        return time_map_response(
-            self, exchange, self._original, memento_times(self.documents.records, self._path), None
-        )
 
 
 def has_versions(settings: Settings, path: str) -> bool:
@@ -125,16 +69,30 @@ def former_of(documents: Documents, path: str, exchange: Exchange) -> Resource |
     times = memento_times(documents.records, path)
     if not times:
         return None
+    space, url = documents.space, documents.space.base + path
     if "timemap" in query:
-        return DocumentTimeMap(documents, path)
-    url = documents.space.base + path
+        return TimeMap(space, url, f"/{path}", partial(_all_mementos, documents.records, path))
     if "at" in query:
         at_ns = read_time(query["at"], time.time_ns())
         record = version_at(documents.records, path, at_ns)
         if record is None:
             raise Problem(404, f"There was no /{path} at {query['at'][:60]}, or that version is not kept any more.")
-        return FormerDocument(documents, record, at_ns, query["at"])
+        now = Resource(space, url)
+        now.title, now.links = f"/{path}", (RESOURCE, RDF_SOURCE)
+        return Memento(now, "Document as it was", query["at"], partial(_state_at, documents, record, at_ns))
     assert wanted is not None
     at_ns = parse_accept_datetime(wanted)
     chosen = max((each for each in times if each <= at_ns), default=times[0])
     raise found(memento_url(url, chosen), timegate_links(url))
+
+
+async def _all_mementos(records: Records, path: str) -> tuple[Sequence[int], None]:
+    return memento_times(records, path), None
+
+
+async def _state_at(documents: Documents, record: Record, at_ns: int) -> State:
+    state = former_state(documents, record)
+    headers = {**state.headers, "vary": VARY}
+    if at_ns < time.time_ns():  # what is written from now on is of a later time
+        headers["memento-datetime"] = memento_datetime(record.modified_ns)
+    return replace(state, headers=headers, renderings={}, redactions={})

@@ -40,17 +40,22 @@ def number_range(kind: Primitive, bounds: Bounds) -> tuple[str, str]:
     Inputs have no exclusive bounds: for integers the next integer is used, for other numbers the bound itself.
     """
     least, greatest = RANGES.get(kind.name, (None, None))
-    lower = [_decimal(least), _bound(bounds.minimum), _bound(bounds.exclusive_minimum)]
-    upper = [_decimal(greatest), _bound(bounds.maximum), _bound(bounds.exclusive_maximum)]
-    if least is not None:
-        lower = [None if each is None else each.to_integral_value(ROUND_CEILING) for each in lower]
-        upper = [None if each is None else each.to_integral_value(ROUND_FLOOR) for each in upper]
-        lower[2] = _next(bounds.exclusive_minimum, lower[2], 1)
-        upper[2] = _next(bounds.exclusive_maximum, upper[2], -1)
-    return (
-        _text(max((each for each in lower if each is not None), default=None)),
-        _text(min((each for each in upper if each is not None), default=None)),
-    )
+    lower = _ends(least, bounds.minimum, bounds.exclusive_minimum, ROUND_CEILING, 1)
+    upper = _ends(greatest, bounds.maximum, bounds.exclusive_maximum, ROUND_FLOOR, -1)
+    return _text(max(lower, default=None)), _text(min(upper, default=None))
+
+
+def _ends(
+    own: int | None, inclusive: Literal | None, exclusive: Literal | None, rounding: str, inward: int
+) -> Iterator[Decimal]:
+    """Yield one end of a range by the type (`own`, of whole numbers) and by each bound."""
+    if own is not None:
+        yield Decimal(own)
+    for bound, step in ((inclusive, 0), (exclusive, inward)):
+        number = _bound(bound)
+        if number is not None:
+            whole = number.to_integral_value(rounding)
+            yield number if own is None else whole + step if whole == number else whole
 
 
 def number_step(kind: Primitive, bounds: Bounds) -> str:
@@ -66,16 +71,8 @@ def number_step(kind: Primitive, bounds: Bounds) -> str:
     return _text(step) if even else plain
 
 
-def _decimal(value: int | None) -> Decimal | None:
-    return None if value is None else Decimal(value)
-
-
 def _bound(literal: Literal | None) -> Decimal | None:
     return None if literal is None else parse_number(literal.value)
-
-
-def _next(literal: Literal | None, rounded: Decimal | None, step: int) -> Decimal | None:
-    return rounded + step if rounded is not None and rounded == _bound(literal) else rounded
 
 
 def _text(value: Decimal | None) -> str:

@@ -293,33 +293,24 @@ def _is_of_messages(kind: FieldType) -> bool:
 
 def default(schema: MessageSchema, field: Field) -> Json:
     """Return the default of a field as plain JSON; None if it is too large to edit."""
-    try:
-        return _Defaults(schema).of(field, 0)
-    except OverflowError:
-        return None
+    left = iter(range(MAX_TEXT // 2))  # nested arrays in a short definition can exceed memory
 
-
-class _Defaults:
-    """Generator of default values within a limit: nested arrays in a short definition can exceed memory."""
-
-    def __init__(self, schema: MessageSchema) -> None:
-        self._schema = schema
-        self._left = MAX_TEXT // 2
-
-    def of(self, field: Field, depth: int) -> Json:
-        """Return the default of a field. Raises OverflowError if it is too large."""
+    def of(field: Field, depth: int) -> Json:
         stated = stated_default(field)
-        return self._unstated(field.type, depth) if stated is None else stated
+        return unstated(field.type, depth) if stated is None else stated
 
-    def _unstated(self, kind: FieldType, depth: int) -> Json:
-        """Return the default of a field whose definition has none."""
-        self._left -= 1
-        if self._left < 0 or depth > _DEEPEST:
+    def unstated(kind: FieldType, depth: int) -> Json:
+        if next(left, None) is None or depth > _DEEPEST:
             raise OverflowError
         if isinstance(kind, Primitive):
             return "" if kind.name in STRINGS else False if kind.name == "bool" else 0
         if isinstance(kind, Nested):
-            return {each.name: self.of(each, depth + 1) for each in self._schema.types[kind.name].fields}
+            return {each.name: of(each, depth + 1) for each in schema.types[kind.name].fields}
         if is_base64(kind):
             return base64_text(bytes(min(kind.length or 0, MAX_TEXT)))
-        return [self._unstated(kind.element, depth + 1) for _ in range(kind.length or 0)]
+        return [unstated(kind.element, depth + 1) for _ in range(kind.length or 0)]
+
+    try:
+        return of(field, 0)
+    except OverflowError:
+        return None

@@ -50,8 +50,7 @@ class RecordingOrder(Struct, frozen=True):
 
 def order_to_json(order: RecordingOrder) -> dict[str, object]:
     """Return an order as clients send it in JSON."""
-    members: dict[str, object] = msgspec.to_builtins(order)
-    return members
+    return {**msgspec.to_builtins(order), "topics": list(order.topics)}
 
 
 def order_from_json(members: Mapping[str, object]) -> RecordingOrder:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import cache
 
 from msgspec.structs import replace
 from pyoxigraph import Literal, NamedNode, Triple
@@ -178,38 +177,29 @@ def require_form(descriptor: Descriptor | None, term: Term) -> None:
         words = "is declared as integer: write an integer, or a decimal"
     elif type is ParameterType.BYTE_ARRAY and term.datatype != xsd.base64Binary:
         words = "is declared as octets: write an xsd:base64Binary"
-    elif type in PARAMETER_ARRAYS and (term.datatype != rdf.JSON or not _array(type).fullmatch(term.value)):
-        words = f"is declared as {type.value}: write an rdf:JSON array of such values"
+    elif type in PARAMETER_ARRAYS:
+        pattern = parameter_array_pattern(PARAMETER_ARRAYS[type])
+        if term.datatype != rdf.JSON or not re.fullmatch(pattern, term.value):
+            words = f"is declared as {type.value}: write an rdf:JSON array of such values"
     if words is not None:
         raise LoweringError(Violation("", words, brief_value(phrase(term))))
 
 
-@cache
-def _array(type: ParameterType) -> re.Pattern[str]:
-    return re.compile(parameter_array_pattern(PARAMETER_ARRAYS[type]))
-
-
 def _outside_range(descriptor: Descriptor, value: ParameterValue, written: str) -> tuple[NamedNode, str] | None:
     """Return the violation of the declared range (or that of all integers) by a number or an element."""
-    numbers = value if isinstance(value, list) and descriptor.type is not None else [value]
-    for each in numbers:
+    for each in value if isinstance(value, list) and descriptor.type is not None else [value]:
+        if isinstance(each, bool) or not isinstance(each, int | float):
+            continue
         range = _INT64 if isinstance(each, int) and descriptor.range is None else descriptor.range
-        if isinstance(each, int | float) and not isinstance(each, bool) and range is not None:
-            broken = _outside(range, each, written)
-            if broken is not None:
-                return broken
-    return None
-
-
-def _outside(range: Range, value: int | float, written: str) -> tuple[NamedNode, str] | None:
-    """Return the violation of a range by a number, with its description."""
-    if not value >= range.minimum:
-        return component(sh.minInclusive), f"must be at least {_said(range.minimum)}, not {written}"
-    if not value <= range.maximum:
-        return component(sh.maxInclusive), f"must be at most {_said(range.maximum)}, not {written}"
-    if not range.is_on_step(value):
-        steps = f"{_said(range.minimum)} and steps of {_said(range.step)} from there, up to {_said(range.maximum)}"
-        return ros.StepConstraintComponent, f"must be on a step ({steps}), which {written} is not"
+        if range is None:
+            continue
+        if not each >= range.minimum:
+            return component(sh.minInclusive), f"must be at least {_said(range.minimum)}, not {written}"
+        if not each <= range.maximum:
+            return component(sh.maxInclusive), f"must be at most {_said(range.maximum)}, not {written}"
+        if not range.is_on_step(each):
+            steps = f"{_said(range.minimum)} and steps of {_said(range.step)} from there, up to {_said(range.maximum)}"
+            return ros.StepConstraintComponent, f"must be on a step ({steps}), which {written} is not"
     return None
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, TypeAlias
 from urllib.parse import unquote
 
 from msgspec import Struct, field
@@ -13,38 +12,31 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 from rosld.ontology.body import Term
 from rosld.ontology.violations import Violation, brief_value
 from rosld.ontology.vocab import rdf, sh
-from rosld.shapes.terms import View
+from rosld.shapes.terms import View, distinct
 from rosld.shapes.value import UNBOUNDED, Bounds
 
 ValueTest: TypeAlias = Callable[[Term, View], bool]
-SetTest: TypeAlias = Callable[[Sequence[Term]], bool]
-
-
-class ShapeValidator(Protocol):
-    """Validator of a focus node against a shape."""
-
-    def find_violations(self, focus: Term, view: View, above: str = "") -> Iterator[Violation]:
-        """Return each violation; `above` is the dotted path to the focus node."""
-        ...
+Offenders: TypeAlias = Callable[[Term, Sequence[Term], View], Sequence[Term | None]]
+Walk: TypeAlias = Callable[[Term, View, bool], Sequence[Term]]
+"""Function from a node to the nodes at the end of a path, or (True) of the inverse path."""
 
 
 class Constraint(Struct, frozen=True, eq=False):
     """A constraint: its parameter and value as written, the sentence about a violation, and its test.
 
-    `test` looks at each value node, `test_all` at all of them together; where both are missing, pyshacl judges.
-    `strangers` returns the values that a closed shape does not allow. `bounds` narrow the value nodes, `shapes` are
-    those that the value refers to. `max_length` is that of the texts that a pattern is tried on.
+    `test` looks at each value node; `offenders` returns those of all value nodes of a focus node that break it, None
+    for a missing one; `strangers` returns the values that a closed shape does not allow. `bounds` narrow the value
+    nodes, `shapes` are those that the value refers to.
     """
 
     parameter: NamedNode
     value: Term
     words: str = ""
     test: ValueTest | None = None
-    test_all: SetTest | None = None
+    offenders: Offenders | None = None
     strangers: Callable[[Term, View], Iterable[tuple[NamedNode, Term]]] | None = None
     bounds: Bounds = UNBOUNDED
     shapes: tuple[Shape, ...] = ()
-    max_length: int = sys.maxsize
 
     @property
     def component(self) -> NamedNode:
@@ -71,28 +63,29 @@ ALONE = Extent()
 class Shape(Struct, frozen=True, eq=False):
     """A compiled shape. A node shape has no `path`: its single value node is the focus node (SHACL 2.1.3).
 
-    `is_simple` is False if it, or a shape that it references, has parts that are not compiled. `paths` are the
-    predicates that it uses at the focus node, None if a path is not a predicate. `own` bounds the value nodes, `within`
-    the values along paths from the focus node; `is_bounds` is True if the shape has no other constraints.
+    A path that is not a predicate is a `walk`. `paths` are the predicates that the shape uses at the focus node, None
+    if a path is not a predicate. `own` bounds the value nodes, `within` the values along paths from the focus node;
+    `is_bounds` is True if the shape has no other constraints.
     """
 
     node: NamedNode | BlankNode
     path: NamedNode | None = None
+    walk: Walk | None = None
     constraints: tuple[Constraint, ...] = ()
     words: str | None = None
     severity: NamedNode | None = None
     is_property: bool = False
-    is_simple: bool = True
     paths: frozenset[NamedNode] | None = frozenset()
     own: Bounds = UNBOUNDED
     within: Mapping[tuple[NamedNode, ...], Bounds] = field(default_factory=dict)
     is_bounds: bool = True
     extent: Extent = ALONE
-    max_length: int = sys.maxsize
 
     def values(self, focus: Term, view: View) -> Sequence[Term]:
         """Return the value nodes of a focus node."""
-        return (focus,) if self.path is None else view.objects(focus, self.path)
+        if self.path is not None:
+            return view.objects(focus, self.path)
+        return (focus,) if self.walk is None else distinct(self.walk(focus, view, False))
 
     def conforms(self, focus: Term, view: View) -> bool:
         """Whether there are no violations."""
@@ -102,7 +95,7 @@ class Shape(Struct, frozen=True, eq=False):
                 for value in values:
                     if not each.test(value, view):
                         return False
-            elif each.test_all is not None and not each.test_all(values):
+            elif each.offenders is not None and each.offenders(focus, values, view):
                 return False
         return True
 
@@ -113,8 +106,8 @@ class Shape(Struct, frozen=True, eq=False):
         values = self.values(focus, view)
         path = above if self.path is None else join_path(above, self.path)
         for each in self.constraints:
-            if each.test_all is not None and not each.test_all(values):
-                yield self._violation(focus, path, each, None)
+            if each.offenders is not None:
+                yield from (self._violation(focus, path, each, term) for term in each.offenders(focus, values, view))
         for value in values:
             for each in self.constraints:
                 if each.test is None or each.test(value, view):

@@ -8,9 +8,10 @@ of the text.
 from __future__ import annotations
 
 import operator
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import isnan
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import re2
 from msgspec import Struct
@@ -19,8 +20,8 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.ontology.body import Term
 from rosld.ontology.literals import quote
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
-from rosld.shapes.compiled_shape import Constraint, SetTest, Shape, ValueTest
-from rosld.shapes.terms import Number, View, compare, is_numeric, is_plain, normalize, number
+from rosld.shapes.compiled_shape import Constraint, Offenders, Shape, ValueTest
+from rosld.shapes.terms import Number, View, compare, is_numeric, is_ordered, is_plain, membership, normalize, number
 from rosld.shapes.value import UNBOUNDED, Bounds
 
 _STEPS = 30_000_000
@@ -72,6 +73,9 @@ def term(name: str) -> NamedNode:
     return NamedNode(sh.iri + name)
 
 
+_QUALIFIED = term("qualifiedValueShape")
+_QUALIFIED_MIN, _QUALIFIED_MAX = term("qualifiedMinCount"), term("qualifiedMaxCount")
+_QUALIFIED_DISJOINT = term("qualifiedValueShapesDisjoint")
 PAIRS = frozenset(map(term, ("equals", "disjoint", "lessThan", "lessThanOrEquals")))
 """Parameters whose values are predicates with which the values of the path are compared."""
 _XML = frozenset(NamedNode(rdf.iri + name) for name in ("XMLLiteral", "HTML"))
@@ -129,11 +133,12 @@ def checked_term(value: Term) -> Term:
 
 
 class ShapeSource(NamedTuple):
-    """Source of the constraints of a shape: its statements, the shapes it references, and lists."""
+    """Source of the constraints of a shape: its statements, the shapes it references, lists, and siblings (4.7.3)."""
 
     said: Mapping[NamedNode, Sequence[Term]]
     shape: Callable[[Term], Shape]
     members: Callable[[Term], Sequence[Term]]
+    siblings: Callable[[Term], Sequence[Shape]]
 
 
 _BLANK = (BlankNode, Triple)
@@ -230,17 +235,25 @@ def _node_kind(parameter: NamedNode, value: Term, source: ShapeSource) -> Constr
 # Cardinality (4.2)
 
 
-def _count(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+def _require_path(source: ShapeSource) -> None:
     if sh.path not in source.said:
         raise ParameterFault("is for property shapes only: this shape has no sh:path")
+
+
+def _count(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    _require_path(source)
     if not isinstance(value, Literal) or value.datatype != xsd.integer:
         raise ParameterFault(f"is {value}, where an xsd:integer is needed")
     count = checked_cardinal(value)
     if parameter == sh.minCount:
         words = "is missing" if count == 1 else f"must be there at least {count} times"
-        return Constraint(parameter, value, words, test_all=lambda values: len(values) >= count)
+        return Constraint(
+            parameter, value, words, offenders=lambda _, values, view: () if len(values) >= count else (None,)
+        )
     words = {0: "must not be there", 1: "must be there once only"}.get(count, f"is there over {count} times")
-    return Constraint(parameter, value, words, test_all=lambda values: len(values) <= count)
+    return Constraint(
+        parameter, value, words, offenders=lambda _, values, view: () if len(values) <= count else (None,)
+    )
 
 
 # Value range (4.3)
@@ -308,7 +321,7 @@ def _pattern(parameter: NamedNode, value: Term, source: ShapeSource) -> Constrai
         return text is not None and pattern.is_found_in(text)
 
     words, bounds = f"must match the pattern {text}", UNBOUNDED if flags else Bounds(pattern=text)
-    return Constraint(parameter, value, words, test, bounds=bounds, max_length=pattern.max_length)
+    return Constraint(parameter, value, words, test, bounds=bounds)
 
 
 # Logic and shapes (4.6 and 4.7)
@@ -352,44 +365,132 @@ def _property(parameter: NamedNode, value: Term, source: ShapeSource) -> Constra
     return Constraint(parameter, value, test=shape.conforms, shapes=(shape,))
 
 
+# Qualified shapes (4.7.3)
+
+
+def _qualified(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    shape = source.shape(value)
+    if not source.said.keys() & {_QUALIFIED_MIN, _QUALIFIED_MAX}:
+        raise ParameterFault("needs sh:qualifiedMinCount or sh:qualifiedMaxCount beside it")
+    return Constraint(parameter, value, shapes=(shape,))
+
+
+def _qualified_count(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    count = checked_cardinal(value)
+    nodes = source.said.get(_QUALIFIED, ()) if sh.path in source.said else ()
+    is_disjoint = any(map(checked_truth, source.said.get(_QUALIFIED_DISJOINT, ())))
+
+    def offenders(focus: Term, values: Sequence[Term], view: View) -> Sequence[None]:
+        return [None for node in nodes if not is_enough(number_of(node, values, view))]
+
+    def number_of(node: Term, values: Sequence[Term], view: View) -> int:
+        shape, siblings = source.shape(node), source.siblings(node) if is_disjoint else ()
+        fitting = (value for value in values if shape.conforms(value, view))
+        return sum(not any(each.conforms(value, view) for each in siblings) for value in fitting)
+
+    def is_enough(found: int) -> bool:
+        return found >= count if parameter == _QUALIFIED_MIN else found <= count
+
+    words = f"must have at {'least' if parameter == _QUALIFIED_MIN else 'most'} {count} values of a certain shape"
+    return Constraint(parameter, value, words, offenders=offenders)
+
+
+# Languages (4.4.4 and 4.4.5)
+
+
+def _language_in(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    languages = {checked_text(each).lower() for each in source.members(value)}
+
+    def test(value: Term, view: View) -> bool:
+        language = value.language if isinstance(value, Literal) else None
+        return language is not None and not languages.isdisjoint(
+            {"*", language.lower(), language.lower().partition("-")[0]}
+        )
+
+    return Constraint(parameter, value, f"must be in one of the languages {', '.join(sorted(languages))}", test)
+
+
+def _unique_language(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    is_unique = checked_truth(value)
+    _require_path(source)
+
+    def offenders(focus: Term, values: Sequence[Term], view: View) -> Sequence[None]:
+        languages = (each.language for each in values if isinstance(each, Literal) and each.language)
+        counts = Counter(map(str.lower, languages))
+        return [None for count in counts.values() if count > 1 and is_unique]
+
+    return Constraint(parameter, value, "must be there once only in a language", offenders=offenders)
+
+
+# Pairs of properties (4.5)
+
+
+def _equals(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    other = checked_iri(value)
+
+    def offenders(focus: Term, values: Sequence[Term], view: View) -> Sequence[Term]:
+        others = view.objects(focus, other)
+        is_value, is_other = membership(values), membership(others)
+        return [*(each for each in values if not is_other(each)), *(each for each in others if not is_value(each))]
+
+    return Constraint(parameter, value, f"must be the same as of {phrase(value)}", offenders=offenders)
+
+
+def _disjoint(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    other = checked_iri(value)
+    offenders: Offenders = lambda focus, values, view: [  # noqa: E731
+        *filter(membership(view.objects(focus, other)), values)
+    ]
+    return Constraint(parameter, value, f"must not be one of {phrase(value)}", offenders=offenders)
+
+
+def _less(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
+    other = checked_iri(value)
+    _require_path(source)
+    order: Callable[[Any, Any], bool] = operator.lt if parameter == sh.lessThan else operator.le
+    words = "less than" if parameter == sh.lessThan else "at most"
+
+    def offenders(focus: Term, values: Sequence[Term], view: View) -> Sequence[Term]:
+        others = view.objects(focus, other)
+        return [
+            each
+            for each in values
+            if isinstance(each, BlankNode | Triple) or not all(is_ordered(each, one, order) for one in others)
+        ]
+
+    return Constraint(parameter, value, f"must be {words} that of {phrase(value)}", offenders=offenders)
+
+
 # Other (4.8)
+
+
+def _data_terms(terms: Iterable[Term]) -> list[Term]:
+    """Leave out blank nodes: one of the shapes graph is none of the data graph, whatever its label."""
+    return [each for each in terms if not isinstance(each, BlankNode)]
 
 
 def _in(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
     """Return the test for terms in a list; literals are equal if their normal forms are."""
     terms = [checked_term(each) for each in source.members(value)]
-    contains = _membership(terms)
+    contains = membership(_data_terms(terms))
     bounds = Bounds(choices=tuple(each for each in terms if isinstance(each, Literal)))
     words = f"must be one of {list_terms(terms)}"
     return Constraint(parameter, value, words, lambda value, _: contains(value), bounds=bounds)
 
 
 def _has_value(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    contains = _membership((checked_term(value),))
+    contains = membership(_data_terms([checked_term(value)]))
     bounds = Bounds(choices=(value,)) if isinstance(value, Literal) else UNBOUNDED
-    test_all: SetTest = lambda values: any(map(contains, values))  # noqa: E731
-    return Constraint(parameter, value, f"must be {phrase(value)}", test_all=test_all, bounds=bounds)
-
-
-def _membership(terms: Iterable[Term]) -> Callable[[Term], bool]:
-    # A blank node of the shapes graph is never one of the data graph, whatever its label.
-    exact = frozenset(term for term in terms if isinstance(term, NamedNode | Literal))
-    others = [term for term in exact if isinstance(term, Literal) and not is_plain(term)]
-    forms, datatypes = frozenset(map(normalize, others)), frozenset(term.datatype for term in others)
-
-    def contains(value: Term) -> bool:
-        if value in exact:
-            return True
-        return bool(forms) and isinstance(value, Literal) and value.datatype in datatypes and normalize(value) in forms
-
-    return contains
+    offenders: Offenders = lambda _, values, view: () if any(map(contains, values)) else (None,)  # noqa: E731
+    return Constraint(parameter, value, f"must be {phrase(value)}", offenders=offenders, bounds=bounds)
 
 
 def _closed(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
     """No properties but those of the shape's property shapes and the ignored ones."""
     is_closed = checked_truth(value)
     allowed: set[Term | None] = {source.shape(each).path for each in source.said.get(sh.property, ())}
-    allowed |= {each for head in source.said.get(sh.ignoredProperties, ()) for each in source.members(head)}
+    for head in source.said.get(sh.ignoredProperties, ()):
+        allowed |= set(map(checked_iri, source.members(head)))
 
     def strangers(value: Term, view: View) -> Iterator[tuple[NamedNode, Term]]:
         for predicate, terms in view.properties(value).items() if is_closed else ():
@@ -400,32 +501,6 @@ def _closed(parameter: NamedNode, value: Term, source: ShapeSource) -> Constrain
         return next(strangers(value, view), None) is None
 
     return Constraint(parameter, value, "must not be there", test, strangers=strangers)
-
-
-def _ignored(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    if sh.closed not in source.said:
-        raise ParameterFault("is for closed shapes only: this shape has no sh:closed")
-    for each in source.members(value):
-        checked_iri(each)
-    return Constraint(parameter, value, test=lambda *_: True)
-
-
-# Left to pyshacl, which would fail on invalid values later
-
-
-def _qualified(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    return Constraint(parameter, value, shapes=(source.shape(value),))
-
-
-def _left(check: Callable[[Term], object], *, is_list: bool = False) -> Build:
-    """Return the function for a constraint that pyshacl tests; only its value is checked here."""
-
-    def build(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-        for each in source.members(value) if is_list else (value,):
-            check(each)
-        return Constraint(parameter, value)
-
-    return build
 
 
 Build: TypeAlias = Callable[[NamedNode, Term, ShapeSource], Constraint]
@@ -447,14 +522,15 @@ CONSTRAINTS: Mapping[NamedNode, Build] = {
     sh.property: _property,
     sh.in_: _in,
     sh.hasValue: _has_value,
-    term("qualifiedValueShape"): _qualified,
-    term("qualifiedMinCount"): _left(checked_cardinal),
-    term("qualifiedMaxCount"): _left(checked_cardinal),
-    term("qualifiedValueShapesDisjoint"): _left(checked_truth),
-    term("languageIn"): _left(checked_text, is_list=True),
-    term("uniqueLang"): _left(checked_truth),
+    _QUALIFIED: _qualified,
+    _QUALIFIED_MIN: _qualified_count,
+    _QUALIFIED_MAX: _qualified_count,
+    term("languageIn"): _language_in,
+    term("uniqueLang"): _unique_language,
     sh.closed: _closed,
-    sh.ignoredProperties: _ignored,
-    **dict.fromkeys(PAIRS, _left(checked_iri)),
+    term("equals"): _equals,
+    term("disjoint"): _disjoint,
+    sh.lessThan: _less,
+    sh.lessThanOrEquals: _less,
 }
 """Functions that read the values of the parameters of SHACL Core."""

@@ -1,9 +1,9 @@
-"""SHACL node shapes that validate one node: compiled if they are simple, run by pyshacl otherwise.
+"""SHACL node shapes that validate one node.
 
-The results are those of pyshacl with its defaults: sh:Warning and sh:Info count as well. There are two differences,
-both stricter, as SHACL requires: NaN is within no bounds, and an error in pyshacl counts as a violation. Nothing is
-fetched, and the time is bounded: shapes are SHACL Core (no SPARQL, no JavaScript, no rules), without recursion, and
-their patterns take linear time.
+The verdict is that of pyshacl, against which it is tested: sh:Warning and sh:Info count as well. It differs in two
+things, both stricter, as SHACL's own words are: NaN is within no bounds, and values that do not compare do not conform.
+Nothing is fetched, and the time is bounded: shapes are SHACL Core (no SPARQL, no JavaScript, no rules), they do not
+refer to themselves, and their patterns cannot take for ever.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from pyoxigraph import BlankNode, NamedNode, Triple
 
 from rosld.ontology.violations import Violation
-from rosld.shapes.compiled_shape import Shape, ShapeValidator
+from rosld.shapes.compiled_shape import Shape
 from rosld.shapes.shapes_graph import ShapesGraph
 from rosld.shapes.terms import TripleView, View
 from rosld.shapes.value import Bounds, is_exact, merge_bounds
@@ -38,9 +38,8 @@ class NodeShape(Struct, frozen=True, eq=False):
     iri: str
     paths: frozenset[NamedNode] | None
     within: Mapping[tuple[NamedNode, ...], Bounds]
-    judges: tuple[ShapeValidator, ...]
     is_bounds: bool
-    sources: tuple[Shape, ...] = ()
+    sources: tuple[Shape, ...]
 
     @property
     def bounds(self) -> Mapping[NamedNode, Bounds]:
@@ -56,8 +55,8 @@ class NodeShape(Struct, frozen=True, eq=False):
         return tuple(islice(self._broken(focus, view), MAX_VIOLATIONS))
 
     def _broken(self, focus: NamedNode | BlankNode, view: View) -> Iterator[Violation]:
-        for judge in self.judges:
-            yield from judge.find_violations(focus, view)
+        for shape in self.sources:
+            yield from shape.find_violations(focus, view)
 
     def __and__(self, other: NodeShape) -> NodeShape:
         """Return the conjunction of both shapes."""
@@ -65,7 +64,6 @@ class NodeShape(Struct, frozen=True, eq=False):
             self,
             paths=None if self.paths is None or other.paths is None else self.paths | other.paths,
             within=merge_bounds(self.within, other.within),
-            judges=self.judges + other.judges,
             is_bounds=self.is_bounds and other.is_bounds and is_exact(self.within, other.within),
             sources=self.sources + other.sources,
         )
@@ -78,8 +76,7 @@ def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
     deeply, or if it needs more than SHACL Core.
     """
     shape = graph.shape(iri)
-    judge: ShapeValidator = shape if shape.is_simple else graph.pyshacl_shape(iri)
-    return NodeShape(iri.value, shape.paths, shape.within, (judge,), shape.is_bounds, (shape,))
+    return NodeShape(iri.value, shape.paths, shape.within, shape.is_bounds, (shape,))
 
 
 def conjunction(shapes: Sequence[NodeShape]) -> NodeShape:

@@ -390,9 +390,9 @@ class MessageView:
         """Return the objects of all predicates of a node."""
         return self._whole().properties(node)
 
-    def triples(self) -> Sequence[Triple]:
-        """Return all triples."""
-        return self._whole().triples()
+    def subjects(self, predicate: NamedNode, node: Term) -> Sequence[Term]:
+        """Return the nodes that a predicate leads from."""
+        return self._whole().subjects(predicate, node)
 
     def _whole(self) -> TripleView:
         if self._lifted is None:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Mapping, Sequence
-from functools import reduce
-from typing import TYPE_CHECKING, TypeAlias
+from functools import partial, reduce
+from itertools import count
+from typing import TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.body import Term
 from rosld.ontology.vocab import rdf, sh
-from rosld.shapes.compiled_shape import Constraint, Extent, Shape
+from rosld.shapes.compiled_shape import Constraint, Extent, Shape, Walk
 from rosld.shapes.components import CONSTRAINTS, PAIRS, ParameterFault, ShapeSource, checked_truth, term
+from rosld.shapes.terms import View
 from rosld.shapes.value import UNBOUNDED, is_exact, merge_bounds, narrow
-
-if TYPE_CHECKING:
-    from rosld.shapes.pyshacl_fallback import PyshaclShape
 
 Node: TypeAlias = NamedNode | BlankNode
 
@@ -26,6 +24,8 @@ MAX_SHAPES = 1000
 """Maximum number of shapes within one shape, counted per reference."""
 
 _LONGEST_PATH = 50
+_ALTERNATIVE, _ZERO_OR_ONE = term("alternativePath"), term("zeroOrOnePath")
+_PATHS = (sh.inversePath, sh.zeroOrMorePath, term("oneOrMorePath"), _ALTERNATIVE, _ZERO_OR_ONE)
 
 
 def _terms(names: str) -> frozenset[NamedNode]:
@@ -33,7 +33,10 @@ def _terms(names: str) -> frozenset[NamedNode]:
 
 
 _TARGETS = _terms("targetNode targetClass targetSubjectsOf targetObjectsOf")
-_ABOUT = _terms("flags path message severity deactivated name description order group defaultValue")
+_ABOUT = _terms(
+    "path message severity deactivated name description order group defaultValue flags ignoredProperties "
+    "qualifiedValueShapesDisjoint"
+)
 _KNOWN = CONSTRAINTS.keys() | _TARGETS | _ABOUT
 _REPEATABLE = (
     PAIRS
@@ -116,62 +119,15 @@ class ShapesGraph:
             self._open.pop()
         return shape
 
-    def pyshacl_shape(self, node: Node) -> PyshaclShape:
-        """Return a shape for pyshacl, with exactly the triples that it references."""
-        from rosld.shapes.pyshacl_fallback import PyshaclShape  # rdflib, as in `terms`
-
-        shapes: dict[Term, None] = {}
-        triples = list(self._closure(node, shapes))
-        try:
-            return PyshaclShape(node, list(shapes), triples, self.shape(node).max_length)
-        except ValueError as error:
-            raise ValueError(f"{self.name(node)} cannot be read: {error}") from error
-
     def _deep(self) -> ValueError:
         return ValueError(f"{self.name(self._open[0])} has shapes nested deeper than {MAX_DEPTH} levels")
-
-    def _closure(self, node: Term, shapes: dict[Term, None]) -> Iterator[Triple]:
-        """Yield the triples of a shape and of those it references, without their targets."""
-        if node in shapes:
-            return
-        shapes[node] = None
-        assert isinstance(node, NamedNode | BlankNode)
-        for predicate, objects in self._said[node].items():
-            if not predicate.value.startswith(sh.iri) and predicate != rdf.type:
-                continue
-            for each in objects:
-                if predicate in _TARGETS or (predicate == rdf.type and each not in (sh.NodeShape, sh.PropertyShape)):
-                    continue
-                yield Triple(node, predicate, each)
-                if predicate in (sh.property, sh.node, sh.not_, term("qualifiedValueShape")):
-                    yield from self._closure(each, shapes)
-                elif predicate in (sh.and_, sh.or_, sh.xone):
-                    yield from self._inner(each)
-                    for member in self._list(each):
-                        yield from self._closure(member, shapes)
-                elif isinstance(each, BlankNode):
-                    yield from self._inner(each)
-
-    def _inner(self, node: Term) -> Iterator[Triple]:
-        """Yield the triples of lists and paths."""
-        waiting, seen = [node], {node}
-        while waiting:
-            subject = waiting.pop()
-            if not isinstance(subject, NamedNode | BlankNode):
-                continue
-            for predicate, objects in self._said.get(subject, {}).items():
-                for each in objects:
-                    yield Triple(subject, predicate, each)
-                    # The members of a list of shapes are followed as shapes.
-                    if isinstance(each, BlankNode) and each not in seen and sh.path not in self._said.get(each, {}):
-                        seen.add(each)
-                        waiting.append(each)
 
     # One shape
 
     def _compile(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> Shape:
         self._check_terms(node, said)
-        path, is_property, simple_path = self._path(node, said)
+        path, walk = self._path(node, said)
+        is_property = sh.path in said
         constraints = self._constraints(node, said)
         children = [shape for each in constraints for shape in each.shapes]
         extents = [each.extent for each in children]
@@ -181,7 +137,7 @@ class ShapesGraph:
         if extent.size > MAX_SHAPES:
             raise ValueError(f"{self.name(node)} holds more than {MAX_SHAPES} shapes, counted as often as referred to")
         if self._is_deactivated(node, said):
-            return Shape(node, path, is_property=is_property)
+            return Shape(node, path, walk, is_property=is_property)
         holding = [
             shape for each in constraints if each.parameter in (sh.property, sh.node, sh.and_) for shape in each.shapes
         ]
@@ -195,21 +151,16 @@ class ShapesGraph:
         return Shape(
             node,
             path,
+            walk,
             tuple(constraints),
             words=self._words(node, said),
             severity=self._severity(node, said),
             is_property=is_property,
-            is_simple=simple_path
-            and all(each.test or each.test_all for each in constraints)
-            and all(each.is_simple for each in children),
             paths=self._paths(said, path, is_property, children),
             own=own,
             within=inner,
             is_bounds=self._is_bounds(said, path, is_property, children, holding),
             extent=extent,
-            max_length=min(
-                [sys.maxsize, *(each.max_length for each in constraints), *(each.max_length for each in children)]
-            ),
         )
 
     def _is_bounds(
@@ -260,26 +211,55 @@ class ShapesGraph:
                 f"{self.name(node)} says {_prefixed(predicate)}, which is no term of SHACL Core for a shape"
             )
 
-    def _path(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> tuple[NamedNode | None, bool, bool]:
-        """Return the path if it is a predicate, whether there is one at all, and whether it is compiled."""
+    def _path(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> tuple[NamedNode | None, Walk | None]:
+        """Return the path: a predicate, or more than that."""
         kinds, paths = said.get(rdf.type, ()), said.get(sh.path, [])
         if sh.NodeShape in kinds and (paths or sh.PropertyShape in kinds):
             raise ValueError(f"{self.name(node)} is a sh:NodeShape, and so can be no property shape: it has a sh:path")
         if not paths:
             if sh.PropertyShape in kinds:
                 raise ValueError(f"{self.name(node)} is a sh:PropertyShape without a sh:path")
-            return None, False, True
+            return None, None
         (path,) = paths
         if isinstance(path, NamedNode):
-            return path, True, True
-        if not isinstance(path, BlankNode) or path not in self._said:
-            raise self._wrong(node, sh.path, "is neither an IRI nor a property path (SHACL 2.3.1)")
-        if sum(1 for _ in self._inner(path)) > _LONGEST_PATH:
-            raise self._wrong(node, sh.path, "is too long")
-        return None, True, False
+            return path, None
+        try:
+            return None, self._walk(path, count())
+        except ParameterFault as fault:
+            raise self._wrong(node, sh.path, str(fault)) from fault
+
+    def _walk(self, path: Term, steps: Iterator[int]) -> Walk:
+        """Return the function that follows a property path (SHACL 2.3.1); `steps` counts its parts."""
+        if next(steps) > _LONGEST_PATH:
+            raise ParameterFault("is too long, or leads to itself")
+        if isinstance(path, NamedNode):
+            return lambda node, view, is_inverse: view.subjects(path, node) if is_inverse else view.objects(node, path)
+        said = self._said.get(path, {}) if isinstance(path, BlankNode) else {}
+        kinds = said.keys() & {rdf.first, *_PATHS}
+        if len(kinds) != 1:
+            raise ParameterFault("is neither an IRI nor a property path (SHACL 2.3.1)")
+        (kind,) = kinds
+        if kind == rdf.first:
+            return _sequence([self._walk(each, steps) for each in self._list(path)])
+        (inner,) = said[kind][:1]
+        if kind == _ALTERNATIVE:
+            walks = [self._walk(each, steps) for each in self._list(inner)]
+            return lambda node, view, is_inverse: [end for walk in walks for end in walk(node, view, is_inverse)]
+        walk = self._walk(inner, steps)
+        if kind == sh.inversePath:
+            return lambda node, view, is_inverse: walk(node, view, not is_inverse)
+        if kind == _ZERO_OR_ONE:
+            return lambda node, view, is_inverse: [node, *walk(node, view, is_inverse)]
+        return _closure(walk, is_reflexive=kind == sh.zeroOrMorePath)
+
+    def _siblings(self, node: Node, shape: Term) -> list[Shape]:
+        """Return the other qualified shapes of the property shapes beside a property shape (SHACL 4.7.3)."""
+        parents = [each[sh.property] for each in self._said.values() if node in each.get(sh.property, ())]
+        inner = [self._said.get(each, {}).get(term("qualifiedValueShape"), ()) for found in parents for each in found]
+        return [self._part(each) for found in inner for each in found if each != shape]
 
     def _constraints(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> list[Constraint]:
-        source, found = ShapeSource(said, self._part, self._list), []
+        source, found = ShapeSource(said, self._part, self._list, partial(self._siblings, node)), []
         for parameter in sorted(said.keys() & CONSTRAINTS.keys(), key=str):
             for value in said[parameter]:
                 try:
@@ -331,6 +311,30 @@ class ShapesGraph:
 
     def _wrong(self, node: Term, parameter: NamedNode, words: str) -> ValueError:
         return ValueError(f"{self.name(node)}: {_prefixed(parameter)} {words}")
+
+
+def _sequence(walks: Sequence[Walk]) -> Walk:
+    def walk_all(node: Term, view: View, is_inverse: bool) -> Sequence[Term]:
+        ends: Sequence[Term] = [node]
+        for walk in reversed(walks) if is_inverse else walks:
+            ends = list(dict.fromkeys(end for start in ends for end in walk(start, view, is_inverse)))
+        return ends
+
+    return walk_all
+
+
+def _closure(walk: Walk, *, is_reflexive: bool) -> Walk:
+    def walk_on(node: Term, view: View, is_inverse: bool) -> Sequence[Term]:
+        ends: dict[Term, None] = {node: None} if is_reflexive else {}
+        waiting = [*walk(node, view, is_inverse)]
+        while waiting:
+            end = waiting.pop()
+            if end not in ends:
+                ends[end] = None
+                waiting += walk(end, view, is_inverse)
+        return list(ends)
+
+    return walk_on
 
 
 def _prefixed(term: NamedNode) -> str:

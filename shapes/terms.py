@@ -21,7 +21,6 @@ from rosld.ontology.literals import DATATYPES
 from rosld.ontology.vocab import rdf, xsd
 
 if TYPE_CHECKING:
-    import rdflib
     from rdflib.term import BNode, URIRef
     from rdflib.term import Literal as Normal
 
@@ -99,8 +98,8 @@ class _NotANumber(float):
     __hash__ = float.__hash__
 
 
-def normalize(term: Term, space: str = "") -> Node:
-    """Return a term in rdflib's normal form; `space` separates blank nodes of several graphs.
+def normalize(term: Term) -> Node:
+    """Return a term as rdflib has it, in normal form.
 
     A triple term, which rdflib does not support, is a blank node.
     """
@@ -110,7 +109,7 @@ def normalize(term: Term, space: str = "") -> Node:
         return URIRef(term.value)
     if isinstance(term, Literal):
         return _normal(term)
-    return BNode(space + (term.value if isinstance(term, BlankNode) else f"triple{hash(term)}"))
+    return BNode(term.value if isinstance(term, BlankNode) else f"triple{hash(term)}")
 
 
 def _normal(literal: Literal) -> Normal:
@@ -130,16 +129,6 @@ def _normal(literal: Literal) -> Normal:
     return found
 
 
-def normalize_graph(triples: Iterable[Triple], space: str) -> rdflib.Graph:
-    """Return a graph in rdflib's normal form."""
-    import rdflib
-
-    graph = rdflib.Graph()
-    for triple in triples:
-        graph.add((normalize(triple.subject, space), normalize(triple.predicate), normalize(triple.object, space)))
-    return graph
-
-
 def is_plain(term: Term) -> bool:
     """Whether a term is its own normal form: of literals, only strings are sure to be."""
     return not isinstance(term, Literal) or term.datatype in (xsd.string, rdf.langString)
@@ -152,7 +141,26 @@ def distinct(terms: Sequence[Term]) -> Sequence[Term]:
     terms = list(dict.fromkeys(terms))
     if sum(not is_plain(term) for term in terms) < 2:
         return terms
-    return list({term if is_plain(term) else normalize(term): term for term in reversed(terms)}.values())[::-1]
+    return list({_key(term): term for term in reversed(terms)}.values())[::-1]
+
+
+def _key(term: Term) -> Term | Node:
+    """Return what the literals of one normal form have in common."""
+    return term if is_plain(term) else normalize(term)
+
+
+def membership(terms: Iterable[Term]) -> Callable[[Term], bool]:
+    """Return whether a term is one of these; literals of one normal form are one."""
+    exact = frozenset(terms)
+    others = [term for term in exact if isinstance(term, Literal) and not is_plain(term)]
+    forms, datatypes = frozenset(map(normalize, others)), frozenset(term.datatype for term in others)
+
+    def contains(value: Term) -> bool:
+        if value in exact:
+            return True
+        return bool(forms) and isinstance(value, Literal) and value.datatype in datatypes and normalize(value) in forms
+
+    return contains
 
 
 def compare(one: Literal, other: Literal) -> int | None:
@@ -170,6 +178,27 @@ def compare(one: Literal, other: Literal) -> int | None:
         return None
 
 
+def is_ordered(one: Term, other: Term, compare: Callable[[object, object], bool]) -> bool:
+    """Whether `compare` holds of two terms as pyshacl compares the values of two properties: IRIs and texts as such."""
+    if isinstance(one, BlankNode | Triple) or isinstance(other, BlankNode | Triple):
+        return False
+    if any(isinstance(each, Literal) and isnan(number(each) or 0) for each in (one, other)):
+        return False
+    (left, is_text), (right, is_other_text) = _comparable(one), _comparable(other)
+    try:
+        return is_text == is_other_text and compare(left, right)
+    except (TypeError, NotImplementedError, ArithmeticError):
+        return False
+
+
+def _comparable(term: NamedNode | Literal) -> tuple[object, bool]:
+    """Return what to compare, and whether that is text (as a literal of rdflib is one to Python, too)."""
+    if isinstance(term, NamedNode):
+        return term.value, True
+    normal = _normal(term)
+    return (normal.value, True) if isinstance(normal.value, str) else (normal, False)
+
+
 class View(Protocol):
     """The part of a data graph that a shape can see."""
 
@@ -181,8 +210,8 @@ class View(Protocol):
         """Return the objects of all predicates of a node."""
         ...
 
-    def triples(self) -> Sequence[Triple]:
-        """Return all triples of the graph."""
+    def subjects(self, predicate: NamedNode, node: Term) -> Sequence[Term]:
+        """Return the nodes that a predicate leads from."""
         ...
 
 
@@ -190,9 +219,9 @@ class TripleView:
     """The view of triples."""
 
     def __init__(self, triples: Iterable[Triple]) -> None:
-        self._triples = tuple(triples)
         self._properties: dict[Term, dict[NamedNode, list[Term]]] = {}
-        for triple in self._triples:
+        self._subjects: dict[tuple[NamedNode, Term | Node], list[Term]] | None = None
+        for triple in triples:
             self._properties.setdefault(triple.subject, {}).setdefault(triple.predicate, []).append(triple.object)
 
     def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
@@ -204,6 +233,12 @@ class TripleView:
         """Return the objects of all predicates."""
         return self._properties.get(node, {})
 
-    def triples(self) -> Sequence[Triple]:
-        """Return the triples."""
-        return self._triples
+    def subjects(self, predicate: NamedNode, node: Term) -> Sequence[Term]:
+        """Return the nodes that a predicate leads from."""
+        if self._subjects is None:
+            self._subjects = {}
+            for subject, properties in self._properties.items():
+                for each, terms in properties.items():
+                    for term in distinct(terms):
+                        self._subjects.setdefault((each, _key(term)), []).append(subject)
+        return self._subjects.get((predicate, _key(node)), ())

@@ -425,9 +425,11 @@ def _unknown(term: NamedNode) -> bool:
     """Whether a term has the namespace of `map:` or SHACL but does not exist there."""
     if term.value.startswith(mapping.iri):
         return term not in _TERMS
-    from rdflib.namespace import SH  # imported with pyshacl
+    if not term.value.startswith(sh.iri):
+        return False
+    from rdflib.namespace import SH  # as in `rosld.shapes.terms`
 
-    return term.value.startswith(sh.iri) and term.value not in SH
+    return term.value not in SH
 
 
 def _no_term(term: NamedNode) -> str:

@@ -199,11 +199,18 @@ EVERY_OTHER = st.sampled_from(
         "sh:property [ sh:path [ sh:zeroOrMorePath ex:p ] ; sh:nodeKind sh:IRI ]",
         "sh:property [ sh:path [ sh:alternativePath ( ex:p ex:q ) ] ; sh:maxInclusive 5 ]",
         "sh:property [ sh:path ex:p ; sh:lessThan ex:q ]",
+        "sh:property [ sh:path ex:p ; sh:lessThanOrEquals ex:q ]",
+        "sh:property [ sh:path ( ex:p [ sh:zeroOrOnePath ex:q ] [ sh:oneOrMorePath ex:p ] ) ; sh:minCount 1 ]",
+        "sh:property [ sh:path [ sh:oneOrMorePath [ sh:inversePath ex:p ] ] ; sh:class ex:A ]",
         "sh:property [ sh:path ex:p ; sh:equals ex:q ]",
         "sh:property [ sh:path ex:p ; sh:disjoint ex:q ; sh:maxInclusive 5 ]",
         "sh:property [ sh:path ex:p ; sh:uniqueLang true ]",
         'sh:property [ sh:path ex:p ; sh:languageIn ( "en" ) ]',
         "sh:closed true ; sh:ignoredProperties ( ex:q )",
+        "sh:equals ex:p ; sh:disjoint ex:q",
+        "sh:property [ sh:path ex:p ; sh:qualifiedValueShape [ sh:maxInclusive 1 ] ; sh:qualifiedMaxCount 1 ; "
+        "sh:qualifiedValueShapesDisjoint true ] , [ sh:path ex:q ; sh:qualifiedValueShape [ sh:class ex:A ] ; "
+        "sh:qualifiedMinCount 1 ]",
         "sh:property [ sh:path ex:p ; sh:qualifiedValueShape [ sh:minInclusive 1 ] ; sh:qualifiedMinCount 1 ]",
     ]
 )
@@ -310,7 +317,8 @@ def test_a_violation_is_a_sentence_with_everything_for_a_report() -> None:
 
 
 @pytest.mark.parametrize(
-    ("demand", "message"), [("maxInclusive 0", "must be at most 0"), ("lessThan ex:p", "does not conform")]
+    ("demand", "message"),
+    [("maxInclusive 0", "must be at most 0"), ("lessThan ex:p", "must be less than that of <http://h/v#p>")],
 )
 def test_the_shapes_own_message_is_apart_and_in_english_where_there_is_one(demand: str, message: str) -> None:
     said = '"zu schnell"@de, "too fast"@en' if "max" in demand else '"too fast"'
@@ -331,12 +339,12 @@ def test_the_shapes_own_message_is_apart_and_in_english_where_there_is_one(deman
         ("sh:minLength 2", "'b'", "must be at least 2 characters long"),
         ("sh:nodeKind sh:IRI", "'b'", "must be an IRI"),
         ("sh:class ex:A", "<http://h/n0>", "must be a <http://h/v#A>"),
-        ("sh:lessThan ex:p", "1", "Value of <http://h/resources/engine/>->ex:p <= <http://h/resources/engine/>->ex:p"),
+        ("sh:lessThan ex:p", "1", "must be less than that of <http://h/v#p>"),
     ],
 )
 def test_every_constraint_has_its_sentence(demand: str, value: str, words: str) -> None:
     shape = compiled(f":shape sh:property [ sh:path ex:p ; {demand} ] .")
-    assert words in {each.message for each in shape.violations(FOCUS, of_p(value))} or "less" in demand
+    assert words in {each.message for each in shape.violations(FOCUS, of_p(value))}
 
 
 def test_a_shape_tells_at_most_twenty_violations() -> None:
@@ -407,7 +415,7 @@ def test_bounds_are_those_that_must_hold_together() -> None:
         (":shape sh:property [ sh:nodeKind sh:IRI ] .", "without a sh:path"),
         (":shape sh:property [ sh:path 'p' ] .", "neither an IRI nor a property path"),
         (":shape sh:property [ sh:path [ ] ] .", "neither an IRI nor"),
-        (":shape sh:property [ sh:path [ sh:inversePath 'p' ] ; sh:minCount 1 ] .", "cannot be read"),
+        (":shape sh:property [ sh:path [ sh:inversePath 'p' ] ; sh:minCount 1 ] .", "neither an IRI nor"),
         (":shape sh:property [ sh:path ex:p, ex:q ] .", "more than once"),
         (":shape sh:property 5 .", "no shape"),
         (":shape sh:node [ sh:path ex:p ] .", "must be a node shape"),

@@ -22,7 +22,7 @@ from rosld.server.auth.config import Issuer
 _SECONDS = 5.0
 _MAX_BYTES = 256 * 1024
 _CACHED_SECONDS = 3600.0
-_AGAIN_SECONDS = 10.0
+_REFETCH_SECONDS = 10.0
 """Minimum seconds between two fetches of an issuer's keys, even for a token with an unknown key."""
 _LEEWAY = 10.0
 _LONGEST_TOKEN = 16 * 1024
@@ -102,7 +102,7 @@ class TokenVerifier(Struct):
             known = self._keys.get(issuer)
             now = time.monotonic()
             age = float("inf") if known is None else now - known.fetched
-            if known is None or age > _CACHED_SECONDS or (_find_key(known, key_id) is None and age > _AGAIN_SECONDS):
+            if known is None or age > _CACHED_SECONDS or (_find_key(known, key_id) is None and age > _REFETCH_SECONDS):
                 try:
                     known = _Keys(await asyncio.to_thread(_fetch, issuer), now)
                 except (OSError, ValueError) as error:

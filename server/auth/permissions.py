@@ -20,7 +20,7 @@ AboutAt: TypeAlias = Callable[[Location], "Sequence[str] | None"]
 
 It returns None if they are unknown: then reading requires the right to read everything. Thread-safe.
 """
-TELLING_OF_OTHERS = frozenset({"activity", "bags", "calls", "channels", "goals", "holds"})
+ABOUT_OTHERS = frozenset({"activity", "bags", "calls", "channels", "goals", "holds"})
 """Routes of resources about other resources: the service of a call, the targets of a receipt's write."""
 
 _PAGE = re.compile(r"(?:^|&)page=[0-9]*:([^&]+)")
@@ -36,7 +36,7 @@ def _about_nothing_else(location: Location) -> Sequence[str]:
 
 def _about_unknown(location: Location) -> Sequence[str] | None:
     """Return None: worker processes do not know the subjects of calls, receipts and recordings."""
-    return None if location.kind in TELLING_OF_OTHERS and location.segments else ()
+    return None if location.kind in ABOUT_OTHERS and location.segments else ()
 
 
 class Permissions:
@@ -108,7 +108,7 @@ class Permissions:
         What is denied is denied wherever it is mentioned: reading the resource requires the right to read all its
         subjects, changing it the right to know of all of them.
         """
-        if self.may_read_all or location.kind not in TELLING_OF_OTHERS:
+        if self.may_read_all or location.kind not in ABOUT_OTHERS:
             return True
         about = self._about(location)
         if about is None:
@@ -126,7 +126,7 @@ class Permissions:
             return True
         if not self.rights.may_know(path_at(location), self._types(location)):
             return False
-        if self.may_read_all or location.kind not in TELLING_OF_OTHERS:
+        if self.may_read_all or location.kind not in ABOUT_OTHERS:
             return True
         about = self._about(location)
         return about is not None and (not about or any(map(self._may_know_url, about)))

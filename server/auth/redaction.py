@@ -38,7 +38,7 @@ _WORDS = frozenset({ros.recordingProblem, ros.triggerCondition})
 _REASONS = frozenset({ros.unreadable, ros.words})
 """Predicates of a value with the reason why it cannot be read, which may mention its source."""
 _WITHHELD = Literal(WITHHELD)
-_TELLING = frozenset({ros.mappingWarning})
+_UNBOUNDED = frozenset({ros.mappingWarning})
 """Predicates whose text may mention anything: only agents that may read everything get them."""
 
 
@@ -79,7 +79,7 @@ class _Redaction:
                 or each.object in parts
                 or (each.predicate in _NAMES and self._is_hidden_topic(each.object))
                 or (each.predicate in _WORDS and each.subject in orders)
-                or (each.predicate in _TELLING and not self._permissions.may_read_all)
+                or (each.predicate in _UNBOUNDED and not self._permissions.may_read_all)
                 or (each.predicate in _REASONS and each.subject in unreadable)
             )
         ]

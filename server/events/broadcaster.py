@@ -88,7 +88,7 @@ class Broadcaster:
         self._is_outdated = True
         self._waiters: dict[Waiter, None] = {}
         self._turn = asyncio.Lock()
-        self._moment: Observation | None = None
+        self._latest: Observation | None = None
         self._observed_version = 0
 
     def start(self) -> None:
@@ -112,19 +112,19 @@ class Broadcaster:
 
     def current(self) -> Observation | None:
         """Return the result of `observe`, if that needs no read."""
-        return self._moment if self._observed_version == self.version else None
+        return self._latest if self._observed_version == self.version else None
 
     async def observe(self) -> Observation:
         """Return the current state: the same object until it changes."""
         async with self._turn:
-            moment = self.current()
-            if moment is None:
+            observation = self.current()
+            if observation is None:
                 version = self.version
-                moment = await self._read()
-                if self._moment is not None and self._moment.name == moment.name:
-                    moment = self._moment
-                self._moment, self._observed_version = moment, version
-            return moment
+                observation = await self._read()
+                if self._latest is not None and self._latest.name == observation.name:
+                    observation = self._latest
+                self._latest, self._observed_version = observation, version
+            return observation
 
     async def _read(self) -> Observation:
         try:

@@ -57,25 +57,25 @@ class Delivery:
             if broadcaster.version == version:
                 await self._wait(broadcaster, waiter, version)
                 if broadcaster.version == version:
-                    await self._still_here()
+                    await self._keep_alive()
                     continue
             await self._pause(self._channel.due - time.monotonic())
             version = broadcaster.version
-            moment = broadcaster.current() or await broadcaster.observe()
+            observation = broadcaster.current() or await broadcaster.observe()
             may_read = self._channel.auth.is_valid()
             if may_read:
-                await self._notify(moment)
-            if moment.is_final or not may_read:
+                await self._notify(observation)
+            if observation.is_final or not may_read:
                 self._channels.close(self._channel)
                 return
 
-    async def _notify(self, moment: Observation) -> None:
+    async def _notify(self, observation: Observation) -> None:
         channel = self._channel
-        news, receiver_state = self._channels.next_notification(channel, moment)
+        news, receiver_state = self._channels.next_notification(channel, observation)
         if news is None:
             channel.last_sent = receiver_state
             return
-        chunk = notification(moment, news, channel.terms.accept)
+        chunk = notification(observation, news, channel.terms.accept)
         channel.due = time.monotonic() + channel.terms.interval
         await self._send(chunk)
         channel.last_sent = receiver_state
@@ -97,9 +97,9 @@ class Delivery:
         while (left := until - time.monotonic()) > 0:
             await asyncio.sleep(min(left, KEEP_ALIVE_SECONDS))
             if left > KEEP_ALIVE_SECONDS:
-                await self._still_here()
+                await self._keep_alive()
 
-    async def _still_here(self) -> None:
+    async def _keep_alive(self) -> None:
         if self._idle is not None:
             await self._idle(b"\n")
 
@@ -235,7 +235,7 @@ class WebSocketReceiver:
         )
         if not self._has_left:
             code, reason = self._ending(is_done)
-            await _closed(send, code, reason)
+            await _close(send, code, reason)
 
     def _ending(self, is_done: bool) -> tuple[int, str]:
         if is_done:
@@ -256,7 +256,7 @@ class WebSocketReceiver:
         return next((one for one in scope.get("subprotocols", ()) if one in known), None)
 
 
-async def _closed(send: Send, code: int, reason: str) -> None:
+async def _close(send: Send, code: int, reason: str) -> None:
     try:
         await asyncio.wait_for(send({"type": "websocket.close", "code": code, "reason": reason}), CLOSE_SECONDS)
     except (asyncio.TimeoutError, OSError):

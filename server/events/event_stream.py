@@ -102,12 +102,12 @@ class EventWriter:
     def __init__(self, send_chunk: SendChunk, quiet: float = KEEP_ALIVE_SECONDS) -> None:
         self.quiet = quiet
         self._send_chunk = send_chunk
-        self._spoke = time.monotonic()
+        self._last_write = time.monotonic()
 
     @property
     def silence(self) -> float:
         """Seconds since the last write."""
-        return time.monotonic() - self._spoke
+        return time.monotonic() - self._last_write
 
     async def open(self) -> None:
         """Write the opening frame."""
@@ -115,7 +115,7 @@ class EventWriter:
 
     async def send(self, chunk: bytes) -> None:
         """Write a frame."""
-        self._spoke = time.monotonic()
+        self._last_write = time.monotonic()
         await self._send_chunk(chunk)
 
     async def keep_alive(self) -> None:
@@ -151,11 +151,11 @@ def _always() -> bool:
     return True
 
 
-def _only_one() -> Hashable:
+def _constant_version() -> Hashable:
     return None
 
 
-def _whole(problem: Problem) -> Problem:
+def _unredacted(problem: Problem) -> Problem:
     return problem
 
 
@@ -167,9 +167,9 @@ class StreamFormat(Struct, frozen=True):
     name: Callable[[State], str]
     is_valid: Callable[[], bool] = _always
     """Whether the reader is still permitted to read."""
-    redact_problem: Callable[[Problem], Problem] = _whole
+    redact_problem: Callable[[Problem], Problem] = _unredacted
     """Function that removes from a problem what the reader may not see."""
-    version: Callable[[], Hashable] = _only_one
+    version: Callable[[], Hashable] = _constant_version
     """Version of the other content of an event: every page shows whether the robot is stopped, for example."""
 
     async def chunk(self, observation: Observation) -> bytes:
@@ -260,13 +260,13 @@ class EventStream(EndlessResponse):
                 if (seconds := self._bucket.wait(time.monotonic())) > 0.0 and not await self._may_end(broadcaster):
                     await asyncio.sleep(seconds)
                 version = broadcaster.version
-                moment = broadcaster.current() or await broadcaster.observe()
+                observation = broadcaster.current() or await broadcaster.observe()
                 if not self._stream_format.is_valid():  # once more: the rights may have ended while it waited or read
                     return
-                if moment is not latest or self._stream_format.version() != format_version:
-                    skipped = _skipped(latest.state, moment.state)
-                    latest, format_version = moment, self._stream_format.version()
-                    await self._event(writer, moment, skipped)
+                if observation is not latest or self._stream_format.version() != format_version:
+                    skipped = _skipped(latest.state, observation.state)
+                    latest, format_version = observation, self._stream_format.version()
+                    await self._event(writer, observation, skipped)
 
     async def _may_end(self, broadcaster: Broadcaster) -> bool:
         """Whether this state may end the stream, and so must be sent without delay."""
@@ -294,8 +294,8 @@ class EventStream(EndlessResponse):
         """Whether the reader already has this state, according to its request."""
         return isinstance(state, State) and query_params.is_state(self._known, self._stream_format.name(state))
 
-    async def _event(self, writer: EventWriter, moment: Observation, skipped: int = 0) -> None:
-        chunk = await self._stream_format.chunk(moment)
+    async def _event(self, writer: EventWriter, observation: Observation, skipped: int = 0) -> None:
+        chunk = await self._stream_format.chunk(observation)
         self._bucket.take(time.monotonic())
         if skipped:
             await writer.send(skipped_comment(skipped))

@@ -30,7 +30,7 @@ class PictureCache:
         self._drawing: dict[Hashable, asyncio.Task[bytes]] = {}
         self._files: OrderedDict[Hashable, bytes] = OrderedDict()
         self._bytes = 0
-        self.drawn_count = 0
+        self.drawings = 0
         """Number of pictures drawn since the start."""
 
     async def picture(self, topic: str, schema: MessageSchema, sample: Sample, form: PictureForm) -> bytes:
@@ -47,16 +47,16 @@ class PictureCache:
         task = self._drawing.get(key)
         if task is None:
             task = self._drawing[key] = asyncio.ensure_future(self._draw(key, schema, sample, draw))
-            task.add_done_callback(partial(self._drew, key))
+            task.add_done_callback(partial(self._on_drawn, key))
         return await asyncio.shield(task)
 
-    def _drew(self, key: Hashable, task: asyncio.Task[bytes]) -> None:
+    def _on_drawn(self, key: Hashable, task: asyncio.Task[bytes]) -> None:
         self._drawing.pop(key, None)
         if not task.cancelled():
             task.exception()  # retrieved, because the waiting requests may have been cancelled
 
     async def _draw(self, key: Hashable, schema: MessageSchema, sample: Sample, draw: DrawSample) -> bytes:
-        self.drawn_count += 1
+        self.drawings += 1
         data = await asyncio.get_running_loop().run_in_executor(self._thread, draw, schema, sample)
         self._keep(key, data)
         return data

@@ -46,16 +46,16 @@ _ESCAPED = re.compile(r"\\u([0-9a-fA-F]{4})")
 def holds_credentials(text: str) -> bool:
     """Whether a text appears to contain credentials, including percent-encoded ones and JSON or Turtle escapes."""
     begin = text[:SCANNED]
-    if _looks_so(begin) or (len(begin) < _LONGEST_BARE and _BARE.fullmatch(begin) is not None):
+    if _looks_secret(begin) or (len(begin) < _LONGEST_BARE and _BARE.fullmatch(begin) is not None):
         return True
     if "\\u" in begin:
         begin = _ESCAPED.sub(lambda found: chr(int(found[1], 16)), begin)
-        if _looks_so(begin):
+        if _looks_secret(begin):
             return True
-    return "%" in begin and _looks_so(unquote(begin.replace("+", " ")))
+    return "%" in begin and _looks_secret(unquote(begin.replace("+", " ")))
 
 
-def _looks_so(text: str) -> bool:
+def _looks_secret(text: str) -> bool:
     small = text.lower()
     for word in _WORDS:
         if word in small:

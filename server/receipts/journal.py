@@ -24,7 +24,7 @@ from rosld.server.runtime.tasks import Signal
 WRITE_SECONDS = 0.2
 """Seconds for which entries are gathered before they are written to disk: what a killed process may lose."""
 _RETRY_SECONDS = 5.0
-_LOOK_SECONDS = 60.0
+_EXPIRY_SECONDS = 60.0
 """Seconds between checks for expired entries."""
 _REFUSED_PART = 5
 """Divisor of the limit for receipts of refused writes, so that a flood of these does not displace others."""
@@ -94,9 +94,9 @@ class Journal:
         self._disk = None if folder is None else SqliteLog(folder)
         self._unwritten: dict[int, JournalEntry] = {}
         self._deleted: list[int] = []
-        self._turn: asyncio.TimerHandle | None = None
+        self._write_timer: asyncio.TimerHandle | None = None
         self._writing: asyncio.Task[None] | None = None
-        self._look: asyncio.TimerHandle | None = None
+        self._expiry_timer: asyncio.TimerHandle | None = None
         if self._disk is not None:
             for receipt in self._disk.load():
                 self._keep(JournalEntry(receipt.number, receipt.id, None, 0, receipt))
@@ -111,7 +111,7 @@ class Journal:
 
     def start(self) -> None:
         """Start to remove expired entries."""
-        self._look_again()
+        self._expire()
 
     def add(self, audit_entry: AuditEntry, id: str | None = None) -> str:
         """Add a write and return the id of its receipt. It is written to disk soon, by `close` at the latest."""
@@ -154,7 +154,7 @@ class Journal:
 
     async def close(self) -> None:
         """Write the remaining entries. Idempotent."""
-        for timer in (self._turn, self._look):
+        for timer in (self._write_timer, self._expiry_timer):
             if timer is not None:
                 timer.cancel()
         if self._disk is None:
@@ -183,8 +183,8 @@ class Journal:
             self._deleted.append(entry.number)
         self._dropped(entry)
 
-    def _look_again(self) -> None:
-        self._look = asyncio.get_running_loop().call_later(_LOOK_SECONDS, self._look_again)
+    def _expire(self) -> None:
+        self._expiry_timer = asyncio.get_running_loop().call_later(_EXPIRY_SECONDS, self._expire)
         horizon, before = time.time_ns() - self._age_ns, self.version
         for kind, entries in self._in_order.items():
             while entries and entries[0].ended_ns < horizon:
@@ -197,15 +197,15 @@ class Journal:
     # --- writing to disk
 
     def _write_soon(self, seconds: float) -> None:
-        if self._turn is None and self._writing is None:
-            self._turn = asyncio.get_running_loop().call_later(seconds, self._begin_to_write)
+        if self._write_timer is None and self._writing is None:
+            self._write_timer = asyncio.get_running_loop().call_later(seconds, self._start_writing)
 
-    def _begin_to_write(self) -> None:
-        self._turn = None
+    def _start_writing(self) -> None:
+        self._write_timer = None
         if self._disk is not None:
-            self._writing = asyncio.get_running_loop().create_task(self._write_and_go_on(self._disk))
+            self._writing = asyncio.get_running_loop().create_task(self._write_and_reschedule(self._disk))
 
-    async def _write_and_go_on(self, disk: SqliteLog) -> None:
+    async def _write_and_reschedule(self, disk: SqliteLog) -> None:
         pause = WRITE_SECONDS
         try:
             await self._write(disk)

@@ -49,7 +49,7 @@ class LargeDocuments:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._numbers = itertools.count()
         self._files: OrderedDict[Hashable, tuple[Path, int]] = OrderedDict()
-        self._making: dict[Hashable, asyncio.Future[tuple[Path, int]]] = {}
+        self._pending: dict[Hashable, asyncio.Future[tuple[Path, int]]] = {}
 
     async def file(self, name: Hashable, state: State, media_type: str) -> tuple[FileIO, int]:
         """Return the opened representation of a state in a media type, and its size; `name` is the cache key.
@@ -68,11 +68,11 @@ class LargeDocuments:
         if found is not None:
             self._files.move_to_end(name)
             return found
-        making = self._making.get(name)
-        if making is None:
-            making = self._making[name] = asyncio.ensure_future(self._make(name, state, media_type))
-            making.add_done_callback(lambda _: self._making.pop(name, None))
-        return await asyncio.shield(making)
+        pending = self._pending.get(name)
+        if pending is None:
+            pending = self._pending[name] = asyncio.ensure_future(self._make(name, state, media_type))
+            pending.add_done_callback(lambda _: self._pending.pop(name, None))
+        return await asyncio.shield(pending)
 
     async def _make(self, name: Hashable, state: State, media_type: str) -> tuple[Path, int]:
         if self._folder is None:
@@ -84,10 +84,10 @@ class LargeDocuments:
             path.unlink(missing_ok=True)
             raise
         self._files[name] = (path, size)
-        self._push_out()
+        self._evict()
         return path, size
 
-    def _push_out(self) -> None:
+    def _evict(self) -> None:
         """Remove the least recently used files beyond the limits; readers of open files are not affected."""
         files = self._files
         while len(files) > 1 and (len(files) > MAX_FILES or sum(size for _, size in files.values()) > MAX_BYTES):

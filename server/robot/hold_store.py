@@ -36,7 +36,7 @@ from rosld.server.runtime.tasks import Signal, loop_time
 _REMEMBERED = 1000
 _LAST_SECONDS = 1.0
 """Seconds to retry the publish of the final message."""
-_AGAIN_SECONDS = 0.1
+_RETRY_SECONDS = 0.1
 _LONGEST_PUBLISH = 0.5
 
 _log = logging.getLogger("rosld")
@@ -410,11 +410,11 @@ class _Running:
     async def _end(self, why: str, *, is_silent: bool) -> None:
         try:
             if not is_silent:
-                await self._say_last(why)
+                await self._publish_release(why)
         finally:
             self._holds.on_ended(self.hold, why)
 
-    async def _say_last(self, why: str) -> None:
+    async def _publish_release(self, why: str) -> None:
         then, topic = self.hold.release_message, self.hold.topic
         if then is None:
             return
@@ -427,9 +427,9 @@ class _Running:
                 await self._adapter.publish_always(topic, then.schema.ref, data, deadline=deadline)
                 return
             except (RosError, ValueError) as error:
-                if self._loop.time() + _AGAIN_SECONDS >= deadline:
+                if self._loop.time() + _RETRY_SECONDS >= deadline:
                     _log.error(
                         "the hold on %s ended (%s), but its final message was not published: %s", topic, why, error
                     )
                     raise
-            await asyncio.sleep(_AGAIN_SECONDS)
+            await asyncio.sleep(_RETRY_SECONDS)

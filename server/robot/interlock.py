@@ -82,14 +82,14 @@ class WriteInterlock:
         """Holders by topic."""
         self.writes = 0
         """Number of writes that have ended, successful or not."""
-        self._under_way: set[_UnderWay] = set()
+        self._running: set[_RunningWrite] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def engage(self, stop_state: StopState) -> None:
         """Refuse all writes from now on, and interrupt those under way."""
         self.stop_state = stop_state
-        for each in self._under_way:
-            each.cut()
+        for each in self._running:
+            each.interrupt()
 
     def release(self) -> None:
         """Accept writes again."""
@@ -113,18 +113,18 @@ class WriteInterlock:
         loop = self._loop = self._loop or asyncio.get_running_loop()  # makes a system call before Python 3.12
         task = asyncio.current_task(loop)
         assert task is not None
-        under_way = _UnderWay(task)
-        self._under_way.add(under_way)
+        running = _RunningWrite(task)
+        self._running.add(running)
         try:
             return await write()
         except asyncio.CancelledError:
-            if under_way.is_cut and self.stop_state is not None:
-                under_way.go_on()
+            if running.is_interrupted and self.stop_state is not None:
+                running.resume()
                 raise Stopped(self.stop_state, sent=Sent.MAYBE) from None
             raise
         finally:
             self.writes += 1
-            self._under_way.discard(under_way)
+            self._running.discard(running)
 
     async def run_always(self, write: Callable[[], Awaitable[_T]]) -> _T:
         """Run a write that must reach the robot even while it is stopped."""
@@ -135,20 +135,20 @@ class WriteInterlock:
             self.writes += 1
 
 
-class _UnderWay:
+class _RunningWrite:
     """A running write and its task."""
 
     def __init__(self, task: asyncio.Task[object]) -> None:
         self._task = task
-        self.is_cut = False
+        self.is_interrupted = False
 
-    def cut(self) -> None:
+    def interrupt(self) -> None:
         """Interrupt the operation where it waits."""
-        if not self.is_cut:
-            self.is_cut = True
+        if not self.is_interrupted:
+            self.is_interrupted = True
             self._task.cancel()
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         """Let the task continue, because only its write was cancelled."""
         uncancel = getattr(self._task, "uncancel", None)  # Python 3.11 and later count
         if uncancel is not None:

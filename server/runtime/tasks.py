@@ -91,7 +91,7 @@ def combine_watches(*watches: Watch) -> Watch:
     return _Together(watches)
 
 
-_AGAIN_SECONDS = 0.5
+_CANCEL_SECONDS = 0.5
 """Interval of repeated cancellations."""
 
 _log = logging.getLogger("rosld")
@@ -142,7 +142,7 @@ async def end_tasks(tasks: Iterable[asyncio.Future[Any]]) -> None:
     while pending:
         for each in pending:
             each.cancel()
-        _, pending = await asyncio.wait(pending, timeout=_AGAIN_SECONDS)
+        _, pending = await asyncio.wait(pending, timeout=_CANCEL_SECONDS)
 
 
 class KeyedLock:

@@ -76,9 +76,9 @@ class Connection(HttpToolsProtocol):
     _is_handshake = False
     _is_coded = False
     """Whether the head has a transfer coding."""
-    _impatience: asyncio.TimerHandle | None = None
-    _unread: asyncio.TimerHandle | None = None
-    _let_go: Callable[[], None] = staticmethod(_nothing)
+    _head_timer: asyncio.TimerHandle | None = None
+    _read_timer: asyncio.TimerHandle | None = None
+    _release: Callable[[], None] = staticmethod(_nothing)
     _is_over = False
     _refusal: Problem | None = None
     """Problem of a connection on which only urgent requests are answered."""
@@ -90,9 +90,9 @@ class Connection(HttpToolsProtocol):
         super().connection_made(transport)
         config = self.config if isinstance(self.config, BoundedConfig) else BoundedConfig
         self._bounds, self._connections = config.bounds, config.connections
-        self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
+        self._head_timer = self.loop.call_later(self._bounds.head_seconds, self._on_head_timeout)
         try:
-            self._let_go = self._bounds.connect(self.client[0] if self.client else None)
+            self._release = self._bounds.connect(self.client[0] if self.client else None)
         except Problem as problem:
             self._refusal = problem
         if not self._connections.open(self, is_extra=self._refusal is not None):
@@ -100,10 +100,10 @@ class Connection(HttpToolsProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Release the connection after the client has disconnected."""
-        self._be_patient()
+        self._cancel_head_timer()
         self.resume_writing()
         self._connections.close(self)
-        self._leave()
+        self._leave_bounds()
         super().connection_lost(exc)
 
     def end_idle(self) -> None:
@@ -170,8 +170,8 @@ class Connection(HttpToolsProtocol):
             return
         if self._head_size > self._bounds.head_bytes:
             self._end(self._too_large)
-        elif self._head_size and self._impatience is None:
-            self._impatience = self.loop.call_later(self._bounds.head_seconds, self._too_slow)
+        elif self._head_size and self._head_timer is None:
+            self._head_timer = self.loop.call_later(self._bounds.head_seconds, self._on_head_timeout)
 
     @property
     def _too_large(self) -> Problem:
@@ -188,7 +188,7 @@ class Connection(HttpToolsProtocol):
             self._connections.end_request(self)
         super().on_response_complete()
         if is_last and self._ending is not None and not self.transport.is_closing():
-            self._say(self._ending)
+            self._send_problem(self._ending)
 
     def on_header(self, name: bytes, value: bytes) -> None:
         """Take a field of the head; fields of a trailer section are discarded (RFC 9110 6.5.1)."""
@@ -215,7 +215,7 @@ class Connection(HttpToolsProtocol):
         if not self._connections.start_request(self) and not self._is_urgent(self._head()):
             raise self._refusal or _FULL
         self._head_is_open, self._head_size, self._framing, self._is_coded = False, 0, limit, False
-        self._be_patient()
+        self._cancel_head_timer()
         self.scope["rosld.transport"] = self.transport  # type: ignore[typeddict-unknown-key]
         super().on_headers_complete()
 
@@ -250,26 +250,26 @@ class Connection(HttpToolsProtocol):
         """Refuse bytes that are not HTTP."""
         self._end(_UNREADABLE)
 
-    def _too_slow(self) -> None:
-        self._impatience = None
+    def _on_head_timeout(self) -> None:
+        self._head_timer = None
         self._end(Problem(408, f"No complete request arrived within {self._bounds.head_seconds:g} s."))
 
     def pause_writing(self) -> None:
         """Start the timer for a client that reads more slowly than data is sent."""
         super().pause_writing()
-        if self._unread is None:
-            self._unread = self.loop.call_later(self._bounds.read_seconds, self._give_up)
+        if self._read_timer is None:
+            self._read_timer = self.loop.call_later(self._bounds.read_seconds, self._on_read_timeout)
 
     def resume_writing(self) -> None:
         """Stop the timer after the client has read most of the data."""
         super().resume_writing()
-        if self._unread is not None:
-            self._unread.cancel()
-            self._unread = None
+        if self._read_timer is not None:
+            self._read_timer.cancel()
+            self._read_timer = None
 
-    def _give_up(self) -> None:
+    def _on_read_timeout(self) -> None:
         """Abort the connection of a client that does not read."""
-        self._unread = None
+        self._read_timer = None
         self.transport.abort()
 
     def handle_websocket_upgrade(self) -> None:
@@ -279,21 +279,21 @@ class Connection(HttpToolsProtocol):
         except Problem as problem:
             self._end(problem)
             return
-        let_go, self._let_go = self._let_go, _nothing
+        release, self._release = self._release, _nothing
         super().handle_websocket_upgrade()
         websocket = self.transport.get_protocol()
         assert isinstance(websocket, WebSocketConnection)
         self._connections.upgrade(self, websocket)
-        websocket.count(self._connections, (close, let_go))
+        websocket.count(self._connections, (close, release))
 
-    def _leave(self) -> None:
-        let_go, self._let_go = self._let_go, _nothing
-        let_go()
+    def _leave_bounds(self) -> None:
+        release, self._release = self._release, _nothing
+        release()
 
-    def _be_patient(self) -> None:
-        if self._impatience is not None:
-            self._impatience.cancel()
-            self._impatience = None
+    def _cancel_head_timer(self) -> None:
+        if self._head_timer is not None:
+            self._head_timer.cancel()
+            self._head_timer = None
 
     def _end(self, ending: Problem) -> None:
         """Send a problem after the responses to earlier requests, and close once the client has received it.
@@ -303,9 +303,9 @@ class Connection(HttpToolsProtocol):
         if self._is_over or self.transport.is_closing():
             return
         self._is_over = True
-        self._be_patient()
+        self._cancel_head_timer()
         if self._is_answered:
-            self._say(ending)
+            self._send_problem(ending)
         elif self._head_is_open:
             self._ending = ending
         else:
@@ -323,14 +323,14 @@ class Connection(HttpToolsProtocol):
             self._ending = ending
         else:
             self.flow.resume_reading()  # unread data would reset the connection on closing, and lose the response
-            self._say(ending)
+            self._send_problem(ending)
 
-    def _say(self, ending: Problem) -> None:
+    def _send_problem(self, ending: Problem) -> None:
         self._unset_keepalive_if_required()
         self._connections.end_request(self)
         self.transport.write(_response(ending))
         self.transport.write_eof()
-        self._impatience = self.loop.call_later(LINGER_SECONDS, self.transport.close)
+        self._head_timer = self.loop.call_later(LINGER_SECONDS, self.transport.close)
 
 
 _FULL = Problem(

@@ -178,7 +178,7 @@ class Materializer:
         pins = [one.url for one in documents if _is_recorded_message(one.url)]
         self._pinned.update(pins)
         try:
-            yield await self._bring(documents, self.stored.wanted(needs), scope, deadline)
+            yield await self._update(documents, self.stored.wanted(needs), scope, deadline)
         finally:
             if pins:
                 self._pinned.subtract(pins)
@@ -191,7 +191,7 @@ class Materializer:
         stored = wanted[0] if self.stored.is_current(graphs, wanted) else self._state.versions[0]
         return DatasetVersions({iri: self._state.held[iri].token for iri in live}, stored)
 
-    async def _bring(
+    async def _update(
         self, documents: Sequence[LiveDocument], wanted: Sequence[int], scope: frozenset[str] | None, deadline: float
     ) -> Mapping[str, str]:
         writes, number = self._source.writes, next(self._numbers)

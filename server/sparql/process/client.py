@@ -45,7 +45,7 @@ class QueryProcess:
         self.generation = 0
         self._pool = WorkerPool(concurrency, queue)
         self._child: ChildProcess | None = None
-        self._up = asyncio.Event()
+        self._ready = asyncio.Event()
         self._restart: asyncio.Task[None] | None = None
         self._closed = False
         self._on_start: list[Callable[[], None]] = []
@@ -73,19 +73,19 @@ class QueryProcess:
             popen.kill()
             connection.close()
             return
-        self._child = ChildProcess(spawned, self._loop, self._take, self._lost)
+        self._child = ChildProcess(spawned, self._loop, self._take, self._on_lost)
         self._pool.start(self._child, self._loop)
         self.generation += 1
         for listener in self._on_start:
             listener()
-        self._up.set()
+        self._ready.set()
 
     async def close(self) -> None:
         """End the process and its workers. Idempotent."""
         self._closed = True
         if self._restart is not None:
             self._restart.cancel()
-        self._up.clear()
+        self._ready.clear()
         child, self._child = self._child, None
         if child is not None:
             child.close()
@@ -102,10 +102,10 @@ class QueryProcess:
 
     async def wait_ready(self, until: float) -> None:
         """Wait up to two seconds for the process to start. Raises Problem 503 after that."""
-        if self._up.is_set():
+        if self._ready.is_set():
             return
         try:
-            await asyncio.wait_for(self._up.wait(), max(0.0, min(_PATIENCE, until - time.monotonic())))
+            await asyncio.wait_for(self._ready.wait(), max(0.0, min(_PATIENCE, until - time.monotonic())))
         except asyncio.TimeoutError as error:
             raise process_restarting(1) from error
 
@@ -193,8 +193,8 @@ class QueryProcess:
             case Ended():
                 self._pool.take_ended(message)
 
-    def _lost(self) -> None:
-        self._up.clear()
+    def _on_lost(self) -> None:
+        self._ready.clear()
         self._pool.stop()
         if not self._closed:
             self._restart = self._loop.create_task(self._start_again())

@@ -61,7 +61,7 @@ def live(connection: int, stores: Mapping[int, MemoryStore], parent: int) -> NoR
     codes: list[int] = []
     try:
         gc.freeze()
-        _be_alone(connection, parent)
+        _isolate(connection, parent)
         # The store's random numbers have a state per thread: it is seeded in a new thread, but not in a fork.
         worker = _Worker(socket.socket(fileno=connection), stores)
         thread = threading.Thread(target=lambda: codes.append(worker.run()))
@@ -73,7 +73,7 @@ def live(connection: int, stores: Mapping[int, MemoryStore], parent: int) -> NoR
         os._exit(codes[0] if codes else 1)
 
 
-def _be_alone(connection: int, parent: int) -> None:
+def _isolate(connection: int, parent: int) -> None:
     """Close all other descriptors, and arrange to be killed with the parent."""
     signal.set_wakeup_fd(-1)
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGCHLD, signal.SIGALRM):

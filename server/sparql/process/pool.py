@@ -165,7 +165,7 @@ class Evaluation:
         if isinstance(ended, bytes):
             self.fail(pickle.loads(ended))  # from our own process
         else:
-            self.fail(_why_ended(ended, self._limits))
+            self.fail(_exit_problem(ended, self._limits))
 
     def _notify(self) -> None:
         wake, self._wake = self._wake, None
@@ -177,23 +177,23 @@ class Evaluation:
         return max(0.0, self._until - time.monotonic())
 
     def _look_after(self, seconds: float, disconnected: Disconnected | None) -> None:
-        self._timer = asyncio.get_running_loop().call_later(seconds, self._look, disconnected)
+        self._timer = asyncio.get_running_loop().call_later(seconds, self._check_deadline, disconnected)
 
     def _end_timer(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
 
-    def _look(self, disconnected: Disconnected | None) -> None:
+    def _check_deadline(self, disconnected: Disconnected | None) -> None:
         """Start watching the client; end the job at its deadline."""
         if not self._seconds_left:
-            self._give_up(self._why_late())
+            self._give_up(self._timeout_problem())
             return
         self._look_after(self._seconds_left, disconnected)
         if disconnected is not None and self._watch is None:
             self._watch = asyncio.ensure_future(disconnected())
             self._watch.add_done_callback(self._on_disconnect)
 
-    def _why_late(self) -> Problem:
+    def _timeout_problem(self) -> Problem:
         if self.worker is not None and self.worker.is_ready:
             return out_of_time(self._limits.seconds)
         return too_many_queries() if self.worker is None or self.is_tried else dataset_behind()
@@ -209,7 +209,7 @@ class Evaluation:
             self.fail(problem)
 
 
-def _why_ended(ended: ExitStatus, limits: Limits) -> Problem:
+def _exit_problem(ended: ExitStatus, limits: Limits) -> Problem:
     """Return the problem of a job whose worker ended unexpectedly."""
     status, words = ended
     if "memory allocation of" in words or (os.WIFEXITED(status) and os.WEXITSTATUS(status) == OUT_OF_MEMORY):

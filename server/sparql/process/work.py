@@ -96,7 +96,7 @@ class AnswerWork(NamedTuple):
     unread: tuple[str, ...] = ()
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
-        with _reaching_others():
+        with _service_errors():
             found = self.query.results(store)
             limited = row_limit.limit_rows(output, self.media_type, isinstance(found, QueryTriples), self.limit)
             statements = inf if limited is not output else self.limit
@@ -117,14 +117,14 @@ class TableWork(NamedTuple):
     least: int = 0
 
     def __call__(self, store: MemoryStore, output: BinaryIO) -> None:
-        with _reaching_others():
+        with _service_errors():
             table = results.result_rows(self.query.results(store), self.limit)
             if len(table.rows) >= min(self.least, self.limit):
                 output.write(pickle.dumps(table))
 
 
 @contextmanager
-def _reaching_others() -> Iterator[None]:
+def _service_errors() -> Iterator[None]:
     """Raise a 502 Problem if another endpoint fails; any other OSError but a broken pipe is one of SERVICE."""
     try:
         yield
@@ -143,13 +143,13 @@ class WhereWork(NamedTuple):
 
     def solutions(self, store: MemoryStore) -> Iterator[Row]:
         """Yield the bindings for the templates. Raises QueryError."""
-        found = self._chosen(store).results(store)
+        found = self._query_in_graph(store).results(store)
         if isinstance(found, QueryBoolean):
             return iter([()] if found else [])
         assert isinstance(found, QuerySolutions)
         return (tuple(None if term is None else decode_term(term) for term in row) for row in found)
 
-    def _chosen(self, store: MemoryStore) -> QueryWork:
+    def _query_in_graph(self, store: MemoryStore) -> QueryWork:
         home = self.where.with_graph
         if home is None or self.home is None or store.count(home.graph, 1):
             return self.query

@@ -170,10 +170,10 @@ def check_text(
     if _SERVICE.search(text):
         _check_services(found, text, reach)
     _check_shape(found, text, bounds, what)
-    return _rename(CheckedText(_blank(text, comments), found, text, what), _SERVICE)
+    return _rename(CheckedText(_blank_comments(text, comments), found, text, what), _SERVICE)
 
 
-def _blank(text: str, comments: Sequence[Token]) -> str:
+def _blank_comments(text: str, comments: Sequence[Token]) -> str:
     """Return the text with comments replaced by spaces."""
     pieces: list[str] = []
     at = 0
@@ -199,7 +199,7 @@ def unescape_names(text: str) -> str:
     return "".join(pieces)
 
 
-def _blot(name: str, keywords: re.Pattern[str], letter: str) -> Iterator[str]:
+def _mask_keywords(name: str, keywords: re.Pattern[str], letter: str) -> Iterator[str]:
     """Yield the pieces of a name with every letter of the keywords in it replaced by `letter`."""
     at = 0
     for match in keywords.finditer(name):
@@ -216,7 +216,7 @@ def _rename(checked: CheckedText, keywords: re.Pattern[str]) -> CheckedText:
     names: dict[str, str] = {}
     for name in sorted(used):
         if keywords.search(name):
-            others = ("".join(_blot(name, keywords, letter)) for letter in ascii_letters)
+            others = ("".join(_mask_keywords(name, keywords, letter)) for letter in ascii_letters)
             names[name] = next(other for other in others if other not in used and not keywords.search(other))
             used.add(names[name])
     if not names:
@@ -342,20 +342,20 @@ def check_update_of_one_graph(text: str, bounds: QueryBounds = DEFAULT_BOUNDS) -
     Raises Problems as `check_text` does, and 422 for GRAPH, WITH, USING, LOAD, FROM and operations on whole graphs. The
     check works on letters, wherever a keyword could be split off.
     """
-    checked = _rename(check_text(text, bounds, what="update"), _KEYWORDS_BEYOND)
+    checked = _rename(check_text(text, bounds, what="update"), _FOREIGN_KEYWORDS)
     for token in checked.tokens:
-        if token.kind is Kind.WORD and (keyword := _beyond(token.text.upper())):
+        if token.kind is Kind.WORD and (keyword := _foreign_keyword(token.text.upper())):
             where = line_and_column(text, token.start)
             raise Problem(422, f"{keyword} at {where}: an update here can change only this resource.")
     return checked
 
 
-def _beyond(word: str) -> str | None:
-    return next((each for each in _BEYOND if word == each or (len(each) > 3 and each in word)), None)
+def _foreign_keyword(word: str) -> str | None:
+    return next((each for each in _FOREIGN if word == each or (len(each) > 3 and each in word)), None)
 
 
-_BEYOND = ("GRAPH", "WITH", "USING", "LOAD", "CLEAR", "DROP", "CREATE", "ADD", "MOVE", "COPY", "FROM")
-_KEYWORDS_BEYOND = re.compile("|".join(_BEYOND), re.IGNORECASE)
+_FOREIGN = ("GRAPH", "WITH", "USING", "LOAD", "CLEAR", "DROP", "CREATE", "ADD", "MOVE", "COPY", "FROM")
+_FOREIGN_KEYWORDS = re.compile("|".join(_FOREIGN), re.IGNORECASE)
 
 
 def update_keyword(found: tuple[Token, ...]) -> str | None:

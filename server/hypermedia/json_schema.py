@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from typing import TypeAlias, cast
+from typing import TypeAlias, TypeVar, cast
 
 from pyoxigraph import Literal
 
@@ -286,6 +286,7 @@ def _ecma(pattern: str) -> str | None:
     return pattern if _OF_ECMA.fullmatch(pattern) else None
 
 
+_Kind = TypeVar("_Kind", MessageSchema, ServiceSchema, ActionSchema)
 _NOT_IN_A_KEY = re.compile(r"[^A-Za-z0-9._-]")
 
 
@@ -302,20 +303,10 @@ class MessageSchemas:
         self._find = find
         self._keys: dict[TypeRef, str] = {}
 
-    def message(self, ref: TypeRef | None) -> MessageSchema | None:
-        """Return a message type."""
+    def find(self, ref: TypeRef | None, kind: type[_Kind]) -> _Kind | None:
+        """Return a type of a kind (of messages, services or actions)."""
         found = None if ref is None else self._find(ref)
-        return found if isinstance(found, MessageSchema) else None
-
-    def service(self, ref: TypeRef | None) -> ServiceSchema | None:
-        """Return a service type."""
-        found = None if ref is None else self._find(ref)
-        return found if isinstance(found, ServiceSchema) else None
-
-    def action(self, ref: TypeRef | None) -> ActionSchema | None:
-        """Return an action type."""
-        found = None if ref is None else self._find(ref)
-        return found if isinstance(found, ActionSchema) else None
+        return found if isinstance(found, kind) else None
 
     def read(self, schema: MessageSchema | None) -> JsonSchema:
         """Return a reference to the schema of a message when read."""

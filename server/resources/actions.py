@@ -73,7 +73,7 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         type = self.require().type
-        schema = schemas.action(type)
+        schema = schemas.find(type, ActionSchema)
         send = WriteMethod(
             "Sends a goal; the goal is a resource, and `Idempotency-Key` makes it once only.",
             schemas.write(schema.goal if schema else None),

@@ -165,7 +165,7 @@ class ServiceResource(InvocableResource[Service, ServiceSchema]):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         type = self.require().type
-        schema = schemas.service(type)
+        schema = schemas.find(type, ServiceSchema)
         call = WriteMethod(
             "Calls the service; the call is a resource, and `Idempotency-Key` makes it once only.",
             schemas.write(schema.request if schema else None),

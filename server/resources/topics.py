@@ -119,7 +119,7 @@ class TopicResource(PublishingResource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         topic = self.found
-        schema = None if topic is None else schemas.message(topic.type)
+        schema = None if topic is None else schemas.find(topic.type, MessageSchema)
         methods = self.methods()
         return PathItem(
             "A topic that may be made" if topic is None else f"The topic {self.name}",

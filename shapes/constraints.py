@@ -9,11 +9,9 @@ refer to themselves, and their patterns cannot take for ever.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import reduce
 from itertools import islice
 
 from msgspec import Struct
-from msgspec.structs import replace
 from pyoxigraph import BlankNode, NamedNode, Triple
 
 from rosld.ontology.violations import Violation
@@ -29,10 +27,9 @@ MAX_VIOLATIONS = 20
 class NodeShape(Struct, frozen=True, eq=False):
     """One shape of a shapes graph. `violations` validates a focus node and the triples around it.
 
-    `paths` are the predicates of its simple property shapes (None if a path is not a predicate); `bounds` are its
-    constraints on the single value of each, as far as bounds can express them, `within` the same by paths of predicates
-    (`(twist:linear, vector3:x)`). `is_bounds`: `within` has all of its constraints. `sources` are the shapes that it
-    consists of.
+    `paths` are the predicates of its simple property shapes (None if a path is not a predicate); `within` are its
+    constraints on the single value of each path of predicates (`(twist:linear, vector3:x)`), as far as bounds can
+    express them. `is_bounds`: `within` has all of its constraints. `sources` are the shapes that it consists of.
     """
 
     iri: str
@@ -40,11 +37,6 @@ class NodeShape(Struct, frozen=True, eq=False):
     within: Mapping[tuple[NamedNode, ...], Bounds]
     is_bounds: bool
     sources: tuple[Shape, ...]
-
-    @property
-    def bounds(self) -> Mapping[NamedNode, Bounds]:
-        """The bounds on the single value of each predicate."""
-        return {path[0]: bounds for path, bounds in self.within.items() if len(path) == 1}
 
     def violations(self, focus: NamedNode | BlankNode, triples: Iterable[Triple]) -> tuple[Violation, ...]:
         """Return the violations of a node, as pyshacl would."""
@@ -58,16 +50,6 @@ class NodeShape(Struct, frozen=True, eq=False):
         for shape in self.sources:
             yield from shape.find_violations(focus, view)
 
-    def __and__(self, other: NodeShape) -> NodeShape:
-        """Return the conjunction of both shapes."""
-        return replace(
-            self,
-            paths=None if self.paths is None or other.paths is None else self.paths | other.paths,
-            within=merge_bounds(self.within, other.within),
-            is_bounds=self.is_bounds and other.is_bounds and is_exact(self.within, other.within),
-            sources=self.sources + other.sources,
-        )
-
 
 def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
     """Return the shape `iri` of a shapes graph, compiled.
@@ -75,10 +57,16 @@ def compile_shape(graph: ShapesGraph, iri: NamedNode | BlankNode) -> NodeShape:
     Raises ValueError, naming the shape and the fault, if it does not exist, is malformed, recursive, or nested too
     deeply, or if it needs more than SHACL Core.
     """
-    shape = graph.shape(iri)
-    return NodeShape(iri.value, shape.paths, shape.within, shape.is_bounds, (shape,))
+    return _node_shape(iri.value, (graph.shape(iri),))
 
 
 def conjunction(shapes: Sequence[NodeShape]) -> NodeShape:
     """Return the conjunction of shapes."""
-    return reduce(lambda one, other: one & other, shapes)
+    return _node_shape(shapes[0].iri, tuple(source for shape in shapes for source in shape.sources))
+
+
+def _node_shape(iri: str, sources: tuple[Shape, ...]) -> NodeShape:
+    paths, within = [each.paths for each in sources], [each.within for each in sources]
+    known = frozenset(path for each in paths for path in each or ())
+    is_bounds = all(each.is_bounds for each in sources) and is_exact(*within)
+    return NodeShape(iri, None if None in paths else known, merge_bounds(*within), is_bounds, sources)

@@ -376,12 +376,12 @@ def test_bounds_are_those_that_must_hold_together() -> None:
           [ sh:path ex:q ; sh:hasValue "on" ; sh:property [ sh:path ex:p ; sh:minLength 1 ] ] .""")
     number = {text: Literal(text, datatype=xsd.integer) for text in "01235"}
     p, q = (NamedNode(f"http://h/v#{name}") for name in "pq")
-    assert shape.bounds.keys() == {p, q}
-    found = shape.bounds[p]
+    assert {way[0] for way in shape.within if len(way) == 1} == {p, q}
+    found = shape.within[p,]
     assert (found.maximum, found.exclusive_minimum, found.minimum) == (number["5"], number["0"], None)
     assert found.choices == (number["1"], number["2"], number["3"])
     assert (found.pattern, found.max_length) == ("^1", 3)
-    assert shape.bounds[q].choices == (Literal("on"),)
+    assert shape.within[q,].choices == (Literal("on"),)
     assert shape.within[(q, p)].min_length == 1
 
 

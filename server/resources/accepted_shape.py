@@ -58,7 +58,7 @@ class AcceptedShape(Resource):
             await self._of.state()  # raises what the resource answers
         document = await self._describe(self.url)
         if document is None:
-            raise Problem(404, f"No shape says what may be written to {self._of.url}.")
+            raise Problem(404, f"No shape describes what can be written to {self._of.url}.")
         return State(lambda: document)
 
 

@@ -43,7 +43,7 @@ class AclResource(Resource):
         self._authenticator = authenticator
 
     def deny_reason(self, method: str) -> str:
-        return "The rules are written in the file of --auth; it is read again whenever it changes."
+        return "The rules are in the file of --auth, which is reloaded when it changes."
 
     async def state(self) -> State:
         policy = self._authenticator.config.policy

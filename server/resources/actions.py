@@ -75,7 +75,7 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
         type = self.require().type
         schema = schemas.find(type, ActionSchema)
         send = WriteMethod(
-            "Sends a goal; the goal is a resource, and `Idempotency-Key` makes it once only.",
+            "Sends a goal; the goal is a resource, created only once per `Idempotency-Key`.",
             schemas.write(schema.goal if schema else None),
             is_body_required=False,
             done=(201,),
@@ -131,8 +131,8 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
         pursued = [goal for goal in self.session.goals.of_action(self.name) if goal.is_cancelable]
         asked = [goal for goal in pursued if goal.is_own or others]
         if not asked:
-            hint = " Others have sent some: ?others=true cancels these." if pursued else ""
-            raise Problem(409, f"{self.name} pursues no goal that was sent from here.{hint}")
+            hint = " Others have sent goals: cancel them with ?others=true." if pursued else ""
+            raise Problem(409, f"{self.name} has no active goal that was sent from here.{hint}")
         answer = Response(status_code=202)
         for goal in asked:
             with contextlib.suppress(DryRunEnded):
@@ -150,7 +150,7 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
                 key, self.name, schema, message, await exchange.body(), deadline=deadline, sender=sender
             )
         except IdempotencyKeyReused as error:
-            raise Problem(422, f"The Idempotency-Key {key!r} came before with another goal.") from error
+            raise Problem(422, f"The Idempotency-Key {key!r} was already used with another goal.") from error
 
 
 class GoalResource(KeptResource[Goal]):
@@ -167,7 +167,7 @@ class GoalResource(KeptResource[Goal]):
         return self.session.goals.find(self.id)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        cancel = WriteMethod("Cancels a goal that is pursued (202), forgets one that has ended (204).", done=(202, 204))
+        cancel = WriteMethod("Cancels an active goal (202), forgets an ended one (204).", done=(202, 204))
         return PathItem(
             "A goal of an action",
             plain=_goal_schema(schemas, None),
@@ -187,9 +187,9 @@ class GoalResource(KeptResource[Goal]):
             return READ_ONLY
         goal = self.require()
         if method != "DELETE":
-            return f"A goal is canceled with DELETE; it does not answer {method}."
+            return f"A goal is canceled with DELETE; it does not support {method}."
         if goal.status is GoalStatus.CANCELING:
-            return f"The goal {self.id} is being canceled: it can be forgotten once it has ended."
+            return f"The goal {self.id} is being canceled; it can be forgotten once it has ended."
         return resources_only_reason(goal.action)
 
     def _is_open(self, goal: Goal) -> bool:

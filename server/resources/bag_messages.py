@@ -52,7 +52,7 @@ from rosld.server.rest.state import State
 PAGE = 100
 """Messages on one page of `/bags/B/messages/`."""
 
-_PAGE = QueryParameter("page", "A page of messages, from 0.", {"type": "integer", "minimum": 0})
+_PAGE = QueryParameter("page", "The page of messages, counted from 0.", {"type": "integer", "minimum": 0})
 
 
 class BagMessages(BagBase):

@@ -77,12 +77,14 @@ class BagFile(BagBase):
         return PathItem(about, reads=reads, query=(_FORMAT,), streams=False)
 
     async def state(self) -> State:
-        raise Problem(406, "The file of a recording has no other representation than its bytes.")
+        raise Problem(406, "The file of a recording is available only as its bytes.")
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         path, found = self.recording.path, await asyncio.to_thread(_file_status, self.recording.path)
         if found is None:
-            raise Problem(404, f"{self.recording.name} is not one file: POST to /bags/ makes one of what it holds.")
+            raise Problem(
+                404, f"{self.recording.name} is not a single file: POST to /bags/ to create one from its content."
+            )
         wanted = self._wanted(exchange)
         etag = ETag(digest(f"{found.st_size} {found.st_mtime_ns}".encode()), "bin" if wanted is None else wanted.name)
         headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
@@ -120,7 +122,9 @@ class BagFile(BagBase):
             return next((one for one in EXPORT_FORMATS.values() if one.media_type == media_type), None)
         if name not in EXPORT_FORMATS:
             others = " and ".join(f"?format={each}" for each in EXPORT_FORMATS)
-            raise Problem(406, f"?format={name[:40]} is unknown: there are {others}, and without it the file as it is.")
+            raise Problem(
+                406, f"?format={name[:40]} is unknown: there are {others}, and omit it for the original file."
+            )
         return EXPORT_FORMATS[name]
 
     async def _export(self, exchange: Exchange, wanted: ExportFormat, headers: Mapping[str, str]) -> Response:
@@ -157,7 +161,7 @@ class BagFile(BagBase):
 class BagUpload(BagBase):
     """`/bags/NAME` without a slash at its end: where a recording is sent to; what there is of it has the slash."""
 
-    kind = "Recording to be sent"
+    kind = "Recording to upload"
     takes_forms = False
 
     def __init__(self, bags: Bags, name: str) -> None:
@@ -176,7 +180,7 @@ class BagUpload(BagBase):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         put = WriteMethod(
-            "Sends a recording: a ROS 1 bag, an MCAP file or a ROS 2 database, or one compressed by zstd.",
+            "Uploads a recording: a ROS 1 bag, an MCAP file or a ROS 2 database, optionally compressed with zstd.",
             done=(201,),
             accepts=(ANY_TYPE,),
         )
@@ -312,7 +316,7 @@ class BagContainer(BagBase):
             may_record = partial(may_read_topic, self.space, exchange.permissions)
             return RunningBag(self.bags, self.recordings.begin(order, may_record))
         if self._triggers is None:
-            raise RecordingRefused("nothing waits for triggers here")
+            raise RecordingRefused("triggers are not available here")
         await self._triggers.follow(order, exchange.permissions)
         armed = await self.recordings.arm(order, exchange.agent, self._triggers.occurrences)
         return ArmedBag(self.bags, armed)
@@ -375,9 +379,9 @@ def _message_index(recording: Recording, segment: str) -> int:
 def _recording(recordings: Recordings, name: str) -> Recording:
     found = recordings.readable.get(name)
     if found is None and name in recordings.armed:
-        raise Problem(404, f"The recording {name} waits for its trigger: it has no messages yet.")
+        raise Problem(404, f"The recording {name} is waiting for its trigger: it has no messages yet.")
     if found is None and name in recordings.running:
-        raise Problem(404, f'The recording {name} is still being made: PATCH it with {{"status": "ended"}} first.')
+        raise Problem(404, f'The recording {name} is still running: PATCH it with {{"status": "ended"}} first.')
     if found is None:
-        raise Problem(404, f"There is no recording {name}: /bags/ lists those that there are.")
+        raise Problem(404, f"There is no recording {name}: /bags/ lists the recordings.")
     return found

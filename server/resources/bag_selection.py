@@ -82,11 +82,13 @@ def record_triples(session: Session, recording: Recording, records: Iterable[Dec
 LIMIT, MAX_LIMIT = 100, 1000
 _MAX_TOPIC = 1000
 PARAMETERS = (
-    QueryParameter("topic", "Messages of this topic, or of those that a glob such as `/camera/*` fits."),
+    QueryParameter("topic", "Messages of this topic, or of the topics that match a glob such as `/camera/*`."),
     QueryParameter("from", "Recorded since: an xsd:dateTime, or seconds before now as `-60`."),
-    QueryParameter("to", "Recorded until, alike."),
+    QueryParameter("to", "Recorded until, in the same format."),
     QueryParameter("start", "The number of the first message of the page.", {"type": "integer", "minimum": 0}),
-    QueryParameter("limit", "The most messages on a page.", {"type": "integer", "minimum": 1, "maximum": MAX_LIMIT}),
+    QueryParameter(
+        "limit", "The maximum number of messages on a page.", {"type": "integer", "minimum": 1, "maximum": MAX_LIMIT}
+    ),
 )
 _NAMES = tuple(parameter.name for parameter in PARAMETERS)
 
@@ -229,7 +231,7 @@ def selection_of(bags: Bags, recording: Recording, exchange: Exchange) -> BagSel
 def topics_of(recording: Recording, text: str) -> frozenset[str]:
     """Return the topics of a recording that a name or a glob fits. Raises Problems: 400, 404."""
     if not text.startswith(("/", "*")) or len(text) > _MAX_TOPIC:
-        raise Problem(400, f"?topic={text[:60]}: a name or a glob begins with a slash or a star, such as /odom.")
+        raise Problem(400, f"?topic={text[:60]}: must begin with a slash or a star, such as /odom.")
     names = recording.topics
     found = frozenset({text} if text in names else {name for name in names if fnmatchcase(name, text)})
     if not found:
@@ -241,7 +243,7 @@ def topics_of(recording: Recording, text: str) -> frozenset[str]:
 def _number(name: str, text: str, least: int, most: int) -> int:
     if not (text.isascii() and text.isdecimal() and len(text) < 19 and least <= int(text) <= most):
         bound = f"from {least}" if most == FOR_EVER else f"from {least} to {most}"
-        raise Problem(400, f"?{name}={text[:20]} is no number {bound}.")
+        raise Problem(400, f"?{name}={text[:20]} is not a number {bound}.")
     return int(text)
 
 

@@ -153,11 +153,11 @@ class BagResource(BagBase):
     def deny_reason(self, method: str) -> str:
         if method in ("PATCH", "DELETE") and self.recording is self.recordings.history.recording:
             return (
-                "The history goes on while rosld runs, within --history-time and --history-size: it is neither ended "
-                "nor deleted. POST to /bags/ makes a recording of what it holds."
+                "The history runs as long as rosld, within --history-time and --history-size, and cannot be ended or "
+                "deleted. POST to /bags/ to record its content."
             )
         if method == "PATCH" and self.recording.name in self.recordings.finished:
-            return f"The recording {self.recording.name} has ended: nothing of it can be changed."
+            return f"The recording {self.recording.name} has ended and cannot be changed."
         return super().deny_reason(method)
 
     async def state(self) -> State:
@@ -199,7 +199,7 @@ class BagResource(BagBase):
 N3_PATCH = "text/n3"
 PATCHES = (MERGE_PATCH, SPARQL_UPDATE, N3_PATCH)
 _ENDED = "ended"
-_WORDS = 'A recording can be ended, and nothing else: send {"status": "ended"}, or have ros:recordingStatus be "ended".'
+_WORDS = 'A recording can only be ended: send {"status": "ended"}, or have ros:recordingStatus be "ended".'
 
 
 def require_end(data: bytes, media_type: str, url: str, before: Iterable[Triple]) -> None:
@@ -211,7 +211,7 @@ def require_end(data: bytes, media_type: str, url: str, before: Iterable[Triple]
         try:
             said: object = orjson.loads(data)
         except orjson.JSONDecodeError as error:
-            raise Problem(400, f"This is no JSON: {error}.") from error
+            raise Problem(400, f"This is not JSON: {error}.") from error
         if said != {"status": _ENDED}:
             raise Problem(422, _WORDS)
         return
@@ -255,7 +255,7 @@ class UnfinishedBag(BagBase):
 class RunningBag(UnfinishedBag):
     """A recording that is being made: how far it is. PATCH ends it, DELETE gives it up."""
 
-    kind = "Recording being made"
+    kind = "Running recording"
 
     def __init__(self, bags: Bags, one: RunningRecording) -> None:
         super().__init__(bags, one.name)
@@ -318,7 +318,7 @@ class RunningBag(UnfinishedBag):
         end = ChoiceForm(
             "status", ("ended",), "End the recording", method="PATCH", about=about, labels={"ended": "End"}
         )
-        return (end, DeleteForm("Delete the recording", "Delete", "It ends, and what there is of it is deleted."))
+        return (end, DeleteForm("Delete the recording", "Delete", "It is ended and deleted."))
 
     async def delete(self, exchange: Exchange) -> Answer:
         """End it, and delete what there is of it."""
@@ -339,7 +339,7 @@ class ArmedBag(UnfinishedBag):
         return State(partial(describe_armed, self.space, self.one))
 
     async def forms(self) -> Sequence[Form]:
-        about = "It waits no more for its trigger. What that has begun stays."
+        about = "It stops waiting for its trigger. Recordings already started are kept."
         return (DeleteForm("Disarm", "Disarm", about),) if "DELETE" in self.methods() else ()
 
     async def patch(self, exchange: Exchange) -> Answer:
@@ -353,5 +353,5 @@ class ArmedBag(UnfinishedBag):
         try:
             await self.recordings.disarm(self.one.name)
         except OSError as error:
-            raise Problem(507, f"That it waits no more cannot be stored: {error.strerror or error}.") from error
+            raise Problem(507, f"Disarming the recording cannot be stored: {error.strerror or error}.") from error
         return Response(status_code=204)

@@ -126,7 +126,7 @@ class Notifications:
             case (kind, token, name) if location.kind == ROUTE and kind == WEBSOCKET and name == SOURCE:
                 self.broadcasters.require_capacity()
                 return WebSocketReceiver(self.channels, self.broadcasters, channel_of(self, kind, token))
-        raise Problem(404, f"No WebSocket is there: subscribe at {self.space.url(ROUTE, (WEBSOCKET,))} first.")
+        raise Problem(404, f"There is no such WebSocket: subscribe at {self.space.url(ROUTE, (WEBSOCKET,))} first.")
 
     async def _topic(self, url: str, auth: AuthContext) -> tuple[Resource, State]:
         """Return the topic of a channel, and its state. Raises a 422 Problem for what has no state to follow."""
@@ -149,7 +149,7 @@ class Notifications:
             problem = redact_problem(problem, permissions, place)
             if problem.status >= 500:
                 raise problem from error
-            detail = f"There is nothing to tell of the topic {url}: {problem.detail}"
+            detail = f"Cannot notify about the topic {url}: {problem.detail}"
             raise Problem(422, detail, extra=problem.quoted_members) from error
 
     def _scope(self, url: str) -> Scope:
@@ -159,11 +159,9 @@ class Notifications:
             origin = f"{parts.scheme}://{normalize_authority(parts.netloc, parts.scheme)}"
             raw_path, query = (quote(part, safe="/%:@!$&'()*+,;=~?-._").encode() for part in (parts.path, parts.query))
         except ValueError as error:
-            raise Problem(422, f"The topic {url[:200]!r} is no URL: {error}.") from error
+            raise Problem(422, f"The topic {url[:200]!r} is not a URL: {error}.") from error
         if origin not in self._site.origins or not raw_path.decode().startswith(self.space.path):
-            raise Problem(
-                422, f"The topic {url[:200]} lies elsewhere: this server tells of what is under {self.space.base}"
-            )
+            raise Problem(422, f"The topic {url[:200]} is not on this server: choose a URL below {self.space.base}")
         return {
             "type": "http",
             "method": "GET",
@@ -283,7 +281,7 @@ class SubscriptionService(DescribedResource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         subscribe = WriteMethod(
-            "Subscribes to a topic; the answer says where notifications are received from.",
+            "Subscribes to a topic; the response says where to receive notifications.",
             _SUBSCRIPTION,
             done=(201,),
             shows=OBJECT,
@@ -319,7 +317,7 @@ class ChannelResource(DescribedResource):
     kind = "Notification channel"
     shape = "Channel"
     title = "Notification channel"
-    item = PathItem("A channel; without it nothing is told any more", plain=OBJECT, methods=READ | {"DELETE"})
+    item = PathItem("A channel; deleting it stops its notifications", plain=OBJECT, methods=READ | {"DELETE"})
     is_cacheable = False
 
     def __init__(self, notifications: Notifications, channel: Channel) -> None:
@@ -389,7 +387,7 @@ def channel_route(location: Location, *, notifications: Notifications) -> Resour
                 return ChannelResource(notifications, channel_of(notifications, kind, token))
             case [token, name] if name == SOURCE:
                 return ChannelSourceResource(notifications, channel_of(notifications, kind, token))
-    raise Problem(404, f"There is no subscription service there; {space.container(ROUTE)} lists them.")
+    raise Problem(404, f"There is no such subscription service; {space.container(ROUTE)} lists them.")
 
 
 def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:

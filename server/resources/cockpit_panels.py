@@ -144,7 +144,7 @@ class PanelReader:
         except PanelHidden:
             return None
         except (TimeoutError, asyncio.TimeoutError):
-            content = WordsContent(f"There was no answer within {_PATIENCE:g} s.")
+            content = WordsContent(f"No response within {_PATIENCE:g} s.")
             version = content.words
         except (Problem, RosError, ValueError) as error:
             content = WordsContent(_sentence(error, self._permissions))
@@ -157,11 +157,11 @@ class PanelReader:
         foreign = next((each for each in panel.shows if not each.startswith(base)), None)
         words = ""
         if not panel.shows:
-            words = "It shows nothing: say of what by ros:shows."
+            words = "It shows nothing: add ros:shows."
         elif foreign is not None:
-            words = f"{foreign} is not of this robot: it is linked, and never fetched."
+            words = f"{foreign} is not on this robot: it is linked, not fetched."
         elif panel.kind is None:
-            words = f"Panels of the type {panel.type or 'ros:Panel'} are not known here."
+            words = f"Unknown panel type {panel.type or 'ros:Panel'}."
         if words:
             return WordsContent(words), words
         if not all(map(self._permissions.may_read, panel.shows)):
@@ -205,7 +205,7 @@ class PanelReader:
         try:
             state = await resource.state()
         except NotImplementedError as error:
-            raise Problem(404, f"{resource.url} has no value that could be shown here.") from error
+            raise Problem(404, f"{resource.url} has no value to show.") from error
         if state.is_large:
             raise Problem(413, f"{resource.url} is too large to be shown here.")
         return state if self._permissions.is_unrestricted else resource.redact(state, self._permissions)
@@ -213,7 +213,7 @@ class PanelReader:
     def _topic(self, url: str) -> TopicResource:
         found = self._find(url)
         if not isinstance(found, TopicResource):
-            raise Problem(404, f"{url} is no topic.")
+            raise Problem(404, f"{url} is not a topic.")
         if found.found is None:
             raise Problem(404, f"There is no topic {found.name} now.")
         return found
@@ -230,7 +230,7 @@ class PanelReader:
     async def _plot(self, panel: Panel) -> tuple[PanelContent, str]:
         references = list(dict.fromkeys(self._references(panel)))[:MAX_STREAM]
         if not references:
-            raise Problem(422, "Say by ros:fieldPath which numbers of it are drawn.")
+            raise Problem(422, "Choose the numbers to draw with ros:fieldPath.")
         finder = NumberFinder(self._session, self._sources.affordances, self._sources.history, self._permissions)
         numbers = [await finder.describe(await finder.locate(each)) for each in references]
         return PlotContent(tuple(numbers), tuple(references)), repr(numbers)
@@ -262,10 +262,10 @@ class PanelReader:
     async def _picture(self, url: str) -> tuple[PanelContent, str]:
         topic = self._topic(url)
         if not topic.is_picture:
-            raise Problem(422, f"The messages of {topic.name} are no pictures.")
+            raise Problem(422, f"The messages of {topic.name} are not pictures.")
         view = await self._session.topics.read(topic.name)
         if view.newest is None:
-            raise Problem(404, "No picture has come yet.")
+            raise Problem(404, "No picture has been received yet.")
         decoded = await decode(self._session.schemas, view.newest)
         if decoded.schema is None or decoded.message is None:
             raise Problem(422, f"The picture cannot be read: {decoded.reason}.")
@@ -280,10 +280,10 @@ class PanelReader:
         if not self._permissions.may("POST", url):
             raise PanelHidden
         if self._session.is_stopped:
-            raise Problem(423, "The robot is stopped: it is not driven until it is released.")
+            raise Problem(423, "The robot is stopped and cannot be driven until it is released.")
         form = next((each for each in await topic.forms() if isinstance(each, HoldForm) and each.pad), None)
         if form is None or form.pad is None:
-            raise Problem(422, f"{topic.name} commands no velocity that a pad could.")
+            raise Problem(422, f"{topic.name} has no velocity that a pad can command.")
         return DriveContent(replace(form, action=topic.url)), form.pad.json
 
     async def _forms(self, urls: Sequence[str]) -> tuple[PanelContent, str]:
@@ -297,16 +297,16 @@ class PanelReader:
         if found and not may:
             raise PanelHidden
         if not may and self._session.is_stopped:
-            raise Problem(423, "The robot is stopped: nothing is sent to it until it is released.")
+            raise Problem(423, "The robot is stopped and receives nothing until it is released.")
         if not may:
-            raise Problem(404, "Nothing can be sent there now.")
+            raise Problem(404, "Nothing can be sent to it now.")
         return FormsContent(tuple(may)), repr(versions)
 
     async def _forms_at(self, url: str) -> tuple[Sequence[Form], str]:
         """Return the forms of a resource, each with its URL, and their version."""
         location = self._session.space.location(url)
         if location is None or location.kind not in _COMMANDED:
-            raise Problem(422, "From a cockpit something is sent to the robot only: to a service, an action, a value.")
+            raise Problem(422, "A cockpit can send only to the robot: to a service, an action, a value.")
         resource = await self._resource(url)
         if location.kind == "resources":
             state = await self._state(resource)
@@ -343,7 +343,7 @@ class PanelReader:
         space = self._session.space
         queries, location = self._sources.queries, space.location(url)
         if location is None or location.kind != "queries" or len(location.segments) != 1 or location.is_container:
-            raise Problem(422, f"{url} is no stored query.")
+            raise Problem(422, f"{url} is not a stored query.")
         record = self._sources.documents.records.get(url[len(space.base) :].partition("#")[0].partition("?")[0])
         if record is not None and record.blob is not None:
             return await queries.executable(record)

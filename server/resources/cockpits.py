@@ -196,9 +196,7 @@ class CockpitResource(_CockpitBase, RdfSourceResource):
 
         async def changed(record: Record) -> Write:
             if value.get("version") != str(record.version):
-                raise Problem(
-                    409, "The cockpit was changed meanwhile: load the page again, and change it as it is now."
-                )
+                raise Problem(409, "The cockpit was changed meanwhile: reload the page and repeat your change.")
             before = state_of(self.documents, record).document.triples
             after = [*without_cockpit(before, self.url), *_triples(self.url, cockpit)]
             return await self.with_triples(record, after, record.version, frozenset(before))
@@ -212,7 +210,7 @@ def _triples(url: str, cockpit: Cockpit) -> list[Triple]:
     try:
         return cockpit_triples(url, cockpit)
     except ValueError as error:
-        raise Problem(422, f"What a panel shows is an IRI, or a path below the base: {error}.") from error
+        raise Problem(422, f"What a panel shows must be an IRI or a path below the base: {error}.") from error
 
 
 def _suggestions(sources: CockpitSources, site: Site) -> tuple[str, ...]:
@@ -236,7 +234,7 @@ class DefaultCockpit(_CockpitBase):
     """The cockpit that is made from what the robot has. It is not kept: a copy of it is."""
 
     title = "Default cockpit"
-    item = PathItem("The cockpit that is made from what the robot has", query=(FORMAT,))
+    item = PathItem("The cockpit that is generated from what the robot has", query=(FORMAT,))
     links = (RESOURCE, RDF_SOURCE_LINK)
 
     def __init__(self, sources: CockpitSources) -> None:
@@ -250,7 +248,7 @@ class DefaultCockpit(_CockpitBase):
         if self.documents.settings.read_only:
             return "This server is read-only."
         container = self.space.container("cockpit")
-        return f"This cockpit is made from what the robot has: PUT one of another name to {container}NAME."
+        return f"This cockpit is generated: PUT one with another name to {container}NAME."
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         return self.shown(exchange)
@@ -307,7 +305,7 @@ class CockpitContainer(ContainerResource):
         if not permissions.may("PUT", url):
             raise forbidden(permissions.agent, "write this")
         if self.is_taken(name):
-            raise Problem(409, f"There is {url} already, or was: choose another name.")
+            raise Problem(409, f"{url} already exists, or was deleted: choose another name.")
         title = name if cockpit.title in ("", DefaultCockpit.title) else cockpit.title
         triples = cockpit_triples(url, replace(cockpit, title=title))
         try:

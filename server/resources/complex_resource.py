@@ -126,7 +126,7 @@ class ComplexResource(TimeGate):
             return "This server is read-only."
         if method == "PATCH":
             return f"No member of {self.name} can be written now."
-        return f"A complex resource is read with GET and written with PATCH; it does not answer {method}."
+        return f"A complex resource is read with GET and written with PATCH; it does not support {method}."
 
     async def state(self) -> State:
         tree, plan = await self._plan()

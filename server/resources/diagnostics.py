@@ -49,7 +49,7 @@ _PAST_NS = 3600 * 1_000_000_000
 _MAX_MESSAGES = 4000
 _MAX_CHANGES = 100
 _MAX_NAME = 500
-_NAME = QueryParameter("name", "The name of a part: it alone, with what it said before as far as that is recorded.")
+_NAME = QueryParameter("name", "The name of a part: only that part, with its recorded history.")
 _STATE: JsonSchema = json_object(
     {"topic": URI, "name": TEXT, "level": {"type": "string", "enum": [level.name for level in Level]}, "message": TEXT},
     {"hardware": TEXT, "values": {"type": "object", "additionalProperties": TEXT}, "received": TEXT, "since": TEXT},
@@ -64,7 +64,7 @@ class DiagnosticsResource(Resource):
     kind = "Diagnostics"
     shape = "Source"
     title = "Diagnostics"
-    item = PathItem("What the parts of the robot say of themselves", plain=_PLAIN, query=(_NAME, FORMAT))
+    item = PathItem("What the parts of the robot report", plain=_PLAIN, query=(_NAME, FORMAT))
     links = (RESOURCE, RDF_SOURCE)
 
     name = ""
@@ -107,7 +107,7 @@ class DiagnosticsResource(Resource):
         if self.name:
             self.states = [each for each in self.states if each.name == self.name]
             if not self.states:
-                raise Problem(404, f"No part called {self.name[:80]!r} has told of itself.")
+                raise Problem(404, f"No part called {self.name[:80]!r} has reported diagnostics.")
             self._changes = await self._past(graph, self.states[0].topic)
         states = [_part(each, self.space.topic(each.topic)) for each in self.states]
         plain = _plain(states, self._changes)

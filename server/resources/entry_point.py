@@ -41,7 +41,7 @@ from rosld.server.runtime.watchdog import Pauses, Watchdog
 from rosld.server.space.drawing import can_place
 
 _COCKPIT = "What the robot is like and can do, on one page of panels."
-_DIAGNOSTICS = "What the parts of the robot say of themselves."
+_DIAGNOSTICS = "What the parts of the robot report."
 _SPACE = "Scans, maps, paths and frames, seen from above."
 _RESOURCES = "What the robot is like now, and what it can do: values to read and to set, actions, links."
 
@@ -107,7 +107,7 @@ class EntryResource(Resource):
         problems = self.problems()
         troubles = [Notice(problem, NoticeLevel.ERROR) for problem in problems.storage]
         if problems.interrupted_holds and site.may("GET", space.container("holds")):
-            words = f"rosld was killed while topics were held: {space.container('holds')} says what became of that."
+            words = f"rosld was killed while topics were held: see {space.container('holds')} for the outcome."
             troubles.append(Notice(words, NoticeLevel.WARNING))
         return render_entry(EntryPage(site, state.document, shown, self._example(whole, site), (*troubles, *notices)))
 
@@ -216,7 +216,7 @@ class StatusResource(Resource):
     kind = "Server status"
     shape = "ServerStatus"
     item = PathItem(
-        "How promptly the server itself answers, whether it sees the robot, what is wrong with its storage",
+        "The response times of the server, its connection to the robot, problems of its storage",
         plain=_STATUS,
     )
 
@@ -312,18 +312,18 @@ class FileResource(Resource):
 _FILES: Mapping[str, tuple[str, str]] = {
     "style.css": (_STYLE, "The style of pages"),
     "live.js": (_SCRIPT, "The script that keeps pages up to date"),
-    "ages.js": (_SCRIPT, "The script that says how long ago times were"),
+    "ages.js": (_SCRIPT, "The script that shows relative times"),
     "filter.js": (_SCRIPT, "The script that finds things on long pages"),
-    "find.js": (_SCRIPT, "The script that shows what is found while words are typed"),
+    "find.js": (_SCRIPT, "The script that shows search results while typing"),
     "drive.js": (_SCRIPT, "The script of the pad that drives"),
     "picture.js": (_SCRIPT, "The script of pictures that move while they are looked at"),
     "chart.js": (_SCRIPT, "The script that says what plots look like"),
     "plot.js": (_SCRIPT, "The script that draws plots"),
-    "spark.js": (_SCRIPT, "The script that draws beside numbers how they were lately"),
-    "space_view.js": (_SCRIPT, "The script of what views of space have alike"),
+    "spark.js": (_SCRIPT, "The script that draws the recent past next to numbers"),
+    "space_view.js": (_SCRIPT, "The script shared by views of space"),
     "space.js": (_SCRIPT, "The script that draws views of space"),
     "space3d.js": (_SCRIPT, "The script that draws space in three dimensions"),
-    "three.js": (_SCRIPT, "three.js, which draws three dimensions"),
+    "three.js": (_SCRIPT, "three.js, which draws in three dimensions"),
     "uplot.js": (_SCRIPT, "uPlot, which draws"),
     "uplot.css": (_STYLE, "The style of uPlot"),
     "query_terms.js": (_SCRIPT, "The script that completes terms in queries"),
@@ -331,7 +331,7 @@ _FILES: Mapping[str, tuple[str, str]] = {
     "query_views.js": (_SCRIPT, "The script that draws results of queries"),
     "query_editor.js": (_SCRIPT, "The script of the editor of queries"),
     "query_editor.css": (_STYLE, "The style of the editor of queries"),
-    "yasgui.js": (_SCRIPT, "YASGUI, in which queries are edited"),
+    "yasgui.js": (_SCRIPT, "YASGUI, the editor of queries"),
     "yasgui.css": (_STYLE, "The style of YASGUI"),
     "cockpit.css": (_STYLE, "The style of cockpits"),
     "icon.svg": (_ICON, "The icon of pages"),

@@ -33,7 +33,7 @@ _SHORT = 2
 _NAME = re.compile(r"[0-9a-f]+-[0-9]{1,2}-[0-9]{1,15}", re.ASCII)
 _PROFILES = {"ros": StreamProfile.RECORD.value, "sosa": StreamProfile.OBSERVATION.value}
 PROFILE = QueryParameter(
-    PROFILE_QUERY, "What members are described as, before Accept-Profile.", {"type": "string", "enum": [*_PROFILES]}
+    PROFILE_QUERY, "The profile of the members; overrides Accept-Profile.", {"type": "string", "enum": [*_PROFILES]}
 )
 
 
@@ -181,10 +181,10 @@ def event_stream_page(bags: Bags, recording: Recording, name: str) -> EventStrea
     identity, *numbers = name.split("-")
     if not _NAME.fullmatch(name):
         raise Problem(
-            404, f"{name[:60]} is no page of the stream: {_url(bags.session.space, recording)} links to them."
+            404, f"{name[:60]} is not a page of the stream: {_url(bags.session.space, recording)} links to them."
         )
     if identity != recording.identity:
-        raise Problem(410, f"This was a page of another recording of the name {recording.name}, which is gone.")
+        raise Problem(410, f"This was a page of another recording named {recording.name}, which is gone.")
     page = PageNumber(*map(int, numbers))
     beyond = recording.first + recording.count
     if page.level > top_level(0, beyond) or page.start >= beyond:

@@ -226,10 +226,10 @@ MAX_BYTES = 5000
 """What is told at the most, of the bytes in JSON: values are left out before results are."""
 _PARAMETER_SECONDS = 0.3
 """How long the values of parameters that were found are waited for."""
-_QUERY = QueryParameter("q", "Words that are looked for in names, types, their fields, titles, units and descriptions.")
+_QUERY = QueryParameter("q", "Words to search for in names, types, their fields, titles, units and descriptions.")
 _VALUES = QueryParameter(
     "values",
-    "Whether to subscribe for a moment to the topics that are found, but to none of images, clouds, maps and scans.",
+    "Whether to subscribe briefly to the topics found, except images, clouds, maps and scans.",
     {"type": "boolean"},
 )
 _CLASSES: Mapping[EntryKind, NamedNode] = {
@@ -305,7 +305,7 @@ class FindResource(Resource):
         try:
             terms_of(query)
         except ValueError as error:
-            raise Problem(400, f"?q= cannot be searched for: {error}. Send fewer.") from error
+            raise Problem(400, f"?q= is too long: {error}. Send fewer.") from error
         subscribes = exchange.query_flag("values")
         found = self.variant(_text=query, _permissions=exchange.permissions, _subscribes=subscribes)
         if query:

@@ -45,10 +45,10 @@ _STEADY = 10
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'"
 """Of a drawing by itself: its own style, and nothing else."""
 _PARAMETERS = (
-    QueryParameter("below", "A name: only what lies below it is drawn, with what that is connected to."),
-    QueryParameter("all", "Whether what every node has is drawn, too.", {"type": "boolean"}),
+    QueryParameter("below", "A name: draw only what is below it and its connections."),
+    QueryParameter("all", "Whether to draw what every node has, too.", {"type": "boolean"}),
     QueryParameter(
-        "format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS, *_DRAWINGS]}
+        "format", "The requested representation; overrides Accept.", {"type": "string", "enum": [*FORMATS, *_DRAWINGS]}
     ),
 )
 _PLAIN: JsonSchema = json_object(
@@ -84,7 +84,7 @@ class GraphResource(Resource):
         """Return the part that the query asks for, as the agent may see it. Raises a 400 Problem."""
         below = exchange.query.get("below", "")
         if below and (not below.startswith("/") or len(below) > _MAX_NAME):
-            raise Problem(400, f"?below={below[:40]}: a name of the robot, such as /camera.")
+            raise Problem(400, f"?below={below[:40]} must be a name of the robot, such as /camera.")
         everything = exchange.query_flag("all")
         asked = {"below": quote(below, safe="/"), "all": "true" if everything else ""}
         query = "&".join(f"{name}={value}" for name, value in asked.items() if value)
@@ -137,7 +137,7 @@ class GraphResource(Resource):
         if self.session.adapter.age_ns(newest) < STALE_SECONDS * 1e9:
             return ""
         since = date_time(0, newest.received_ns)
-        return f"fell silent: no message since {since}, {view.rate:.2g} a second before"
+        return f"went silent: no message since {since}, {view.rate:.2g} per second before"
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """Return the drawing as SVG, folded where it is large, or whole as DOT, where that is preferred."""

@@ -96,7 +96,7 @@ def _resolved(iri: str, base: str) -> str:
     try:
         return to_uri(NamedNode(urljoin(base, iri)).value)
     except ValueError as error:
-        raise Problem(400, f"graph={iri[:200]!r} is no IRI: {error}.") from error
+        raise Problem(400, f"graph={iri[:200]!r} is not an IRI: {error}.") from error
 
 
 _GRAPH = QueryParameter(
@@ -104,9 +104,7 @@ _GRAPH = QueryParameter(
     "The graph: the URL of what it is about, answered as that URL answers (SPARQL 1.1 Graph Store HTTP Protocol).",
     {"type": "string", "format": "uri-reference"},
 )
-_DEFAULT = QueryParameter(
-    "default", "Instead of a graph: all of them together; what is written goes to the default document."
-)
+_DEFAULT = QueryParameter("default", "Instead of a graph: the union of all; writes go to the default document.")
 _ALL = QueryParameter("all", "Instead of a graph: all of them with their names, as N-Quads, TriG or JSON-LD.")
 _GRAPH_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*{**FORMATS, **available_formats("CONSTRUCT")}]})
 
@@ -212,9 +210,9 @@ class GraphStore(Resource):
             )
         resource = self._resolve(exchange.request.scope)
         if resource is self:
-            raise Problem(400, f"<{graph[:200]}> is the graph store itself, and none of its graphs.")
+            raise Problem(400, f"<{graph[:200]}> is the graph store itself, not one of its graphs.")
         if resource.url.partition("?")[0] != graph.partition("?")[0]:  # two IRIs that are one URL are two graphs
-            raise Problem(403, f"No graph <{graph[:200]}> can be here: the name is spelt <{resource.url[:200]}>.")
+            raise Problem(403, f"The graph <{graph[:200]}> must be named <{resource.url[:200]}>.")
         if exchange.method in ("PUT", "POST"):
             await _prepare(exchange, resource)
         return await resource.select_variant(exchange)
@@ -229,9 +227,11 @@ class GraphStore(Resource):
     def _elsewhere(self, method: str, graph: str) -> Problem:
         space, shown = self.space, f"<{graph[:200]}>"
         if method in READ:
-            return Problem(404, f"There is no graph {shown} here: the names of graphs are URLs below {space.base}")
+            return Problem(404, f"There is no graph {shown}: the names of graphs are URLs below {space.base}")
         container = space.container("data")
-        return Problem(403, f"No graph {shown} can be here: choose a name below {container}, such as {container}NAME")
+        return Problem(
+            403, f"The graph {shown} cannot be created: choose a name below {container}, such as {container}NAME"
+        )
 
 
 @lru_cache(maxsize=256)
@@ -251,8 +251,8 @@ async def _prepare(exchange: Exchange, resource: Resource) -> None:
         await resource.prepare()
         raise Problem(
             405,
-            "POST merges triples into a graph, and this graph is the robot's own state: PUT or PATCH says what it is "
-            f"to be, as far as it can be written. What POST means at {resource.url} itself is to be asked for there.",
+            "POST would merge triples into the state of the robot: write it with PUT or PATCH, as far as it is "
+            f"writable, or POST to {resource.url} itself.",
             headers={"Allow": ", ".join(sorted(resource.methods() - {"POST"}))},
         )
     method, makes = exchange.method, isinstance(resource, AbsentResource | ContainerResource)
@@ -261,7 +261,7 @@ async def _prepare(exchange: Exchange, resource: Resource) -> None:
     if makes and exchange.essence is not None and exchange.essence not in RDF_BODIES:
         raise Problem(
             415,
-            f"A graph comes as {', '.join(RDF_BODIES)}, not as {exchange.essence}.",
+            f"Send a graph as {', '.join(RDF_BODIES)}, not as {exchange.essence}.",
             headers={f"Accept-{method.capitalize()}": ", ".join(RDF_BODIES)},
         )
 
@@ -333,7 +333,7 @@ class DatasetResource(_Whole):
         if strange is not None:
             container = f"{self.space.base}data/"
             raise Problem(
-                403, f"No graph <{strange[:200]}> can be here: choose names below {container}. Nothing was done."
+                403, f"The graph <{strange[:200]}> cannot be created: choose names below {container}. Nothing was done."
             )
         kept = {name: triples for name, triples in graphs.items() if self._updates.is_stored(name)}
         operations = await asyncio.to_thread(_operations, kept, replaces=replaces)

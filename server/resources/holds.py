@@ -68,7 +68,7 @@ async def create_hold(exchange: Exchange, topic: PublishingResource, holds: Hold
     session, name = topic.session, topic.name
     rate, (lease, is_timed) = _rate(exchange, session.limiter), _lease(exchange, session) or (LEASE, False)
     if rate is None and not topic.commands_velocity:
-        raise Problem(400, f"Say how often the message is to be published: ?rate=10 for ten times a second ({_RATES}).")
+        raise Problem(400, f"Give a publish rate: ?rate=10 for ten times per second ({_RATES}).")
     rate = rate or min(RATE, session.limiter.rate)
     schema, message = await topic.read_message(exchange)
     await topic.require_within_limits(schema, message)
@@ -81,7 +81,7 @@ async def create_hold(exchange: Exchange, topic: PublishingResource, holds: Hold
 
 
 _POSITIVE: JsonSchema = {"type": "number", "minimum": MIN_OF_HOLDS}
-_KEEP = QueryParameter("keep", "Whether the event stream that is asked for keeps the hold.", {"type": "boolean"})
+_KEEP = QueryParameter("keep", "Whether the requested event stream keeps the hold.", {"type": "boolean"})
 
 
 def hold_parameters(longest: float, required: str = "") -> tuple[QueryParameter, ...]:
@@ -152,13 +152,13 @@ class HoldResource(KeptResource[Hold]):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         renew = WriteMethod(
-            "Renews the lease, with a body also the message, which goes on without a gap.",
+            "Renews the lease; a body also replaces the message, without a gap.",
             ANYTHING,
             is_body_required=False,
             done=(200, 204),
             query=(*STRICTNESS, *hold_parameters(self.session.settings.hold_time)),
         )
-        end = WriteMethod("Ends the hold; what it was told to say last is published.", done=(204,))
+        end = WriteMethod("Ends the hold and publishes its final message.", done=(204,))
         return PathItem(
             "A hold of a topic",
             plain=hold_schema(schemas, None),
@@ -223,8 +223,8 @@ class HoldResource(KeptResource[Hold]):
     async def forms(self) -> Sequence[Form]:
         if "DELETE" not in self.methods():
             return ()
-        last = f"What it was told to say last is then published on {self.require().topic}."
-        renewed = f"It goes on for {self.require().lease:g} s from then."
+        last = f"Its final message is then published on {self.require().topic}."
+        renewed = f"It continues for {self.require().lease:g} s from then."
         return (DeleteForm("End the hold", "End", last), DeleteForm("Renew the hold", "Renew", renewed, method="PATCH"))
 
     def keep_alive(self, exchange: Exchange) -> contextlib.AbstractContextManager[float | None]:
@@ -308,7 +308,7 @@ class HoldResource(KeptResource[Hold]):
 def require_holder(exchange: Exchange, hold: Hold) -> None:
     """Raise a 403 Problem where somebody else than its holder would change, keep or end a hold."""
     if exchange.agent != hold.holder:
-        raise Problem(403, f"The hold {hold.id} is {hold.holder.name}'s; POST of /stop ends it in any case.")
+        raise Problem(403, f"The hold {hold.id} belongs to {hold.holder.name}; POST to /stop ends it in any case.")
 
 
 # What is asked for
@@ -321,7 +321,7 @@ def _rate(exchange: Exchange, limiter: PublishLimiter) -> float | None:
     rate = _number(exchange, "rate", MAX_RATE, _RATES)
     if rate is not None and rate > limiter.rate:
         limit = f"{limiter.rate:g} messages a second (--max-publish-rate)"
-        raise Problem(400, f"?rate={rate:g}: nothing is published more often than {limit} here.")
+        raise Problem(400, f"?rate={rate:g}: the maximum is {limit}.")
     return rate
 
 
@@ -331,7 +331,9 @@ def _lease(exchange: Exchange, session: Session) -> tuple[float, bool] | None:
     words = f"at least {MIN_OF_HOLDS:f} and at most {longest:g} s (--setting hold_time)"
     lease, time = _number(exchange, "lease", MAX_LEASE, _LEASES), _number(exchange, "for", longest, words)
     if lease is not None and time is not None:
-        raise Problem(400, "?for= and ?lease= exclude each other: a hold lasts for a time, or while it is renewed.")
+        raise Problem(
+            400, "?for= and ?lease= are mutually exclusive: a hold lasts for a fixed time, or while it is renewed."
+        )
     if time is not None:
         return time, True
     return None if lease is None else (lease, False)

@@ -43,9 +43,9 @@ from rosld.shapes.value import Bounds, merge_bounds
 
 STRICTNESS = (
     QueryParameter(
-        "strict", "Whether fields that JSON leaves out are refused; otherwise they have their defaults.", BOOLEAN
+        "strict", "Whether to reject JSON with missing fields; otherwise they have their defaults.", BOOLEAN
     ),
-    QueryParameter("defaults", "The opposite of `strict`, as it was once called.", BOOLEAN),
+    QueryParameter("defaults", "The opposite of `strict` (deprecated).", BOOLEAN),
 )
 
 
@@ -58,7 +58,7 @@ def is_strict(exchange: Exchange) -> bool:
     if "defaults" not in exchange.query:
         return strict
     if "strict" in exchange.query and exchange.query_flag("defaults") == strict:
-        raise Problem(400, "?strict and ?defaults contradict each other: leave ?defaults out.")
+        raise Problem(400, "?strict and ?defaults contradict each other: omit ?defaults.")
     return not exchange.query_flag("defaults")
 
 

@@ -84,7 +84,7 @@ def parse_accept_datetime(text: str) -> int:
     try:
         at = parsedate_to_datetime(text).astimezone(timezone.utc)
     except (ValueError, TypeError, OverflowError) as error:
-        raise Problem(400, f"Accept-Datetime: {text[:60]!r} is no date such as {_DATE}.") from error
+        raise Problem(400, f"Accept-Datetime: {text[:60]!r} is not a date such as {_DATE}.") from error
     return int(at.timestamp()) * _SECOND + _SECOND - 1
 
 
@@ -99,7 +99,7 @@ async def read_history(read: Callable[[], _T]) -> _T:
     try:
         return await asyncio.to_thread(read)
     except (OSError, ValueError, KeyError) as error:
-        raise Problem(503, f"The history cannot be read just now: {error}.") from error
+        raise Problem(503, f"The history cannot be read at the moment: {error}.") from error
 
 
 async def negotiate_topic(space: Space, history: History, topic: str, accept_datetime: str) -> Problem:
@@ -119,7 +119,9 @@ async def negotiate_topic(space: Space, history: History, topic: str, accept_dat
 
     at, first, last = await read_history(look)
     if at is None or first is None or last is None:
-        raise Problem(404, f"There is no memento of {topic} yet: a message is one after {SETTLED_NS // _SECOND} s.")
+        raise Problem(
+            404, f"There is no memento of {topic} yet: messages become mementos after {SETTLED_NS // _SECOND} s."
+        )
     ends = [("first memento", first), ("last memento", last), ("memento", at)]
     links = [_memento(url, rel, each.received_ns) for rel, each in ends]
     return found(memento_url(url, at.received_ns), (*timegate_links(url), *links))
@@ -270,7 +272,7 @@ def _nanoseconds(text: str, now_ns: int) -> int:
         aware = found if found.tzinfo is not None else found.replace(tzinfo=timezone.utc)
         return int(aware.replace(microsecond=0).timestamp()) * 10**9 + aware.microsecond * 1000
     except (ValueError, OverflowError) as error:
-        words = f"{text[:60]!r} is no time such as 2030-01-31T12:00:00Z, nor seconds before now such as -60."
+        words = f"{text[:60]!r} is neither a time such as 2030-01-31T12:00:00Z nor seconds before now such as -60."
         raise Problem(400, words) from error
 
 

@@ -86,13 +86,15 @@ PICTURE_FORMATS = {"jpeg": JPEG, "png": PNG, "mjpeg": MOTION}
 MAX_WIDTH = 8192
 _MAX_NAME = 20
 PICTURE_FORMAT = QueryParameter(
-    "format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS, *PICTURE_FORMATS]}
+    "format",
+    "The requested representation; overrides Accept.",
+    {"type": "string", "enum": [*FORMATS, *PICTURE_FORMATS]},
 )
-VERSION = QueryParameter("v", "Passed over: pages add it, to have another address for another message.")
+VERSION = QueryParameter("v", "Ignored; pages add it to get a new URL for each message.")
 PICTURE_PARAMETERS = (
     VERSION,
     QueryParameter(
-        "width", "The most pixels a row of the picture.", {"type": "integer", "minimum": 1, "maximum": MAX_WIDTH}
+        "width", "The maximum width of the picture in pixels.", {"type": "integer", "minimum": 1, "maximum": MAX_WIDTH}
     ),
     QueryParameter("range", "The distances in metres from the nearest to the farthest colour, such as `0.5,4`."),
 )
@@ -216,7 +218,7 @@ def _width(text: str | None) -> int | None:
     if text is None:
         return None
     if not (text.isascii() and text.isdecimal() and 1 <= int(text[:9]) <= MAX_WIDTH):
-        raise Problem(400, f"?width={text[:_MAX_NAME]}: a whole number of pixels from 1 to {MAX_WIDTH}.")
+        raise Problem(400, f"?width={text[:_MAX_NAME]}: must be an integer number of pixels from 1 to {MAX_WIDTH}.")
     return int(text)
 
 
@@ -229,7 +231,9 @@ def _range(text: str | None) -> DepthRange:
     except ValueError:
         found = DepthRange(math.nan, math.nan)
     if not (-1e9 < found.nearest < found.farthest < 1e9):
-        raise Problem(400, f"?range={text[:_MAX_NAME]}: two distances in metres, the nearer first, such as 0.5,4.")
+        raise Problem(
+            400, f"?range={text[:_MAX_NAME]} must be two distances in metres, the nearer first, such as 0.5,4."
+        )
     return found
 
 
@@ -250,9 +254,11 @@ PLY = BYTES
 CLOUD_PARAMETERS = (
     VERSION,
     QueryParameter(
-        "format", "The representation wanted, before Accept.", {"type": "string", "enum": [*FORMATS, "ply"]}
+        "format", "The requested representation; overrides Accept.", {"type": "string", "enum": [*FORMATS, "ply"]}
     ),
-    QueryParameter("points", "The most points of the file.", {"type": "integer", "minimum": 1, "maximum": MAX_POINTS}),
+    QueryParameter(
+        "points", "The maximum number of points in the file.", {"type": "integer", "minimum": 1, "maximum": MAX_POINTS}
+    ),
 )
 
 
@@ -308,5 +314,5 @@ def _points(text: str | None) -> int:
     if text is None:
         return DEFAULT_POINTS
     if not (text.isascii() and text.isdecimal() and 1 <= int(text[:9]) <= MAX_POINTS):
-        raise Problem(400, f"?points={text[:_MAX_NAME]}: a whole number of points from 1 to {MAX_POINTS}.")
+        raise Problem(400, f"?points={text[:_MAX_NAME]}: must be an integer number of points from 1 to {MAX_POINTS}.")
     return int(text)

@@ -75,12 +75,12 @@ def authorization(file: Path) -> str:
     try:
         text = file.read_text("utf-8").strip()
     except UnicodeDecodeError as error:
-        raise ValueError(f"--store-credentials {file}: it is no UTF-8") from error
+        raise ValueError(f"--store-credentials {file}: not valid UTF-8") from error
     scheme, _, rest = text.partition(" ")
     if scheme.lower() in ("basic", "bearer") and rest and rest.isascii() and rest.isprintable():
         return text
     if ":" not in text or not text.isprintable():
-        raise ValueError(f"--store-credentials {file}: it must hold one line, USER:PASSWORD or 'Bearer TOKEN'")
+        raise ValueError(f"--store-credentials {file}: must contain one line, USER:PASSWORD or 'Bearer TOKEN'")
     return "Basic " + base64.b64encode(text.encode()).decode("ascii")
 
 
@@ -88,7 +88,7 @@ def _warn(settings: Settings, endpoints: tuple[str, str]) -> None:
     for url in endpoints:
         parts = urlsplit(url)
         if settings.store_credentials is not None and parts.scheme == "http" and not is_loopback(parts.hostname or ""):
-            _log.warning("the credentials for %s can be read on their way: it is not https", url)
+            _log.warning("the credentials for %s are sent unencrypted: it is not https", url)
 
 
 class _Dataset:

@@ -100,7 +100,7 @@ class KeptResource(Resource, Generic[T]):
 
     def gone_words(self, error: LookupError) -> str:
         """Say why it is gone, after its name."""
-        return "was deleted or has become too old"
+        return "was deleted or is too old"
 
     @property
     def is_absent(self) -> bool:

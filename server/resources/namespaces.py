@@ -102,11 +102,9 @@ MAX_ROWS = 1000
 
 HIDDEN = "hidden=true"
 """The query that asks a listing for hidden names too."""
-_HIDDEN = QueryParameter(
-    "hidden", "Whether names with a segment that begins with `_` are told, too.", {"type": "boolean"}
-)
+_HIDDEN = QueryParameter("hidden", "Whether to include names with a segment that begins with `_`.", {"type": "boolean"})
 
-_VALUES_NOTE = "Values and rates are there of topics that somebody looks at: a list subscribes to none."
+_VALUES_NOTE = "Values and rates are shown for subscribed topics: a list does not subscribe."
 _V = TypeVar("_V")
 _namespaces: IdentityCache[Mapping[str, object], Namespaces] = IdentityCache(members_of, 24)
 

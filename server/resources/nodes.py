@@ -69,7 +69,7 @@ class NodeResource(NamedResource[Node]):
         if "POST" not in self.methods():
             return PathItem(f"The node {self.name}")
         transition = WriteMethod(
-            "Has a managed node make a transition of its lifecycle; 409 tells its state and what is legal in it.",
+            "Makes a managed node perform a lifecycle transition; 409 has its state and the valid transitions.",
             sends={"type": "object", "properties": {TRANSITION: TEXT}, "required": [TRANSITION]},
             done=(200, 204),
         )
@@ -92,10 +92,10 @@ class NodeResource(NamedResource[Node]):
         if self.session.settings.read_only:
             return READ_ONLY
         if method != "POST" or lifecycle is None:
-            return f"{self.name} has no lifecycle: it does not answer {method}."
+            return f"{self.name} has no lifecycle: it does not support {method}."
         name = self._closed(lifecycle)
         return (
-            resources_only_reason(name) if name is not None else f"No transition can be asked for: {lifecycle.unknown}."
+            resources_only_reason(name) if name is not None else f"No transition can be requested: {lifecycle.unknown}."
         )
 
     async def state(self) -> State:
@@ -171,7 +171,7 @@ async def _label_in(exchange: Exchange, url: str) -> str:
         content = parse_json(data)
         if not isinstance(content, dict):
             raise LoweringError(Violation("", 'expected an object: {"transition": "activate"}'))
-        strange = [Violation(name, "is nothing that a node takes") for name in content if name != TRANSITION]
+        strange = [Violation(name, "is not accepted by a node") for name in content if name != TRANSITION]
         if strange:
             raise LoweringError(*strange)
         found = [content[TRANSITION]] if TRANSITION in content else []

@@ -99,7 +99,7 @@ class ParameterBase(NamedResource[Parameter]):
 
     def deny_reason(self, method: str) -> str:
         system = self.session.adapter.capabilities.system
-        return self.closed_reason or f"The parameters of this {system} do not answer {method} here."
+        return self.closed_reason or f"The parameters of this {system} do not support {method} here."
 
     @property
     def changes_subtree(self) -> bool:

@@ -60,7 +60,7 @@ def parameter_form(value: Json, descriptor: Descriptor | None, note: str | None)
     return ValueForm(shape, title=title, value=value, about=about)
 
 
-_AT_START = "Kept by the parameter server: nodes may read it only when they start."
+_AT_START = "Stored by the parameter server: nodes may read it only when they start."
 _MAX_SLUG = 100
 _VALUES: tuple[JsonSchema, ...] = (
     {"type": "string"}, {"type": "number"}, {"type": "boolean"}, {"type": "array", "items": {}},
@@ -108,7 +108,7 @@ class ParameterResource(ParameterBase):
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Itself, or its shape. Raises a 404 Problem for its past."""
         if exchange.method in ("GET", "HEAD") and (asked := exchange.query.keys() & {"at", "timemap", "series"}):
-            raise Problem(404, f"?{min(asked)}: nothing records the values of parameters: ask for the present one.")
+            raise Problem(404, f"?{min(asked)}: parameter values are not recorded: request the current one.")
         return await super().select_variant(exchange)
 
     def methods(self) -> frozenset[str]:
@@ -209,20 +209,20 @@ class ParameterResource(ParameterBase):
         """A value never wipes out others unasked: neither a tree of this name nor a parameter above it (409)."""
         if isinstance(before, dict) and before and not isinstance(value, dict):
             raise Problem(
-                409, f"{self.name} is a tree of parameters; DELETE {self._tree_url()} before, or choose a name."
+                409, f"{self.name} is a tree of parameters; DELETE {self._tree_url()} first, or choose another name."
             )
         parts, known = names.segments(self.name), self.session.graph.parameters
         for depth in range(1, len(parts)):
             above = names.join(parts[:depth])
             if above in known:
-                words = f"{above} is a parameter with a value, so nothing can lie below it; DELETE it before."
+                words = f"{above} is a parameter with a value and cannot have children; DELETE it first."
                 raise Problem(409, words, about=(self.space.parameter(above),))
 
     async def patch(self, exchange: Exchange) -> Answer:
         """Set what a patch makes of the value: 204, or 200 with the value where a node made another of it."""
         before = await self._value()
         if before is None:
-            raise Problem(404, f"There is no parameter {self.name}; PUT makes it.")
+            raise Problem(404, f"There is no parameter {self.name}; PUT to create it.")
         data = await exchange.body()
         if exchange.media_type == MERGE_PATCH:
             value = lower_json(merge_patch(parse_json(parameter_json(before)), parse_json(data)))
@@ -252,7 +252,7 @@ class ParameterTree(ParameterContainer):
             query=LISTING_PARAMETERS,
             writes={
                 "POST": WriteMethod(
-                    "Makes a parameter, named by `Slug` where that is free.", ANYTHING, done=(200, 201, 204)
+                    "Creates a parameter, named by `Slug` if that is free.", ANYTHING, done=(200, 201, 204)
                 ),
                 "PATCH": WriteMethod(sends=OBJECT, done=(200, 204)),
                 "DELETE": WriteMethod(done=(204,)),
@@ -319,7 +319,7 @@ class ParameterTree(ParameterContainer):
         before = await self._value()
         patch = parse_json(await exchange.body())
         if not isinstance(patch, dict) or not isinstance(before, dict | None):
-            raise Problem(422, f"A patch of the tree {self.name} is a JSON object of its members.")
+            raise Problem(422, f"A patch of the tree {self.name} must be a JSON object of its members.")
         merged = lower_json(merge_patch(parse_json(parameter_json(before or {})), patch))
         assert isinstance(merged, dict)
         if not self.session.adapter.capabilities.parameter_trees:

@@ -66,9 +66,7 @@ class RecordedPast:
         by_url = {space.bag(one.name): one for one in self._recordings.readable.values()}
         named = asked.recordings & set(graphs) if graphs else asked.recordings
         if graphs and not named:
-            raise Problem(
-                400, "ros:past is asked for in a dataset without a recording: name one, as in FROM </bags/history/>."
-            )
+            raise Problem(400, "ros:past needs a recording in the dataset: name one, as in FROM </bags/history/>.")
         unknown = sorted(named - by_url.keys())
         if unknown:
             words = f"There is no recording <{unknown[0]}> that can be read: {space.container('bags')} lists them."
@@ -81,7 +79,7 @@ class RecordedPast:
             return list(self._session.adapter.recordings.values())
         raise Problem(
             400,
-            "There is no past here, as nothing is recorded: start rosld with --history GLOB (--history '*' for all "
+            "Nothing is recorded, so there is no past: start rosld with --history GLOB (--history '*' for all "
             f"topics), or name a recording by ?message ros:recordedIn <{space.container('bags')}NAME/>.",
         )
 
@@ -155,7 +153,7 @@ class _Reading:
                     if self._read > MAX_PAST:
                         raise self._too_much(f"More recorded messages of {_list(topics)} may take part in this query")
                     if self._size > MAX_TEXT:
-                        raise self._too_much(f"Recorded messages of {_list(topics)} say more than {MAX_TEXT >> 20} MiB")
+                        raise self._too_much(f"Recorded messages of {_list(topics)} exceed {MAX_TEXT >> 20} MiB")
                     if time.monotonic() > pause:
                         if time.monotonic() > self._until:
                             raise out_of_time(self._session.settings.query_time_limit)
@@ -164,7 +162,7 @@ class _Reading:
         return PastText("".join(texts).encode(), is_whole)
 
     def _too_much(self, what: str) -> Problem:
-        return too_much_past(f"{what}, and {MAX_PAST} are the most that one may read.")
+        return too_much_past(f"{what}; the limit is {MAX_PAST}.")
 
     def _ranges(self, recording: Recording, selections: Sequence[PastSelection]) -> list[PastRange]:
         found: list[PastRange] = []

@@ -70,10 +70,10 @@ class NumberFinder:
             raise Problem(400, f"?y={reference[:60]}... is too long.")
         url = space.absolute(url)
         if not path and f"/{url}".find("/topics/") >= 0:
-            raise Problem(400, f"?y={reference[:100]}: say which field, after # as %23, such as %23data.")
+            raise Problem(400, f"?y={reference[:100]}: add the field after # as %23, such as %23data.")
         location = None if "?" in url else space.location(url)
         if location is None or location.is_container or location.kind not in ("topics", "resources"):
-            words = "names no topic and no property of this robot: send such as topics/odom#twist.twist.linear.x"
+            words = "does not name a topic or property of this robot, such as topics/odom#twist.twist.linear.x"
             raise Problem(400, f"?y={reference[:100]} {words}, with # as %23.")
         if not self._permissions.may_read(url):
             raise not_found()
@@ -90,7 +90,7 @@ class NumberFinder:
             raise Problem(404, f"There is no property {name}.")
         source = next((each for each in plan.source.readers if isinstance(each, TopicSource)), None)
         if source is None or not self._permissions.may_read(self._session.space.topic(source.name)):
-            raise Problem(422, f"{url} is not read from a topic: only what a robot tells by itself is drawn over time.")
+            raise Problem(422, f"{url} is not read from a topic: only topics can be plotted over time.")
         fields = [] if source.schema is None else source.schema.type.fields
         return NumberReference(source.name, path or (fields[0].name if len(fields) == 1 else ""))
 
@@ -117,8 +117,8 @@ MAX_NUMBERS = 16
 _PARAMETERS = (
     QueryParameter(
         "y",
-        "A number of a topic or of a property: its URL, or that below the base, and after # the path of the field. "
-        "It may be given several times.",
+        "A number of a topic or of a property: its URL, or that below the base, and after # the path of the "
+        "field. Repeatable.",
         {"type": "array", "items": TEXT},
     ),
     FORMAT,
@@ -153,7 +153,7 @@ class PlotResource(Resource):
         references = exchange.query_values("y")
         if len(references) > MAX_NUMBERS:
             raise Problem(
-                400, f"?y= is there {len(references)} times: at most {MAX_NUMBERS} numbers are drawn together."
+                400, f"?y= is given {len(references)} times: at most {MAX_NUMBERS} numbers can be drawn together."
             )
         url = self.url + plot_query(references)
         return self.variant(url=url, references=tuple(references), _permissions=exchange.permissions)
@@ -176,7 +176,7 @@ class PlotResource(Resource):
         if not stream_is_preferred(exchange.accept, OFFERS):
             return None
         if not self.references:
-            raise Problem(400, "?y= says which numbers are to be told, such as y=topics/odom%23twist.twist.linear.x.")
+            raise Problem(400, "Choose the numbers with ?y=, such as y=topics/odom%23twist.twist.linear.x.")
         finder = NumberFinder(self.session, self.affordances, self.history, self._permissions)
         fields: dict[str, list[tuple[int, str]]] = {}
         for place, reference in enumerate(self.references):

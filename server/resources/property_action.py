@@ -66,10 +66,10 @@ from rosld.server.rest.state import State
 from rosld.server.robot.calls import CallOutcome
 from rosld.server.runtime.dry_run import expect_status
 
-_INVOKES = "Invokes the action; what is shown then is the resource that it belongs to."
-_SENDS_A_GOAL = "Sends a goal, which is what is made; 409 where it is rejected."
-_CANCELS = "Has the goals canceled that were sent from here and have not ended; 409 where there are none."
-_OTHERS = QueryParameter("others", "Whether goals that others sent are canceled, too.", {"type": "boolean"})
+_INVOKES = "Invokes the action; returns the resource that it belongs to."
+_SENDS_A_GOAL = "Sends a goal and creates its resource; 409 if it is rejected."
+_CANCELS = "Cancels the active goals that were sent from here; 409 if there are none."
+_OTHERS = QueryParameter("others", "Whether to cancel goals that others sent, too.", {"type": "boolean"})
 
 
 class MemberResource(TimeGate):
@@ -159,7 +159,7 @@ class MemberResource(TimeGate):
         plan, _ = self._plans
         if plan is not None and method in ("PUT", "PATCH"):
             return not_writable_reason(self.session.adapter, self.session.settings, plan.source)
-        return f"{self.name} does not answer {method}."
+        return f"{self.name} does not support {method}."
 
     @property
     def deny_about(self) -> Sequence[str]:
@@ -345,7 +345,7 @@ class MemberResource(TimeGate):
         if "PUT" not in self.methods():
             raise self.not_allowed("PUT", 403)
         if triples is None:
-            raise Problem(403, f"{self.name} is there for as long as the robot has it: it cannot be dropped.")
+            raise Problem(403, f"{self.name} exists as long as the robot has it: it cannot be deleted.")
         body = index_triples(triples)
         written = await self._write(tree, plan, await self._content_of(plan, body))
 

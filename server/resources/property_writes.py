@@ -247,7 +247,7 @@ def with_field(own: Property, reading: Reading, name: str, path: str, value: obj
     if content is None:
         if reading.value is None:
             why = reading.failure or "it has no value yet"
-            detail = f"{name} is a field of {reading.name}, which must be known to be changed: {why}."
+            detail = f"{name} is a field of {reading.name}, whose value must be known to change it: {why}."
             raise Problem(409, detail, extra={ROBOT_SAID: reading.words}, about=reading.about)
         content = parse_json(plain_json(reading.value, WHOLE))
     return _replace_field(content, path, value)

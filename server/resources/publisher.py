@@ -67,7 +67,7 @@ class PublishingResource(NamedResource[Topic]):
         if exchange.media_type == JSON:
             if topic is None:
                 raise Problem(
-                    404, f"There is no topic {self.name}; to make it, PUT RDF that states the message's type."
+                    404, f"There is no topic {self.name}; to create it, PUT RDF that states the message type."
                 )
             schema = await self._schema(topic)
             return schema, self._from_json(exchange, schema, data)
@@ -112,7 +112,7 @@ class PublishingResource(NamedResource[Topic]):
         """
         view = await self.session.topics.read(self.name)
         if view.newest is None:
-            raise Problem(409, f"{self.name} has no message yet that a PATCH could change; PUT one.")
+            raise Problem(409, f"{self.name} has no message to PATCH yet; PUT one.")
         data, topic = await exchange.body(), self.found
         base = await decode(self.session.schemas, view.newest)
         if base.schema is None or base.message is None:
@@ -157,7 +157,7 @@ class PublishingResource(NamedResource[Topic]):
 
     async def _schema(self, topic: Topic | None) -> MessageSchema:
         if topic is None or topic.type is None:
-            raise Problem(409, f"The type of {self.name} is not known; PUT RDF that states the message's type.")
+            raise Problem(409, f"The type of {self.name} is not known; PUT RDF that states the message type.")
         try:
             return await self.session.schemas.message(topic.type)
         except UnknownType as error:
@@ -177,7 +177,7 @@ class PublishingResource(NamedResource[Topic]):
                     return await self.session.schemas.message(TypeRef(term.value[len(base) :]))
                 except UnknownType as error:
                     raise Problem(422, f"{error.sentence}.") from error
-        raise Problem(422, f"{self.name} has no type yet, and the body states none: give the message a type of {base}.")
+        raise Problem(422, f"{self.name} has no type yet, and neither has the body: give the message a type of {base}.")
 
     async def carry_out(self, publication: Publication, exchange: Exchange) -> Response:
         """Publish: 201 where that makes the topic, 202 where it has no subscriber, else 204. Raises RosError.

@@ -217,7 +217,7 @@ class ShippedQueryResource(Resource):
             return "This server is read-only."
         container = self.space.container("queries")
         return (
-            f"{self._query.name} comes with rosld and stays as it is: PUT a query of another name to {container}NAME."
+            f"{self._query.name} is built into rosld and read-only: PUT a query with another name to {container}NAME."
         )
 
     async def state(self) -> State:

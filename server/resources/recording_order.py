@@ -78,7 +78,7 @@ MAX_TRIGGERED = 100
 _SECONDS: JsonSchema = {"type": "number", "minimum": 0, "maximum": _MAX_SECONDS}
 _TRIGGER: JsonSchema = {
     "type": "object",
-    "description": "It begins as a condition comes to hold.",
+    "description": "It starts when a condition becomes true.",
     "properties": {
         "resource": {**TEXT, "description": "The URL of the value that the condition is about."},
         "condition": {**TEXT, "description": "As in ?until=: percentage < 0.2; or the IRI of one of a mapping."},
@@ -86,7 +86,7 @@ _TRIGGER: JsonSchema = {
             "type": "integer",
             "minimum": 1,
             "maximum": MAX_TRIGGERED,
-            "description": "How many recordings it begins, one after another; 1 where it is missing.",
+            "description": "The number of recordings that it starts, one after another; default 1.",
         },
     },
     "required": ["condition"],
@@ -101,9 +101,9 @@ SCHEMA: JsonSchema = json_object(
         }
     },
     {
-        "name": {**TEXT, "description": "What it is called, /bags/NAME/; else by the time at which it begins."},
-        "before": {**_SECONDS, "description": "Seconds of the history that it begins with."},
-        "duration": {**_SECONDS, "description": "Seconds after which it ends; else PATCH ends it."},
+        "name": {**TEXT, "description": "The name, for /bags/NAME/; default: the start time."},
+        "before": {**_SECONDS, "description": "Seconds of the history to include at the start."},
+        "duration": {**_SECONDS, "description": "Seconds after which it ends; otherwise it ends by PATCH."},
         "trigger": _TRIGGER,
     },
 )
@@ -120,14 +120,14 @@ def order_of(said: Mapping[str, object]) -> RecordingOrder:
     unknown = said.keys() - {"name", "topics", "before", "duration", "trigger"}
     if unknown:
         known = "name, topics, before, duration, trigger"
-        raise Problem(422, f"{', '.join(sorted(unknown))[:200]} is unknown here: {known}.")
+        raise Problem(422, f"{', '.join(sorted(unknown))[:200]} is unknown: {known}.")
     name = said.get("name")
     if name is not None and not isinstance(name, str):
         raise Problem(422, f"name is {str(name)[:100]!r}, not a string.")
     before = _seconds(said, "before")
     duration, trigger = _seconds(said, "duration"), _trigger(said.get("trigger"))
     if trigger is not None and trigger.limit > 1 and duration is None:
-        raise Problem(422, "What a trigger begins more than once has a duration, after which it ends.")
+        raise Problem(422, "A recording that a trigger starts repeatedly needs a duration.")
     return RecordingOrder(_topics(said.get("topics")), name, before or 0.0, duration, trigger)
 
 
@@ -135,16 +135,16 @@ def _of_json(data: bytes) -> dict[str, object]:
     try:
         said: object = orjson.loads(data)
     except orjson.JSONDecodeError as error:
-        raise Problem(400, f"This is no JSON: {error}.") from error
+        raise Problem(400, f"This is not JSON: {error}.") from error
     if not isinstance(said, dict):
-        raise Problem(422, 'A recording is ordered by an object such as {"topics": ["/odom"], "duration": 10}.')
+        raise Problem(422, 'A recording order must be an object such as {"topics": ["/odom"], "duration": 10}.')
     return cast("dict[str, object]", said)
 
 
 def _of_rdf(body: RdfBody) -> dict[str, object]:
     found = [subject for subject, said in body.subjects.items() if ros.recordsTopic in said]
     if len(found) != 1:
-        raise Problem(422, f"One node has ros:recordsTopic, which names topics; here are {len(found)}.")
+        raise Problem(422, f"Exactly one node must have ros:recordsTopic, not {len(found)}.")
     (subject,) = found
     topics = [one.value for one in body.objects(subject, ros.recordsTopic) if isinstance(one, Literal)]
     terms = {"name": ros.name, "before": ros.secondsBefore, "duration": ros.secondsLong}
@@ -158,12 +158,12 @@ def _trigger(value: object) -> Trigger | None:
     if value is None:
         return None
     if not isinstance(value, dict) or value.keys() - {"resource", "condition", "limit"}:
-        raise Problem(422, 'trigger is an object such as {"resource": "/topics/odom", "condition": "x > 1"}.')
+        raise Problem(422, 'trigger must be an object such as {"resource": "/topics/odom", "condition": "x > 1"}.')
     condition, resource, limit = value.get("condition"), value.get("resource"), value.get("limit", 1)
     if not isinstance(condition, str) or not condition or not isinstance(resource, str | None):
-        raise Problem(422, "trigger has a condition, a string, and a resource, the URL of what it is about.")
+        raise Problem(422, "trigger needs a condition, a string, and a resource, the URL that it is about.")
     if not isinstance(limit, int) or isinstance(limit, bool) or not 1 <= limit <= MAX_TRIGGERED:
-        raise Problem(422, f"limit is {str(limit)[:50]}: how often a trigger begins a recording, 1 to {MAX_TRIGGERED}.")
+        raise Problem(422, f"limit is {str(limit)[:50]}: must be from 1 to {MAX_TRIGGERED} recordings.")
     return Trigger(condition, resource, limit)
 
 
@@ -182,7 +182,7 @@ def _trigger_of_rdf(body: RdfBody, subject: Subject) -> dict[str, object] | None
 def _literal(body: RdfBody, subject: Subject, term: NamedNode) -> str | None:
     found = body.objects(subject, term)
     if len(found) > 1 or not all(isinstance(one, Literal) for one in found):
-        raise Problem(422, f"{term.value} is one literal.")
+        raise Problem(422, f"{term.value} must be one literal.")
     return cast("Literal", found[0]).value if found else None
 
 
@@ -197,13 +197,13 @@ def _number(key: str, value: str | None) -> float | None:
 
 def _topics(value: object) -> tuple[str, ...]:
     if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
-        raise Problem(422, 'topics are a list of names or globs, such as ["/odom", "/camera/*"].')
+        raise Problem(422, 'topics must be a list of names or globs, such as ["/odom", "/camera/*"].')
     topics = tuple(dict.fromkeys(cast("list[str]", value)))
     if len(topics) > MAX_TOPICS:
-        raise Problem(422, f"{len(topics)} topics are named: {MAX_TOPICS} are the most, and a glob names many.")
+        raise Problem(422, f"{len(topics)} topics exceed the limit of {MAX_TOPICS}: use globs.")
     for one in topics:
         if not one.startswith(("/", "*")) or len(one) > _MAX_NAME:
-            raise Problem(422, f"{one[:100]!r} is no name of a topic and no glob: it begins with a slash or a star.")
+            raise Problem(422, f"{one[:100]!r} is not a topic name or glob: it must begin with a slash or a star.")
     return topics
 
 

@@ -97,7 +97,7 @@ class RecordingTriggers:
     async def follow(self, order: RecordingOrder, permissions: Permissions) -> FollowedCondition:
         """Return the condition of an order. Raises 403, 422 Problems if these permissions are insufficient."""
         trigger, space = order.trigger, self._session.space
-        assert trigger is not None, "what waits has a trigger"
+        assert trigger is not None, "an armed recording has a trigger"
         try:
             if trigger.resource is None:
                 resource = _mapped_condition(space, self._affordances, self._mappings, trigger.condition, permissions)
@@ -110,8 +110,8 @@ class RecordingTriggers:
         except Problem as problem:
             if problem.status in (403, 422):
                 raise
-            words = problem.detail.removeprefix("?until= cannot be waited for: ")
-            words = f"The trigger cannot be waited for: {words}"
+            words = problem.detail.removeprefix("?until= is invalid: ")
+            words = f"The trigger is invalid: {words}"
             raise Problem(422, words, extra=problem.quoted_members, about=problem.about) from problem
         return followed
 
@@ -177,16 +177,16 @@ class RecordingTriggers:
         if not can_record(self._session.settings, self._session.adapter.capabilities):
             raise Problem(403, NOTHING_IS_RECORDED)
         if permissions is None:
-            raise Problem(403, "Who ordered it is not known here any more.")
+            raise Problem(403, "The agent that ordered it is no longer known.")
         if not permissions.may("POST", space.container("bags")):
-            raise Problem(403, "Who ordered it may not have anything recorded any more.")
+            raise Problem(403, "The agent that ordered it may no longer record.")
         order_of(order_to_json(one.order))
         resource, condition = one.trigger.resource, one.trigger.condition
         if resource is None:
             resource = url_of(_condition(self._mappings, condition).about, space)
         for url in (resource, *map(space.topic, named_topics(one.order))):
             if not permissions.may_read(urljoin(space.base, url)):
-                raise Problem(403, f"Who ordered it may not read {url[:200]} any more.")
+                raise Problem(403, f"The agent that ordered it may no longer read {url[:200]}.")
         return permissions
 
     @contextlib.contextmanager
@@ -245,7 +245,7 @@ def _resource(space: Space, url: str, find: Find, permissions: Permissions) -> R
     base = space.base
     whole = urljoin(base, url)
     if not whole.startswith(base) or "?" in whole or "#" in whole:
-        raise Problem(422, f"The trigger is about {url[:200]}: it is about the URL of a value below {base}.")
+        raise Problem(422, f"The trigger is about {url[:200]}: it must be the URL of a value below {base}.")
     if not permissions.may_read(whole):
         raise Problem(403, f"You may not read {url[:200]}, so you may not wait for it.")
     try:

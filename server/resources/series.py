@@ -37,8 +37,10 @@ _MAX_NAMED = 12
 PARAMETERS = (
     QueryParameter("series", "The path of a number, such as `pose.position.x`: its values over a time."),
     QueryParameter("from", "Since when: an xsd:dateTime, or seconds before now as `-60`. Default: a minute ago."),
-    QueryParameter("to", "Until when, alike. Default: now."),
-    QueryParameter("points", f"The most points of a series, up to {MAX_POINTS}.", {"type": "integer", "minimum": 1}),
+    QueryParameter("to", "Until when, in the same format. Default: now."),
+    QueryParameter(
+        "points", f"The maximum number of points of a series, up to {MAX_POINTS}.", {"type": "integer", "minimum": 1}
+    ),
     QueryParameter("at", "The topic as it was at this time, an xsd:dateTime, by the history."),
 )
 
@@ -83,9 +85,9 @@ class SeriesResource(Resource):
         try:
             found = await asyncio.to_thread(read_series, writer, self.topic, self.field, self.wanted, values)
         except SeriesTooLong as error:
-            raise Problem(422, f"{error}: ask for a shorter time.") from error
+            raise Problem(422, f"{error}: request a shorter period.") from error
         except (OSError, ValueError, KeyError) as error:
-            raise Problem(503, f"The history cannot be read just now: {error}.") from error
+            raise Problem(503, f"The history cannot be read at the moment: {error}.") from error
         if not found.points and values.problem is not None:
             raise Problem(404, f"{values.problem}.")
         return found
@@ -110,7 +112,7 @@ class FieldValues:
         try:
             kind, value = field_at(schema, schema.codec.decode(sample.data, sample.encoding), self._path)
             if not isinstance(kind, Primitive) or isinstance(value, str) or not hasattr(value, "__float__"):
-                raise ValueError(f"{self._path} of {schema.ref.name} is no number")
+                raise ValueError(f"{self._path} of {schema.ref.name} is not a number")
             number = float(value)
         except ValueError as error:
             self.problem = self.problem or f"{error}{_suggestion(schema, self._path)}"
@@ -175,7 +177,7 @@ def series_of(space: Space, history: History, topic: str, exchange: Exchange) ->
     query, now = exchange.query, time.time_ns()
     field = query["series"]
     if not 0 < len(field) <= _MAX_FIELD:
-        raise Problem(400, "?series= names the path of a number, such as pose.position.x.")
+        raise Problem(400, "?series= must be the path of a number, such as pose.position.x.")
     since = read_time(query.get("from", str(-_SECONDS_BEFORE)), now)
     until = read_time(query["to"], now) if "to" in query else now
     points = query.get("points", str(POINTS))
@@ -183,7 +185,7 @@ def series_of(space: Space, history: History, topic: str, exchange: Exchange) ->
         raise Problem(400, f"?points={points[:20]}: from 1 to {MAX_POINTS}.")
     if since >= until:
         end = f"?to={query['to'][:60]}" if "to" in query else "now"
-        begin = f"?from={query['from'][:60]}" if "from" in query else "?from=, a minute ago where it is not given,"
+        begin = f"?from={query['from'][:60]}" if "from" in query else "?from=, by default a minute ago,"
         raise Problem(400, f"{begin} is not before {end}.")
     asked = {name: query[name] for name in ("series", "from", "to", "points") if name in query}
     text = "&".join(f"{name}={quote(value, safe='/:.-')}" for name, value in asked.items())

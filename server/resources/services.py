@@ -93,7 +93,7 @@ class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
 
     def deny_reason(self, method: str) -> str:
         if method != "POST" and not self.session.settings.read_only:
-            return f"{self.usage} with POST; it does not answer {method}."
+            return f"{self.usage} with POST; it does not support {method}."
         return self.closed_reason or self.unusable(self.require()) or f"{self.cannot.format(self.name)}."
 
     @property
@@ -167,7 +167,7 @@ class ServiceResource(InvocableResource[Service, ServiceSchema]):
         type = self.require().type
         schema = schemas.find(type, ServiceSchema)
         call = WriteMethod(
-            "Calls the service; the call is a resource, and `Idempotency-Key` makes it once only.",
+            "Calls the service; the call is a resource, created only once per `Idempotency-Key`.",
             schemas.write(schema.request if schema else None),
             is_body_required=False,
             done=(201,),
@@ -208,7 +208,7 @@ class ServiceResource(InvocableResource[Service, ServiceSchema]):
                 key, self.name, schema, request, await exchange.body(), deadline=deadline, sender=sender
             )
         except IdempotencyKeyReused as error:
-            raise Problem(422, f"The Idempotency-Key {key!r} came before with another request.") from error
+            raise Problem(422, f"The Idempotency-Key {key!r} was already used with another request.") from error
 
 
 class CallResource(KeptResource[Call]):

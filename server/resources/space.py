@@ -125,10 +125,10 @@ _MODEL, _STRING = "/robot_description", "std_msgs/msg/String"
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _VIEWS = ("above", VIEW_3D)
 _PARAMETERS = (
-    QueryParameter("frame", "The frame that the view is fixed to; that of the map where there is one, or another."),
+    QueryParameter("frame", "The fixed frame of the view. Default: the frame of the map if there is one."),
     QueryParameter(
         "show",
-        "A topic: its URL, or that below the base. It may be given several times; without it all is drawn.",
+        "A topic: its URL, or that below the base. Repeatable; without it everything is drawn.",
         {"type": "array", "items": TEXT},
     ),
     QueryParameter(
@@ -197,7 +197,7 @@ class SpaceResource(Resource):
         references = exchange.query_values("show")
         if len(references) > MAX_SHOWN:
             raise Problem(
-                400, f"?show= is there {len(references)} times: at most {MAX_SHOWN} topics are drawn together."
+                400, f"?show= is given {len(references)} times: at most {MAX_SHOWN} topics can be drawn together."
             )
         frame = exchange.query.get("frame", "").strip().removeprefix("/")
         if len(frame) > _MAX_FRAME:
@@ -231,7 +231,7 @@ class SpaceResource(Resource):
         for name, each in zip(names, drawn, strict=True):
             url, kind = self.space.topic(name), _kind(graph, name)
             if each is None:
-                topics.append(SpaceTopic(url, kind, "", None, "No message has come yet"))
+                topics.append(SpaceTopic(url, kind, "", None, "No message received yet"))
                 continue
             pose, problem = place_drawing(each, buffer, self._fixed)
             topics.append(SpaceTopic(url, kind, each.drawing.frame if each.drawing else "", pose, problem))
@@ -335,7 +335,7 @@ class SpaceResource(Resource):
         url = space.absolute(reference)
         location = None if "?" in url or "#" in url else space.location(url)
         if location is None or location.is_container or location.kind != "topics":
-            raise Problem(400, f"?show={reference[:100]} names no topic of this robot: send such as topics/scan.")
+            raise Problem(400, f"?show={reference[:100]} does not name a topic of this robot, such as topics/scan.")
         if not self._permissions.may_read(url):
             raise not_found()
         topic = graph.topics.get(location.name)
@@ -343,7 +343,9 @@ class SpaceResource(Resource):
             raise Problem(404, f"There is no topic {location.name}.")
         if topic.type is None or not can_place(topic.type.name):
             said = "several types" if topic.type is None else topic.type.name
-            raise Problem(422, f"{location.name} has messages of {said}: drawn in space are {', '.join(PLACED_TYPES)}.")
+            raise Problem(
+                422, f"{location.name} has messages of {said}: only {', '.join(PLACED_TYPES)} can be drawn in space."
+            )
         return location.name
 
     def _shown_topics(self, graph: Graph, names: Sequence[str]) -> list[ShownTopic]:

@@ -204,21 +204,23 @@ RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, HTML)))
 """The media types of results."""
 RESULT_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS]})
 PARTIAL = QueryParameter(
-    "partial", "Whether an answer is taken without values that cannot be read.", {"type": "boolean"}
+    "partial", "Whether to accept a result without the values that cannot be read.", {"type": "boolean"}
 )
-TIMEOUT = QueryParameter("timeout", "The seconds that the query may take.", {"type": "number", "exclusiveMinimum": 0})
+TIMEOUT = QueryParameter(
+    "timeout", "The time limit of the query in seconds.", {"type": "number", "exclusiveMinimum": 0}
+)
 _GRAPHS: JsonSchema = json_array(URI)
 _QUERY = QueryParameter("query", "A query (SPARQL 1.1 Protocol 2.1); without one the endpoint describes itself.")
 _OF_BOTH = (
-    QueryParameter("default-graph-uri", "The graphs that are the default graph together.", _GRAPHS),
+    QueryParameter("default-graph-uri", "The graphs whose union is the default graph.", _GRAPHS),
     QueryParameter("named-graph-uri", "The named graphs.", _GRAPHS),
     RESULT_FORMAT,
 )
 _OF_CLIENTS = tuple(
-    QueryParameter(name, "Passed over: some clients call `format` so as well.") for name in ("output", "results")
+    QueryParameter(name, "Ignored: some clients use this name for `format`.") for name in ("output", "results")
 )
 _OF_UPDATES = (
-    QueryParameter("using-graph-uri", "The graphs that are the default graph of an update together.", _GRAPHS),
+    QueryParameter("using-graph-uri", "The graphs whose union is the default graph of an update.", _GRAPHS),
     QueryParameter("using-named-graph-uri", "The named graphs of an update.", _GRAPHS),
 )
 _NO_QUERY = QueryRequest("")
@@ -313,16 +315,16 @@ class SparqlResource(Resource):
 
     def _no_updates(self) -> Problem:
         if self.settings.read_only:
-            return Problem(403, "This server is read-only: it answers queries, and takes no updates.")
+            return Problem(403, "This server is read-only: it accepts queries, but no updates.")
         taken = ", ".join(self.accepts["POST"])
-        return Problem(415, "Updates are not taken here, only queries.", headers={"Accept-Post": taken})
+        return Problem(415, "Only queries are accepted here, not updates.", headers={"Accept-Post": taken})
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         accept = accept_of(exchange)
         if exchange.query.keys().isdisjoint(_PROTOCOL):
             if not exchange.query.keys().isdisjoint(_OF_GRAPHS):
                 store = f"{self.space.base}graphs"
-                raise Problem(400, f"Graphs are read and written at {store}?graph=URL; here queries are answered.")
+                raise Problem(400, f"Read and write graphs at {store}?graph=URL; this endpoint answers queries.")
             return self._page(exchange.permissions) if prefers_page(accept) else None
         request = query_request("GET", exchange.request.scope["query_string"])
         return await self._answer(request, accept, exchange)

@@ -31,8 +31,8 @@ from rosld.server.runtime.version_cache import VersionCache
 _MAX_REASON = 500
 """Characters of a reason."""
 _ABOUT = (
-    "It publishes zero on the topics that command velocities, ends every hold, cancels goals, does what the mappings "
-    "say, and refuses all writes but zero."
+    "It publishes zero on velocity topics, ends every hold, cancels goals, runs the stop actions of "
+    "mappings, and refuses all writes but zero."
 )
 
 
@@ -62,8 +62,8 @@ class StopResource(Resource):
         plain: JsonSchema = {"type": "object", "properties": told}
         reason: JsonSchema = {"type": "string", "maxLength": 500}
         stop = WriteMethod(
-            "Publishes zero on velocity topics, ends holds, cancels goals, does what mappings say, refuses writes "
-            "(423).",
+            "Publishes zero on velocity topics, ends holds, cancels goals, runs the stop actions of mappings, "
+            "refuses writes (423).",
             {"type": "object", "properties": {"reason": reason}, "additionalProperties": False},
             is_body_required=False,
             done=(200, 204),
@@ -78,7 +78,7 @@ class StopResource(Resource):
     def deny_reason(self, method: str) -> str:
         if method in ("POST", "DELETE"):
             return self.software_stop.unusable_reason or super().deny_reason(method)
-        return f"POST stops the robot, DELETE lets it be moved again; it does not answer {method}."
+        return f"POST stops the robot, DELETE releases it; {method} is not supported."
 
     async def state(self) -> State:
         return self.current_state()
@@ -147,7 +147,7 @@ class StopResource(Resource):
         stop_state = self.software_stop.stop_state
         if stop_state is None:
             return (stop,)
-        about = f"Writes reach the robot again. Nothing is begun anew by that. The id of this stop is {stop_state.id}."
+        about = f"Writes reach the robot again. This does not restart anything. The id of this stop is {stop_state.id}."
         return (DeleteForm("Release the robot", "Release", about, query=(("confirm", stop_state.id),)), stop)
 
     async def post(self, exchange: Exchange) -> Answer:
@@ -185,7 +185,7 @@ class StopResource(Resource):
             raise Problem(409, f"{confirmed[:40]!r} is not the id of this stop: the page {self.url} shows it.")
         if exchange.agent == ANONYMOUS:
             raise Problem(
-                428, f"A person releases the stop: the page {self.url} has the button, and the id to confirm."
+                428, f"A person must release the stop: the page {self.url} has the button, and the id to confirm."
             )
 
     def _require_usable(self) -> None:

@@ -81,7 +81,7 @@ from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
 """The names of topics that both ROS 1 and ROS 2 allow."""
-_LATCH = QueryParameter("latch", "Whether subscribers that come later get the message.", {"type": "boolean"})
+_LATCH = QueryParameter("latch", "Whether later subscribers get the message.", {"type": "boolean"})
 
 
 class TopicResource(PublishingResource):
@@ -122,7 +122,7 @@ class TopicResource(PublishingResource):
         schema = None if topic is None else schemas.find(topic.type, MessageSchema)
         methods = self.methods()
         return PathItem(
-            "A topic that may be made" if topic is None else f"The topic {self.name}",
+            "A topic that can be created" if topic is None else f"The topic {self.name}",
             (*FIELD_READS, *PICTURES) if self.is_picture else FIELD_READS,  # the bytes of a cloud are among them
             ANYTHING if schema is None else nullable(schemas.read(schema)),
             (PICTURE_FORMAT, FIELD, *PARAMETERS, *TIMEMAP, *PICTURE_PARAMETERS)
@@ -141,7 +141,7 @@ class TopicResource(PublishingResource):
         hold = hold_parameters(self.session.settings.hold_time, "" if self.commands_velocity else "rate")
         publishes = "Publishes a message."
         if self.found is None:
-            publishes = "Makes a topic that is not there yet: RDF that states the type of the message."
+            publishes = "Creates a topic from RDF that states the type of the message."
         return {
             "PUT": WriteMethod(publishes, sent, done=(200, 201, 202, 204), query=(*STRICTNESS, _LATCH)),
             "PATCH": WriteMethod(
@@ -151,15 +151,15 @@ class TopicResource(PublishingResource):
                 query=(_LATCH,),
             ),
             "POST": WriteMethod(
-                "Holds the topic: publishes the message `rate` times a second while the lease is renewed, or `for` a "
-                "time.",
+                "Holds the topic: publishes the message `rate` times per second while the lease is renewed, or `for` "
+                "a time.",
                 sent,
                 done=(201,),
                 shows=hold_schema(schemas, schema),
                 query=(*STRICTNESS, *hold),
             ),
             "DELETE": WriteMethod(
-                "Stops to advertise the topic; 405 while this server does not advertise it.", done=(204,)
+                "Stops advertising the topic; 405 if this server does not advertise it.", done=(204,)
             ),
         }
 
@@ -207,7 +207,7 @@ class TopicResource(PublishingResource):
             return denied_reason(found, graph, permitted)
         if name in RESERVED and name not in permitted:
             return f"{name} belongs to ROS itself."
-        return None if _LEGAL.fullmatch(name) else f"{name!r} is no legal name for a new topic."
+        return None if _LEGAL.fullmatch(name) else f"{name!r} is not a valid name for a new topic."
 
     @property
     def is_absent(self) -> bool:
@@ -320,7 +320,9 @@ class TopicResource(PublishingResource):
     async def _message_forms(self, schema: MessageSchema) -> Sequence[Form]:
         """The forms that publish and hold, that with a pad first; while the robot is stopped what publishes zero."""
         if self.session.is_stopped:
-            return (message_form(schema, title="Publish zero", about="The robot is stopped: nothing else passes."),)
+            return (
+                message_form(schema, title="Publish zero", about="The robot is stopped: everything else is refused."),
+            )
         latest = await self._latest_json()
         hold = hold_form(
             self.session, self.name, schema, latest, await self.limit_checks.topic_bounds(self.name, schema)
@@ -428,7 +430,7 @@ class TopicResource(PublishingResource):
         if self.unwritable_reason() is not None:
             raise self.not_allowed("PUT", 403)
         if triples is None:
-            raise Problem(403, f"{self.name} is there for as long as a node has it: it cannot be dropped.")
+            raise Problem(403, f"{self.name} exists as long as a node has it: it cannot be deleted.")
         publication = await self.plan_graph(triples)
 
         async def carried_out() -> bool:

@@ -303,9 +303,7 @@ def _deny_reason(space: Space, settings: Settings, url: str, method: str) -> str
     if settings.read_only:
         return "This server is read-only."
     route = space.container("shapes")
-    return (
-        f"{url} is the server's own and does not answer {method}: limits may be kept at {route}NAME, by another name."
-    )
+    return f"{url} is built in and does not support {method}: store limits at {route}NAME, under another name."
 
 
 def _container(session: Session, states: VersionCache[State], route: str, location: Location) -> Resource:

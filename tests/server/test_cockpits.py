@@ -90,7 +90,7 @@ def test_joints_are_plotted_and_transforms_drawn_and_a_topic_without_a_message_s
     shown = {each.kind and each.kind.value: (each.shows[0], each.fields) for each in panels}
     assert shown["plot"] == (f"{http.base_url}topics/joint_states", ("position",))
     assert shown["space"] == (f"{http.base_url}space", ())
-    assert "No message has come yet." in page
+    assert "No message received yet." in page
     assert "ros:Topic" not in page
 
 

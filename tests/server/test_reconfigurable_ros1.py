@@ -22,7 +22,7 @@ JSON = {"Accept": "application/json"}
 TURTLE = {"Accept": "text/turtle"}
 HTML = {"Accept": "text/html"}
 MERGE = {"Content-Type": "application/merge-patch+json"}
-AT_START = "Kept by the parameter server: nodes may read it only when they start."
+AT_START = "Stored by the parameter server: nodes may read it only when they start."
 
 
 @pytest.fixture(scope="module")

@@ -82,7 +82,7 @@ class Validator:
         else:
             if not self.is_allowed(write) or "/" in write.path.removeprefix(self.route):
                 container = self._space.base + self.route
-                raise Problem(409, f"{self.what} directly under {container}: nothing else has a place there.")
+                raise Problem(409, f"{self.what} directly under {container}: nothing else is allowed there.")
             act = await self.check(write, url)
 
         def done() -> None:
@@ -151,7 +151,7 @@ class QueryValidator(Validator):
                 await asyncio.to_thread(self._queries.check, put.path, blob)  # a long one takes its time
             except ValueError as error:
                 self._records.discard(blob)
-                raise Problem(422, f"This is no stored query: {error}.") from error
+                raise Problem(422, f"This is not a stored query: {error}.") from error
         return _nothing
 
 
@@ -211,8 +211,8 @@ def _nothing() -> None:
 def _unpack(put: Put) -> bytes:
     """The N-Triples that a document says. Raises a 413 Problem for more than is read beside the loop in good time."""
     if unpacked_size(put.triples) > MAX_BYTES:
-        words = f"A document that is put in force has at most {MAX_BYTES} bytes of N-Triples"
-        raise Problem(413, f"{words}, and this one {unpacked_size(put.triples)}: split it into several.")
+        words = f"A document that is in force can have at most {MAX_BYTES} bytes of N-Triples"
+        raise Problem(413, f"{words}, this one has {unpacked_size(put.triples)}: split it into several.")
     return unpack_triples(put.triples)
 
 
@@ -274,7 +274,7 @@ async def with_warnings(documents: Documents, path: str, exchange: Exchange, ans
     is_new = isinstance(answer, CreatedAnswer)
     problem = Problem(
         201 if is_new else 200,
-        f"The mapping is in force. Of what it names this is not there now: {' '.join(warnings)}",
+        f"The mapping is in force, but it names things that do not exist now: {' '.join(warnings)}",
         title="In force, with warnings",
         headers={"Location": to_uri(url)} if is_new else {},
     )
@@ -339,7 +339,7 @@ class StoredResource(Resource):
     def require_if_match(self, exchange: Exchange) -> None:
         """Raise a 428 Problem for a PUT without If-Match where the settings demand it (LDP 4.2.4.5)."""
         if self.documents.settings.demand_if_match:
-            require_if_match(exchange.header("if-match"), "A document is replaced by clients that have read it.")
+            require_if_match(exchange.header("if-match"), "Read the document before replacing it.")
 
     async def change_record(self, exchange: Exchange, make: Callable[[Record], Awaitable[Write]]) -> None:
         """Do what `make` makes of the record as it is.
@@ -358,7 +358,7 @@ class StoredResource(Resource):
                 if error.cause is not ConflictCause.CHANGED or exchange.is_conditional:
                     raise conflict_problem(self.space, error) from error
                 if time.monotonic() > until:
-                    words = f"{self.url} was changed by others all the time for {patience:g} s; nothing was done."
+                    words = f"{self.url} was changed by others continuously for {patience:g} s; nothing was done."
                     raise Problem(503, words, headers={"Retry-After": "1"}) from error
 
     async def delete(self, exchange: Exchange) -> Answer:
@@ -385,8 +385,8 @@ def conflict_problem(space: Space, error: Conflict) -> Problem:
 def missing_problem(documents: Documents, path: str) -> Problem:
     """410 where something was removed and not made again, 308 to a container, else 404."""
     if documents.records.is_tombstone(path):
-        return Problem(410, f"/{path} was deleted; PUT makes it again.")
+        return Problem(410, f"/{path} was deleted; PUT to create it again.")
     other = path[:-1] if path.endswith("/") else path + "/"
     if documents.records.get(other) is not None:
         return permanent_redirect(documents.space.base + other)
-    return Problem(404, f"There is nothing at /{path}; PUT makes it.")
+    return Problem(404, f"There is nothing at /{path}; PUT to create it.")

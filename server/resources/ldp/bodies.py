@@ -66,7 +66,9 @@ def require_model(exchange: Exchange, model: Model, url: str) -> None:
     types = (link.target for link in links if "type" in link.rel.lower().split())
     asked = {target for target in types if target.startswith(ldp.iri)}
     if not asked <= {kind.value for kind in rdf_types(model)}:
-        raise Problem(409, f"This is an ldp:{model.value}, and stays one: make another resource for another model.")
+        raise Problem(
+            409, f"This is an ldp:{model.value} and cannot change: create another resource for another model."
+        )
 
 
 def _links(exchange: Exchange) -> Sequence[Link]:
@@ -102,7 +104,7 @@ async def as_statements(triples: Sequence[Triple], subject: str) -> Statements:
 def require_small(triples: Sequence[Triple]) -> None:
     """Raise a 413 Problem for more than a document of a few thousand triples."""
     if isinstance(triples, Statements) and triples.is_large:
-        raise Problem(413, "This says more than can be kept here: a few thousand triples at the most.")
+        raise Problem(413, "This is too large to store: at most a few thousand triples.")
 
 
 def require_same_containment(documents: Documents, record: Record, triples: Iterable[Triple]) -> None:
@@ -167,7 +169,7 @@ async def merge_parts(workers: WorkerPool, exchange: Exchange, url: str) -> None
     """
     found = await merged_statements(workers, exchange, url, url)
     if unpacked_size(found.packed) > _MAX_UNITED:
-        raise Problem(413, f"The parts say more than {_MAX_UNITED} bytes of N-Triples: PUT one body instead.")
+        raise Problem(413, f"The parts exceed {_MAX_UNITED} bytes of N-Triples: PUT one body instead.")
     exchange.override(exchange.method, _N_TRIPLES, unpack_triples(found.packed))
 
 
@@ -185,7 +187,7 @@ def _read(part: Part, number: int, url: str) -> list[Triple]:
     if stated is None or stated.essence not in RDF_BODIES:
         raise Problem(
             415,
-            f"Part {number} is {stated or 'of unknown type'}; each part says by its Content-Type which RDF it is: "
+            f"Part {number} is {stated or 'of unknown type'}; each part needs an RDF Content-Type: "
             f"{', '.join(RDF_BODIES)}.",
         )
     return rename_blank_nodes(parse_triples(to_utf8(part.body, stated), stated.essence, url))
@@ -215,9 +217,9 @@ def initial_times(managed: Sequence[Triple]) -> bytes:
     for predicate in TIMES:
         said = list(dict.fromkeys(each for each in managed if each.predicate == predicate))
         if len(said) > 1 or not all(isinstance(each.object, Literal) for each in said):
-            raise Problem(409, f"{predicate.value} of a resource is one literal, such as a date.")
+            raise Problem(409, f"{predicate.value} of a resource must be one literal, such as a date.")
         if said and len(str(said[0].object).encode()) > MAX_TIME_BYTES - 100:
-            raise Problem(409, f"{predicate.value} is longer than any date: say it shorter.")
+            raise Problem(409, f"{predicate.value} is longer than any date: shorten it.")
         found += said
     return to_ntriples(found)
 

@@ -98,7 +98,7 @@ async def creation_writes(
     managed = managed_triples_in(stated.managed, url, model)
     if managed:
         if contained_members(managed, url):
-            raise Problem(409, "A new container contains nothing: leave ldp:contains away, and POST its members to it.")
+            raise Problem(409, "A new container is empty: omit ldp:contains, and POST its members to it.")
         require_classes(managed, model)
         work = partial(client_triples, stated, url, model, frozenset[Triple](), initial_times(managed))
         kept = await documents.workers.run(work) if stated.is_large else work()
@@ -132,10 +132,10 @@ def require_free(documents: Documents, path: str) -> None:
     """Raise a 409 Problem where the same name is a container already, or is none: a name means one thing."""
     other = path[:-1] if path.endswith("/") else path + "/"
     if documents.records.get(other) is not None:
-        raise Problem(409, f"There is {documents.space.base}{other} already: choose another name.")
+        raise Problem(409, f"{documents.space.base}{other} already exists: choose another name.")
 
 
-_SUMMARIES = {"data/": "Data that clients keep", "mappings/": "Mapping documents", "cockpit/": "Cockpits"}
+_SUMMARIES = {"data/": "Data stored by clients", "mappings/": "Mapping documents", "cockpit/": "Cockpits"}
 
 
 class ContainerResource(PagedContainer, RdfSourceResource):

@@ -376,9 +376,9 @@ class StoredFile(StoredResource):
     async def _patch(self, record: Record, patch: bytes) -> Blob:
         assert record.blob is not None
         if record.blob.media_type.partition(";")[0].strip() != JSON:
-            raise Problem(415, f"{MERGE_PATCH} changes {JSON}, and this is {record.blob.media_type}.")
+            raise Problem(415, f"{MERGE_PATCH} applies to {JSON}, but this is {record.blob.media_type}.")
         if record.blob.size > self.documents.settings.body_limit:
-            raise Problem(413, f"A file of {record.blob.size} bytes is too large to be patched; PUT it whole.")
+            raise Problem(413, f"A file of {record.blob.size} bytes is too large to patch; PUT all of it.")
         is_light = record.blob.size + len(patch) <= SMALL_BYTES
         try:
             work = partial(merge_json_file, self.documents.records.file(record.blob), patch, record.blob.media_type)
@@ -386,7 +386,7 @@ class StoredFile(StoredResource):
         except FileNotFoundError as error:
             if self.documents.records.get(self.path) is record:
                 raise
-            raise Conflict(record.path, "its bytes were replaced meanwhile", ConflictCause.CHANGED) from error
+            raise Conflict(record.path, "its content was replaced meanwhile", ConflictCause.CHANGED) from error
         return await self.documents.records.receive(single_chunk(data), record.blob.media_type, limit=len(data))
 
 

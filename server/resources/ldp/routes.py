@@ -158,7 +158,7 @@ class AbsentResource(StoredResource):
             if error.path != self.path or error.cause is not ConflictCause.THERE:
                 raise conflict_problem(self.space, error) from error
         if exchange.is_conditional:
-            raise Problem(412, f"{self.url} was made by another request meanwhile; nothing was done.")
+            raise Problem(412, f"{self.url} was created by another request meanwhile; nothing was done.")
         return await self._once_more(exchange, blob)
 
     async def patch(self, exchange: Exchange) -> Answer:
@@ -213,7 +213,8 @@ def missing_description(records: Records, path: str) -> Problem:
     if records.is_tombstone(file):
         return Problem(410, f"/{file} was deleted, and its description with it.")
     return Problem(
-        404, f"/{path} would describe a file at /{file}, and there is none: PUT the file, and it comes along."
+        404,
+        f"/{path} would describe the file /{file}, which does not exist: PUT the file, and its description is created.",
     )
 
 

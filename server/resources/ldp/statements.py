@@ -137,7 +137,7 @@ def statements_of(given: bytes | list[Triple]) -> Statements:
         if b"<<" not in given:
             return found
     if any(Triple in (type(each.subject), type(each.object)) for each in found):
-        raise Problem(422, "Triples about triples are not kept here.")
+        raise Problem(422, "Triples about triples cannot be stored.")
     return found
 
 

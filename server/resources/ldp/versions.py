@@ -62,7 +62,7 @@ def former_of(documents: Documents, path: str, exchange: Exchange) -> Resource |
     asked = next((name for name in ("timemap", "at") if name in query), None)
     if not has_versions(documents.settings, path):
         if asked is not None and path.startswith(_ROOTS) and documents.settings.versions == 0:
-            raise Problem(404, f"?{asked}: no former versions are kept here: rosld serve --versions N keeps them.")
+            raise Problem(404, f"?{asked}: no former versions are kept; start with rosld serve --versions N.")
         return None
     if asked is None and wanted is None:
         return None
@@ -76,7 +76,7 @@ def former_of(documents: Documents, path: str, exchange: Exchange) -> Resource |
         at_ns = read_time(query["at"], time.time_ns())
         record = version_at(documents.records, path, at_ns)
         if record is None:
-            raise Problem(404, f"There was no /{path} at {query['at'][:60]}, or that version is not kept any more.")
+            raise Problem(404, f"There was no /{path} at {query['at'][:60]}, or that version is no longer kept.")
         now = Resource(space, url)
         now.title, now.links = f"/{path}", (RESOURCE, RDF_SOURCE)
         return Memento(now, "Document as it was", query["at"], partial(_state_at, documents, record, at_ns))

@@ -65,7 +65,7 @@ def require_rights(operations: Sequence[Operation], permissions: Permissions) ->
     if has_where(operations):
         raise forbidden(
             permissions.agent,
-            "send an update with a WHERE, which is for those who may read everything: name the triples",
+            "send an update with a WHERE, which requires permission to read everything: name the triples",
         )
 
 
@@ -228,7 +228,7 @@ class UpdateService:
             locked |= {change.graph for change in delta.changes}
         raise Problem(
             409,
-            f"What this update reads or writes has changed {ATTEMPTS} times while it was planned; nothing was done.",
+            f"The data of this update changed {ATTEMPTS} times while it was planned; nothing was done.",
             headers={"Retry-After": "1"},
         )
 
@@ -262,7 +262,7 @@ class UpdateService:
         moved = [operation.source] if operation.verb is GraphVerb.MOVE else []
         for graph in (operation.target, *moved):
             if isinstance(graph, str) and not isinstance(self._resource_of(graph), StoredResource):
-                words = f"{operation.verb.value} is for what clients keep, and <{graph}> is the robot's."
+                words = f"{operation.verb.value} applies only to stored graphs, but <{graph}> is the robot's."
                 raise Problem(403, f"{words} Nothing was done.", extra={"graph": graph})
 
     def _without_groups(self, operations: Sequence[Operation], permissions: Permissions) -> Sequence[Operation]:
@@ -314,7 +314,7 @@ class UpdateService:
         found = self._resource_of(graph)
         if found is None:
             base = self._session.space.base
-            raise Problem(403, f"It is no graph that can be written here; {base}data/ and below keep what you like.")
+            raise Problem(403, f"This graph cannot be written here; use graphs below {base}data/.")
         return found
 
     # From the changes to the answer

@@ -112,7 +112,7 @@ async def _load_or_nothing(load: Load, allowed: frozenset[str], seconds: float, 
 
 async def _insertion(load: Load, allowed: frozenset[str], seconds: float, limit: int) -> ChangeData:
     if load.document not in allowed:
-        words = "this server asks only what its settings list (--allow-load), by its whole URL"
+        words = "this server loads only the URLs in its settings (--allow-load); use the full URL"
         raise Problem(403, f"LOAD of <{load.document}> is refused: {words}. Nothing was done.")
     assert load.into is not None
     triples = await asyncio.to_thread(_read, load.document, seconds, limit)
@@ -140,5 +140,5 @@ def _read(document: str, seconds: float, limit: int) -> Sequence[Triple]:
 def _quads(triples: Sequence[Triple], graph: NamedNode) -> Iterator[Quad]:
     for subject, predicate, value in triples:
         if isinstance(subject, Triple) or isinstance(value, Triple):
-            raise Problem(422, f"LOAD: {subject} or {value} is a triple about triples, and these are not kept here.")
+            raise Problem(422, f"LOAD: {subject} or {value} is a triple about triples, which cannot be stored.")
         yield Quad(subject, predicate, value, graph)

@@ -141,7 +141,7 @@ def test_a_file_comes_in_ranges_is_not_sent_twice_and_is_no_bag_of_another_ros(r
     assert http.head("/bags/talk/file").headers["content-length"] == str(len(whole))
     ended = http.patch("/bags/talk/", content='{"status": "ended"}', headers=MERGE_PATCH | JSON)
     assert ended.status_code == 405
-    assert ended.json()["detail"] == "The recording talk has ended: nothing of it can be changed."
+    assert ended.json()["detail"] == "The recording talk has ended and cannot be changed."
     assert http.get("/bags/talk/file?format=bag").content == whole
     for accept in ("*/*", "text/html,*/*;q=0.8", "application/x-tar;q=0.1, application/octet-stream"):
         assert http.get("/bags/talk/file", headers={"Accept": accept}).headers["content-type"] == UNKNOWN

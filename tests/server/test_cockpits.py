@@ -194,11 +194,11 @@ def test_what_is_not_there_is_told_in_words_and_nothing_of_others_is_embedded(ro
     page = rover.get("/cockpit/words", headers=PAGE)
     for words in (
         "There is no topic /nothing.",
-        "is not of this robot",
-        "http://example.org/Gauge are not known",
+        "is not on this robot",
+        "Unknown panel type http://example.org/Gauge",
         "no field",
-        "From a cockpit something is sent to the robot only",
-        "has no value that could be shown",
+        "A cockpit can send only to the robot",
+        "has no value to show",
         "&lt;script&gt;",
     ):
         assert words in page.text
@@ -212,7 +212,7 @@ def test_a_stopped_robot_is_not_driven_from_a_cockpit(rover: httpx.Client) -> No
     try:
         page = rover.get("/cockpit/default", headers=PAGE).text
         assert "data-drive" not in page
-        assert "it is not driven until it is released" in page
+        assert "cannot be driven until it is released" in page
         assert 'action="/services/' not in page
     finally:
         assert release(rover).status_code == 204

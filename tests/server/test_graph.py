@@ -99,7 +99,7 @@ def test_red_is_only_what_is_wrong_and_all_forms_say_the_same(robot: Any, servin
     problems = {name: each["problem"] for name, each in vertices.items() if "problem" in each}
     assert problems.keys() == {"/wished", "/steady"}
     assert problems["/wished"] == "silent: nobody publishes"
-    assert problems["/steady"].startswith("fell silent: no message since 20")
+    assert problems["/steady"].startswith("went silent: no message since 20")
     turtle = Graph().parse(data=get(http).text, format="turtle")
     said = {str(thing).rpartition("/topics")[2]: str(words) for thing, words in turtle.subject_objects(RDFS.comment)}
     assert said == problems
@@ -110,7 +110,7 @@ def test_red_is_only_what_is_wrong_and_all_forms_say_the_same(robot: Any, servin
     assert (drawing.count('topic bad"'), drawing.count('topic unheard"')) == (2, 2)
     robot.publishes("/steady", {"data": ""})
     monkeypatch.undo()
-    assert "fell silent" not in get(http, accept="text/html").text
+    assert "went silent" not in get(http, accept="text/html").text
 
 
 def test_a_name_is_text_on_the_page(robot: Any, serving: Any) -> None:

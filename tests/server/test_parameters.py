@@ -22,7 +22,7 @@ def test_a_parameter_has_no_past_and_says_so(plane: httpx.Client) -> None:
     for query in ("at=-5", "timemap", "series=value"):
         answer = plane.get(f"/parameters/present?{query}", headers=JSON)
         assert answer.status_code == 404, "the present value is no answer to what it was"
-        assert "nothing records the values of parameters" in answer.json()["detail"]
+        assert "parameter values are not recorded" in answer.json()["detail"]
 
 
 def test_rdf_sets_what_json_sets_and_a_value_that_was_read_can_be_put_back(plane: httpx.Client) -> None:

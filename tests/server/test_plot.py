@@ -86,7 +86,7 @@ def test_a_property_stands_for_the_topic_that_it_is_read_from(start_server: Call
     http = start_server("aircraft").http
     told_of = http.get("/plot", params={"y": "resources/cockpit/display"}, headers=JSON)
     assert told_of.status_code == 422
-    assert "is no number" in told_of.json()["detail"]
+    assert "is not a number" in told_of.json()["detail"]
     asked = http.get("/plot", params={"y": f"{http.base_url}resources/aircraft/engine/speed"}, headers=JSON).json()
     assert [(each["topic"], each["field"]) for each in asked["y"]] == [
         (f"{http.base_url}topics/aircraft/engine/speed", "data")
@@ -95,14 +95,14 @@ def test_a_property_stands_for_the_topic_that_it_is_read_from(start_server: Call
 
 def test_a_reference_to_no_number_is_refused_in_words(rover: httpx.Client) -> None:
     for reference, status, words in (
-        ("nodes/rover#x", 400, "names no topic"),
-        ("topics/odom", 400, "say which field"),
-        ("topics/odom?at=1#x", 400, "names no topic"),
-        ("http://example.org/topics/odom#x", 400, "names no topic"),
+        ("nodes/rover#x", 400, "does not name a topic"),
+        ("topics/odom", 400, "add the field"),
+        ("topics/odom?at=1#x", 400, "does not name a topic"),
+        ("http://example.org/topics/odom#x", 400, "does not name a topic"),
         ("topics/nothing#data", 404, "There is no topic /nothing"),
         ("topics/odom#twist.twist.linear.q", 422, "has no field 'twist.twist.linear.q'"),
-        ("topics/odom#child_frame_id", 422, "is no number"),
-        ("topics/odom#twist", 422, "is no number"),
+        ("topics/odom#child_frame_id", 422, "is not a number"),
+        ("topics/odom#twist", 422, "is not a number"),
         ("resources/nothing#x", 404, "There is no property"),
         (f"topics/odom#{'x.' * 1000}", 400, "is too long"),
     ):

@@ -86,8 +86,8 @@ def test_a_missing_frame_is_a_problem(rover: httpx.Client) -> None:
 
 def test_a_view_that_cannot_be_drawn_is_refused_in_words(rover: httpx.Client) -> None:
     for query, status, words in (
-        ("show=nodes/rover", 400, "names no topic"),
-        ("show=topics/scan%23ranges", 400, "names no topic"),
+        ("show=nodes/rover", 400, "does not name a topic"),
+        ("show=topics/scan%23ranges", 400, "does not name a topic"),
         ("show=topics/nothing", 404, "There is no topic /nothing"),
         ("show=topics/imu", 422, "has messages of sensor_msgs/msg/Imu"),
         (f"frame={'x' * 301}", 400, "is too long"),

@@ -60,17 +60,17 @@ def test_orders_and_what_was_interrupted_outlive_a_kill_and_a_stop_and_rights_ar
         assert http.get("/bags/cut/messages/0", headers=JSON).json() == {"data": 0.0}
         assert len(read(bags / "cut.mcap")) > 20
         assert status(server, "cut") == "interrupted"
-        assert "ended by force" in problem(server, "cut")
+        assert "rosld was killed" in problem(server, "cut")
         assert value(http, "/bags/cut/", "end") is not None
         assert "interrupted" in http.get("/bags/cut/", headers=JSON).text
-        assert "ended by force" in http.get("/bags/cut/", headers=HTML).text
+        assert "rosld was killed" in http.get("/bags/cut/", headers=HTML).text
         until(lambda: status(server, "speed") == "suspended", "the judgement of who ordered it")
-        assert f"may not read /topics{SPEED} any more" in problem(server, "speed")
+        assert f"may no longer read /topics{SPEED}" in problem(server, "speed")
         until(lambda: status(server, "gone") == "suspended", "the judgement of who ordered it")
-        assert "not known here any more" in problem(server, "gone")
+        assert "no longer known" in problem(server, "gone")
         assert "the recording speed, ordered by ben, is suspended" in log.read_text()
         assert "suspended" in http.get("/bags/speed/", headers=JSON).text
-        assert "may not read" in http.get("/bags/speed/", headers=HTML).text
+        assert "may no longer read" in http.get("/bags/speed/", headers=HTML).text
         assert status(server, "flight") == "armed"
         auth.write_text(ALL + BEN + TOPICS + tokens("anna", "ben"))
         until(lambda: status(server, "speed") == "armed", "the rights that are there again")

@@ -120,10 +120,10 @@ def test_a_past_that_cannot_be_read_is_refused_with_what_there_is_instead(past: 
             assert (answer.status_code, len(answer.json()["detail"]) > 20) == (status, True), query
     for path, words in (
         ("odom?series=twist.nothing", "has no field 'twist.nothing' here; numbers are header.stamp.sec, "),
-        ("odom?series=twist.twist", "is no number; numbers are twist.twist.linear.x, twist.twist.linear.y, "),
-        ("odom?series=pose.covariance", "is no number: name an element, such as pose.covariance.0."),
+        ("odom?series=twist.twist", "is not a number; numbers are twist.twist.linear.x, twist.twist.linear.y, "),
+        ("odom?series=pose.covariance", "is not a number: name an element, such as pose.covariance.0."),
         (f"odom?series={FIELD}&from=-1&to=-2", "?from=-1 is not before ?to=-2."),
-        (f"odom?series={FIELD}&to=-120", "a minute ago where it is not given, is not before ?to=-120."),
+        (f"odom?series={FIELD}&to=-120", "by default a minute ago, is not before ?to=-120."),
         ("odom?at=1990-01-01T00:00:00Z", "until 1990-01-01T00:00:00Z: the history begins at 20"),
         ("imu?at=-1", "start rosld with --history /imu, or --history '*' for all topics."),
         ("imu?series=angular_velocity.x", "--history"),

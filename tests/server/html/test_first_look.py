@@ -40,8 +40,8 @@ def test_a_page_begins_with_the_value_and_folds_its_rdf(rover: httpx.Client) -> 
     assert '<figure class="picture">' in seen
     assert ">57,600 bytes</a>" in seen
     assert 'class="hex"' not in seen
-    assert "a list subscribes to none" in rover.get("/topics/", headers=HTML).text
-    assert "a list subscribes to none" not in rover.get("/services/", headers=HTML).text
+    assert "a list does not subscribe" in rover.get("/topics/", headers=HTML).text
+    assert "a list does not subscribe" not in rover.get("/services/", headers=HTML).text
 
 
 def test_a_tree_of_parameters_is_a_table_of_their_values(rover: httpx.Client) -> None:

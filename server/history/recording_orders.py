@@ -80,9 +80,9 @@ class RecordingNotes:
             try:
                 members: object = orjson.loads(path.read_bytes())
                 if not isinstance(members, dict):
-                    raise ValueError("it is no object")
+                    raise ValueError("it is not an object")
             except (OSError, ValueError) as error:
-                log.warning("the note %s cannot be read: %s", path, error)
+                log.warning("the record %s cannot be read: %s", path, error)
                 continue
             found[path.name.removesuffix(kind)] = cast("dict[str, object]", members)
         return found
@@ -99,8 +99,8 @@ class RecordingNotes:
             remove_note(self._folder / f"{name}{kind}")
 
 
-STOPPED = "rosld ended while it was being made: it reaches until its last message."
-KILLED = "rosld was ended by force while it was being made: it reaches until the last message that was on the disk."
+STOPPED = "rosld exited while it was being recorded; it is complete up to its last message."
+KILLED = "rosld was killed while it was being recorded; it is complete up to the last message on disk."
 
 
 class Interruptions:
@@ -119,7 +119,7 @@ class Interruptions:
                 try:
                     self._notes.remove(INTERRUPTED, name)
                 except OSError as error:
-                    log.warning("that %s was interrupted cannot be forgotten: %s", name, error)
+                    log.warning("the record that %s was interrupted cannot be deleted: %s", name, error)
 
     def reason(self, name: str) -> str | None:
         """Return why a recording was interrupted, as a sentence, or None if it was not."""
@@ -131,7 +131,7 @@ class Interruptions:
         try:
             await asyncio.to_thread(self._notes.write, INTERRUPTED, name, {"why": why})
         except OSError as error:
-            log.error("that the recording %s was interrupted cannot be stored: %s", name, error)
+            log.error("cannot store that the recording %s was interrupted: %s", name, error)
 
     async def remove(self, name: str) -> None:
         """Remove the note about a deleted recording. Raises OSError."""

@@ -3,13 +3,12 @@
     python bench/ros2.py [--topics 200] [--seconds 10] [--puts 300]
 
 One talker publishes on all topics at 50 Hz. A bare rclpy subscriber to all of them on the default executor, and rosld's
-adapter, each in a process of its own, count the processor time that they use meanwhile (target: a ratio of 0.2): the
-adapter before it has subscribed to any, as when nobody has looked for a minute, and while it is subscribed to all of
-them and nobody looks. Then rosld looks at all of them once (target: 20 ms). The memory that rosld holds is compared
-before and after the run, with a look a second. At last, strings are put to a topic over HTTP and published by a bare
-rclpy publisher in turn; the same subscriber takes the time that they were on their way.
+adapter, each in its own process, measure their CPU time (target: a ratio of 0.2): the adapter without subscriptions, as
+after a minute without reads, and while it is subscribed to all topics that nobody reads. Then rosld reads all of them
+once (target: 20 ms). The memory of rosld is compared before and after the run, with a read per second. Finally, strings
+are put to a topic over HTTP and published by a bare rclpy publisher in turn; the same subscriber measures their delay.
 
-Runs in the venv that `make ros2` makes, or in a Python that has an rclpy.
+Runs in the venv of `make ros2`, or in a Python with rclpy.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ LOOKS = 20
 
 
 def topic(number: int) -> str:
-    """One of the topics."""
+    """Return the name of a topic."""
     return f"/bench/topic_{number}"
 
 

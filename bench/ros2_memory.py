@@ -3,11 +3,11 @@
     python bench/ros2_memory.py --minutes 60 [--topics 200] [--every 5] [--most 20]
 
 A talker publishes on all topics at 50 Hz, and `rosld serve ros2:` serves them. Every few seconds some of the topics are
-read over HTTP, some by SPARQL, and the memory that the server's process holds (RSS) is taken. Printed are the memory
-over time and how much it grows an hour: the slope of the straight line that fits best what came after the warm-up, a
-third of the time and five minutes at most. It fails (1) where memory grew by more than `--most` MB after the warm-up.
+read over HTTP, some by SPARQL, and the resident memory (RSS) of the server's process is measured. The output is the
+memory over time and its growth per hour: the slope of the least-squares line after the warm-up, a third of the time and
+five minutes at most. The exit code is 1 if memory grew by more than `--most` MB after the warm-up.
 
-Runs in the venv that `make ros2` makes, or in a Python that has an rclpy.
+Runs in the venv of `make ros2`, or in a Python with rclpy.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Held(NamedTuple):
 
 
 def warm(samples: Sequence[Held]) -> Sequence[Held]:
-    """The samples after the warm-up."""
+    """Return the samples after the warm-up."""
     last = samples[-1].seconds
     return [one for one in samples if one.seconds >= min(last / 3, LONGEST_WARM_UP)]
 

@@ -159,7 +159,6 @@ def read_ntriples(data: bytes, media_type: str, base: str) -> bytes:
 
 @contextmanager
 def _parser_errors() -> Iterator[None]:
-    """Convert errors of the parser to BodyError."""
     try:
         yield
     except SyntaxError as error:

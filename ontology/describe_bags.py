@@ -224,7 +224,6 @@ def bag_selection_document(bag: Bag, space: Space, url: str, messages: Sequence[
 
 
 def _container(bag: Bag, space: Space) -> list[Triple]:
-    """Return the container of the messages of a recording."""
     return triples_about(
         NamedNode(space.bag_messages(bag.name)),
         *CONTAINER,

@@ -154,7 +154,6 @@ _CONSTANT = NodeShape[tuple[int, Constant]]("Constant", "a constant of a message
 
 
 def _message_type(kind: MessageType, space: Space) -> list[Triple]:
-    """Return the fields and constants of a message type."""
     subject = NamedNode(space.class_of(kind.name))
     fields = [NamedNode(space.property_of(kind.name, field.name)) for field in kind.fields]
     constants = [NamedNode(space.property_of(kind.name, constant.name)) for constant in kind.constants]
@@ -189,7 +188,6 @@ def constant_value(constant: Constant) -> Literal | None:
 
 
 def _nested_type(kind: FieldType) -> str | None:
-    """Return the name of the message type within a field's type."""
     element = kind.element if isinstance(kind, Array) else kind
     return element.name if isinstance(element, Nested) else None
 

@@ -125,7 +125,6 @@ class _Writer:
             yield self._message(iri)
 
     def _node(self, subject: Subject, depth: int) -> Json:
-        """Return a node object."""
         self.written.add(subject)
         node: dict[str, Json] = {}
         if isinstance(subject, NamedNode):
@@ -204,7 +203,6 @@ def _literal(literal: Literal, compact: str | None) -> Json:
 
 
 def _by_predicate(shape: Outline) -> Mapping[NamedNode, list[Term]]:
-    """Return all objects of each predicate."""
     objects: dict[NamedNode, list[Term]] = {}
     for statements in shape.subjects.values():
         for predicate, terms in statements.items():

@@ -66,7 +66,6 @@ def _uses(subjects: dict[Subject, Statements]) -> Counter[BlankNode]:
 
 
 def _blanks_within(term: Triple) -> set[BlankNode]:
-    """Return the blank nodes of a triple term at any depth."""
     blanks: set[BlankNode] = set()
     waiting: list[Triple] = [term]
     while waiting:

@@ -172,7 +172,7 @@ def lower_parameter(body: RdfBody, url: str) -> ParameterValue:
     """Return the value that a body states for the parameter at `url` (for a tree with or without its slash).
 
     Also found: the only subject of type ros:Parameter, or the only one with an ros:value, that nothing links to.
-    Raises LoweringError with the path of what does not fit.
+    Raises LoweringError with the path of the invalid value.
     """
     return _lower(body, _subject(body, url), "", 0)
 

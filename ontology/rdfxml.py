@@ -11,8 +11,8 @@ from rosld.ontology.outline import Subject, Term, outline
 from rosld.ontology.syntax import CannotCarry
 from rosld.ontology.vocab import PREFIXES, rdf, xsd
 
-# The local part of an element's name: of ASCII where the IRI ends so, for XML's fourth and fifth editions differ on
-# other letters; else what the fifth allows (NameStartChar, NameChar; Namespaces in XML 1.0: no colon).
+# The local part of an element's name is ASCII if possible, as XML's fourth and fifth editions differ on other letters;
+# otherwise it may have all characters of the fifth (NameStartChar, NameChar; Namespaces in XML 1.0: no colon).
 _START = (
     "A-Z_a-z\xc0-\xd6\xd8-\xf6\xf8-\u02ff\u0370-\u037d\u037f-\u1fff\u200c\u200d\u2070-\u218f\u2c00-\u2fef"
     "\u3001-\ud7ff\uf900-\ufdcf\ufdf0-\ufffd\U00010000-\U000effff"
@@ -20,7 +20,7 @@ _START = (
 _SPLIT_ASCII = re.compile(r"(.*?)([A-Za-z_][A-Za-z0-9_.-]*)", re.DOTALL)
 _SPLIT = re.compile(f"(.*?)([{_START}][{_START}.0-9\xb7\u0300-\u036f\u203f\u2040-]*)", re.DOTALL)
 _NO_CHARACTER = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-# Written here: `xml.sax.saxutils` brings in all of urllib and ssl, a third of what the start of a query process takes.
+# Not from `xml.sax.saxutils`, which imports all of urllib and ssl: a third of the start of a query process.
 _IN_TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
 _IN_QUOTES = _IN_TEXT | str.maketrans({'"': "&quot;", "\n": "&#10;", "\t": "&#9;"})
 _NAMESPACES = {iri: prefix for prefix, iri in PREFIXES.items()}
@@ -61,7 +61,6 @@ class _Writer:
         return f"  <rdf:Description {self._node(subject, 'rdf:about')}>\n{''.join(lines)}  </rdf:Description>\n"
 
     def _element(self, name: str, term: Term) -> str:
-        """Return a property element."""
         if isinstance(term, Triple):
             raise CannotCarry("RDF/XML 1.1 cannot carry a triple term; ask for Turtle or N-Triples")
         if isinstance(term, Literal):

@@ -59,7 +59,7 @@ class _Writer:
         return isinstance(subject, NamedNode) or (subject not in self.shape.nested and subject not in self.shape.cells)
 
     def paragraphs(self) -> Iterator[str]:
-        """Yield all subjects; blank nodes that only refer to each other come last."""
+        """Yield all subjects; blank nodes that only refer to each other are last."""
         yield from self._waiting()
         for subject in self.shape.subjects:
             # List cells without a link belong to a blank node written below, or to a cycle of them.
@@ -163,7 +163,6 @@ def trig(document: Document) -> str:
 
 
 def _header(base: str, prefixes: Mapping[str, str]) -> str:
-    """Return `@base` and the prefixes."""
     return f"@base <{base}> .\n" + "".join([_declaration(*prefix) for prefix in prefixes.items()])
 
 

@@ -225,7 +225,7 @@ class Application:
     def end_streams(self) -> None:
         """End unbounded responses, holds first.
 
-        Call this when the server is asked to stop, before it waits for requests.
+        Call this when the server is to stop, before it waits for requests.
         """
         self._holds.close("rosld ended")
         self.broadcasters.close()

@@ -1,6 +1,6 @@
-"""Every setting of a server, once: its name, type, default, what it means, and how it is given.
+"""Every setting of a server: its name, type, default, meaning, and option.
 
-Settings          the values, checked when made
+Settings          the values, validated on creation
 setting(...)      declares one: `option` is its own option of `rosld serve`; the others are given with --setting
 describe()        the table of `docs/reference/settings.md`
 """

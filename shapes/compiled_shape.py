@@ -24,9 +24,9 @@ Walk: TypeAlias = Callable[[Term, View, bool], Sequence[Term]]
 class Constraint(Struct, frozen=True, eq=False):
     """A constraint: its parameter and value as written, the sentence about a violation, and its test.
 
-    `test` looks at each value node; `offenders` returns those of all value nodes of a focus node that break it, None
+    `test` checks each value node; `offenders` returns those of all value nodes of a focus node that break it, None
     for a missing one; `strangers` returns the values that a closed shape does not allow. `bounds` narrow the value
-    nodes, `shapes` are those that the value refers to.
+    nodes, `shapes` are those that the value references.
     """
 
     parameter: NamedNode

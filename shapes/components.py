@@ -187,7 +187,7 @@ def list_terms(terms: Iterable[Term], limit: int = 12) -> str:
 
 
 def _class(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """Return the test for instances of a class or of one of its subclasses according to the data."""
+    """Return the constraint to instances of a class, or of one of its subclasses in the data."""
     iri = checked_iri(value)
 
     def test(value: Term, view: View) -> bool:
@@ -208,7 +208,7 @@ def _class(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint
 
 
 def _datatype(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """Return the test for literals of exactly this datatype that are not ill-typed."""
+    """Return the constraint to well-typed literals of exactly this datatype."""
     iri = checked_iri(value)
 
     def test(value: Term, view: View) -> bool:
@@ -260,7 +260,7 @@ def _count(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint
 
 
 def _range(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """Return the test for numbers by value, whatever their datatypes."""
+    """Return the constraint on the range of numbers, compared by value across datatypes."""
     if not isinstance(value, Literal):
         raise ParameterFault(f"is {value}, where a literal is needed")
     if value.language is None and value.datatype != xsd.string:
@@ -294,7 +294,7 @@ def str_of(value: Term) -> str | None:
 
 
 def _length(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """Return the test for lengths in characters."""
+    """Return the constraint on the length in characters."""
     length = checked_cardinal(value)
     is_least = parameter == sh.minLength
 
@@ -328,7 +328,7 @@ def _pattern(parameter: NamedNode, value: Term, source: ShapeSource) -> Constrai
 
 
 def _logic(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """Return the test for sh:and, sh:or and sh:xone, whose values are lists of shapes."""
+    """Return the constraint of sh:and, sh:or or sh:xone, whose values are lists of shapes."""
     shapes = tuple(map(source.shape, source.members(value)))
     if not shapes:
         raise ParameterFault("is an empty list")
@@ -470,7 +470,7 @@ def _data_terms(terms: Iterable[Term]) -> list[Term]:
 
 
 def _in(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """Return the test for terms in a list; literals are equal if their normal forms are."""
+    """Return the constraint to the terms of a list; literals are equal if their normal forms are."""
     terms = [checked_term(each) for each in source.members(value)]
     contains = membership(_data_terms(terms))
     bounds = Bounds(choices=tuple(each for each in terms if isinstance(each, Literal)))
@@ -486,7 +486,7 @@ def _has_value(parameter: NamedNode, value: Term, source: ShapeSource) -> Constr
 
 
 def _closed(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    """No properties but those of the shape's property shapes and the ignored ones."""
+    """Return the constraint to the properties of the shape's property shapes and the ignored ones."""
     is_closed = checked_truth(value)
     allowed: set[Term | None] = {source.shape(each).path for each in source.said.get(sh.property, ())}
     for head in source.said.get(sh.ignoredProperties, ()):

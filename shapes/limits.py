@@ -41,7 +41,7 @@ from rosld.shapes.terms import TripleView
 from rosld.shapes.value import UNBOUNDED, Bounds, merge_bounds
 
 Check: TypeAlias = Callable[[Message, str, str], tuple[Violation, ...]]
-"""Return the violations of a message lifted as the node (`#message`) of a document (its URL)."""
+"""Function that returns the violations of a message lifted as the node (`#message`) of a document (its URL)."""
 
 _WHOLE = 1 << 62
 _KINDS = ("resources", "topics", "services", "parameters", "nodes")
@@ -327,7 +327,6 @@ class _MessageCheck:
 
 
 def _nested_type(kind: object) -> str | None:
-    """Return the message type within a field's type."""
     element = kind.element if isinstance(kind, Array) else kind
     return element.name if isinstance(element, Nested) else None
 

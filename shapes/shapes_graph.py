@@ -212,7 +212,7 @@ class ShapesGraph:
             )
 
     def _path(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> tuple[NamedNode | None, Walk | None]:
-        """Return the path: a predicate, or more than that."""
+        """Return the path: a predicate or a property path."""
         kinds, paths = said.get(rdf.type, ()), said.get(sh.path, [])
         if sh.NodeShape in kinds and (paths or sh.PropertyShape in kinds):
             raise ValueError(f"{self.name(node)} is a sh:NodeShape, and so can be no property shape: it has a sh:path")

@@ -145,7 +145,7 @@ def distinct(terms: Sequence[Term]) -> Sequence[Term]:
 
 
 def _key(term: Term) -> Term | Node:
-    """Return what the literals of one normal form have in common."""
+    """Return a key that literals with the same normal form share."""
     return term if is_plain(term) else normalize(term)
 
 

@@ -39,7 +39,7 @@ def _shapes(name: str) -> ShapesGraph:
 
 
 def validate(triples: Iterable[Triple], name: str) -> Iterator[ValidationResult]:
-    """Yield the violations of the shapes graph `NAME.ttl` in triples (none of them with a triple term)."""
+    """Yield the violations of the shapes graph `NAME.ttl` in triples (without triple terms)."""
     graph, triples = _shapes(name), [Triple(each.subject, each.predicate, _cheap(each.object)) for each in triples]
     view = TripleView(triples)
     targets = {
@@ -62,7 +62,7 @@ def _text(focus: Term) -> str:
 
 
 def _focus_nodes(kind: NamedNode, target: Term, triples: Iterable[Triple]) -> Iterator[Term]:
-    """Yield the focus nodes of a target (SHACL 2.1.3); an instance of a class is one by its own rdf:type alone."""
+    """Yield the focus nodes of a target (SHACL 2.1.3); subclasses are ignored."""
     for triple in triples:
         if kind == sh.targetClass:
             if triple.predicate == rdf.type and triple.object == target:
@@ -72,7 +72,7 @@ def _focus_nodes(kind: NamedNode, target: Term, triples: Iterable[Triple]) -> It
 
 
 def _cheap(term: Term) -> Term:
-    """Return a term with another datatype than one whose values rdflib would take long to read."""
+    """Return a term, with a placeholder for datatypes whose values rdflib may be slow to parse."""
     if not isinstance(term, Literal) or term.language is not None or term.datatype == xsd.string:
         return term
     return (

@@ -15,6 +15,6 @@ def shown_id(http: httpx.Client) -> str | None:
 
 
 def release(http: httpx.Client, **params: str) -> httpx.Response:
-    """DELETE the stop, confirmed with the id that its page shows."""
+    """Send a DELETE of the stop, confirmed with the id that its page shows."""
     id = shown_id(http)
     return http.delete("/stop", params=params if id is None else {"confirm": id, **params})

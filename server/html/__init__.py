@@ -1,4 +1,4 @@
-"""HTML pages for people: every resource, rendered on the server, with forms for what can be done to it.
+"""HTML pages for people: every resource, rendered on the server, with forms for its operations.
 
 This package knows no robot and no store: it turns a `Page` (or a similar value) into bytes. Text from a robot is always
 escaped, never markup, and `HEADERS` let the browser run only scripts from this server: `live.js` keeps an open page up

@@ -223,7 +223,6 @@ def _is_silent(document: Document) -> bool:
 
 
 def _default_title(panel: Panel, site: Site) -> str:
-    """Return the default title of a panel: the name of its subject."""
     if panel.kind is PanelKind.PLOT and panel.fields:
         return f"{site.short_name(panel.shows[0])} {', '.join(panel.fields)}"
     return ", ".join(site.short_name(each) for each in panel.shows) or "A panel"
@@ -342,7 +341,6 @@ def _streams(panels: Sequence[FilledPanel], site: Site) -> Mapping[int, str]:
 
 
 def _stream_of(config: str) -> str:
-    """Return the URL of the stream of a plot."""
     return str(json.loads(config)["stream"])
 
 

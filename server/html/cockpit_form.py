@@ -194,7 +194,6 @@ _NEW_PANEL = {"kind": PanelKind.VALUE.value, "width": "4", "height": "3"}
 
 
 def _panel_texts(panel: Panel, base: str) -> Mapping[str, str]:
-    """Return the texts of the inputs of a panel, by their names."""
     area = panel.area
     return {
         "kind": "" if panel.kind is None else panel.kind.value,

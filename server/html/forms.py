@@ -214,7 +214,6 @@ Form: TypeAlias = ValueForm | DeleteForm | ChoiceForm | EditForm | CopyForm
 
 
 def _errors(violations: Iterable[tuple[str, Violation]]) -> Mapping[str, str]:
-    """Return violations as sentences, by input name."""
     errors: dict[str, str] = {}
     for path, violation in violations:
         known = errors.get(path)

@@ -115,7 +115,6 @@ def _cells(cells: tuple[Cell, ...], width: int, site: Site) -> tuple[tuple[View,
 
 
 def _columns(document: Document, urls: list[str]) -> tuple[tuple[str, ...], dict[str, tuple[Cell, ...]]]:
-    """Return the columns for the members of the container."""
     members = set(urls)
     found: dict[str, dict[NamedNode, Cell]] = {}
     predicates: dict[NamedNode, None] = {}

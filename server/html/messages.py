@@ -140,7 +140,7 @@ def _value(each: Field, value: object, path: str, depth: int, drawing: _Drawing)
 
 
 def _with_plot_link(view: View, kind: Primitive, path: str, drawing: _Drawing) -> View:
-    """Return the view, for a number with a link to its plot."""
+    """Return the view; a number has a link to its plot."""
     if drawing.plots is None or kind.name in STRINGS or not isinstance(view, TextView):
         return view
     return replace(view, plot=f"{drawing.plots}{quote(path, safe='')}")

@@ -204,7 +204,6 @@ def _complex(view: ComplexView, site: Site, posted: Mapping[str, FormTarget]) ->
 
 
 def _named_link(url: str, name: str, site: Site) -> Anchor:
-    """Return a link to a resource under a given name."""
     found = site.anchor(url) or Anchor("", "", url)
     return Anchor(found.href, escape_controls(name), url, found.external)
 

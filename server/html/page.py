@@ -37,7 +37,7 @@ class Thumbnail(Struct, frozen=True):
 
 Cell: TypeAlias = str | NamedNode | Literal | Thumbnail
 Csrf: TypeAlias = Callable[[str], str]
-"""Return the CSRF token of a form for its target URL; an empty text stands for the page's own URL."""
+"""Function that returns the CSRF token for the target URL of a form (empty for the page's own URL)."""
 Offer: TypeAlias = views.View
 """Content of a page below `/resources/`."""
 
@@ -78,7 +78,7 @@ class Alternate(Struct, frozen=True):
     media_type: str
     format: str
     query: str = ""
-    """Stands for the query string of the page itself."""
+    """Query string of the page itself."""
 
     @property
     def href(self) -> str:

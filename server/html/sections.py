@@ -184,7 +184,6 @@ def _more(said: Statements, qos: Statements) -> Iterable[str]:
 
 
 def _first(statements: Statements, predicate: NamedNode) -> str:
-    """Return the first literal of a predicate, or an empty text."""
     return escape_controls(
         next((each.value for each in statements.get(predicate, ()) if isinstance(each, Literal)), "")
     )

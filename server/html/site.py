@@ -66,9 +66,9 @@ class Site:
     stop_warning: str = ""
     """Why the robot may still move although it is stopped, as a sentence, or empty."""
     may: Callable[[str, str], bool] = field(default=_anything, compare=False)
-    """Return whether the reader may use a method at a URL."""
+    """Permission of the reader for a method at a URL."""
     may_subtree: Callable[[str, str], bool] = field(default=_anything, compare=False)
-    """Return whether the reader may use a method at a URL and everything below it."""
+    """Permission of the reader for a method at a URL and everything below it."""
     is_restricted: bool = False
     """Whether there are resources that the reader may not see."""
 

@@ -169,7 +169,6 @@ class LatestValues:
 
 
 def _picture_of(value: Value | None, newest: Sample | None) -> LatestPicture | None:
-    """Return the picture of the newest message of a topic."""
     if newest is None or not isinstance(value, MessageValue) or not can_draw(value.schema.ref.name):
         return None
     from rosld.server.pictures.picture import is_drawable  # Pillow, as in `PictureCache`

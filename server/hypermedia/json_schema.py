@@ -242,7 +242,6 @@ def _integer(kind: Primitive, limits: JsonSchema) -> JsonSchema:
 
 
 def _limits(bounds: Bounds) -> JsonSchema:
-    """Return the limits of a range of numbers."""
     return _without_none(
         minimum=_number(bounds.minimum),
         maximum=_number(bounds.maximum),
@@ -260,7 +259,6 @@ def _number(literal: Literal | None) -> int | float | None:
 
 
 def _choice(literal: Literal) -> bool | int | float | str:
-    """Return the plain JSON of a choice."""
     if literal.datatype == xsd.boolean:
         return literal.value in ("true", "1")
     value = number(literal)
@@ -270,7 +268,6 @@ def _choice(literal: Literal) -> bool | int | float | str:
 
 
 def _without_none(**keywords: int | float | str | None) -> JsonSchema:
-    """Return the keywords that have a value."""
     return {name: value for name, value in keywords.items() if value is not None}
 
 

@@ -175,7 +175,7 @@ class _Reader:
     # Resources
 
     def resource(self, node: Term) -> ComplexResource:
-        """One complex resource."""
+        """Return a complex resource."""
         assert isinstance(node, NamedNode)
         path = self.text(node, mapping.path)
         properties = [self.property(each, path) for each in self.objects(node, mapping.property)]
@@ -220,7 +220,7 @@ class _Reader:
         )
 
     def link(self, node: Term) -> MappedLink:
-        """One link."""
+        """Return a link."""
         return MappedLink(
             self.relation(node, mapping.relation),
             self.text(node, mapping.target),
@@ -417,7 +417,6 @@ def _full(name: str, path: str) -> str:
 
 
 def _twice(values: Collection[_T]) -> list[_T]:
-    """Return the duplicates."""
     return [value for value, number in Counter(values).items() if number > 1]
 
 
@@ -433,7 +432,6 @@ def _unknown(term: NamedNode) -> bool:
 
 
 def _no_term(term: NamedNode) -> str:
-    """Return the message about an unknown term."""
     from rdflib.namespace import SH
 
     known = [each.value for each in _TERMS] if term.value.startswith(mapping.iri) else [str(each) for each in dir(SH)]

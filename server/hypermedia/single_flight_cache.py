@@ -15,7 +15,7 @@ K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
 Fetch: TypeAlias = Callable[[Sequence[K]], Awaitable[Mapping[K, V]]]
-"""Return the values of all keys; never raises."""
+"""Function that returns the values of all keys and never raises."""
 
 Slot: TypeAlias = "AbstractAsyncContextManager[None]"
 """Context manager in which a fetch runs, such as a semaphore."""

@@ -135,7 +135,7 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
 def _action_members(
     schema: JsonSchema | None, forms: Sequence[Members], *, synchronous: bool, idempotent: bool = False
 ) -> Members:
-    """Return the members of an action that takes what `schema` says, or nothing."""
+    """Return the members of an action with the input `schema`, or without input."""
     return {
         **_without_none(input=schema),
         "output": OBJECT,
@@ -154,7 +154,6 @@ def _hold(one: PropertyAffordance, lifting: LiftSettings) -> Members:
 
 
 def _goal_forms(one: ActionAffordance) -> Iterator[Members]:
-    """Return the forms that query and cancel a goal."""
     if one.goals is not None and one.goals.status is not None:
         yield _form(one.goals.status, "queryaction", "GET")
     if one.goals is not None and one.goals.can_cancel:
@@ -191,7 +190,6 @@ def _led_to(term: str, value: NamedNode | None) -> Members:
 
 
 def _without_none(**members: object) -> Members:
-    """Return the members that have a value."""
     return {name: value for name, value in members.items() if value is not None}
 
 

@@ -24,7 +24,7 @@ _TEXT = {"@language": "en"}
 
 
 def _named(predicate: str, name: str, context: Mapping[str, object]) -> dict[str, object]:
-    """Return the term of an object of objects, each of which has its name as a property."""
+    """Return the term of a member whose value maps names to objects; each gets its name as a property."""
     return {"@id": predicate, "@container": "@index", "@index": name, "@context": context}
 
 

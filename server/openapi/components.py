@@ -34,7 +34,6 @@ PROBLEM = "application/problem+json"
 
 
 def _about(schema: JsonSchema, about: str) -> JsonSchema:
-    """Return a schema with a description."""
     return {**schema, "description": about}
 
 

@@ -97,14 +97,13 @@ _FRAME = 300
 
 
 def _tags(items: Iterable[object]) -> set[object]:
-    """Return the tags of the operations of path items."""
     operations = (one for item in items if isinstance(item, dict) for one in item.values() if isinstance(one, dict))
     return {tag for one in operations for tag in one.get("tags", ())}
 
 
 _Json: TypeAlias = "dict[str, object]"
 May: TypeAlias = Callable[[str, str], bool]
-"""Return whether a method may be used at a path."""
+"""Permission for a method at a path."""
 _METHODS = frozenset({"get", "put", "post", "patch", "delete"})
 _SCHEMES: _Json = {
     "bearer": {"type": "http", "scheme": "bearer", "description": "A token, as whoever runs this server gives it."},

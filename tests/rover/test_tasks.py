@@ -1,4 +1,4 @@
-"""Number of requests and bytes that a program needs for tasks on the rover, of which it knows only the entry."""
+"""Number of requests and bytes that a program needs for tasks on the rover, knowing only the entry."""
 
 from __future__ import annotations
 

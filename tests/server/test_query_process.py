@@ -52,7 +52,7 @@ def process_of(served: Served, other_than: int | None = None) -> int:
 
 
 def has_ended(pid: int) -> bool:
-    """Whether a process is gone, or a zombie."""
+    """Whether a process has ended, or is a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except (FileNotFoundError, ProcessLookupError):

@@ -650,7 +650,7 @@ async def follow_streams(crawl: Crawl, admin: Client) -> None:
 
 
 async def wait_for_space(crawl: Crawl, admin: Client) -> None:
-    """Wait for a second topic in space, of which the reader sees one, while an administrator waits, who sees two."""
+    """Wait for a second topic in space as a reader, who sees one, and as an administrator, who sees two."""
     waits = [
         (client, client.begin("GET", f"/space?until={quote(condition)}", Accept=JSON))
         for client, condition in ((admin, "frame = 'never'"), (crawl.ask, "show[1].kind != 'never'"))

@@ -18,7 +18,7 @@ BEGIN, END = 1_000_000_000_000, 1_001_000_000_000
 
 
 def recorded(folder: Path, random: Random, late: int) -> tuple[HistoryRecording, list[tuple[str, int]]]:
-    """Write messages at random times, some `late` by a number of ns, the last of which are in no chunk yet."""
+    """Write messages at random times, some `late` by a number of ns, and leave the last ones outside of any chunk."""
     writer = HistoryWriter(Segments(folder, HistoryLimits(1e9, 1 << 30)), lambda ref: "")
     writer.open()
     times = sorted(random.randrange(BEGIN, END) for _ in range(600))

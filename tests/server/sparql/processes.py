@@ -12,7 +12,7 @@ Served = Any
 
 
 def children_of(pid: int) -> set[int]:
-    """Return the processes that a process has started and not awaited; empty if it is gone."""
+    """Return the processes that a process has started and not awaited; empty if it has ended."""
     found: set[int] = set()
     for file in Path(f"/proc/{pid}/task").glob("*/children"):
         try:
@@ -23,7 +23,7 @@ def children_of(pid: int) -> set[int]:
 
 
 def command_of(pid: int) -> str:
-    """Return the command line of a process; empty if it is gone."""
+    """Return the command line of a process; empty if it has ended."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes().decode("utf-8", "replace")
     except (FileNotFoundError, ProcessLookupError):

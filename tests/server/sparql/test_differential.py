@@ -70,7 +70,7 @@ def http() -> Iterator[httpx.Client]:
 
 
 def dump(http: httpx.Client) -> Dataset:
-    """Return the dataset, with resources and the statements of listings and trees about their members kept apart."""
+    """Return the dataset, with resources and the statements of listings and trees about their members separated."""
     once_started(lambda: http.get("/sparql", params={"query": "ASK {}"}))
     text = http.get("/graphs?all", headers={"Accept": "application/n-quads"}).text
     quads = [quad for quad in parse(text.encode(), RdfFormat.N_QUADS) if isinstance(quad.graph_name, NamedNode)]

@@ -22,12 +22,12 @@ _INT32 = range(-(2**31), 2**31)
 
 def read_name(tree: Tree, name: str) -> ParameterValue | None:
     """Return the value of a name, a dict where it is a tree; None where there is nothing."""
-    found: ParameterValue = tree
+    value: ParameterValue = tree
     for step in _path(name):
-        if not isinstance(found, dict) or step not in found:
+        if not isinstance(value, dict) or step not in value:
             return None
-        found = found[step]
-    return found
+        value = value[step]
+    return value
 
 
 def with_value(tree: Tree, name: str, value: ParameterValue) -> Tree:

@@ -23,12 +23,12 @@ def scheme_of(source: str, schemes: frozenset[str]) -> str:
     """
     if source in schemes:
         return source
-    found = _SCHEME.match(source)
-    if found and found[1] in schemes:
-        return found[1]
-    if found and source[found.end() :].startswith("//"):
+    match = _SCHEME.match(source)
+    if match and match[1] in schemes:
+        return match[1]
+    if match and source[match.end() :].startswith("//"):
         names = ", ".join(sorted(schemes))
-        raise ValueError(f"no adapter for {found[1]!r} in {source!r}; installed: {names}")
+        raise ValueError(f"no adapter for {match[1]!r} in {source!r}; installed: {names}")
     return RECORDING
 
 

@@ -45,12 +45,12 @@ _MAX_DIGITS = 100
 
 def default_texts(name: str, text: str) -> Mapping[str, str]:
     """Return the texts of the default values in the definition `text` of a message type, by field name."""
-    found = {field: value for (kind, field), value in _STATED_ELSEWHERE.items() if kind == name}
+    texts = {field: value for (kind, field), value in _STATED_ELSEWHERE.items() if kind == name}
     for line in text.splitlines():
         words = line.replace("\t", " ").partition("#")[0].split(None, 2)
         if len(words) == 3 and "=" not in words[1] + words[2]:
-            found[words[1]] = words[2].rstrip()
-    return found
+            texts[words[1]] = words[2].rstrip()
+    return texts
 
 
 def with_default(field: Field, texts: Mapping[str, str]) -> Field:

@@ -123,12 +123,12 @@ def split_sections(name: str, definition: str) -> dict[str, str]:
     first, *rest = _SEPARATOR.split(definition)
     texts = {name: first.strip("\n")}
     for part in rest:
-        found = _SECTION.match(part)
-        if not found:
+        match = _SECTION.match(part)
+        if not match:
             raise ValueError(f"the definition of {name} has a section without a 'MSG: package/Name' line")
-        package, kind, short = found.groups()
+        package, kind, short = match.groups()
         nested = _ALIASES.get(f"{package}/{short}", f"{package}/{kind or 'msg'}/{short}")
-        texts.setdefault(nested, part[found.end() :].strip("\n"))
+        texts.setdefault(nested, part[match.end() :].strip("\n"))
     return texts
 
 
@@ -233,9 +233,9 @@ class _Hasher:
         self._depth += 1
         if self._depth > _MAX_DEPTH:
             raise ValueError(f"{name} is nested more than {_MAX_DEPTH} deep")
-        found = md5_text(name, self._texts[name], self.md5)
+        text = md5_text(name, self._texts[name], self.md5)
         self._depth -= 1
-        return found
+        return text
 
 
 def service_md5(name: str, texts: Mapping[str, str]) -> str:

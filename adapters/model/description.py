@@ -112,19 +112,19 @@ def _default(field: FieldMessage) -> str:
     return '"' + text.replace('"', '\\"') + '"' if kind in _STRINGS else text
 
 
-def _type(found: FieldTypeMessage) -> str:
-    block, kind = divmod(found.type_id, _BLOCK)
+def _type(message: FieldTypeMessage) -> str:
+    block, kind = divmod(message.type_id, _BLOCK)
     if block >= len(_SUFFIXES):
-        raise ValueError(f"unknown field type id {found.type_id}")
+        raise ValueError(f"unknown field type id {message.type_id}")
     if kind == _NESTED:
-        element = _short(found.nested_type_name)
+        element = _short(message.nested_type_name)
     elif kind in (_BOUNDED_STRING, _BOUNDED_WSTRING):
-        element = f"{'string' if kind == _BOUNDED_STRING else 'wstring'}<={found.string_capacity}"
+        element = f"{'string' if kind == _BOUNDED_STRING else 'wstring'}<={message.string_capacity}"
     elif kind in _PRIMITIVES:
         element = _PRIMITIVES[kind]
     else:
-        raise ValueError(f"a field of the type {found.type_id} has no name in a .msg")
-    return element + _SUFFIXES[block].format(found.capacity)
+        raise ValueError(f"a field of the type {message.type_id} has no name in a .msg")
+    return element + _SUFFIXES[block].format(message.capacity)
 
 
 def _short(name: str) -> str:

@@ -184,11 +184,11 @@ class TypeLibrary:
     def _of_messages(self, package: str, short: str) -> str | None:
         """Return the text of an action from the messages that actionlib generates, or None if these are unknown."""
         try:
-            found = [self.find(TypeRef(f"{package}/msg/{short}{part}")) for part in ("Goal", "Result", "Feedback")]
+            schemas = [self.find(TypeRef(f"{package}/msg/{short}{part}")) for part in ("Goal", "Result", "Feedback")]
         except UnknownType:
             return None
-        texts = [split_sections(schema.ref.name, schema.definition) for schema in found]
-        own = [texts_of.pop(schema.ref.name) for schema, texts_of in zip(found, texts, strict=True)]
+        texts = [split_sections(schema.ref.name, schema.definition) for schema in schemas]
+        own = [texts_of.pop(schema.ref.name) for schema, texts_of in zip(schemas, texts, strict=True)]
         nested = {name: text for texts_of in texts for name, text in texts_of.items()}
         return "\n".join(["\n---\n".join(own), *_append(nested)])
 
@@ -209,12 +209,12 @@ class TypeLibrary:
             current = pending.pop()
             if current in closed:
                 continue
-            found = texts.get(current)
-            if found is None or current in _BUILTIN:
-                found = next(chain(self._candidates(current), self._nested_texts(current)), None)
-            if found is None:
+            text = texts.get(current)
+            if text is None or current in _BUILTIN:
+                text = next(chain(self._candidates(current), self._nested_texts(current)), None)
+            if text is None:
                 raise ValueError(f"{name} needs {current}, whose definition is not known")
-            own = split_sections(current, found)
+            own = split_sections(current, text)
             closed[current] = own[current]
             texts = {**own, **texts}
             pending.extend(references(current, own[current]) - closed.keys())
@@ -224,11 +224,11 @@ class TypeLibrary:
         require_short(name, definition)
         try:
             closed = self._closure(name, texts)
-            found = md5(name, closed) if self._ros_version == 1 else None
+            md5_hash = md5(name, closed) if self._ros_version == 1 else None
             store = typestore_of(closed)
             types = message_types(store, closed)
             require_bounded(name, types)
-            ref = TypeRef(name, _verify_hash(name, found or message_hash(name, types), hash))
+            ref = TypeRef(name, _verify_hash(name, md5_hash or message_hash(name, types), hash))
         except (KeyError, IndexError, RecursionError) as error:
             raise ValueError(f"the definition of {name} cannot be read: {error}") from error
         for each in closed:
@@ -242,8 +242,8 @@ class TypeLibrary:
         shared = split_sections(name, definition)
         closed = {each: self._closure(each, {**shared, **texts}) for each in texts}
         if self._ros_version == 1:
-            found = service_md5(name, {**closed[f"{name}_Request"], **closed[f"{name}_Response"]})
-            hash = _verify_hash(name, found, hash)
+            md5_hash = service_md5(name, {**closed[f"{name}_Request"], **closed[f"{name}_Response"]})
+            hash = _verify_hash(name, md5_hash, hash)
         request, response = (self._message(each, closed[each], texts[each], None) for each in texts)
         if self._ros_version == 2:
             hash = _verify_hash(name, service_hash(name, {**request.types, **response.types}), hash)
@@ -256,8 +256,10 @@ class TypeLibrary:
         closed = {each: self._closure(each, {**shared, **texts}) for each in texts}
         if self._ros_version == 1:
             actionlib = {part: text for each in _ACTIONLIB for part, text in self._closure(each, {}).items()}
-            found = action_md5(name, {**actionlib, **{key: text for of in closed.values() for key, text in of.items()}})
-            hash = _verify_hash(name, found, hash)
+            md5_hash = action_md5(
+                name, {**actionlib, **{key: text for of in closed.values() for key, text in of.items()}}
+            )
+            hash = _verify_hash(name, md5_hash, hash)
         goal, result, feedback = (self._message(each, closed[each], texts[each], None) for each in texts)
         if self._ros_version == 2:
             hash = _verify_hash(name, action_hash(name, {**goal.types, **result.types, **feedback.types}), hash)
@@ -293,14 +295,14 @@ def _append(texts: Mapping[str, str]) -> list[str]:
 
 def _definition_files(folders: Sequence[Path]) -> Mapping[tuple[str, str], Path]:
     """Return the path of each definition in these folders by package and file name; the first folder wins."""
-    found: dict[tuple[str, str], Path] = {}
+    paths: dict[tuple[str, str], Path] = {}
     for folder in folders:
         for pattern in ("*.msg", "*.srv", "*.action"):
             for count, path in enumerate(sorted(folder.rglob(pattern))):
                 if count > _MAX_FILES:
                     break
-                found.setdefault((path.parent.parent.name, path.name), path)
-    return found
+                paths.setdefault((path.parent.parent.name, path.name), path)
+    return paths
 
 
 @cache

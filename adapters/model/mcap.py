@@ -37,11 +37,11 @@ class Fields:
     def texts(self) -> dict[str, str]:
         """Return a map of strings."""
         inner = type(self)(self.octets())
-        found: dict[str, str] = {}
+        texts: dict[str, str] = {}
         while inner.more():
             key = inner.text()
-            found[key] = inner.text()
-        return found
+            texts[key] = inner.text()
+        return texts
 
     def more(self) -> bool:
         """Whether anything is left."""

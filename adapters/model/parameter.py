@@ -94,8 +94,8 @@ def coerce(value: ParameterValue, type: ParameterType) -> ParameterValue | None:
         return _octets(value) if type is ParameterType.BYTE_ARRAY else _scalar(value, type)
     if not isinstance(value, list):
         return None
-    found: list[ParameterValue] = [fit for each in value if (fit := _scalar(each, element)) is not None]
-    return found if len(found) == len(value) else None
+    values: list[ParameterValue] = [fit for each in value if (fit := _scalar(each, element)) is not None]
+    return values if len(values) == len(value) else None
 
 
 _ELEMENTS: Mapping[ParameterType, ParameterType] = {

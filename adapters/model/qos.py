@@ -103,13 +103,13 @@ def mismatches(
     DDS 1.4, 2.2.3: the requested quality must not exceed the offered one. Endpoints of one node with the same
     incompatibility count as one.
     """
-    found = (
+    candidates = (
         Mismatch(publisher, subscriber, *words)
         for offering, requesting, words in _unfit_profiles(publishers, subscribers)
         for publisher in dict.fromkeys(offering)
         for subscriber in dict.fromkeys(requesting)
     )
-    return tuple(islice(_distinct(found), limit))
+    return tuple(islice(_distinct(candidates), limit))
 
 
 def mismatch_count(publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint]) -> int:
@@ -134,17 +134,17 @@ def _unfit_profiles(
 
 def _by_profile(endpoints: Sequence[Endpoint]) -> Mapping[Qos, Sequence[str]]:
     """Return the nodes of endpoints by the part of their profiles that can be incompatible."""
-    found: dict[Qos, list[str]] = {}
+    nodes: dict[Qos, list[str]] = {}
     for endpoint in endpoints:
         if endpoint.qos is not None:
             profile = replace(endpoint.qos, history=None, depth=0, lifespan_ns=None)
-            found.setdefault(profile, []).append(endpoint.node)
-    return found
+            nodes.setdefault(profile, []).append(endpoint.node)
+    return nodes
 
 
-def _distinct(found: Iterable[Mismatch]) -> Iterator[Mismatch]:
+def _distinct(values: Iterable[Mismatch]) -> Iterator[Mismatch]:
     yielded: set[Mismatch] = set()
-    for mismatch in found:
+    for mismatch in values:
         if mismatch not in yielded:
             yielded.add(mismatch)
             yield mismatch

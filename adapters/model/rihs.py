@@ -112,16 +112,16 @@ def _service(name: str) -> Mapping[str, MessageType]:
 
 
 def _collect_nested(
-    name: str, types: Mapping[str, MessageType], found: dict[str, MessageType], above: tuple[str, ...] = ()
+    name: str, types: Mapping[str, MessageType], nested: dict[str, MessageType], above: tuple[str, ...] = ()
 ) -> None:
-    """Add the types that a type nests to `found`."""
+    """Add the types that a type nests to `nested`."""
     if name in above:
         raise RecursionError(f"{name} is nested in itself")
     for field in types[name].fields:
         kind = field.type.element if isinstance(field.type, Array) else field.type
-        if isinstance(kind, Nested) and (kind.name not in found or kind.name in (*above, name)):
-            found[kind.name] = types[kind.name]
-            _collect_nested(kind.name, types, found, (*above, name))
+        if isinstance(kind, Nested) and (kind.name not in nested or kind.name in (*above, name)):
+            nested[kind.name] = types[kind.name]
+            _collect_nested(kind.name, types, nested, (*above, name))
 
 
 def describe_type(kind: MessageType) -> dict[str, object]:

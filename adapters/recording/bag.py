@@ -133,13 +133,13 @@ def latched_rows(
     """Return the rows before row `until` with the latest latched messages of each publisher, ascending."""
     latched = [number for number, connection in enumerate(connections) if connection.latched]
     rows = np.flatnonzero(np.isin(table.connections[:until], latched))
-    found: dict[tuple[str, str], deque[int]] = {}
+    newest: dict[tuple[str, str], deque[int]] = {}
     for row, number in zip(rows.tolist(), table.connections[rows].tolist(), strict=True):
         connection = connections[number]
-        found.setdefault(
+        newest.setdefault(
             (connection.topic, connection.publisher), deque(maxlen=latched_depth(types[number].name))
         ).append(row)
-    return np.sort(np.asarray([row for each in found.values() for row in each], np.int64))
+    return np.sort(np.asarray([row for each in newest.values() for row in each], np.int64))
 
 
 _Key = TypeVar("_Key")
@@ -241,19 +241,19 @@ class Bag:
     def select(self, criteria: MessageFilter, limit: int) -> MessagePage:
         """Return at most `limit` messages; only these are read from the disk."""
         indexes = self._indexes(criteria, limit + 1)
-        found: list[RecordedMessage] = []
+        messages: list[RecordedMessage] = []
         size = 0
         for place, index in enumerate(indexes):
             if place == limit or size >= PAGE_BYTES:
-                return MessagePage(found, index)
+                return MessagePage(messages, index)
             try:
                 message = self.message(index)
             except Unreachable as error:
                 log.warning("%s", error)
             else:
-                found.append(message)
+                messages.append(message)
                 size += len(message.sample.data)
-        return MessagePage(found, None)
+        return MessagePage(messages, None)
 
     def _indexes(self, criteria: MessageFilter, limit: int) -> list[int]:
         """Return the indexes of the first `limit` messages that match a filter."""
@@ -261,12 +261,12 @@ class Bag:
         beyond = min(criteria.end, int(np.searchsorted(self.times, criteria.to_ns, "right")))
         if criteria.topics is None:
             return list(range(first, min(beyond, first + limit)))
-        found: list[int] = []
+        indexes: list[int] = []
         for topic in criteria.topics:
             for stream in self.streams_by_topic.get(topic, ()):
                 begin = int(np.searchsorted(stream.positions, first))
-                found += (each for each in stream.positions[begin : begin + limit].tolist() if each < beyond)
-        return sorted(found)[:limit]
+                indexes += (each for each in stream.positions[begin : begin + limit].tolist() if each < beyond)
+        return sorted(indexes)[:limit]
 
     def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
         """Return the latest message of a topic at a time, or None. Raises Unreachable."""
@@ -344,10 +344,10 @@ class Bag:
 
 def _grouped(values: Iterable[_Value], keys: Iterable[_Key]) -> dict[_Key, list[_Value]]:
     """Group values by key, in the order of first appearance."""
-    found: dict[_Key, list[_Value]] = {}
+    groups: dict[_Key, list[_Value]] = {}
     for value, key in zip(values, keys, strict=True):
-        found.setdefault(key, []).append(value)
-    return found
+        groups.setdefault(key, []).append(value)
+    return groups
 
 
 def _learn_all(

@@ -165,11 +165,11 @@ def _inflate(decompressor: _Decompressor, data: bytes, most: int) -> Iterator[by
     while most and not decompressor.eof:
         piece = data[at : at + STEP] if decompressor.needs_input else b""
         at += len(piece)
-        found = decompressor.decompress(piece, max_length=min(STEP, most))
-        if not found and not piece:
+        output = decompressor.decompress(piece, max_length=min(STEP, most))
+        if not output and not piece:
             return
-        most -= len(found)
-        yield found
+        most -= len(output)
+        yield output
 
 
 class ChunkCache:
@@ -203,16 +203,16 @@ class ChunkCache:
         except Damaged as damage:
             return damage
 
-    def _keep(self, chunk: int, found: BytesSource | Damaged) -> BytesSource | Damaged:
+    def _keep(self, chunk: int, source: BytesSource | Damaged) -> BytesSource | Damaged:
         with self._lock:
             if chunk not in self._chunks:
-                self._chunks[chunk] = found
-                self._size += _weight(found)
+                self._chunks[chunk] = source
+                self._size += _weight(source)
             while self._size > self._limit and len(self._chunks) > 1:
                 _, dropped = self._chunks.popitem(last=False)
                 self._size -= _weight(dropped)
-        return found
+        return source
 
 
-def _weight(found: BytesSource | Damaged) -> int:
-    return found.size if isinstance(found, BytesSource) else 0
+def _weight(source: BytesSource | Damaged) -> int:
+    return source.size if isinstance(source, BytesSource) else 0

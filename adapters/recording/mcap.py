@@ -192,9 +192,9 @@ def _by_summary(file: RandomFile, budget: OpenBudget) -> _Scan:
             counted = _Fields(read_exactly(file, record.data_at, record.size)).uint(8)
     for index in indexes:
         _chunk_by_index(file, index, scan)
-    found = sum(len(each.times) for each in scan.tables)
-    if counted is None or found != counted:
-        raise Damaged(f"it indexes {found} messages, not {'a known number' if counted is None else counted}")
+    messages = sum(len(each.times) for each in scan.tables)
+    if counted is None or messages != counted:
+        raise Damaged(f"it indexes {messages} messages, not {'a known number' if counted is None else counted}")
     return scan
 
 

@@ -59,10 +59,10 @@ class Part(NamedTuple):
         if first >= beyond:
             raise Damaged(f"it has no messages in that period: it lasts from {_utc_text(start)} to {_utc_text(last)}")
         opening = latched(table, first)
-        found = table.rows(np.concatenate([opening, np.arange(first, beyond)]))
+        selected = table.rows(np.concatenate([opening, np.arange(first, beyond)]))
         if self.begin is not None:
-            found.times[: len(opening)] = self.begin.at(start, last)
-        return Selection(found, len(opening))
+            selected.times[: len(opening)] = self.begin.at(start, last)
+        return Selection(selected, len(opening))
 
 
 WHOLE = Part()
@@ -106,11 +106,11 @@ def _moment(parameters: Mapping[str, str], name: str) -> Moment | None:
         return Moment(round(seconds * _SECOND), is_absolute=False)
     try:
         plain = text.replace(" ", "+")  # a plus sign is decoded as a space
-        found = datetime.fromisoformat(f"{plain[:-1]}+00:00" if plain.endswith(("Z", "z")) else plain)
+        time = datetime.fromisoformat(f"{plain[:-1]}+00:00" if plain.endswith(("Z", "z")) else plain)
     except ValueError as error:
         words = f"{name}={text[:60]} is neither a time such as 2030-01-31T12:00:00Z nor seconds such as 10 or -60"
         raise ValueError(words) from error
-    aware = found if found.tzinfo is not None else found.replace(tzinfo=timezone.utc)
+    aware = time if time.tzinfo is not None else time.replace(tzinfo=timezone.utc)
     whole = aware.replace(microsecond=0)
     return Moment(int(whole.timestamp()) * _SECOND + aware.microsecond * 1000, is_absolute=True)
 

@@ -124,8 +124,8 @@ class TopicPlayer:
         if due == view.due:
             return view
         previous = dict(zip(view.due, view.samples, strict=False)) if len(view.due) == len(view.samples) else {}
-        found = ((each, previous.get(each) or self._sample(each)) for each in due)
-        entries = [(each, sample) for each, sample in found if sample is not None]
+        samples = ((each, previous.get(each) or self._sample(each)) for each in due)
+        entries = [(each, sample) for each, sample in samples if sample is not None]
         return _View(due, tuple(sample for _, sample in entries))
 
     def _sample(self, due: _Due) -> Sample | None:

@@ -341,5 +341,5 @@ def _uint(kind: struct.Struct, header: Mapping[bytes, bytes], name: bytes) -> in
     value = header.get(name, b"")
     if len(value) != kind.size:
         raise Damaged(f"a record has no {name.decode()}")
-    found: int = kind.unpack(value)[0]
-    return found
+    number: int = kind.unpack(value)[0]
+    return number

@@ -100,9 +100,9 @@ class Rosbag2:
         tables: list[MessageTable] = []
         first = 0
         for start, file in zip(self._starts, self._files, strict=False):
-            found = file.messages
-            connections = (found.connections + first).astype(np.int32)
-            tables.append(found._replace(connections=connections, places=(found.places + start).astype(np.int32)))
+            table = file.messages
+            connections = (table.connections + first).astype(np.int32)
+            tables.append(table._replace(connections=connections, places=(table.places + start).astype(np.int32)))
             first += len(file.connections)
         return concatenate(tables)
 
@@ -321,11 +321,11 @@ def _definitions(database: sqlite3.Connection, budget: OpenBudget) -> dict[str, 
     """Return syntax and text of each type; empty for older schemas, which store none."""
     try:
         rows = database.execute("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
-        found: dict[str, tuple[str, str]] = {}
+        definitions: dict[str, tuple[str, str]] = {}
         for name, syntax, text in rows:
-            found[str(name)] = str(syntax), str(text)
-            budget.spend(parts=1, octets=len(found[str(name)][1]))
-        return found
+            definitions[str(name)] = str(syntax), str(text)
+            budget.spend(parts=1, octets=len(definitions[str(name)][1]))
+        return definitions
     except (sqlite3.Error, UnicodeDecodeError):
         return {}
 

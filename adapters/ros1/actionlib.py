@@ -40,7 +40,7 @@ def actions_of(
     `publishers` and `subscribers` are the nodes by topic, `types` are ROS 1's names of types. Publishers of the status
     serve the action; publishers of goals are clients.
     """
-    found: dict[str, Action] = {}
+    actions: dict[str, Action] = {}
     for topic, stated in types.items():
         name, slash, last = topic.rpartition("/")
         package, _, short = stated.partition("/")
@@ -58,8 +58,8 @@ def actions_of(
             servers = tuple(publishers.get(f"{name}/status", ()))
             unusable = None if servers else "no node serves it: nobody publishes its status"
             clients = tuple(publishers.get(topic, ()))
-            found[name] = Action(name, TypeRef(f"{package}/action/{kind}"), servers, clients, unusable)
-    return found
+            actions[name] = Action(name, TypeRef(f"{package}/action/{kind}"), servers, clients, unusable)
+    return actions
 
 
 class Status(NamedTuple):

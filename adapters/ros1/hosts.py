@@ -86,8 +86,8 @@ class Hosts:
 async def _first_ip(host: str) -> str:
     """Return the first address of a host, IPv4 (ROS 1's own) before IPv6."""
     loop = asyncio.get_running_loop()
-    found = await asyncio.wait_for(loop.getaddrinfo(host, None, type=socket.SOCK_STREAM), _RESOLVE)
-    family_first = sorted(found, key=lambda each: each[0] != socket.AF_INET)
+    addresses = await asyncio.wait_for(loop.getaddrinfo(host, None, type=socket.SOCK_STREAM), _RESOLVE)
+    family_first = sorted(addresses, key=lambda each: each[0] != socket.AF_INET)
     return str(family_first[0][4][0])
 
 

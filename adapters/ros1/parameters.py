@@ -50,10 +50,10 @@ def leaves(tree: Mapping[str, ParameterValue], above: tuple[str, ...] = ()) -> I
             yield Leaf(path, value)
 
 
-def by_name(found: Iterator[Leaf]) -> dict[str, Leaf]:
+def by_name(entries: Iterator[Leaf]) -> dict[str, Leaf]:
     """Return leaves by name; the first one for duplicate names."""
     named: dict[str, Leaf] = {}
-    for leaf in found:
+    for leaf in entries:
         named.setdefault("/" + "/".join(leaf.path), leaf)
     return named
 
@@ -97,12 +97,12 @@ def without(named: Mapping[str, Leaf], name: str) -> dict[str, Leaf]:
 
 def parts_of(values: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
     """Return the values to set and all values in their trees, by name."""
-    found: dict[str, ParameterValue] = {}
+    parts: dict[str, ParameterValue] = {}
     for name, value in values.items():
-        found[name] = value
+        parts[name] = value
         if isinstance(value, dict):
-            found |= parts_of({f"{name.rstrip('/')}/{key}": each for key, each in value.items()})
-    return found
+            parts |= parts_of({f"{name.rstrip('/')}/{key}": each for key, each in value.items()})
+    return parts
 
 
 def with_parts(name: str, value: ParameterValue, parts: Mapping[str, ParameterValue]) -> ParameterValue:
@@ -143,8 +143,8 @@ def _objection(value: object, depth: int) -> str | None:
 
 
 def _text_objection(text: str) -> str | None:
-    found = _NOT_XML.search(text)
-    return f"XML cannot carry the character {found[0]!r} of {text[:40]!r}" if found else None
+    match = _NOT_XML.search(text)
+    return f"XML cannot carry the character {match[0]!r} of {text[:40]!r}" if match else None
 
 
 def _tree_objection(tree: Mapping[object, object], depth: int) -> str | None:
@@ -206,12 +206,12 @@ class Parameters:
 
     async def get(self, names: Sequence[str], until: float) -> dict[str, ParameterValue]:
         """Return the values of the names that exist."""
-        found: dict[str, ParameterValue] = {}
+        values: dict[str, ParameterValue] = {}
         for name in names:
             value = await self._get(name, until)
             if value is not None:
-                found[name] = value
-        return found
+                values[name] = value
+        return values
 
     async def set(self, values: Mapping[str, ParameterValue], until: float) -> None:
         """Set parameters one by one, after checking all of them. Raises Refused naming the parameter."""

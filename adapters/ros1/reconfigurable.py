@@ -118,7 +118,7 @@ class Reconfigurables:
     def _own(self, namespace: str, values: Mapping[str, ParameterValue]) -> dict[str, Scalar]:
         """Return the values that a server declares, by its own names and converted to its types. Raises Refused."""
         descriptors = self._followed[namespace].descriptors
-        found: dict[str, Scalar] = {}
+        scalars: dict[str, Scalar] = {}
         for name, value in values.items():
             own = name.removeprefix(f"{namespace}/")
             descriptor = descriptors.get(own) if own != name else None
@@ -128,8 +128,8 @@ class Reconfigurables:
                     raise Refused(
                         f"the parameter {name} cannot be {value!r}: its node declares a {descriptor.type.value}"
                     )
-                found[own] = fit
-        return found
+                scalars[own] = fit
+        return scalars
 
     def _begin(self, server: Server) -> _FollowedServer:
         followed = _FollowedServer(server.node)

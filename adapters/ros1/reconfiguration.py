@@ -93,9 +93,9 @@ def read_descriptors(data: bytes) -> Mapping[str, Descriptor]:
 
 def _group(reader: WireReader) -> list[Description]:
     reader.text(), reader.text()
-    found = reader.array(lambda: _description(reader), _MAX_PARAMETERS)
+    descriptions = reader.array(lambda: _description(reader), _MAX_PARAMETERS)
     reader.int32(), reader.int32()
-    return found
+    return descriptions
 
 
 def _description(reader: WireReader) -> Description:

@@ -139,7 +139,7 @@ class Services:
             return ServiceFacts(None, f"its node reports the type {header.get('type', '')[:80]!r}")
         ref = TypeRef(name, header.get("md5sum"))
         try:
-            found = await self._types.service(ref)
+            schema = await self._types.service(ref)
         except UnknownType as error:
             return ServiceFacts(ref, str(error))
-        return ServiceFacts(found.ref)
+        return ServiceFacts(schema.ref)

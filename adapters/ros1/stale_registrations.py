@@ -36,10 +36,10 @@ def own_name(number: int) -> str:
 
 def pids(node: str) -> frozenset[int]:
     """Return the possible process ids in a node's name, two if it ends with two numbers; none for other names."""
-    found = _NAME.fullmatch(node) if node.startswith("/rosld_") else None
-    if found is None:
+    match = _NAME.fullmatch(node) if node.startswith("/rosld_") else None
+    if match is None:
         return frozenset()
-    return frozenset(int(each) for each in (found["pid"], found["number"]) if each)
+    return frozenset(int(each) for each in (match["pid"], match["number"]) if each)
 
 
 class StaleRegistrations:

@@ -19,14 +19,14 @@ _ROS_NAME = re.compile(r"([A-Za-z]\w*)/([A-Za-z]\w*)\Z", re.ASCII)
 
 def message_type(ros_name: str) -> str | None:
     """Return `std_msgs/msg/String` for `std_msgs/String`, or None for an invalid name."""
-    found = _ROS_NAME.match(ros_name)
-    return f"{found[1]}/msg/{found[2]}" if found else None
+    match = _ROS_NAME.match(ros_name)
+    return f"{match[1]}/msg/{match[2]}" if match else None
 
 
 def service_type(ros_name: str) -> str | None:
     """Return `std_srvs/srv/Trigger` for `std_srvs/Trigger`, or None for an invalid name."""
-    found = _ROS_NAME.match(ros_name)
-    return f"{found[1]}/srv/{found[2]}" if found else None
+    match = _ROS_NAME.match(ros_name)
+    return f"{match[1]}/srv/{match[2]}" if match else None
 
 
 def ros_name(name: str) -> str:
@@ -44,10 +44,10 @@ def definition_folders(folders: Iterable[Path], environment: Mapping[str, str] =
     sources = [Path(each) for each in environment.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if each]
     shares = [Path("/usr/share"), *sorted(Path("/opt/ros").glob("*/share"), reverse=True)]
     shares += [each for each in sources if each.name == "share"]
-    found = [*folders, *(each for each in sources if each.name != "share")]
+    candidates = [*folders, *(each for each in sources if each.name != "share")]
     for share in dict.fromkeys(shares):
-        found += [folder for kind in ("msg", "srv") for folder in sorted(share.glob(f"*/{kind}"))]
-    return [folder for folder in found if folder.is_dir()]
+        candidates += [folder for kind in ("msg", "srv") for folder in sorted(share.glob(f"*/{kind}"))]
+    return [folder for folder in candidates if folder.is_dir()]
 
 
 class Types:

@@ -110,14 +110,14 @@ def _parser(target: xmlrpc.client.Unmarshaller) -> expat.XMLParserType:
     return parser
 
 
-def _value(found: object) -> ParameterValue:
-    if isinstance(found, (bool, int, float, str, bytes, datetime)):
-        return found
-    if isinstance(found, (list, tuple)):
-        return [_value(each) for each in found]
-    if isinstance(found, dict):
-        return {str(key): _value(each) for key, each in found.items()}
-    raise Malformed(f"XML-RPC cannot represent a {type(found).__name__}")
+def _value(value: object) -> ParameterValue:
+    if isinstance(value, (bool, int, float, str, bytes, datetime)):
+        return value
+    if isinstance(value, (list, tuple)):
+        return [_value(each) for each in value]
+    if isinstance(value, dict):
+        return {str(key): _value(each) for key, each in value.items()}
+    raise Malformed(f"XML-RPC cannot represent a {type(value).__name__}")
 
 
 class XmlRpcClient:

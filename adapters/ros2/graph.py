@@ -133,12 +133,12 @@ def _topic(
 
 def _endpoints(discovered: list[DiscoveredEndpoint], *, publish: bool) -> tuple[Endpoint, ...]:
     """Return the endpoints with known nodes. Only publishers can be latched."""
-    found = [
+    endpoints = [
         Endpoint(each.node, each.type, publish and each.qos.durability == "transient_local", None, each.qos)
         for each in discovered
         if each.node
     ]
-    return tuple(found if len(found) < 2 else sorted(found, key=lambda each: (each.node, repr(each.qos))))
+    return tuple(endpoints if len(endpoints) < 2 else sorted(endpoints, key=lambda each: (each.node, repr(each.qos))))
 
 
 def _service(name: str, types: tuple[str, ...], providers: tuple[str, ...], inputs: GraphInputs) -> Service:
@@ -178,17 +178,17 @@ def _actions(
 
 
 def _action_type(types: tuple[str, ...]) -> str | None:
-    found = {each.removesuffix("_SendGoal").removesuffix("_FeedbackMessage") for each in types}
-    return found.pop() if len(found) == 1 else None
+    names = {each.removesuffix("_SendGoal").removesuffix("_FeedbackMessage") for each in types}
+    return names.pop() if len(names) == 1 else None
 
 
 def _by_service(by_node: Mapping[str, Names], inputs: GraphInputs) -> dict[str, tuple[str, ...]]:
-    found: dict[str, list[str]] = {}
+    nodes_by_service: dict[str, list[str]] = {}
     for node in sorted(by_node):
         if node not in inputs.ours:
             for service in by_node[node]:
-                found.setdefault(service, []).append(node)
-    return {service: tuple(nodes) for service, nodes in found.items()}
+                nodes_by_service.setdefault(service, []).append(node)
+    return {service: tuple(nodes) for service, nodes in nodes_by_service.items()}
 
 
 def _shared(previous: Mapping[str, _V], values: Mapping[str, _V]) -> Mapping[str, _V]:

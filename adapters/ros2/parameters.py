@@ -133,12 +133,14 @@ class Parameters(Struct):
         trees = {name: self._below(name) for name in names if name not in self._listed}
         requested: dict[str, None] = dict.fromkeys(name for name in names if self.owner_of(name) is not None)
         requested.update(dict.fromkeys(each for below in trees.values() for each in below))
-        found = await self._values(requested, until, strict=frozenset(names))
+        values = await self._values(requested, until, strict=frozenset(names))
         return {
-            name: found[name] if name in found else _tree(name, {each: found[each] for each in below if each in found})
+            name: values[name]
+            if name in values
+            else _tree(name, {each: values[each] for each in below if each in values})
             for name in names
             for below in [trees.get(name, [])]
-            if name in found or below or name == "/"
+            if name in values or below or name == "/"
         }
 
     async def set(self, values: Mapping[str, ParameterValue], until: float) -> None:
@@ -213,8 +215,8 @@ class Parameters(Struct):
             halves = (pairs[: len(pairs) // 2], pairs[len(pairs) // 2 :])
             answers = await _all(*(self._query_values(node, half, until) for half in halves))
             return {name: value for answer in answers for name, value in answer.items()}
-        found = {name: from_message(message) for (name, _), message in zip(pairs, response.values, strict=True)}
-        return {name: value for name, value in found.items() if value is not None}
+        values = {name: from_message(message) for (name, _), message in zip(pairs, response.values, strict=True)}
+        return {name: value for name, value in values.items() if value is not None}
 
     async def _set(self, node: str, changes: Mapping[str, tuple[str, ParameterValue]], until: float) -> None:
         current = await self._tags(node, [parameter for parameter, (_, value) in changes.items() if value == []], until)
@@ -313,7 +315,7 @@ class Parameters(Struct):
 
     async def _describe(self, node: str, owner: _Owner, names: Iterable[str]) -> dict[str, Descriptor] | None:
         """Return a node's declarations of parameters, or None if it does not respond in time."""
-        found: dict[str, Descriptor] = {}
+        declarations: dict[str, Descriptor] = {}
         pending = [sorted(names)] if owner.describes else []
         until = asyncio.get_running_loop().time() + _PATIENCE
         try:
@@ -322,12 +324,14 @@ class Parameters(Struct):
                 response = await self._query(node, "describe_parameters", {"names": batch}, until)
                 if len(response.descriptors) == len(batch):
                     descriptors = zip(batch, map(descriptor_of, response.descriptors), strict=True)
-                    found.update((name, descriptor) for name, descriptor in descriptors if descriptor is not None)
+                    declarations.update(
+                        (name, descriptor) for name, descriptor in descriptors if descriptor is not None
+                    )
                 elif len(batch) > 1:  # one of them is undeclared, which makes the whole response empty
                     pending += (batch[: len(batch) // 2], batch[len(batch) // 2 :])
         except (RosError, ValueError):
             return None
-        return found
+        return declarations
 
     async def _describe_new(self, node: str, owner: _Owner) -> None:
         """Request the declarations of new parameters until there are no more."""

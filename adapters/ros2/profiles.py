@@ -90,8 +90,8 @@ def qos_of_profile(profile: Any) -> Qos:
 
 def _nanoseconds(duration: Any) -> int | None:
     """Return a time; None if it is infinite or unspecified (zero)."""
-    found = int(duration.nanoseconds)
-    return found if 0 < found < _FOR_EVER // 2 else None
+    nanoseconds = int(duration.nanoseconds)
+    return nanoseconds if 0 < nanoseconds < _FOR_EVER // 2 else None
 
 
 def profile_of_qos(qos: Qos) -> Any:

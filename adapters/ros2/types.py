@@ -31,11 +31,11 @@ def definition_folders(
     """
     prefixes = [each for each in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if each]
     shares = [Path(each) / "share" for each in (*prefixes, prefix)]
-    found = list(folders)
+    candidates = list(folders)
     for share in dict.fromkeys(shares):
         if (share / "ament_index").is_dir() or share.parent != Path(prefix):
-            found += [folder for kind in _KINDS for folder in sorted(share.glob(f"*/{kind}"))]
-    return [folder for folder in found if folder.is_dir()]
+            candidates += [folder for kind in _KINDS for folder in sorted(share.glob(f"*/{kind}"))]
+    return [folder for folder in candidates if folder.is_dir()]
 
 
 class SourceMessage(Protocol):

@@ -164,7 +164,7 @@ def descriptor_of(message: DescriptorMessage) -> Descriptor | None:
     """Return the declaration in a message, or None for an undeclared parameter."""
     dynamic = bool(message.dynamic_typing)
     type = None if dynamic else _TYPES.get(message.type)
-    found = Descriptor(
+    descriptor = Descriptor(
         type,
         _text(message.description),
         bool(message.read_only),
@@ -172,7 +172,7 @@ def descriptor_of(message: DescriptorMessage) -> Descriptor | None:
         _text(message.additional_constraints),
         _range(type, message),
     )
-    return None if found == Descriptor() else found
+    return None if descriptor == Descriptor() else descriptor
 
 
 def _text(text: str) -> str:

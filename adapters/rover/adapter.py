@@ -130,8 +130,8 @@ class Rover(EmbeddedRobot):
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """Return the values of existing parameters."""
         self._require_reachable(deadline)
-        found = {name: read(self._parameters, name) for name in names}
-        return {name: value for name, value in found.items() if value is not None}
+        values = {name: read(self._parameters, name) for name in names}
+        return {name: value for name, value in values.items() if value is not None}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """Set all parameters, or none if one is refused."""

@@ -43,8 +43,8 @@ def image(world: World, motion: Motion, lights: bool) -> NDArray[np.uint8]:
 
 def _light(distances: NDArray[np.float64], lights: bool) -> NDArray[np.float64]:
     """Return the brightness at these distances, from 0 to 1."""
-    found: NDArray[np.float64] = (_LIT if lights else _DARK) / (1 + _FADING * distances)
-    return found
+    brightness: NDArray[np.float64] = (_LIT if lights else _DARK) / (1 + _FADING * distances)
+    return brightness
 
 
 BEAMS = 360

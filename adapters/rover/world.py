@@ -106,8 +106,8 @@ def _to_boxes(
     across, along = ((left - x) / dx, (right - x) / dx), ((bottom - y) / dy, (top - y) / dy)
     enters = np.maximum(np.minimum(*across), np.minimum(*along))
     leaves = np.minimum(np.maximum(*across), np.maximum(*along))
-    found: NDArray[np.float64] = np.where(leaves >= np.maximum(enters, 0.0), np.maximum(enters, 0.0), np.inf)
-    return found
+    distances: NDArray[np.float64] = np.where(leaves >= np.maximum(enters, 0.0), np.maximum(enters, 0.0), np.inf)
+    return distances
 
 
 def _to_discs(
@@ -118,8 +118,8 @@ def _to_discs(
     towards = (centre_x - x) * dx + (centre_y - y) * dy
     within = radius**2 - ((centre_x - x) ** 2 + (centre_y - y) ** 2 - towards**2)
     distance = towards - np.sqrt(np.maximum(within, 0.0))
-    found: NDArray[np.float64] = np.where((within >= 0.0) & (distance >= 0.0), distance, np.inf)
-    return found
+    distances: NDArray[np.float64] = np.where((within >= 0.0) & (distance >= 0.0), distance, np.inf)
+    return distances
 
 
 @cache

@@ -137,8 +137,8 @@ class RemoteStore:
     def graphs_with_prefix(self, prefix: str) -> list[str]:
         """Return the IRIs of the named graphs with this prefix."""
         pattern = f"FILTER(STRSTARTS(STR(?g), {Literal(prefix)}))" if prefix else ""
-        found = self.select(f"SELECT DISTINCT ?g {{ GRAPH ?g {{ ?s ?p ?o }} {pattern} }}")
-        return [name.value for row in found if isinstance(name := row["g"], NamedNode)]
+        rows = self.select(f"SELECT DISTINCT ?g {{ GRAPH ?g {{ ?s ?p ?o }} {pattern} }}")
+        return [name.value for row in rows if isinstance(name := row["g"], NamedNode)]
 
     def replace(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = ()) -> None:
         """Replace each graph by its N-Triples, or drop it (None), then apply the edits in order.
@@ -155,9 +155,9 @@ class RemoteStore:
         answer = self._query.post(urlencode({"query": query}).encode(), _FORM, _JSON)
         try:
             if answer.media_type == _JSON:
-                found = parse_query_results(answer.body, format=QueryResultsFormat.JSON)
-                if isinstance(found, QuerySolutions):
-                    return [*found]
+                results = parse_query_results(answer.body, format=QueryResultsFormat.JSON)
+                if isinstance(results, QuerySolutions):
+                    return [*results]
         except (SyntaxError, ValueError, OSError) as error:
             raise StoreUnreachable(f"{self.url} answers with malformed results.", str(error)) from error
         raise StoreUnreachable(f"{self.url} answers with something else than results.", answer.media_type)

@@ -226,12 +226,12 @@ def _definition(recording: Recording, ref: TypeRef) -> str:
 
 def _hash(recording: Recording, topic: str, ref: TypeRef) -> str:
     try:
-        found = ref.hash or recording.schema(ref).ref.hash
+        hash = ref.hash or recording.schema(ref).ref.hash
     except UnknownType:
-        found = None
-    if not found:
+        hash = None
+    if not hash:
         raise CannotExport(f"the type {ref.name} of {topic} is not known: provide its definition with --types")
-    return found
+    return hash
 
 
 def _forget_places(writer: rosbag1.Writer) -> None:

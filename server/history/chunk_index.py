@@ -297,10 +297,10 @@ def pack_numbers(numbers: array[int]) -> bytes:
 def unpack_numbers(row: ChunkRow) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
     """Return the numbers of a chunk's messages, ascending."""
     steps = np.frombuffer(zlib.decompress(row.numbers), np.uint32)
-    found = np.empty(len(steps) + 1, np.uint64)
-    found[0] = row.first
-    found[1:] = steps
-    return np.cumsum(found, dtype=np.uint64)
+    numbers = np.empty(len(steps) + 1, np.uint64)
+    numbers[0] = row.first
+    numbers[1:] = steps
+    return np.cumsum(numbers, dtype=np.uint64)
 
 
 def _columns(channel: Channel) -> tuple[str, str, str | None, str, str, int]:

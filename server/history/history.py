@@ -63,13 +63,13 @@ class FileDigests:
 
     def _compute(self, path: Path, loop: asyncio.AbstractEventLoop) -> None:
         try:
-            found = _digest(path)
+            digest = _digest(path)
         except OSError as error:
             _log.warning("The checksum of %s cannot be computed: %s", path, error)
             return
-        if found is not None:
+        if digest is not None:
             with contextlib.suppress(RuntimeError):  # the event loop is closed
-                loop.call_soon_threadsafe(self._store, path, found)
+                loop.call_soon_threadsafe(self._store, path, digest)
 
     def _store(self, path: Path, digest: str) -> None:
         self._digests[path] = digest
@@ -238,10 +238,10 @@ class HistoryRecording:
         self, topic: str, from_ns: int, until_ns: int, limit: int, *, is_newest: bool
     ) -> list[tuple[int, int, int]]:
         """Return start, end and count of the newest or oldest `limit` chunks of a topic, and of unwritten messages."""
-        found = self._writer.segments.index.spans_at_end(topic, from_ns, until_ns, limit, is_newest=is_newest)
+        spans = self._writer.segments.index.spans_at_end(topic, from_ns, until_ns, limit, is_newest=is_newest)
         times = [each.received_ns for each in self._writer.unwritten(topic)]
         times = [each for each in times if from_ns <= each <= until_ns]
-        return [*found, (min(times), max(times), len(times))] if times else found
+        return [*spans, (min(times), max(times), len(times))] if times else spans
 
     def types_of(self, topic: str) -> frozenset[TypeRef]:
         """Return all types that messages of a topic have had."""
@@ -260,11 +260,11 @@ class HistoryRecording:
             raise UnknownType(str(error)) from error
 
     def _library(self, encoding: Encoding) -> TypeLibrary:
-        found = self._libraries.get(encoding)
-        if found is None:
-            found = TypeLibrary(ros_version=1 if encoding is Encoding.ROS1 else 2, folders=self._folders)
-            self._libraries[encoding] = found
-        return found
+        library = self._libraries.get(encoding)
+        if library is None:
+            library = TypeLibrary(ros_version=1 if encoding is Encoding.ROS1 else 2, folders=self._folders)
+            self._libraries[encoding] = library
+        return library
 
 
 class History:
@@ -311,9 +311,9 @@ class History:
 
     def dropped(self) -> Mapping[str, int]:
         """Return the numbers of lost messages by topic."""
-        found = self._live.dropped()
-        found.update(dict(self.writer.dropped))
-        return found
+        counts = self._live.dropped()
+        counts.update(dict(self.writer.dropped))
+        return counts
 
     async def start(self) -> None:
         """Open the history in a thread, and start recording; on failure the server runs without it."""

@@ -142,24 +142,24 @@ class HistoryWriter:
         with self._lock:
             chunks = [chunk for chunk in (*self._closing, *self._open.values()) if chunk.topic == topic]
             current = self._current
-            found = [each for chunk in chunks for each in chunk.messages()]
+            samples = [each for chunk in chunks for each in chunk.messages()]
         if current is None:
             return []
         channels = list(current[1].channels)
-        return [sample_of(channels[each.channel - 1], each, each.sequence) for each in found]
+        return [sample_of(channels[each.channel - 1], each, each.sequence) for each in samples]
 
     def unwritten_messages(self) -> list[tuple[int, Channel, Sample]]:
         """Return all messages that are not indexed yet, with their numbers, ascending."""
         with self._lock:
             current = self._current
-            found = [each for chunk in (*self._closing, *self._open.values()) for each in chunk.messages()]
+            messages = [each for chunk in (*self._closing, *self._open.values()) for each in chunk.messages()]
         if current is None:
             return []
         channels = list(current[1].channels)
-        found.sort(key=_sequence)
+        messages.sort(key=_sequence)
         return [
             (each.sequence, channels[each.channel - 1], sample_of(channels[each.channel - 1], each, each.sequence))
-            for each in found
+            for each in messages
         ]
 
     @property
@@ -184,16 +184,16 @@ class HistoryWriter:
         """
         rows, index = self.segments.rows, self.segments.index
         row = next((each for each in reversed(rows) if 0 < each.start_ns <= time_ns), rows[0] if rows else None)
-        found = LatchedMessages()
+        latched = LatchedMessages()
         if row is not None:
             for channel, sample in self.segments.opening(row.id):
-                found.take(channel.topic, sample)
+                latched.take(channel.topic, sample)
             for topic in {one.topic for one in index.channels(row.id).values() if one.latched and selects(one.topic)}:
                 chunks = [each for each in index.of_topic(topic, 0, time_ns) if each.segment == row.id]
                 for _, sample in (one for each in chunks for one in self.segments.messages_of(each)):
                     if sample.received_ns < time_ns:
-                        found.take(topic, sample)
-        return found.messages(selects)
+                        latched.take(topic, sample)
+        return latched.messages(selects)
 
     def _unwritten(self, number: int) -> tuple[Channel, Sample] | None:
         with self._lock:
@@ -329,6 +329,6 @@ def require_room(folder: Path | None) -> None:
     """Raise OSError (ENOSPC) if the disk has no space beyond the reserve for everything else."""
     if folder is None:
         return
-    found = os.statvfs(folder)
-    if found.f_bavail * found.f_frsize < min(_RESERVE, found.f_blocks * found.f_frsize // _RESERVED_PART):
+    status = os.statvfs(folder)
+    if status.f_bavail * status.f_frsize < min(_RESERVE, status.f_blocks * status.f_frsize // _RESERVED_PART):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

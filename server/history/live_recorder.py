@@ -82,10 +82,10 @@ class LiveRecorder:
 
     def dropped(self) -> Counter[str]:
         """Return the numbers of lost messages by topic."""
-        found: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         for each in (self._recorder.dropped, self._feed.dropped):
-            found.update(dict(each))
-        return found
+            counts.update(dict(each))
+        return counts
 
     def topics(self) -> Collection[str]:
         """Return the topics that are recorded now."""

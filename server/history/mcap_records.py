@@ -166,9 +166,9 @@ def compress(data: bytes) -> bytes:
 def decompress(data: bytes, size: int) -> bytes:
     """Decompress the records of a chunk. Raises ValueError unless there are `size` bytes."""
     try:
-        found = zstd.decompress(data)
+        output = zstd.decompress(data)
     except ZstdError as error:
         raise ValueError(f"a chunk cannot be decompressed: {error}") from error
-    if len(found) != size:
-        raise ValueError(f"a chunk has {len(found)} bytes, expected {size}")
-    return found
+    if len(output) != size:
+        raise ValueError(f"a chunk has {len(output)} bytes, expected {size}")
+    return output

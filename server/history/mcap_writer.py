@@ -73,8 +73,8 @@ class TopicChunk:
     def messages(self) -> list[ChunkMessage]:
         """Return all messages; their `sequence` is the full number."""
         heads = map(MESSAGE_HEAD.unpack, self.parts[::2])
-        found = zip(heads, self.numbers, self.parts[1::2], strict=False)
-        return [ChunkMessage(head[2], number, head[4], data) for head, number, data in found]
+        messages = zip(heads, self.numbers, self.parts[1::2], strict=False)
+        return [ChunkMessage(head[2], number, head[4], data) for head, number, data in messages]
 
     def message(self, number: int) -> tuple[int, int, bytes] | None:
         """Return the channel, time and data of the message of this number, or None (thread-safe)."""
@@ -180,7 +180,7 @@ class McapWriter:
     def _describe(self, new: Iterable[int]) -> bytes:
         """Return the records of new channels and their schemas, which precede the messages of a chunk."""
         named = {number: channel for channel, number in self.channels.items()} if new else {}
-        found: list[bytes] = []
+        records: list[bytes] = []
         for number in new:
             channel = named[number]
             schema = self._schemas.get(channel.type)
@@ -188,10 +188,10 @@ class McapWriter:
                 schema = self._schemas[channel.type] = len(self._schemas) + 1
                 described = schema_record(schema, channel.type, channel.encoding, self._definition_of(channel.type))
                 self._records[-schema] = described
-            found.append(self._records[-schema])
+            records.append(self._records[-schema])
             self._records[number] = channel_record(number, schema, channel)
-            found.append(self._records[number])
-        return b"".join(found)
+            records.append(self._records[number])
+        return b"".join(records)
 
 
 class Summary:

@@ -96,8 +96,8 @@ def columns_of(
 
 def _column(data: NDArray[np.uint8], at: int, kind: str) -> NDArray[Any]:
     dtype = np.dtype(kind)
-    found = np.ascontiguousarray(data[:, at : at + dtype.itemsize]).view(dtype).reshape(-1)
-    return found.astype(dtype.newbyteorder("="))
+    column = np.ascontiguousarray(data[:, at : at + dtype.itemsize]).view(dtype).reshape(-1)
+    return column.astype(dtype.newbyteorder("="))
 
 
 class _Layout:
@@ -194,8 +194,8 @@ class MessageBlock:
         self._from_ns, self._until_ns = from_ns, until_ns
         self._records = segments.records_of(row)
         self._channels = segments.channels_of(row.segment)
-        found = rows_of(self._records)
-        self.rows: ChunkRows | None = None if found is None else found.select(from_ns, until_ns)
+        rows = rows_of(self._records)
+        self.rows: ChunkRows | None = None if rows is None else rows.select(from_ns, until_ns)
 
     @classmethod
     def of(cls, messages: Sequence[RecordedMessage]) -> MessageBlock:

@@ -156,10 +156,10 @@ class LatchedMessages:
 
     def messages(self, selects: Callable[[str], bool]) -> list[tuple[str, Sample]]:
         """Return the messages of wanted topics, in the order of receipt."""
-        found = [
+        selected = [
             (topic, sample)
             for (topic, _), samples in list(self._samples.items())
             if samples and selects(topic)
             for sample in samples
         ]
-        return sorted(found, key=lambda one: one[1].received_ns)
+        return sorted(selected, key=lambda one: one[1].received_ns)

@@ -75,7 +75,7 @@ class RecordingNotes:
         """Return the notes of a kind by name. Unreadable ones are logged and left in place."""
         if self._folder is None or not self._folder.is_dir():
             return {}
-        found: dict[str, Mapping[str, object]] = {}
+        notes: dict[str, Mapping[str, object]] = {}
         for path in sorted(self._folder.glob(f"[!.]*{kind}")):
             try:
                 members: object = orjson.loads(path.read_bytes())
@@ -84,8 +84,8 @@ class RecordingNotes:
             except (OSError, ValueError) as error:
                 log.warning("the record %s cannot be read: %s", path, error)
                 continue
-            found[path.name.removesuffix(kind)] = cast("dict[str, object]", members)
-        return found
+            notes[path.name.removesuffix(kind)] = cast("dict[str, object]", members)
+        return notes
 
     def write(self, kind: str, name: str, members: Mapping[str, object]) -> None:
         """Write a note durably. Raises OSError."""

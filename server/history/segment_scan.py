@@ -44,7 +44,7 @@ def scan(data: bytes) -> Scan:
     """Return the contents up to the last complete chunk. Raises ValueError for another format."""
     if not data.startswith(MAGIC):
         raise ValueError("it is not an MCAP file")
-    found = Scan(end=len(MAGIC))
+    result = Scan(end=len(MAGIC))
     names: dict[int, str] = {}
     pending: tuple[mcap.Record, ScannedChunk, Counter[int]] | None = None
     index_at: dict[int, int] = {}
@@ -53,38 +53,38 @@ def scan(data: bytes) -> Scan:
         if record.op == mcap.MESSAGE_INDEX and pending is not None:
             index_at[int.from_bytes(data[record.at : record.at + 2], "little")] = begin
             if set(index_at) == set(pending[2]):
-                _accept(found, data, pending, index_at, record.end)
+                _accept(result, data, pending, index_at, record.end)
                 pending, index_at = None, {}
         elif record.op == mcap.CHUNK and pending is None:
             try:
-                chunk, counts = _chunk(found, data, record, names)
+                chunk, counts = _chunk(result, data, record, names)
             except (ValueError, KeyError):
                 break
             pending = record, chunk, counts
         elif record.op == mcap.DATA_END and pending is None:
-            found.is_finished = data.endswith(MAGIC) and len(data) > record.end
+            result.is_finished = data.endswith(MAGIC) and len(data) > record.end
             break
         elif record.op == mcap.METADATA and pending is None:
             fields = Fields(data[record.at : record.end])
             if fields.text() == NUMBERS:
-                found.first = int(fields.texts()["first"])
-            found.end = record.end
+                result.first = int(fields.texts()["first"])
+            result.end = record.end
         elif record.op == mcap.HEADER:
-            found.end = record.end
+            result.end = record.end
         else:
             break
-    return found
+    return result
 
 
 def recover(file: DiskFile) -> Scan:
     """Complete an unfinished file, without its incomplete end. Raises ValueError, OSError."""
-    found = scan(file.read(0, file.size))
-    if not found.is_finished:
-        file.truncate(found.end)
-        file.append(found.summary.end_of_file(found.end, found.described))
-        found.is_finished = True
+    result = scan(file.read(0, file.size))
+    if not result.is_finished:
+        file.truncate(result.end)
+        file.append(result.summary.end_of_file(result.end, result.described))
+        result.is_finished = True
     file.close()
-    return found
+    return result
 
 
 def opening_messages(file: SegmentFile) -> Iterator[tuple[Channel, Sample]]:
@@ -97,10 +97,10 @@ def opening_messages(file: SegmentFile) -> Iterator[tuple[Channel, Sample]]:
     while len(head := file.read(at, mcap.RECORD_HEAD.size)) == mcap.RECORD_HEAD.size:
         op, length = mcap.RECORD_HEAD.unpack(head)
         if op == mcap.CHUNK:
-            found = list(_opening(read_records(file, at, mcap.RECORD_HEAD.size + length), names))
-            if not found:
+            messages = list(_opening(read_records(file, at, mcap.RECORD_HEAD.size + length), names))
+            if not messages:
                 return
-            yield from found
+            yield from messages
         at += mcap.RECORD_HEAD.size + length
 
 
@@ -128,7 +128,7 @@ def _opening(data: bytes, names: dict[int, str]) -> Iterator[tuple[Channel, Samp
 
 
 def _accept(
-    found: Scan,
+    result: Scan,
     data: bytes,
     pending: tuple[mcap.Record, ScannedChunk, Counter[int]],
     index_at: dict[int, int],
@@ -148,13 +148,13 @@ def _accept(
         compressed,
         head.size,
     )
-    found.summary.add(index, counts)
+    result.summary.add(index, counts)
     if chunk.numbers:
-        found.chunks.append(chunk)
-    found.end = end
+        result.chunks.append(chunk)
+    result.end = end
 
 
-def _chunk(found: Scan, data: bytes, record: mcap.Record, names: dict[int, str]) -> tuple[ScannedChunk, Counter[int]]:
+def _chunk(result: Scan, data: bytes, record: mcap.Record, names: dict[int, str]) -> tuple[ScannedChunk, Counter[int]]:
     """Return a chunk with the number of messages of each channel. Raises ValueError, KeyError if it is damaged."""
     head = mcap.chunk_head(data, record.at)
     inner = mcap.decompress(data[head.records_at : record.end], head.size)
@@ -166,17 +166,17 @@ def _chunk(found: Scan, data: bytes, record: mcap.Record, names: dict[int, str])
             fields = Fields(inner[each.at : each.end])
             number, name, _, text = fields.uint(2), fields.text(), fields.text(), fields.text()
             names[number] = name
-            found.definitions[name] = text
-            found.described[inner[each.at - mcap.RECORD_HEAD.size : each.end]] = None
+            result.definitions[name] = text
+            result.described[inner[each.at - mcap.RECORD_HEAD.size : each.end]] = None
         elif each.op == mcap.CHANNEL:
             number, channel = read_channel(Fields(inner[each.at : each.end]), names)
-            found.channels[number] = channel
-            found.described[inner[each.at - mcap.RECORD_HEAD.size : each.end]] = None
+            result.channels[number] = channel
+            result.described[inner[each.at - mcap.RECORD_HEAD.size : each.end]] = None
         elif each.op == mcap.MESSAGE:
             _, _, number, sequence, _, _ = mcap.MESSAGE_HEAD.unpack_from(inner, each.at - mcap.RECORD_HEAD.size)
-            topic = found.channels[number].topic
+            topic = result.channels[number].topic
             counts[number] += 1
-            if not found.channels[number].is_opening:  # opening messages have no number
-                numbers.append(found.first + ((sequence - found.first) & 0xFFFFFFFF))
+            if not result.channels[number].is_opening:  # opening messages have no number
+                numbers.append(result.first + ((sequence - result.first) & 0xFFFFFFFF))
     begin = record.at - mcap.RECORD_HEAD.size
     return ScannedChunk(Place(begin, record.end - begin), topic, head.start_ns, head.end_ns, numbers), counts

@@ -191,18 +191,18 @@ class Segments:
         if row is not None:
             self.index.remove_segment(row.id)
         try:
-            found = recover(file)
+            scan = recover(file)
         except (ValueError, KeyError, OSError) as error:
             log.warning("the history file %s cannot be used: %s", file.path.name, error)
             with contextlib.suppress(OSError):
                 file.close()
             return
-        if not found.chunks:
+        if not scan.chunks:
             file.remove()
             return
-        segment = self.index.add_segment(file.path.name, found.first)
+        segment = self.index.add_segment(file.path.name, scan.first)
         self._files[segment] = file
-        _index_scan(self.index, segment, found, file.size)
+        _index_scan(self.index, segment, scan, file.size)
 
 
 def sample_of(channel: Channel, message: ChunkMessage, number: int) -> Sample:
@@ -218,7 +218,7 @@ def sample_of(channel: Channel, message: ChunkMessage, number: int) -> Sample:
     )
 
 
-def _index_scan(index: ChunkIndex, segment: int, found: Scan, size: int) -> None:
+def _index_scan(index: ChunkIndex, segment: int, scan: Scan, size: int) -> None:
     rows = [
         ChunkRow(
             segment,
@@ -231,14 +231,14 @@ def _index_scan(index: ChunkIndex, segment: int, found: Scan, size: int) -> None
             chunk.end_ns,
             pack_numbers(chunk.numbers),
         )
-        for chunk in found.chunks
+        for chunk in scan.chunks
     ]
     channels = {
         one._replace(type=TypeRef(model_name(one.type.name), one.type.hash)): number
-        for number, one in found.channels.items()
+        for number, one in scan.channels.items()
         if not one.is_opening
     }
-    texts = {model_name(name): text for name, text in found.definitions.items() if text}
+    texts = {model_name(name): text for name, text in scan.definitions.items() if text}
     index.add_chunks(segment, rows, channels, size)
     index.define((one.type, texts[one.type.name]) for one in channels if one.type.name in texts)
     index.finish_segment(segment, size)

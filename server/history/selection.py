@@ -16,21 +16,21 @@ def select_messages(writer: HistoryWriter, criteria: MessageFilter, limit: int) 
     """Return at most `limit` messages of the history, of about `PAGE_BYTES` in total."""
     at_hand = _unwritten(writer, criteria)  # first: what is written meanwhile is then in both, not in neither
     rows = _written(writer, criteria, limit + 1)
-    found: list[RecordedMessage] = []
+    messages: list[RecordedMessage] = []
     read: dict[int, RecordedMessage] = {}
     size = 0
     for number in sorted({*at_hand, *rows}):
-        if len(found) == limit or size >= PAGE_BYTES:
-            return MessagePage(found, number)
+        if len(messages) == limit or size >= PAGE_BYTES:
+            return MessagePage(messages, number)
         row = rows.get(number)
         if row is not None and number not in read:
             numbers = {each for each, one in rows.items() if one is row}
             read |= {each: message for each, message in _messages(writer, row).items() if each in numbers}
         message = at_hand.get(number) or read.pop(number, None)
         if message is not None:
-            found.append(message)
+            messages.append(message)
             size += len(message.sample.data)
-    return MessagePage(found, None)
+    return MessagePage(messages, None)
 
 
 def _unwritten(writer: HistoryWriter, criteria: MessageFilter) -> dict[int, RecordedMessage]:
@@ -43,35 +43,35 @@ def _unwritten(writer: HistoryWriter, criteria: MessageFilter) -> dict[int, Reco
 
 def _written(writer: HistoryWriter, criteria: MessageFilter, limit: int) -> dict[int, ChunkRow]:
     """Return the chunks of the first `limit` messages in the index, by number."""
-    found: dict[int, ChunkRow] = {}
+    rows: dict[int, ChunkRow] = {}
     for segment in writer.segments.rows:
         if segment.next <= criteria.start or segment.first >= criteria.end:
             continue
         if not segment.end_ns or segment.end_ns < criteria.from_ns or segment.start_ns > criteria.to_ns:
             continue
         for topic in (None,) if criteria.topics is None else sorted(criteria.topics):
-            found |= _of_segment(writer, segment.id, topic, criteria, limit)
-        if len(found) >= limit:
+            rows |= _of_segment(writer, segment.id, topic, criteria, limit)
+        if len(rows) >= limit:
             break  # numbers increase from segment to segment
-    return {number: found[number] for number in sorted(found)[:limit]}
+    return {number: rows[number] for number in sorted(rows)[:limit]}
 
 
 def _of_segment(
     writer: HistoryWriter, segment: int, topic: str | None, criteria: MessageFilter, limit: int
 ) -> dict[int, ChunkRow]:
     """Return the chunks of the first `limit` messages of a topic (None: of all) in a segment, by number."""
-    found: dict[int, ChunkRow] = {}
+    rows: dict[int, ChunkRow] = {}
     after = -1
     while True:
         batch = writer.segments.index.of_numbers(
             segment, topic, criteria.start, criteria.from_ns, criteria.to_ns, after, limit
         )
         for row in batch:
-            if len(found) >= limit and row.first > sorted(found)[limit - 1]:
-                return found  # this chunk and the following ones start after the last wanted message
-            found |= dict.fromkeys(_numbers(writer, row, criteria), row)
+            if len(rows) >= limit and row.first > sorted(rows)[limit - 1]:
+                return rows  # this chunk and the following ones start after the last wanted message
+            rows |= dict.fromkeys(_numbers(writer, row, criteria), row)
         if len(batch) < limit:
-            return found
+            return rows
         after = batch[-1].first
 
 
@@ -89,13 +89,13 @@ def _matches(number: int, sample: Sample, criteria: MessageFilter) -> bool:
 
 def _messages(writer: HistoryWriter, row: ChunkRow) -> dict[int, RecordedMessage]:
     """Return the messages of a chunk by number; none if it is damaged or was removed."""
-    found: dict[int, RecordedMessage] = {}
+    messages: dict[int, RecordedMessage] = {}
     try:
         for channel, sample in writer.segments.messages_of(row):
             number = sample.sequence - 1
-            found[number] = RecordedMessage(number, channel.topic, sample)
+            messages[number] = RecordedMessage(number, channel.topic, sample)
     except (OSError, ValueError) as error:
         log.warning("a part of the history cannot be read: %s", error)
     except KeyError:  # the segment was removed
         pass
-    return found
+    return messages

@@ -91,8 +91,8 @@ def read_series(writer: HistoryWriter, topic: str, field: str, span: SeriesRange
     if sum(row.messages for row in rows) + len(unwritten) <= span.points:
         samples = [*unwritten, *(sample for row in rows for _, sample in writer.segments.messages_of(row))]
         within = (each for each in samples if span.from_ns <= each.received_ns <= span.to_ns)
-        found = ((each.received_ns, values.value_of(each)) for each in sorted(within, key=_received))
-        return Series([Point(at, single(value)) for at, value in found if value is not None], is_reduced=False)
+        points = ((each.received_ns, values.value_of(each)) for each in sorted(within, key=_received))
+        return Series([Point(at, single(value)) for at, value in points if value is not None], is_reduced=False)
     intervals: dict[int, Statistic] = {}
 
     def add(interval: int, statistic: Statistic | None) -> None:
@@ -138,9 +138,9 @@ def _of_chunk(
 ) -> Statistic | None:
     """Return the statistic of a chunk, and store it in the index."""
     values = [value for _, value in numbers if value is not None and math.isfinite(value)]
-    found = Statistic(min(values), max(values), math.fsum(values), len(values)) if values else None
-    writer.segments.index.keep_statistic(row, field, found or (0.0, 0.0, 0.0, 0))
-    return found
+    statistic = Statistic(min(values), max(values), math.fsum(values), len(values)) if values else None
+    writer.segments.index.keep_statistic(row, field, statistic or (0.0, 0.0, 0.0, 0))
+    return statistic
 
 
 def _received(sample: Sample) -> int:

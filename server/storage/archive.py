@@ -212,7 +212,7 @@ class _Relocation:
             )
         begins = b"<" + self._new.encode()
         ntriples = unpack_triples(record.triples)
-        triples = pack_triples(self._token.sub(lambda found: begins if found[0][:1] == b"<" else found[0], ntriples))
+        triples = pack_triples(self._token.sub(lambda match: begins if match[0][:1] == b"<" else match[0], ntriples))
         member = record.member and self._iri(record.member)
         return replace(record, triples=triples, member=member, membership=membership)
 

@@ -95,5 +95,5 @@ LOW_BYTES = 1024 * 1024
 
 def free_bytes(folder: Path) -> int:
     """Return the number of bytes that can still be written to the disk of a folder. Raises OSError."""
-    found = os.statvfs(folder)
-    return found.f_bavail * found.f_frsize
+    status = os.statvfs(folder)
+    return status.f_bavail * status.f_frsize

@@ -55,16 +55,16 @@ def prepare_tables(connection: sqlite3.Connection, name: str) -> None:
     """
     connection.execute("BEGIN IMMEDIATE")
     try:
-        found = read_pragma(connection, "user_version")
-        if found == 0:
+        current = read_pragma(connection, "user_version")
+        if current == 0:
             if connection.execute("SELECT 1 FROM sqlite_master").fetchone() is not None:
                 raise ValueError(f"{name} is a database of another program: choose another folder")
             _make(connection)
         elif read_pragma(connection, "application_id") != APPLICATION:
             raise ValueError(f"{name} is a database of another program: choose another folder")
-        elif found > FORMAT:
+        elif current > FORMAT:
             raise ValueError(
-                f"{name} was written by a newer rosld (format {found}; this one supports {FORMAT}): use that version"
+                f"{name} was written by a newer rosld (format {current}; this one supports {FORMAT}): use that version"
             )
         connection.execute("COMMIT")
     finally:

@@ -37,10 +37,10 @@ class Effects:
 
     def changes(self) -> list[RecordChange]:
         """Return each path once, with its latest version, in the order of versions."""
-        found = {path: listed.version for path, listed in self.lists.items()}
+        versions = {path: listed.version for path, listed in self.lists.items()}
         for path, record in self.records.items():
-            found[path] = max(record.version, found.get(path, 0))
-        changed = [RecordChange(path, version, False) for path, version in found.items()]
+            versions[path] = max(record.version, versions.get(path, 0))
+        changed = [RecordChange(path, version, False) for path, version in versions.items()]
         changed += [RecordChange(path, version, True) for path, version in self.removed.items()]
         return sorted(changed, key=version_of_change)
 

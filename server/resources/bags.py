@@ -60,33 +60,17 @@ class BagBase(Resource):
         self.recordings = bags.recordings
 
 
-class ArmedView:
-    """A recording that waits for its trigger, as it is described."""
+class UnfinishedView(Struct, frozen=True):
+    """A recording that cannot be read yet, as it is described: it waits for its trigger, or is being made."""
 
-    format = "MCAP"
-    first = count = start_ns = end_ns = 0
+    name: str
     topics: Mapping[str, RecordedTopic] = {}
     silent: Sequence[str] = ()
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-
-class RunningView:
-    """A recording that is being made, as it is described."""
-
-    format = "MCAP"
-    first = 0
-
-    def __init__(self, one: RunningRecording, silent: Sequence[str]) -> None:
-        self.name = one.name
-        self.silent = silent
-        self.count = one.writer.count
-        self.start_ns = one.writer.start_ns
-        self.end_ns = one.writer.end_ns
-        types = one.writer.types
-        counts = dict(one.writer.counts)
-        self.topics = {topic: RecordedTopic(topic, types[topic], n) for topic, n in counts.items() if topic in types}
+    count: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+    first: int = 0
+    format: str = "MCAP"
 
 
 def bag_urls(space: Space, recordings: Recordings) -> tuple[str, ...]:
@@ -111,8 +95,10 @@ def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> 
 def describe_running(space: Space, recordings: Recordings, one: RunningRecording) -> Document:
     """Return the document of a recording that is being made."""
     writer = one.writer
+    types, counts = writer.types, dict(writer.counts)
+    topics = {topic: RecordedTopic(topic, types[topic], n) for topic, n in counts.items() if topic in types}
     view = BagView(
-        RunningView(one, recordings.silent(one)),
+        UnfinishedView(one.name, topics, recordings.silent(one), writer.count, writer.start_ns, writer.end_ns),
         dropped=recordings.dropped(one),
         problem=writer.problem,
         size=writer.size,
@@ -125,8 +111,7 @@ def describe_running(space: Space, recordings: Recordings, one: RunningRecording
 def describe_armed(space: Space, one: ArmedRecording) -> Document:
     """Return the document of a recording that waits for its trigger."""
     status, problem = ("armed", one.problem) if one.suspended is None else ("suspended", one.suspended)
-    bag = ArmedView(one.name)
-    view = BagView(bag, problem=problem, status=status, order=one.order, triggered=one.count)
+    view = BagView(UnfinishedView(one.name), problem=problem, status=status, order=one.order, triggered=one.count)
     return bag_document(view, space)
 
 

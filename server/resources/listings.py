@@ -70,7 +70,6 @@ class ListingResource(Resource):
     """`/NAME/`: a container of current members, the newest first; `changes` announces others."""
 
     shape = "Container"
-
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(
@@ -124,7 +123,6 @@ class ListingResource(Resource):
 
 def calls_listing(space: Space, calls: Calls, states: VersionCache[State]) -> ListingResource:
     """`/calls/`: the calls made through rosld and kept."""
-    known = calls
 
     def listed(call: Call) -> ListedMember:
         outcome = _OUTCOMES.get(call.state, call.state.value.lower())
@@ -142,14 +140,13 @@ def calls_listing(space: Space, calls: Calls, states: VersionCache[State]) -> Li
         "calls",
         "The calls that are kept",
         columns,
-        lambda: map(listed, reversed(known.all())),
-        known.changes,
+        lambda: map(listed, reversed(calls.all())),
+        calls.changes,
     )
 
 
 def goals_listing(space: Space, goals: Goals, states: VersionCache[State]) -> ListingResource:
     """`/goals/`: the goals known and kept, ours and others'."""
-    known = goals
 
     def listed(goal: Goal) -> ListedMember:
         cells = (goal.status.value, time_cell(goal.created_ns), time_cell(goal.ended_ns), goal.words or "")
@@ -165,14 +162,13 @@ def goals_listing(space: Space, goals: Goals, states: VersionCache[State]) -> Li
         "goals",
         "The goals that are kept",
         columns,
-        lambda: map(listed, reversed(known.all())),
-        known.changes,
+        lambda: map(listed, reversed(goals.all())),
+        goals.changes,
     )
 
 
 def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> ListingResource:
     """`/holds/`: the holds that there are, and what became of those of a rosld that was killed."""
-    known = holds
 
     def member(view: HoldOutline, cells: tuple[Cell, ...]) -> ListedMember:
         url = space.hold(view.id)
@@ -197,8 +193,8 @@ def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> Li
         "holds",
         "The holds of topics",
         columns,
-        lambda: (*map(listed, reversed(known.all())), *map(interrupted, known.interrupted.values())),
-        known.changes,
+        lambda: (*map(listed, reversed(holds.all())), *map(interrupted, holds.interrupted.values())),
+        holds.changes,
     )
 
 

@@ -132,6 +132,8 @@ class ResourceFactory:
         )
 
     def member(self, name: str) -> MemberResource:
+        if name.endswith("/"):
+            raise Problem(404, f"No resource is called {name}: its own name would be empty.")
         return MemberResource(
             self.session, self.affordances, self.limit_checks, self.things, self.states, self.history, name
         )
@@ -146,14 +148,14 @@ _EXAMPLES = 100
 _located = lru_cache(_MAX_CACHED)(locate)
 
 
-def _named_route(factory: ResourceFactory, kind: str, leaf: Callable[[str], Resource]) -> Route:
-    """Return a route of resources with ROS names: leaves, and the containers of their namespaces."""
+def _nested(space: Space, container: Callable[[tuple[str, ...]], Resource], leaf: Callable[[str], Resource]) -> Route:
+    """Return a route of resources whose names have parts, and of the containers of these."""
 
     def route(location: Location) -> Resource:
         if location.is_container:
-            return factory.namespace(kind, location.segments)
+            return container(location.segments)
         if not location.segments:
-            raise permanent_redirect(factory.session.space.container(kind))
+            raise permanent_redirect(space.container(location.kind))
         return leaf(location.name)
 
     return route
@@ -185,27 +187,12 @@ def single_route(make: Callable[[], Resource]) -> Route:
     return route
 
 
-def _parameter_route(factory: ResourceFactory, location: Location) -> Resource:
-    """Return a parameter, or a tree of them where the location ends in a slash."""
+def _parameter_route(route: Route, location: Location) -> Resource:
+    """Return what a route of parameters leads to. Raises a 404 Problem for a name with an empty part."""
     name = location.name
     if "" in location.segments:
         raise Problem(404, f"No parameter is called {name}: none has a part that is empty.")
-    if location.is_container:
-        return factory.parameter_tree(location.segments)
-    if not location.segments:
-        raise permanent_redirect(factory.session.space.container("parameters"))
-    return factory.named(ParameterResource, name)
-
-
-def _resource_route(factory: ResourceFactory, location: Location) -> Resource:
-    """Return a resource below `/resources/`."""
-    if location.is_container:
-        return factory.complex(path_of(location.segments))
-    if not location.segments:
-        raise permanent_redirect(factory.session.space.container("resources"))
-    if not location.segments[-1]:
-        raise Problem(404, f"No resource is called {location.name}: its own name would be empty.")
-    return factory.member(location.name)
+    return route(location)
 
 
 def _thing_route(factory: ResourceFactory, location: Location) -> RobotThing:
@@ -259,13 +246,14 @@ class Router:
         )
         runner, level_times, receipts = QueryRunner(service, pages, space.base), LevelTimes(), services.receipts
         stored = partial(stored_route, documents)
+        parameters = _nested(space, factory.parameter_tree, partial(factory.named, ParameterResource))
         self.routes: dict[str, Route] = {
             "": single_route(lambda: EntryResource(session, states, recordings, services.problems)),
-            "nodes": _named_route(factory, "nodes", partial(factory.named, NodeResource)),
-            "topics": _named_route(factory, "topics", factory.topic),
-            "services": _named_route(factory, "services", partial(factory.named, ServiceResource)),
+            "nodes": _nested(space, partial(factory.namespace, "nodes"), partial(factory.named, NodeResource)),
+            "topics": _nested(space, partial(factory.namespace, "topics"), factory.topic),
+            "services": _nested(space, partial(factory.namespace, "services"), partial(factory.named, ServiceResource)),
             "calls": _flat(space, "A call", factory.calls, factory.call),
-            "actions": _named_route(factory, "actions", partial(factory.named, ActionResource)),
+            "actions": _nested(space, partial(factory.namespace, "actions"), partial(factory.named, ActionResource)),
             "goals": _flat(space, "A goal", factory.goals, factory.goal),
             "activity": _flat(
                 space,
@@ -274,11 +262,11 @@ class Router:
                 lambda id: ActivityResource(space, settings, states, receipts, id),
             ),
             "holds": _flat(space, "A hold", factory.holds, factory.hold),
-            "parameters": partial(_parameter_route, factory),
+            "parameters": partial(_parameter_route, parameters),
             "types": partial(type_route, session, states),
             "shapes": partial(shape_route, factory.limit_checks, documents),
             "bags": partial(bag_route, factory.bags),
-            "resources": partial(_resource_route, factory),
+            "resources": _nested(space, lambda path: factory.complex(path_of(path)), factory.member),
             "data": stored,
             "mappings": stored,
             ".well-known": partial(_thing_route, factory),

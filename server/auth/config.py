@@ -158,7 +158,7 @@ def from_toml(data: bytes) -> AuthConfig:
         agents.setdefault(name, Agent(name))
     issuers = tuple(map(_issuer, _tables(members, "issuer")))
     rules = tuple(map(_rule, _tables(members, "rule")))
-    return _whole(agents, tokens, issuers, subjects, rules)
+    return _auth_config(agents, tokens, issuers, subjects, rules)
 
 
 def _tables(members: Mapping[str, object], kind: str) -> Iterator[_Table]:
@@ -251,7 +251,7 @@ def _checked_issuer(issuer: Issuer) -> Issuer:
     return issuer
 
 
-def _whole(
+def _auth_config(
     agents: Mapping[str, Agent],
     tokens: Mapping[str, str],
     issuers: tuple[Issuer, ...],
@@ -287,7 +287,7 @@ def from_turtle(data: bytes, base: str) -> AuthConfig:
         for each in graph.all(node, ros.tokenDigest):
             tokens[_digest(_text(each))] = name
     rules = tuple(_authorization(graph, node, base, called) for node in graph.of(acl.Authorization))
-    return _whole(agents, tokens, (), {}, rules)
+    return _auth_config(agents, tokens, (), {}, rules)
 
 
 _Node = NamedNode | BlankNode

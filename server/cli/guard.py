@@ -38,10 +38,10 @@ def guard(source: str, folder: Path, options: AdapterOptions, *, once: bool) -> 
     with user_errors():
         folder.mkdir(parents=True, exist_ok=True)
         adapter = adapter_for(source, options)
-        asyncio.run(_guarded(adapter, folder, once=once))
+        asyncio.run(_run_guard(adapter, folder, once=once))
 
 
-async def _guarded(adapter: Adapter, folder: Path, *, once: bool) -> None:
+async def _run_guard(adapter: Adapter, folder: Path, *, once: bool) -> None:
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     for number in end_signals():
         loop.add_signal_handler(number, ended.set)

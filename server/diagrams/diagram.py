@@ -306,7 +306,7 @@ def _merge(diagram: Diagram, key_of: Callable[[Vertex], Hashable], graph_url: st
     for vertex in diagram.vertices:
         key = key_of(vertex)
         groups[vertex.key if key is None else key].append(vertex)
-    vertices = tuple(group[0] if len(group) == 1 else _folded(group, graph_url) for group in groups.values())
+    vertices = tuple(group[0] if len(group) == 1 else _folded_vertex(group, graph_url) for group in groups.values())
     place = {old.key: new.key for group, new in zip(groups.values(), vertices, strict=True) for old in group}
     edges: dict[tuple[str, str], Edge] = {}
     for edge in diagram.edges:
@@ -322,7 +322,7 @@ def _merge(diagram: Diagram, key_of: Callable[[Vertex], Hashable], graph_url: st
     return Diagram(vertices, tuple(edges.values()), diagram.total)
 
 
-def _folded(group: Sequence[Vertex], graph_url: str) -> Vertex:
+def _folded_vertex(group: Sequence[Vertex], graph_url: str) -> Vertex:
     first, count = group[0], sum(each.count for each in group)
     within = common_prefix(each.name for each in group)
     wrong = [each for each in group if each.problem]

@@ -49,12 +49,12 @@ async def read_body(request: IncomingRequest, *, limit: int, timeout: float = TI
     require_identity_coding(headers.get("content-encoding"))
     declared = parse_content_length(headers.get("content-length"))
     if declared is not None and declared > limit:
-        await _let_finish(request)
+        await _drain(request)
         raise _too_large(limit)
     try:
-        body = await _within(timeout, _collect(request.receive, limit))
+        body = await _await_within(timeout, _collect(request.receive, limit))
     except _TooLarge:
-        await _let_finish(request)
+        await _drain(request)
         raise _too_large(limit) from None
     except TimeoutError as error:
         raise Problem(408, f"The body did not arrive within {timeout:g} s.", headers=_CLOSE) from error
@@ -73,7 +73,7 @@ async def read_chunks(request: IncomingRequest, *, limit: int, timeout: float = 
     require_identity_coding(request.headers.get("content-encoding"))
     declared = parse_content_length(request.headers.get("content-length"))
     if declared is not None and declared > limit:
-        await _let_finish(request)
+        await _drain(request)
         raise _too_large(limit)
     size, more, begun = 0, True, time.monotonic()
     while more:
@@ -90,7 +90,7 @@ async def read_chunks(request: IncomingRequest, *, limit: int, timeout: float = 
         chunk: bytes = message.get("body", b"")
         size += len(chunk)
         if size > limit:
-            await _let_finish(request)
+            await _drain(request)
             raise _too_large(limit)
         if chunk:
             yield chunk
@@ -142,7 +142,7 @@ async def _collect(receive: Receive, limit: int) -> bytes:
     return chunks[0] if len(chunks) == 1 else b"".join(chunks)
 
 
-async def _within(seconds: float, work: Coroutine[object, object, bytes]) -> bytes:
+async def _await_within(seconds: float, work: Coroutine[object, object, bytes]) -> bytes:
     """Await `work`; raise TimeoutError after `seconds`. A bare timer, because most bodies arrive with the head."""
     loop = asyncio.get_running_loop()
     task = asyncio.current_task(loop)
@@ -166,7 +166,7 @@ async def _within(seconds: float, work: Coroutine[object, object, bytes]) -> byt
         timer.cancel()
 
 
-async def _let_finish(request: IncomingRequest) -> None:
+async def _drain(request: IncomingRequest) -> None:
     """Read and discard the rest of a body: closing the connection earlier would reset it and lose the response.
 
     A client that waits for 100 Continue gets its response at once.

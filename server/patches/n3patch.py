@@ -247,7 +247,7 @@ class _Search:
         open_.remove(chosen)
         for triple in fewest:
             self._step()
-            more = _bound(chosen, triple)
+            more = _bindings(chosen, triple)
             if more is not None:
                 yield from self.solutions(open_, {**bindings, **more})
 
@@ -269,7 +269,7 @@ class _Search:
             raise Problem(422, "To find what solid:where describes takes too long: say more of what is to be changed.")
 
 
-def _bound(pattern: Pattern, triple: Triple) -> Bindings | None:
+def _bindings(pattern: Pattern, triple: Triple) -> Bindings | None:
     """Return the bindings of a pattern's variables in a triple, or None if they conflict."""
     found: dict[Variable, Term] = {}
     for each, term in zip(pattern, tuple(triple), strict=True):

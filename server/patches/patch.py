@@ -90,10 +90,10 @@ def updated_lines(data: bytes, before: bytes, base: str) -> tuple[bytes, bytes]:
     _carry_out(store, text, base, _FUNCTIONS)
     held = store.dump(format=RdfFormat.N_TRIPLES, from_graph=DefaultGraph()) or b""
     old, new = ({*lines.split(b"\n")} for lines in (before, decode_ntriples(held)))
-    return _joined(old - new), _joined(sorted(new - old))
+    return _join_lines(old - new), _join_lines(sorted(new - old))
 
 
-def _joined(lines: Iterable[bytes]) -> bytes:
+def _join_lines(lines: Iterable[bytes]) -> bytes:
     return b"".join(line + b"\n" for line in lines)
 
 

@@ -37,8 +37,8 @@ class StoredQueries:
         """Lock held while a write is validated and applied."""
         self._records = records
         self._space = space
-        self._outlines: _Remembered[StoredQuery] = _Remembered(_CACHE_SIZE)
-        self._checked: _Remembered[StoredQuery | str] = _Remembered(_CACHE_SIZE)
+        self._outlines: _BlobCache[StoredQuery] = _BlobCache(_CACHE_SIZE)
+        self._checked: _BlobCache[StoredQuery | str] = _BlobCache(_CACHE_SIZE)
 
     def on_record_change(self, change: RecordChange) -> None:
         """Update the version after a change of a record."""
@@ -81,7 +81,7 @@ class StoredQueries:
     async def executable(self, record: Record) -> StoredQuery:
         """Return a stored query that can be run. Raises a 409 Problem with the reason if it is (no longer) valid."""
         assert record.blob is not None
-        found = self._checked.known(record.blob)
+        found = self._checked.find(record.blob)
         if found is None:
             found = await asyncio.to_thread(self._checked.get, record.blob, lambda: self._parse_record(record))
         if isinstance(found, str):
@@ -143,21 +143,21 @@ def name_of(path: str) -> str:
     return decode_segment(path.removeprefix(ROUTE))
 
 
-class _Remembered(Generic[_T]):
+class _BlobCache(Generic[_T]):
     """Cache of the parsed contents of the last few blobs, which are immutable. Thread-safe."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        self._found: OrderedDict[str, _T] = OrderedDict()
+        self._contents: OrderedDict[str, _T] = OrderedDict()
 
-    def known(self, blob: Blob) -> _T | None:
-        return self._found.get(blob.id)
+    def find(self, blob: Blob) -> _T | None:
+        return self._contents.get(blob.id)
 
     def get(self, blob: Blob, make: Callable[[], _T]) -> _T:
         """Return the outline, cached or made now."""
-        found = self._found.get(blob.id)
+        found = self._contents.get(blob.id)
         if found is None:
-            found = self._found[blob.id] = make()
-            while len(self._found) > self._limit:
-                self._found.popitem(last=False)
+            found = self._contents[blob.id] = make()
+            while len(self._contents) > self._limit:
+                self._contents.popitem(last=False)
         return found

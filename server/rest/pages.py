@@ -102,7 +102,7 @@ class PageRenderer:
         """Return the token of the stop form; empty if the reader may not stop the robot."""
         session = self._session
         usable = self._stops.is_usable and permissions.may("POST", session.space.stop)
-        return self._keys.token(_of_agent(session.space.stop, permissions)) if usable else ""
+        return self._keys.token(_token_subject(session.space.stop, permissions)) if usable else ""
 
     @property
     def version(self) -> Hashable:
@@ -170,7 +170,7 @@ class PageRenderer:
         """
         pairs = await self._pairs(exchange)
         token, method, typed = split_hidden(pairs)
-        self._keys.require(token, _of_agent(resource.url, exchange.permissions))
+        self._keys.require(token, _token_subject(resource.url, exchange.permissions))
         forms = await resource.forms()
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
@@ -253,10 +253,10 @@ class PageRenderer:
 
     def _csrf(self, resource: Resource, permissions: Permissions) -> Csrf:
         """Return the tokens for the forms of a page, each for a URL and the agent that reads the page."""
-        return lambda action: self._keys.token(_of_agent(action or resource.url, permissions))
+        return lambda action: self._keys.token(_token_subject(action or resource.url, permissions))
 
 
-def _of_agent(url: str, permissions: Permissions) -> str:
+def _token_subject(url: str, permissions: Permissions) -> str:
     """Return the subject of a form's token: a URL, and the agent if it is known."""
     return f"{url} {permissions.cache_key}" if permissions.cache_key else url
 

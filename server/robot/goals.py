@@ -43,7 +43,7 @@ class GoalFollower:
     def __init__(self, adapter: Adapter, idle: float) -> None:
         self._adapter = adapter
         self._idle = idle
-        self._followed: dict[str, _Following] = {}
+        self._followed: dict[str, _FollowedAction] = {}
         self._sweeper: asyncio.Task[None] | None = None
 
     def start(self) -> None:
@@ -62,8 +62,8 @@ class GoalFollower:
         following = self._followed.get(action)
         if following is None:
             opening = asyncio.ensure_future(self._adapter.follow_goals(action, deadline=deadline))
-            following = self._followed[action] = _Following(opening, 0.0)
-        following.looked_at = loop_time()
+            following = self._followed[action] = _FollowedAction(opening, 0.0)
+        following.read_at = loop_time()
         try:
             await asyncio.shield(following.opening)
         except RosError:
@@ -87,7 +87,7 @@ class GoalFollower:
             await asyncio.sleep(_SWEEP)
             horizon = loop_time() - self._idle
             for action, following in list(self._followed.items()):
-                if not following.watches and following.looked_at < horizon:
+                if not following.watches and following.read_at < horizon:
                     self._unfollow(action)
 
     def _unfollow(self, action: str) -> None:
@@ -98,18 +98,18 @@ class GoalFollower:
             opening.result().close()
 
 
-class _Following(Struct):
+class _FollowedAction(Struct):
     """A followed action: the watch of its goals, the time of the last read (loop time), and the number of watches."""
 
     opening: asyncio.Future[Watch]
-    looked_at: float
+    read_at: float
     watches: int = 0
 
 
 class _GoalWatch:
     """A watch that keeps its action followed."""
 
-    def __init__(self, following: _Following | None, watch: Watch) -> None:
+    def __init__(self, following: _FollowedAction | None, watch: Watch) -> None:
         self._following = following
         self._watch = watch
         if following is not None:
@@ -120,7 +120,7 @@ class _GoalWatch:
         following, self._following = self._following, None
         if following is not None:
             following.watches -= 1
-            following.looked_at = loop_time()
+            following.read_at = loop_time()
         self._watch.close()
 
 

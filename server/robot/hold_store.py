@@ -112,7 +112,7 @@ class Holds:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._running: dict[str, _Running] = {}
+        self._running: dict[str, _RunningHold] = {}
         self._ended: OrderedDict[str, str] = OrderedDict()
         self._closed: str | None = None
         self.notes = HoldNotes(session.settings.data)
@@ -155,7 +155,7 @@ class Holds:
         require_rate(session.limiter, hold.topic)
         end_dry_run()
         holder = interlock.held[hold.topic] = Holder(hold.holder.name, session.space.hold(hold.id))
-        running = _Running(self, session.adapter, session.limiter, hold)
+        running = _RunningHold(self, session.adapter, session.limiter, hold)
         try:
             await self.notes.begin(self._note(hold))
             await running.publish(loop_time() + session.settings.publish_wait)
@@ -309,7 +309,7 @@ def new_hold(
     )
 
 
-class _Running:
+class _RunningHold:
     """An active hold, with one timer and at most one publish under way."""
 
     def __init__(self, holds: Holds, adapter: AuditedAdapter, limiter: PublishLimiter, hold: Hold) -> None:
@@ -377,24 +377,24 @@ class _Running:
                 self._schedule = after
                 # A publish still under way is not joined by another one: this tick is skipped.
                 if self._publishing is None or self._publishing.done():
-                    self._publishing = self._loop.create_task(self._published())
+                    self._publishing = self._loop.create_task(self._publish_once())
                 until = min(after.due, after.expires)
             case Wait(until=until):
                 pass
         self._timer = self._loop.call_at(until, self._tick)
 
-    async def _published(self) -> None:
-        trouble: str | None = None
+    async def _publish_once(self) -> None:
+        failure: str | None = None
         self._limiter.count(self.hold.topic, self._loop.time())
         try:
             await self.publish(self._loop.time() + min(self._schedule.period, _LONGEST_PUBLISH))
         except (RosError, ValueError) as error:
-            trouble = one_line(str(error))
+            failure = one_line(str(error))
         except Exception:
             _log.exception("the message of a hold on %s was not published", self.hold.topic)
-            trouble = "The server failed to publish; see its log."
-        if trouble != self.hold.last_error:
-            self.hold = replace(self.hold, last_error=trouble)
+            failure = "The server failed to publish; see its log."
+        if failure != self.hold.last_error:
+            self.hold = replace(self.hold, last_error=failure)
             self._holds.on_changed(self.hold)
 
     def end(self, why: str, *, is_silent: bool = False) -> asyncio.Task[None]:

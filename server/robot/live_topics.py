@@ -43,7 +43,7 @@ class LiveSettings(Struct, frozen=True):
     eager: tuple[str, ...] = ()
 
 
-class _Look(Struct):
+class _LiveTopic(Struct):
     """A subscription and its latest view.
 
     `awaited` are the publishers that sent nothing while awaited; `insisted`: a message was awaited even without
@@ -51,7 +51,7 @@ class _Look(Struct):
     """
 
     subscription: Subscription
-    looked_at: float = -inf
+    read_at: float = -inf
     eager: bool = False
     recorded: bool = False
     watches: int = 0
@@ -71,17 +71,17 @@ class _Look(Struct):
 class _TopicWatch:
     """A watch that prevents its subscription from closing."""
 
-    def __init__(self, look: _Look, watch: Watch) -> None:
-        self._look: _Look | None = look
+    def __init__(self, live: _LiveTopic, watch: Watch) -> None:
+        self._look: _LiveTopic | None = live
         self._watch = watch
-        look.watches += 1
+        live.watches += 1
 
     def close(self) -> None:
         """Stop waking; the subscription stays open as after a read. Idempotent."""
-        look, self._look = self._look, None
-        if look is not None:
-            look.watches -= 1
-            look.looked_at = loop_time()
+        live, self._look = self._look, None
+        if live is not None:
+            live.watches -= 1
+            live.read_at = loop_time()
             self._watch.close()
 
 
@@ -97,7 +97,7 @@ class LiveTopics:
         self._adapter = adapter
         self._schemas = schemas
         self._settings = settings
-        self._looks: dict[str, _Look] = {}
+        self._live: dict[str, _LiveTopic] = {}
         self._opening: dict[str, asyncio.Lock] = {}
         self._sweeper: asyncio.Task[None] | None = None
 
@@ -109,38 +109,38 @@ class LiveTopics:
         """Close all subscriptions."""
         if self._sweeper is not None:
             await end_tasks([self._sweeper])
-        for topic in list(self._looks):
+        for topic in list(self._live):
             self._close(topic)
 
     def subscribed(self) -> Sequence[str]:
         """Return the currently subscribed topics."""
-        return list(self._looks)
+        return list(self._live)
 
-    def looked_at(self) -> Sequence[str]:
+    def recently_read(self) -> Sequence[str]:
         """Return the subscribed topics, except recorded ones that were not read lately."""
         horizon = loop_time() - self._settings.idle
-        return [topic for topic, look in self._looks.items() if look.eager or look.watches or look.looked_at >= horizon]
+        return [topic for topic, live in self._live.items() if live.eager or live.watches or live.read_at >= horizon]
 
     def always_subscribed(self) -> Sequence[str]:
         """Return the topics that stay subscribed to without being read, as far as they have a value."""
         there = self._adapter.graph.topics
-        subscribed = ((topic, look) for topic, look in self._looks.items() if look.eager or look.watches)
-        looks = [(topic, look) for topic, look in subscribed if topic in there]
-        return [topic for topic, look in looks if look.subscription.latest()]
+        subscribed = ((topic, live) for topic, live in self._live.items() if live.eager or live.watches)
+        present = [(topic, live) for topic, live in subscribed if topic in there]
+        return [topic for topic, live in present if live.subscription.latest()]
 
     def find_view(self, topic: str) -> TopicView | None:
         """Return the view of a subscribed topic, without prolonging the subscription."""
-        look = self._looks.get(topic)
-        if look is None or topic not in self._adapter.graph.topics:
+        live = self._live.get(topic)
+        if live is None or topic not in self._adapter.graph.topics:
             return None
-        look.looked_at = loop_time()
-        view = self._refresh(look)
+        live.read_at = loop_time()
+        view = self._refresh(live)
         return view if view.samples else None
 
     def peek(self, topic: str) -> TopicView | None:
         """Return the view of a subscribed topic without counting as a read, or None."""
-        look = self._looks.get(topic)
-        return None if look is None or topic not in self._adapter.graph.topics else self._refresh(look)
+        live = self._live.get(topic)
+        return None if live is None or topic not in self._adapter.graph.topics else self._refresh(live)
 
     def current_view(self, topic: str) -> TopicView:
         """Return the current view without waiting; it is empty before the first message."""
@@ -148,17 +148,17 @@ class LiveTopics:
 
     def last_view(self, topic: str) -> TopicView | None:
         """Return the view of the last read (thread-safe)."""
-        look = self._looks.get(topic)
-        return None if look is None or topic not in self._adapter.graph.topics else look.view
+        live = self._live.get(topic)
+        return None if live is None or topic not in self._adapter.graph.topics else live.view
 
     def is_settled(self, topic: str) -> bool:
         """Whether `read` would return the same as `find_view`, without subscribing or waiting."""
-        look = self._looks.get(topic)
+        live = self._live.get(topic)
         if topic not in self._adapter.graph.topics:
             return True
-        if look is None or look.view.samples:
-            return look is not None
-        return not look.subscription.latest() and set(self._publishers(topic)) <= set(look.awaited)
+        if live is None or live.view.samples:
+            return live is not None
+        return not live.subscription.latest() and set(self._publishers(topic)) <= set(live.awaited)
 
     async def read(self, topic: str, *, wait_for_publisher: bool = False) -> TopicView:
         """Return the view of a topic, subscribing if needed and then waiting a moment if the topic has publishers.
@@ -172,29 +172,29 @@ class LiveTopics:
             return view
         if topic not in self._adapter.graph.topics:
             return EMPTY_VIEW
-        look = await self._open(topic)
-        look.looked_at = loop_time()
-        await self._know_types(look)
-        view = self._refresh(look)
+        live = await self._open(topic)
+        live.read_at = loop_time()
+        await self._load_types(live)
+        view = self._refresh(live)
         publishers = self._publishers(topic)
-        is_new = wait_for_publisher and not look.insisted
-        look.insisted |= wait_for_publisher
-        if not view.samples and (is_new or not set(publishers) <= set(look.awaited)):
-            await self._wait(look, self._settings.first_value)
-            await self._know_types(look)
-            view = self._refresh(look)
-            look.awaited = () if view.samples else publishers
+        is_new = wait_for_publisher and not live.insisted
+        live.insisted |= wait_for_publisher
+        if not view.samples and (is_new or not set(publishers) <= set(live.awaited)):
+            await self._wait(live, self._settings.first_value)
+            await self._load_types(live)
+            view = self._refresh(live)
+            live.awaited = () if view.samples else publishers
         return view
 
     async def watch(self, topic: str, wake: Callable[[], None]) -> Watch:
         """Call `wake` after each new message; the topic stays subscribed to until the watch is closed."""
-        look = await self._open(topic)
-        return _TopicWatch(look, look.subscription.watch(wake))
+        live = await self._open(topic)
+        return _TopicWatch(live, live.subscription.watch(wake))
 
     async def subscribe_eager(self, graph: Graph) -> None:
         """Subscribe to the topics of this graph that match the eager globs."""
         for topic in graph.topics:
-            if topic not in self._looks and any(fnmatchcase(topic, glob) for glob in self._settings.eager):
+            if topic not in self._live and any(fnmatchcase(topic, glob) for glob in self._settings.eager):
                 (await self._open(topic)).eager = True
 
     def _publishers(self, topic: str) -> tuple[Endpoint, ...]:
@@ -202,87 +202,87 @@ class LiveTopics:
         entry = self._adapter.graph.topics.get(topic)
         return () if entry is None else tuple(one for one in entry.publishers if one.unreachable is None)
 
-    async def _open(self, topic: str) -> _Look:
+    async def _open(self, topic: str) -> _LiveTopic:
         async with self._opening.setdefault(topic, asyncio.Lock()):
-            look = self._looks.get(topic)
-            if look is None:
-                look = await self._subscribe(topic)
+            live = self._live.get(topic)
+            if live is None:
+                live = await self._subscribe(topic)
                 self._keep_within_budget()
-                self._looks[topic] = look
+                self._live[topic] = live
         self._opening.pop(topic, None)
-        return look
+        return live
 
-    async def _subscribe(self, topic: str) -> _Look:
+    async def _subscribe(self, topic: str) -> _LiveTopic:
         entry = self._adapter.graph.topics.get(topic)
         names = {ref.name for ref in entry.types} if entry else set()
         fold = next((FOLDS[name] for name in names if name in FOLDS), None)
         subscription = await self._adapter.subscribe(topic, depth=QUEUE_DEPTH if fold else 1)
-        return _Look(subscription, folded=FoldedTopic(fold) if fold else None)
+        return _LiveTopic(subscription, folded=FoldedTopic(fold) if fold else None)
 
-    async def _know_types(self, look: _Look) -> None:
+    async def _load_types(self, live: _LiveTopic) -> None:
         """Load the schemas needed for folding."""
-        if look.folded is None:
+        if live.folded is None:
             return
-        for ref in {sample.schema for sample in look.subscription.latest()}:
+        for ref in {sample.schema for sample in live.subscription.latest()}:
             with contextlib.suppress(RosError):
                 await self._schemas.get(ref)
 
-    async def _wait(self, look: _Look, seconds: float) -> None:
+    async def _wait(self, live: _LiveTopic, seconds: float) -> None:
         arrived = asyncio.Event()
-        watch = look.subscription.watch(arrived.set)
+        watch = live.subscription.watch(arrived.set)
         try:
-            if not look.subscription.latest():
+            if not live.subscription.latest():
                 with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
                     await asyncio.wait_for(arrived.wait(), seconds)
         finally:
             watch.close()
 
-    def _refresh(self, look: _Look) -> TopicView:
-        latest = look.subscription.latest()
-        if latest is look.latest:
-            return look.view
-        if look.folded is None:
+    def _refresh(self, live: _LiveTopic) -> TopicView:
+        latest = live.subscription.latest()
+        if latest is live.latest:
+            return live.view
+        if live.folded is None:
             samples = tuple(latest)
-            look.view = TopicView(samples, look.rates.observe(samples))
+            live.view = TopicView(samples, live.rates.observe(samples))
         else:
-            self._fold(look, look.folded, latest)
-        look.latest = latest
-        return look.view
+            self._fold(live, live.folded, latest)
+        live.latest = latest
+        return live.view
 
-    def _fold(self, look: _Look, folded: FoldedTopic, latest: Sequence[Sample]) -> None:
+    def _fold(self, live: _LiveTopic, folded: FoldedTopic, latest: Sequence[Sample]) -> None:
         ordered = tuple(latest)
         try:
             if not folded.take(ordered, self._decode):
                 return
-            whole = folded.sample(self._schema_at_hand(ordered[-1]))
+            whole = folded.sample(self._cached_schema(ordered[-1]))
         except (ValueError, LookupError):
-            look.view = TopicView(ordered[-1:])  # a message that cannot be folded is shown unchanged
+            live.view = TopicView(ordered[-1:])  # a message that cannot be folded is shown unchanged
             return
         newest = {sample.publisher: sample for sample in ordered}
-        rate = look.rates.observe(list(newest.values()))
-        look.view = TopicView((whole,) if whole is not None else (), rate, folded.times())
+        rate = live.rates.observe(list(newest.values()))
+        live.view = TopicView((whole,) if whole is not None else (), rate, folded.times())
 
-    def _schema_at_hand(self, sample: Sample) -> MessageSchema:
+    def _cached_schema(self, sample: Sample) -> MessageSchema:
         schema = self._schemas.find_cached(sample.schema)
         if not isinstance(schema, MessageSchema):
             raise LookupError(sample.schema.name)
         return schema
 
     def _decode(self, sample: Sample) -> Message:
-        return decoder_of(self._schema_at_hand(sample))(sample)
+        return decoder_of(self._cached_schema(sample))(sample)
 
     def _keep_within_budget(self) -> None:
         """Close idle subscriptions to make room for a new one."""
-        over = len(self._looks) + 1 - self._settings.budget
+        over = len(self._live) + 1 - self._settings.budget
         if over > 0:
-            idlest = sorted((look.looked_at, topic) for topic, look in self._looks.items() if not look.is_exempt)
+            idlest = sorted((live.read_at, topic) for topic, live in self._live.items() if not live.is_exempt)
             for _, topic in idlest[:over]:
                 self._close(topic)
 
     def _close(self, topic: str) -> None:
-        look = self._looks.pop(topic, None)
-        if look is not None:
-            look.subscription.close()
+        live = self._live.pop(topic, None)
+        if live is not None:
+            live.subscription.close()
 
     async def _sweep_for_ever(self) -> None:
         measured = loop_time()
@@ -293,23 +293,23 @@ class LiveTopics:
             horizon = now - self._settings.idle
             if measures := now - measured >= _MEASURE:
                 measured = now
-            for topic, look in list(self._looks.items()):
+            for topic, live in list(self._live.items()):
                 is_gone = topic not in self._adapter.graph.topics
-                if not look.is_exempt and (look.looked_at < horizon or is_gone):
+                if not live.is_exempt and (live.read_at < horizon or is_gone):
                     self._close(topic)
                     continue
-                if look.awaited:  # publishers that return are awaited again
-                    look.awaited = tuple(one for one in look.awaited if one in self._publishers(topic))
-                if look.folded is not None:
-                    await self._know_types(look)
-                if measures or look.folded is not None or look.view.rate is None:
-                    self._refresh(look)
+                if live.awaited:  # publishers that return are awaited again
+                    live.awaited = tuple(one for one in live.awaited if one in self._publishers(topic))
+                if live.folded is not None:
+                    await self._load_types(live)
+                if measures or live.folded is not None or live.view.rate is None:
+                    self._refresh(live)
 
     async def _follow_recorded(self) -> None:
         recorded = self.recorded()
         for topic in recorded:
-            if topic in self._adapter.graph.topics and (look := self._looks.get(topic)) is None:
+            if topic in self._adapter.graph.topics and (live := self._live.get(topic)) is None:
                 with contextlib.suppress(RosError):
                     await self._open(topic)
-        for topic, look in self._looks.items():
-            look.recorded = topic in recorded
+        for topic, live in self._live.items():
+            live.recorded = topic in recorded

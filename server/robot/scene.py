@@ -95,13 +95,13 @@ class LiveFrames:
         self._feeds: dict[str, TopicFeed] = {}
         self._changes = Signal()
         self._watches: list[Watch] = []
-        self._looked_at = 0.0
+        self._read_at = 0.0
         self._task: asyncio.Task[None] | None = None
         self._turn = asyncio.Lock()
 
     async def look(self) -> FrameBuffer:
         """Return the current frames; the first call waits a moment for transforms."""
-        self._looked_at = loop_time()
+        self._read_at = loop_time()
         if self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._run())
             await self._wait()
@@ -127,7 +127,7 @@ class LiveFrames:
         self._close()
 
     async def _run(self) -> None:
-        while loop_time() - self._looked_at < self._idle:
+        while loop_time() - self._read_at < self._idle:
             await self.refresh()
             await asyncio.sleep(PERIOD)
         self._close()

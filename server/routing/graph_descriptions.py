@@ -54,7 +54,7 @@ class GraphDescriptions:
         self._services = factory.services
         self._session = factory.session
         self._fixed: Mapping[str, Callable[[], Document]] = {}
-        self._described: tuple[Hashable, Mapping[str, GraphEntry]] = (None, {})
+        self._entries: tuple[Hashable, Mapping[str, GraphEntry]] = (None, {})
 
     def add(self, fixed: Mapping[str, Callable[[], Document]]) -> None:
         """Add constant documents, by URL."""
@@ -87,67 +87,67 @@ class GraphDescriptions:
         """Return every graph without live values, by IRI."""
         graph = self._session.graph
         revision = self._revision(graph)
-        if self._described[0] != revision:
-            self._described = (revision, {entry.iri: entry for entry in self._describe(graph)})
-        return self._described[1]
+        if self._entries[0] != revision:
+            self._entries = (revision, {entry.iri: entry for entry in self._describe(graph)})
+        return self._entries[1]
 
     def _describe(self, graph: Graph) -> Iterator[GraphEntry]:
         session, services, space = self._session, self._services, self._session.space
         capabilities, problems = session.adapter.capabilities, services.problems()
         listed = listed_graph(graph, capabilities)
         entry = partial(entry_document, listed, space, capabilities.system, problems, name=session.name)
-        yield _described(space.base, (graph.revision, problems, session.name), entry)
+        yield _graph_entry(space.base, (graph.revision, problems, session.name), entry)
         simulated = graph.simulated_time
         for name, known in node_views(graph).items():
             view = self._factory.named(NodeResource, name).with_offers(known)
             describe = partial(node_document, view, space, simulated_time=simulated)
-            yield _described(space.node(name), (view, simulated), describe)
+            yield _graph_entry(space.node(name), (view, simulated), describe)
         for topic in graph.topics.values():
             hold = services.holds.find_by_topic(topic.name)
             can = self._factory.topic(topic.name).is_holdable
-            yield _described(
+            yield _graph_entry(
                 space.topic(topic.name),
                 (topic, hold and hold.id, can),
                 partial(topic_document, topic, space, graph, holdable=can, hold=hold.id if hold else None),
             )
         for service in graph.services.values():
-            yield _described(space.service(service.name), service, partial(service_document, service, space, graph))
+            yield _graph_entry(space.service(service.name), service, partial(service_document, service, space, graph))
         for name, action in graph.actions.items():
             one = self._factory.named(ActionResource, name)
             goals = tuple(goal.id for goal in session.goals.of_action(name))
-            yield _described(one.url, (action, goals, one.takes_goals), one.document)
+            yield _graph_entry(one.url, (action, goals, one.takes_goals), one.document)
         for parameter in graph.parameters.values():
             url = space.parameter(parameter.name)
-            yield _described(url, parameter, partial(parameter_description, parameter, space))
+            yield _graph_entry(url, parameter, partial(parameter_description, parameter, space))
         graph_resource = self._factory.graph()
-        yield _described(graph_resource.url, (IdentityKey(graph), problems), graph_resource.document)
+        yield _graph_entry(graph_resource.url, (IdentityKey(graph), problems), graph_resource.document)
         yield from self._containers(graph)
         yield from self._types()
         yield from self._recordings()
         yield from self._resources()
         yield from self._activities()
         for iri, fixed in self._fixed.items():
-            yield _described(iri, 0, fixed)
+            yield _graph_entry(iri, 0, fixed)
         for module in (OntologyResource(space, self._factory.states, name) for name in MODULES):
-            yield _described(module.url, 0, module.document)
+            yield _graph_entry(module.url, 0, module.document)
 
     def _containers(self, graph: Graph) -> Iterator[GraphEntry]:
         space = self._session.space
         for path in namespaces(graph, "parameters"):
             tree = self._factory.parameter_tree(path)
-            yield _described(tree.url, IdentityKey(graph.parameters), partial(_of_itself, tree))
+            yield _graph_entry(tree.url, IdentityKey(graph.parameters), partial(_of_itself, tree))
         for route in LISTED_ROUTES:
             for path in namespaces(graph, route):
                 listing = self._factory.namespace(route, path)
-                yield _described(listing.url, *listing.outline())
-        yield _described(
+                yield _graph_entry(listing.url, *listing.outline())
+        yield _graph_entry(
             space.container("queries"),
             self._services.queries.version,
             queries_document(self._services.documents, self._services.queries),
         )
         for name, query in self._services.queries.shipped.items():
             url = space.query(name)
-            yield _described(url, 0, partial(shipped_document, url, query))
+            yield _graph_entry(url, 0, partial(shipped_document, url, query))
 
     def _types(self) -> Iterator[GraphEntry]:
         space = self._session.space
@@ -158,11 +158,11 @@ class GraphDescriptions:
                 continue
             below = child_names(listed, route, path)
             describe = partial(type_container_document, route, path, below, space)
-            yield _described(space.container(route, path), below, describe)
+            yield _graph_entry(space.container(route, path), below, describe)
         shapes = types.shapes_document(self._session.adapter, self._services.documents)
-        yield _described(shapes.url, IdentityKey(shapes), lambda: shapes)
+        yield _graph_entry(shapes.url, IdentityKey(shapes), lambda: shapes)
         for name in SHAPES_GRAPHS:
-            yield _described(space.shape(name), *shapes_graph(self._factory.limit_checks, name))
+            yield _graph_entry(space.shape(name), *shapes_graph(self._factory.limit_checks, name))
         variants = known_types(self._session.adapter)
         for schema in self._session.schemas.all():
             yield from self._type(schema, variants)
@@ -171,8 +171,8 @@ class GraphDescriptions:
         space = self._session.space
         for one in (schema,) if isinstance(schema, MessageSchema) else (schema, *halves_of(schema)):
             same = tuple(ref for ref in variants if ref.name == one.ref.name)
-            yield _described(space.type(one.ref.name), (one.ref, same), partial(type_document, one, space, same))
-            yield _described(space.shape(one.ref.name), one.ref, partial(shape_document, one, space))
+            yield _graph_entry(space.type(one.ref.name), (one.ref, same), partial(type_document, one, space, same))
+            yield _graph_entry(space.shape(one.ref.name), one.ref, partial(shape_document, one, space))
 
     def _recordings(self) -> Iterator[GraphEntry]:
         space, recordings = self._session.space, self._services.recordings
@@ -182,13 +182,13 @@ class GraphDescriptions:
             digest = recordings.history.digests.peek(recording.path)
             why = recordings.interruption(recording.name)
             size = recording.first, recording.count, recordings.history.problem, digest, why
-            yield _described(space.bag(recording.name), size, partial(describe_bag, space, recordings, recording))
+            yield _graph_entry(space.bag(recording.name), size, partial(describe_bag, space, recordings, recording))
         for armed in recordings.armed.values():
             waits = armed.count, armed.suspended, armed.problem
-            yield _described(space.bag(armed.name), waits, partial(describe_armed, space, armed))
+            yield _graph_entry(space.bag(armed.name), waits, partial(describe_armed, space, armed))
         for one in recordings.running.values():
             progress = one.writer.count, one.writer.problem
-            yield _described(space.bag(one.name), progress, partial(describe_running, space, recordings, one))
+            yield _graph_entry(space.bag(one.name), progress, partial(describe_running, space, recordings, one))
 
     def _resources(self) -> Iterator[GraphEntry]:
         """Yield the resources below `/resources/` without values, except conditional ones."""
@@ -201,24 +201,24 @@ class GraphDescriptions:
         for resource in below:
             state = resource.outline(tree)
             if state is not None:
-                yield _described(resource.url, (state.view, simulated), state.describe)
+                yield _graph_entry(resource.url, (state.view, simulated), state.describe)
 
     def _activities(self) -> Iterator[GraphEntry]:
         """Yield calls, goals, holds and the stop, and the containers of the first three."""
         calls, goals, holds = self._session.calls.all(), self._session.goals.all(), self._services.holds.all()
         for listing in (self._factory.calls(), self._factory.goals(), self._factory.holds()):
-            yield _described(listing.url, *listing.outline())
+            yield _graph_entry(listing.url, *listing.outline())
         for call in calls:
             of_call = self._factory.call(call.id)
-            yield _described(of_call.url, (call.id, call.state), partial(of_call.document, call))
+            yield _graph_entry(of_call.url, (call.id, call.state), partial(of_call.document, call))
         for hold in holds:
             of_hold = self._factory.hold(hold.id)
-            yield _described(of_hold.url, IdentityKey(hold), partial(of_hold.document, hold))
+            yield _graph_entry(of_hold.url, IdentityKey(hold), partial(of_hold.document, hold))
         stop, software_stop = self._factory.stop(), self._services.software_stop
-        yield _described(stop.url, (software_stop.revision, software_stop.steps), stop.document)
+        yield _graph_entry(stop.url, (software_stop.revision, software_stop.steps), stop.document)
         for goal in goals:
             of_goal = self._factory.goal(goal.id)
-            yield _described(of_goal.url, IdentityKey(goal), partial(of_goal.document, goal))
+            yield _graph_entry(of_goal.url, IdentityKey(goal), partial(of_goal.document, goal))
 
 
 def parameter_description(parameter: Parameter, space: Space) -> Document:
@@ -237,10 +237,10 @@ def _of_itself(tree: ParameterTree) -> Document:
 
 def _container(url: str, members: tuple[str, ...], title: str) -> GraphEntry:
     """Return the graph of a container that only lists its members."""
-    return _described(url, members, partial(container_document, url, members, title))
+    return _graph_entry(url, members, partial(container_document, url, members, title))
 
 
-def _described(iri: str, token: Hashable, describe: Callable[[], Document]) -> GraphEntry:
+def _graph_entry(iri: str, token: Hashable, describe: Callable[[], Document]) -> GraphEntry:
     return GraphEntry(iri, token, lambda: document_ntriples(describe()))
 
 

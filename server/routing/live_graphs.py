@@ -87,7 +87,7 @@ class RobotGraphs:
         self._recordings = factory.services.recordings
         self._session = factory.session
         self._descriptions = GraphDescriptions(factory)
-        self._found: dict[Needs, tuple[Hashable, Sequence[LiveDocument]]] = {}
+        self._cached: dict[Needs, tuple[Hashable, Sequence[LiveDocument]]] = {}
         self._changing: Sequence[Resource] = ()
 
     def add(self, fixed: Mapping[str, Callable[[], Document]], changing: Iterable[Resource]) -> None:
@@ -135,14 +135,14 @@ class RobotGraphs:
         tree = self._affordances.cached_tree() or self._affordances.last_tree
         graph = self._session.graph
         version = (IdentityKey(graph), self._session.schemas.count, IdentityKey(tree))
-        known = self._found.get(needs)
+        known = self._cached.get(needs)
         if known is None or known[0] != version:
-            if len(self._found) >= _MAX_CACHED:
-                self._found.clear()
-            known = self._found[needs] = (version, list(self._documents(graph, tree, needs)))
+            if len(self._cached) >= _MAX_CACHED:
+                self._cached.clear()
+            known = self._cached[needs] = (version, list(self._documents(graph, tree, needs)))
         changing = (LiveDocument(one.url, one) for one in self._changing if needs.may_match(one.url, _ANYTHING))
         found = [*known[1], *changing, *self._recorded_messages(needs)]
-        if rated := list(self._rated(needs)):
+        if rated := list(self._rates(needs)):
             read = {one.url for one in found}
             found += [one for one in rated if one.url not in read]
         return found if permissions.may_read_all else [one for one in found if permissions.may_read(one.url)]
@@ -224,7 +224,7 @@ class RobotGraphs:
             found.append(_terms_of_messages(schema, space))
         return reduce(StatedTerms.__or__, found), bulky
 
-    def _rated(self, needs: Needs) -> Iterator[LiveDocument]:
+    def _rates(self, needs: Needs) -> Iterator[LiveDocument]:
         """Yield the subscribed topics whose rates a query can match: a rate is no reason to subscribe."""
         if not any(one.predicates is not None and ros.rate.value in one.predicates for one in needs.patterns):
             return
@@ -253,12 +253,12 @@ class RobotGraphs:
         parameters = [one for one in due if isinstance(one.resource, ParameterResource | ParameterTree)]
         others = [one for one in due if not isinstance(one.resource, ParameterResource | ParameterTree)]
         found = LiveGraphs({one.url: None for one in documents if not one.subscribes}, {})
-        await self._look(topics, others, deadline, found)
+        await self._read_others(topics, others, deadline, found)
         await self._read_parameters(parameters, deadline, found)
         await self._read_topics(topics, found)
         return found
 
-    async def _look(
+    async def _read_others(
         self, topics: Sequence[LiveDocument], others: Sequence[LiveDocument], deadline: float, found: LiveGraphs
     ) -> None:
         """Read `others` after waiting for the first values of topics, which they need."""

@@ -27,7 +27,7 @@ def limit_rows(output: BinaryIO, media_type: str, graph: bool, limit: int) -> Bi
     if media_type not in _COUNTERS:
         return output
     make, shortest = _COUNTERS[media_type]
-    return cast("BinaryIO", _Limited(output, make(), limit, min(limit * shortest, _UNSEEN)))
+    return cast("BinaryIO", _RowLimiter(output, make(), limit, min(limit * shortest, _UNSEEN)))
 
 
 def has_counter(media_type: str) -> bool:
@@ -41,7 +41,7 @@ def count_rows(whole: bytes, media_type: str) -> int:
     return make()(whole)
 
 
-class _Limited(io.RawIOBase):
+class _RowLimiter(io.RawIOBase):
     """Output that starts counting only when rows of minimum length could exceed the limit; most answers never do."""
 
     def __init__(self, output: BinaryIO, rows: Callable[[bytes], int], limit: int, harmless: int) -> None:

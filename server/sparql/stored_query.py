@@ -159,7 +159,7 @@ def _check(query: StoredQuery, lines: Mapping[str, int]) -> None:
     name = query.name
     for parameter in query.parameters:
         try:
-            _bound(parameter, _SAMPLES[parameter.type] if parameter.default is None else None, _ANYWHERE)
+            _bound_term(parameter, _SAMPLES[parameter.type] if parameter.default is None else None, _ANYWHERE)
         except ValueError as error:
             raise ValueError(f"{name}:{lines[parameter.name]}: the default of {parameter.name}: {error}") from error
     try:
@@ -211,7 +211,7 @@ def bind_parameters(query: StoredQuery, given: Mapping[str, str], base: str) -> 
     terms: dict[str, str] = {}
     for parameter in query.parameters:
         try:
-            terms[parameter.name] = _bound(parameter, given.get(parameter.name), base)
+            terms[parameter.name] = _bound_term(parameter, given.get(parameter.name), base)
         except ValueError as error:
             wrong.append(f"{parameter.name}: {error}")
     if wrong:
@@ -231,7 +231,7 @@ def _with_terms(query: StoredQuery, terms: Mapping[str, str]) -> Iterator[str]:
         yield text
 
 
-def _bound(parameter: QueryParameterDeclaration, given: str | None, base: str) -> str:
+def _bound_term(parameter: QueryParameterDeclaration, given: str | None, base: str) -> str:
     """Return the SPARQL term of a parameter. Raises ValueError (a Misfit, or with its own message)."""
     if given is None or (not given and parameter.type is not ParameterType.STRING):
         given = parameter.default

@@ -196,7 +196,7 @@ def read_history(writer: HistoryWriter, topic: str) -> int:
 
 
 def produced(topics: int, seconds: int) -> Iterator[tuple[str, int, bytes]]:
-    """Return messages of this number of topics at `RATE`, in order of time."""
+    """Yield messages of this number of topics at `RATE`, in order of time."""
     messages, start = Messages(topics * seconds * RATE), 1_700_000_000_000_000_000
     for tick in range(seconds * RATE):
         for number in range(topics):

@@ -213,7 +213,7 @@ async def rosld_rate(master: str, seconds: float) -> float:
 
 
 def measure(seconds: float, rounds: int) -> list[tuple[str, float, float]]:
-    """Yield (size, raw frames per second, rosld's messages per second) for each size, the best of some rounds."""
+    """Return (size, raw frames per second, rosld's messages per second) for each size, the best of some rounds."""
     rows = []
     with rosmaster() as master:
         for name, size in SIZES.items():

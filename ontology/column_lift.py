@@ -22,7 +22,7 @@ from rosld.ontology.vocab import rdf, ros
 _DOCUMENT = "urn:x-rosld-document"
 _SEQUENCE = 987654321987654321
 _SINGLE = 1 << 23
-"""The first mark of a float32, a type that has no other distinct values: integers of that size are exact."""
+"""The first mark of a float32, which cannot contain text; integers of this size are exact."""
 
 
 _NO_NUMBERS = frozenset(

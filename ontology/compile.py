@@ -175,7 +175,7 @@ class _Function:
         return f"def {name}(m, n, e, s, x=''):\n " + "\n ".join(lines) + "\n"
 
     def _batches(self) -> Iterator[str]:
-        """Return the formatting calls: one for all numbers, and one for the float32s, whose digits differ."""
+        """Yield the formatting calls: one for all numbers, and one for the float32s, whose digits differ."""
         if self._exact:
             yield f"{', '.join(self._exact)}, = scalars(({', '.join(self._exact.values())},))"
         if self._single:

@@ -54,7 +54,7 @@ def served_triples(name: str) -> tuple[Triple, ...]:
 
 
 def _signposts(name: str) -> Iterator[Triple]:
-    """Return the kind, label and module of each term of `ros:` in a module.
+    """Yield the kind, label and module of each term of `ros:` in a module.
 
     Classes of other vocabularies are left out: the core does not declare them (OWL 2 DL).
     """

@@ -95,7 +95,7 @@ class AcceptedValues:
         return self._writer.shared("-".join(parts), lambda: self._array(kind, element))
 
     def parameter(self, type: ParameterType) -> NamedNode:
-        """Return the shape of a parameter's value: a string of bytes is no text, and an array is one literal."""
+        """Return the shape of a parameter's value: a string is text, never octets, and an array is one literal."""
         shared = self._writer.shared
         if type is ParameterType.STRING:
             return shared("text", lambda: [(sh.datatype, xsd.string)])
@@ -114,7 +114,7 @@ class AcceptedValues:
     def bounds(
         self, kind: Primitive, bounds: Bounds, datatype: NamedNode | None = None
     ) -> Iterator[Sequence[Statement]]:
-        """Return the constraints of bounds on a scalar in addition to its type, one by one.
+        """Yield the constraints of bounds on a scalar in addition to its type, one by one.
 
         `datatype` is its datatype in RDF if that is not the field's. Numbers are compared by value, whatever their
         datatypes, texts by their characters.

@@ -17,7 +17,7 @@ from rosld.shapes.writer import ShapesWriter, within
 
 
 def value_shape_triples(shape: ValueShape, node: NamedNode, path: NamedNode, space: Space) -> list[Triple]:
-    """Yield the node shape `node` for subjects with one such value of the predicate `path` (SHACL 2.1).
+    """Return the triples of the node shape `node` for subjects with one such value of `path` (SHACL 2.1).
 
     Nested nodes are fragments derived from `node` (`#shape.value`); a message's own shape is referenced by its URL.
     """

@@ -201,7 +201,7 @@ def write_limit(writer: ShapesWriter, values: AcceptedValues, part: LimitPart) -
 
 
 def limit_statements(writer: ShapesWriter, values: AcceptedValues, part: LimitPart) -> Iterator[Statement]:
-    """Return the statements about the shape of a part."""
+    """Yield the statements about the shape of a part."""
     yield sh.path, part.path
     yield sh.message, text(part.words)
     demands: list[Value] = []

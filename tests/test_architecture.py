@@ -58,7 +58,7 @@ BLOCKS = (ast.stmt, ast.excepthandler, ast.match_case)
 
 
 def sources() -> Iterator[tuple[str, Path]]:
-    """Return every module of rosld by its dotted name."""
+    """Yield every module of rosld by its dotted name."""
     for room in ROOMS:
         for path in sorted((ROOT / room).rglob("*.py")):
             yield module_of(f"rosld/{path.relative_to(ROOT)}"), path

@@ -69,7 +69,7 @@ CONSOLE = re.compile(r"^```console\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 
 def commands(page: Path) -> Iterator[tuple[str, list[str]]]:
-    """Return the commands of a page in order, each with its printed lines; `...` stands for any."""
+    """Yield the commands of a page in order, each with its printed lines; `...` stands for any."""
     for block in CONSOLE.findall(page.read_text("utf-8")):
         for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
             command, *output = part.rstrip().splitlines()

@@ -274,7 +274,7 @@ def _values(content: ValueContent, fields: Sequence[str], site: Site) -> ValueBo
 
 
 def _labels(fields: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Return paths of fields with their labels: the paths without their common prefix."""
+    """Yield paths of fields with their labels: the paths without their common prefix."""
     parts = [each.split(".") for each in fields]
     common = 0
     while len(fields) > 1 and all(len(each) > common + 1 and each[common] == parts[0][common] for each in parts):

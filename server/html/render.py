@@ -187,7 +187,7 @@ def _own_notices(page: Page) -> tuple[Notice, ...]:
 
 
 def _goal_notice(document: Document) -> tuple[Notice, ...]:
-    """Return a notice about the state of a goal; None for other documents."""
+    """Return a notice about the state of a goal; empty for other documents."""
     word, about = first_text(document, ros.statusWord), first_text(document, ros.words)
     if not word or ros.Goal not in objects_of(document, rdf.type):
         return ()
@@ -199,7 +199,7 @@ def _goal_notice(document: Document) -> tuple[Notice, ...]:
 
 
 def _call_notice(document: Document) -> tuple[Notice, ...]:
-    """Return a notice about the state of a call; None for other documents."""
+    """Return a notice about the state of a call; empty for other documents."""
     if ros.Call not in objects_of(document, rdf.type):
         return ()
     about = first_text(document, ros.words)

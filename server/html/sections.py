@@ -172,7 +172,7 @@ def _row(
 
 
 def _more(said: Statements, qos: Statements) -> Iterable[str]:
-    """Return the cells that only some endpoints have."""
+    """Yield the cells that only some endpoints have."""
     if not qos and _first(said, ros.latched) == "true":
         yield "latched"
     for predicate in _TIMES:

@@ -86,7 +86,7 @@ def url_of(name: str, space: Space) -> str:
 def value_triples(
     subject: NamedNode, predicate: NamedNode, reading: Reading, field: str | None, lifting: LiftSettings
 ) -> list[Triple]:
-    """Yield the triples that state a value as `subject` `predicate`, including the nodes of a message."""
+    """Return the triples that state a value as `subject` `predicate`, including the nodes of a message."""
     value = reading.value
     if value is None:
         return []

@@ -256,7 +256,7 @@ _STATUSES = tuple(map(Literal, (IDLE, *(status.value for status in GoalStatus)))
 
 
 def _parts(action: str, schema: ActionSchema | None) -> Iterator[Property]:
-    """Return the properties below an action's name: the status of its goal and, if its type is known, the messages."""
+    """Yield the properties below an action's name: the status of its goal and, if its type is known, the messages."""
     yield Property(
         f"{action}/{GoalPart.STATUS.value}",
         ScalarShape(Primitive("string"), Bounds(choices=_STATUSES)),

@@ -168,7 +168,7 @@ _index: Callable[[MappingSet], _Index] = IdentityCache(_make_index)
 
 
 def _components(mapping_set: MappingSet, concerned: Mapping[str, Iterable[str]]) -> Mapping[str, frozenset[str]]:
-    """Return the component of every path involved in a condition; `concerned` are their subjects by path."""
+    """Return the component of every path in conditions; `concerned` maps their subjects to the paths that have them."""
     shown: dict[str, set[str]] = {}
     for resource in mapping_set.resources.values():
         for member in members_of(resource):

@@ -282,7 +282,7 @@ class ResourceTree:
         return frozenset({own, *(one.name for each in (*paths, *judged) for one in self.state_properties(each))})
 
     def _conditions(self, path: str) -> Iterator[Condition]:
-        """Return the conditions of a complex resource and everything it offers."""
+        """Yield the conditions of a complex resource and everything it offers."""
         yield from self.exists_when(path)
         mapped = self.mapping_set.resources.get(path)
         if mapped is not None:

@@ -19,7 +19,7 @@ _OCTETS = frozenset({"byte", "char", "octet", "int8", "uint8", "int16", "uint16"
 _MAX_NUMBERS = 1000
 """Maximum number of numbers in an array of a light message."""
 _HEAVY = frozenset({"LaserScan", "MultiEchoLaserScan", "LaserEcho", "PointCloud", "PolygonMesh", "Mesh", "Marker"})
-"""Other types of numbers with large unbounded arrays; a battery's cells and a robot's joints are few."""
+"""Messages with large unbounded arrays of other numbers; a battery's cells and a robot's joints are few."""
 
 _BULKY = frozenset({"PointCloud", "PolygonMesh", "Mesh"})
 

@@ -197,7 +197,7 @@ class PathCollector(Struct, frozen=True):
                 yield self._of(url_of(name, space))
 
     def _other_resources(self, one: DescribedPath) -> DescribedPath:
-        """Yield templates for all resources and properties that are not described individually, based on an example."""
+        """Return the template for all resources and properties not described individually, based on an example."""
         summary = "One of the resources, properties and actions that are too many to be described one by one"
         accepts = dict.fromkeys(one.accepts, (ANY_TYPE,))
         segments = {"name": "A path, as in the URL: links lead to it."}

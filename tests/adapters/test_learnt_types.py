@@ -85,7 +85,7 @@ class Described:
 
 
 def described(schema: MessageSchema) -> Iterator[Described]:
-    """Return a schema as a node would describe it."""
+    """Yield a schema as a node would describe it."""
     for kind in schema.types.values():
         told = describe_type(kind)
         fields = [Field(each["name"], FieldType(**each["type"])) for each in told["fields"]]  # type: ignore[attr-defined]

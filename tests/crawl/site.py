@@ -117,7 +117,7 @@ def site(name: str) -> Site:
 
 
 def _inputs() -> Iterator[Path]:
-    """Return everything that the responses depend on: the code, the robots, and the installed libraries."""
+    """Yield everything that the responses depend on: the code, the robots, and the installed libraries."""
     for folder in (
         "adapters",
         "ontology",
@@ -190,7 +190,7 @@ def document(url: str) -> str:
 
 
 def linked(graph: Iterable[Triple]) -> Iterable[str]:
-    """Return the URLs that triples mention; of those in literals, none that a query derives from another."""
+    """Yield the URLs that triples mention; of those in literals, none that a query derives from another."""
     for term in (term for triple in graph for term in (triple.subject, triple.object)):
         is_url = isinstance(term, Literal) and term.datatype == xsd.anyURI and "?" not in term.value
         if isinstance(term, NamedNode) or is_url:

@@ -27,7 +27,7 @@ WITHOUT_INSTANCES = ("FieldConstraintComponent", "StepConstraintComponent")
 
 
 def told(robot: Site, most: int = 2) -> Iterable[Triple]:
-    """Return the statements of a robot's first documents of each kind, without changing ones about other resources."""
+    """Yield the statements of a robot's first documents of each kind, without changing ones about other resources."""
     for url in robot.of_each_kind(most):
         for triple in robot.documents[url].triples:
             is_own = not isinstance(triple.subject, NamedNode) or triple.subject.value.partition("#")[0] == url

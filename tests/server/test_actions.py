@@ -34,7 +34,7 @@ def sent(http: httpx.Client, distance: float, **headers: str) -> httpx.Response:
 
 
 def events(http: httpx.Client, url: str) -> Iterator[dict[str, Any]]:
-    """Return the events of a resource's event stream."""
+    """Yield the events of a resource's event stream."""
     with http.stream("GET", url, headers=STREAM) as stream:
         assert stream.headers["content-type"].startswith("text/event-stream")
         for line in stream.iter_lines():

@@ -69,7 +69,7 @@ def target(robot: Target) -> Iterator[Target]:
 
 
 def writes() -> Iterator[tuple[str, str, Mapping[str, str], bytes]]:
-    """Return a write of each kind that would move the robot."""
+    """Yield a write of each kind that would move the robot."""
     yield "PUT", DISPLAY, JSON, b'{"data": "owned"}'
     yield "POST", START, JSON, b"{}"
     yield "PUT", SEATS, JSON, b"666"

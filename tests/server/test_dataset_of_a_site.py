@@ -74,7 +74,7 @@ def triples(text: bytes) -> set[Triple]:
 
 
 def named(found: set[Triple], base: str) -> Iterator[str]:
-    """Return the URLs of this site in these triples."""
+    """Yield the URLs of this site in these triples."""
     for triple in found:
         for term in triple:
             if isinstance(term, NamedNode) and term.value.startswith(base) and "?" not in term.value:

@@ -72,7 +72,7 @@ class Told:
 
 
 def described_writes(http: httpx.Client) -> Iterator[tuple[str, str]]:
-    """Return the method and the path of every write that the description lists."""
+    """Yield the method and the path of every write that the description lists."""
     for path, item in inlined(http.get("/openapi.json").json()).items():
         for method in WRITES:
             if method in item:

@@ -39,7 +39,7 @@ HAS_PROVENANCE = "http://www.w3.org/ns/prov#has_provenance"
 
 
 def places(description: dict[str, Any], http: httpx.Client) -> Iterator[tuple[str, set[str]]]:
-    """Return every path, with segments in place of the template's names, and its described methods."""
+    """Yield every path, with segments in place of the template's names, and its described methods."""
     called = http.post("/services/aircraft/get_power")
     made = {"/calls/{id}": httpx.URL(called.headers["location"]).path}
     made["/activity/{id}"] = httpx.URL(called.links[HAS_PROVENANCE]["url"]).path

@@ -41,7 +41,7 @@ def flat() -> Iterator[httpx.Client]:
 
 
 def descriptions(http: httpx.Client, url: str) -> Iterator[dict[str, Any]]:
-    """Return the parts of the description from one of them on, following `x-next` and `Link`."""
+    """Yield the parts of the description from one of them on, following `x-next` and `Link`."""
     while url:
         answer = http.get(url)
         assert answer.status_code == 200, answer.text
@@ -53,7 +53,7 @@ def descriptions(http: httpx.Client, url: str) -> Iterator[dict[str, Any]]:
 
 
 def things(http: httpx.Client, url: str) -> Iterator[dict[str, Any]]:
-    """Return the parts of a Thing Description from one of them on, following links."""
+    """Yield the parts of a Thing Description from one of them on, following links."""
     while url:
         answer = http.get(url, headers=TD)
         assert answer.status_code == 200, answer.text

@@ -27,7 +27,7 @@ class Example(NamedTuple):
 
 
 def examples() -> Iterator[Example]:
-    """Return the examples of the document, in order."""
+    """Yield the examples of the document, in order."""
     blocks = list(BLOCK.finditer(TEXT))
     for block, after in zip(blocks, [*blocks[1:], None], strict=True):
         if block["kind"] == "sparql":

@@ -297,7 +297,7 @@ def test_a_stop_is_streamed_on_open_pages_too_and_is_in_sparql(http: httpx.Clien
 
 
 def events(stream: httpx.Response) -> Iterator[str]:
-    """Return the content of each event of a stream."""
+    """Yield the content of each event of a stream."""
     said: list[str] = []
     for line in stream.iter_lines():
         if line.startswith("data: "):

@@ -202,7 +202,7 @@ def test_a_folder_with_a_missing_or_broken_file_gives_the_others(
 
 
 def records(data: bytes | bytearray, at: int) -> Iterator[tuple[int, slice]]:
-    """Return the op and the offset of the data of each record of a bag, from an offset on (ROS bag format 2.0)."""
+    """Yield the op and the offset of the data of each record of a bag, from an offset on (ROS bag format 2.0)."""
     while at < len(data):
         (length,) = struct.unpack_from("<I", data, at)
         header, at = data[at + 4 : at + 4 + length], at + 4 + length

@@ -71,7 +71,7 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """Return all approved evaluation tests from the manifests of W3C."""
+    """Yield all approved evaluation tests from the manifests of W3C."""
     for path in sorted(SUITE.glob("*/manifest.ttl")):
         manifest = Graph().parse(path, format="turtle", publicID=f"{BASE}{path.parent.name}/")
         for entries in manifest.objects(None, MF.entries):

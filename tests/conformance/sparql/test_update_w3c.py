@@ -61,7 +61,7 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """Return all tests from the manifests."""
+    """Yield all tests from the manifests."""
     for path in sorted(SUITE.glob("*/manifest.ttl")):
         manifest = Graph().parse(path, format="turtle", publicID=path.as_uri())
         for entries in manifest.objects(None, MF.entries):

@@ -85,7 +85,7 @@ class Guarded:
 
 
 def clients(url: str, *agents: str) -> dict[str, httpx.Client]:
-    """Yield a client for each agent, and one for anybody."""
+    """Return a client for each agent, and one for anybody."""
     known = {each: {"Authorization": f"Bearer {token(each)}"} for each in agents}
     return {
         name: httpx.Client(base_url=url, headers=headers, timeout=15)

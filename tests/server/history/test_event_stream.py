@@ -45,7 +45,7 @@ def objects(text: str, predicate: str) -> list[str]:
 
 
 def pages(http: Any, url: str, headers: dict[str, str]) -> Iterator[Any]:
-    """Return every page of a stream, starting with the first."""
+    """Yield every page of a stream, starting with the first."""
     answer = http.get(url, headers=NQUADS | headers)
     assert answer.status_code == 200, answer.text
     yield answer

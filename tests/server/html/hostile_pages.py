@@ -28,7 +28,7 @@ RESOURCES = f"{BASE}resources"
 
 
 def said(url: str, *pairs: tuple[NamedNode, object]) -> Iterator[Triple]:
-    """Return triples about a URL; texts that begin with the base are IRIs."""
+    """Yield triples about a URL; texts that begin with the base are IRIs."""
     for predicate, value in pairs:
         yield Triple(NamedNode(url), predicate, term(value))
 

@@ -156,7 +156,7 @@ def _anonymous(term: object) -> str:
 
 
 def told(plane: httpx.Client, names: Mapping[str, str]) -> Iterator[Quad]:
-    """Return the triples of the graphs in queries, without the server's statements about each resource."""
+    """Yield the triples of the graphs in queries, without the server's statements about each resource."""
     values = " ".join(f"<{name}>" for name in names.values())
     query = f"SELECT ?g ?s ?p ?o WHERE {{ VALUES ?g {{ {values} }} GRAPH ?g {{ ?s ?p ?o }} }}"
     answer = plane.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"})

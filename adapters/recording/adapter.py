@@ -73,7 +73,7 @@ def open_file(path: Path, budget: OpenBudget) -> Storage:
         return mcap.Mcap(path, budget)
     if head.startswith(SQLITE_MAGIC):
         return Sqlite(path, budget)
-    raise Damaged("it is neither a ROS 1 bag nor an MCAP file nor a ROS 2 database")
+    raise Damaged("it is not a ROS 1 bag, an MCAP file or a ROS 2 database")
 
 
 def recording_name(path: Path) -> str:

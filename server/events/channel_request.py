@@ -72,7 +72,7 @@ def read_subscription(data: bytes, media_type: str, service: str, channel_type: 
     _check_type(body, channel, channel_type)
     start_at, end_at = (_date_time(_text(body, channel, term)) for term in (notify.startAt, notify.endAt))
     if end_at is not None and end_at <= max(now, start_at or now):
-        raise _refusal(f"endAt {_text(body, channel, notify.endAt)} is in the past: choose a later time.")
+        raise _refusal(f"endAt {_text(body, channel, notify.endAt)} is before the start: choose a later time.")
     return ChannelRequest(
         topic=_topic(body, channel),
         accept=_accept(_text(body, channel, notify.accept)),

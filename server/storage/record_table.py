@@ -375,7 +375,7 @@ class RecordTable:
             raise (
                 Conflict(path, "it was deleted", ConflictCause.GONE)
                 if is_tombstone
-                else Conflict(path, "it is not there", ConflictCause.MISSING)
+                else Conflict(path, "it does not exist", ConflictCause.MISSING)
             )
         _expect(remove, present)
         if not present.container:

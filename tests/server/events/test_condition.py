@@ -42,7 +42,7 @@ HOLDS = (
     ("big != 0", True),
 )
 NO_CONDITIONS = (
-    ("", "at the end there should be the name of a field"),
+    ("", "expected the name of a field at the end"),
     ("data", "one of ="),
     ("data >", "a number"),
     ("data > x", "at 'x' (character 8)"),

@@ -147,7 +147,7 @@ def test_a_folder_that_is_none_of_ours_is_refused_in_words(tmp_path: Path) -> No
             connection.execute(statement)
         return folder
 
-    with pytest.raises(ValueError, match=r"records.sqlite was written by a newer rosld \(its format is 99"):
+    with pytest.raises(ValueError, match=r"records.sqlite was written by a newer rosld \(format 99"):
         open_records(edited("newer", "PRAGMA user_version = 99"))
     other = tmp_path / "other"
     other.mkdir()

@@ -114,10 +114,10 @@ class Endpoint:
     def _unreachable(self, error: Exception) -> StoreUnreachable:
         self._drop()
         if isinstance(error, TimeoutError):
-            return StoreUnreachable(f"{self.url} did not answer within {self.seconds:g} s.")
+            return StoreUnreachable(f"{self.url} did not respond within {self.seconds:g} s.")
         if isinstance(error, HTTPException):  # its message quotes the response
-            return StoreUnreachable(f"{self.url} gave no answer that can be read.", _words(str(error)))
-        return StoreUnreachable(f"{self.url} gave no answer: {_words(str(error) or type(error).__name__)}.")
+            return StoreUnreachable(f"{self.url} sent an unreadable response.", _words(str(error)))
+        return StoreUnreachable(f"{self.url} did not respond: {_words(str(error) or type(error).__name__)}.")
 
     def _exchange(self, method: str, body: bytes | None, headers: dict[str, str]) -> Response:
         connection = self._connection or self._connect()
@@ -130,10 +130,10 @@ class Endpoint:
                 raise self._refusal(answer)
             read = answer.read(self._limit + 1)
             if answer.length and len(read) <= self._limit:
-                raise HTTPException("the answer broke off")
+                raise HTTPException("the response was cut off")
             if len(read) > self._limit:
                 self._drop()
-                raise StoreUnreachable(f"{self.url} answers with more than {self._limit} bytes.")
+                raise StoreUnreachable(f"{self.url} responds with more than {self._limit} bytes.")
             if answer.will_close or not answer.isclosed():
                 self._drop()
         return Response(media_type, read, stated)
@@ -154,7 +154,7 @@ class Endpoint:
             self._drop()
         if 300 <= answer.status < 400:
             words = _words(answer.getheader("Location") or "")
-            sentence = f"{self.url} redirects, and nothing is sent elsewhere: name the URL that answers itself."
+            sentence = f"{self.url} redirects, which is not followed: use the final URL."
         else:
             words = words or _words(answer.reason)
             sentence = f"{self.url} answers {answer.status}."

@@ -159,8 +159,8 @@ class RemoteStore:
                 if isinstance(results, QuerySolutions):
                     return [*results]
         except (SyntaxError, ValueError, OSError) as error:
-            raise StoreUnreachable(f"{self.url} answers with malformed results.", str(error)) from error
-        raise StoreUnreachable(f"{self.url} answers with something else than results.", answer.media_type)
+            raise StoreUnreachable(f"{self.url} responds with malformed results.", str(error)) from error
+        raise StoreUnreachable(f"{self.url} does not respond with results.", answer.media_type)
 
 
 def _update_text(graphs: Mapping[str, str | None], edits: Sequence[Edit]) -> Iterator[str]:

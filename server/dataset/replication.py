@@ -221,7 +221,7 @@ class Mirror:
             closing = _in_thread(lambda: self._write_heartbeat(ros.Stale, removed))
             await asyncio.wait([closing], timeout=_LAST)
             if not closing.done() or closing.exception() is not None:
-                _log.warning("%s keeps graphs of this server that are true no more", self._target.url)
+                _log.warning("%s still has outdated graphs of this server", self._target.url)
 
     async def _refresh_or_warn(self) -> None:
         """Update the live values. A failure must not delay the replication of everything else."""
@@ -238,12 +238,12 @@ class Mirror:
         self._failures += 1
         self._verified_connections = -1
         if self._failure is None:
-            _log.warning("the store is behind from now on: %s It is tried again.", error)
+            _log.warning("the store is out of date: %s Retrying.", error)
         self._failure = error
 
     def _note_success(self) -> None:
         if self._failure is not None:
-            _log.warning("the store at %s takes what it is told again", self._target.url)
+            _log.warning("the store at %s accepts changes again", self._target.url)
         self._failure, self._failures = None, 0
 
     # --- in the thread of a round
@@ -252,7 +252,7 @@ class Mirror:
         """Send the first pending changes and the heartbeat; return whether more are pending. Raises StoreError."""
         if self._pending.overflowed:
             self._whole = False
-            _log.warning("more changes wait for %s than are kept apart: all is told anew", self._target.url)
+            _log.warning("too many pending changes for %s: sending everything again", self._target.url)
         if not self._whole or self._verified_connections != self._target.connections:
             self._verify()
         now = time.monotonic()
@@ -357,7 +357,7 @@ class Mirror:
     def _push(self, batch: Sequence[_Part], left: int) -> int:
         """Send a batch, split to skip refused graphs; return how many refusals are left. Raises StoreError."""
         if self._ending:
-            raise StoreError("This server ends.")
+            raise StoreError("This server is shutting down.")
         batch = [part for part in batch if not part.edits or part.graph not in self._refused]
         if not batch:
             return left
@@ -379,7 +379,7 @@ class Mirror:
     def _drop_refused(self, graph: str, error: StoreRefused) -> None:
         """Remove a refused graph: better absent than outdated."""
         if graph not in self._refused:
-            _log.error("%s is left out of the store: %s", graph, error)
+            _log.error("%s is omitted from the store: %s", graph, error)
         self._refused[graph] = time.monotonic() + _AGAIN
         self._replica.forget(graph)
         self._send((_Part(graph, None, ()),))
@@ -398,7 +398,7 @@ class Mirror:
         try:
             self._target.replace(graphs, edits)
         except ValueError as error:
-            raise StoreRefused(f"It cannot be told: {error}.", 422) from error
+            raise StoreRefused(f"It cannot be sent: {error}.", 422) from error
         self._sent_ns = time.time_ns()
 
 

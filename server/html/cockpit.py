@@ -193,7 +193,7 @@ def _view(filled: FilledPanel, number: int, site: Site, csrf: Csrf, plot: str, *
         case StatesContent(states):
             return replace(view, part="states", body=StatesBody(states[:MAX_STATES], max(0, len(states) - MAX_STATES)))
         case ValueContent(document) if _is_silent(document):
-            return replace(view, part="words", body="No message has come yet.")
+            return replace(view, part="words", body="No message received yet.")
         case ValueContent():
             return replace(view, part="value", body=_values(filled.content, panel.fields, site))
         case PlotContent(numbers, references):
@@ -309,7 +309,7 @@ def _field(message: LiftedMessage, document: Document, path: str, site: Site) ->
             view = replace(view, plot=f"{plots}{quote(path, safe='')}")
         return PropertyValueView(view)
     found = _walk(_message(message, document, site), path.split("."))
-    return PropertyValueView(found, message="" if found is not None else "too large to be shown here")
+    return PropertyValueView(found, message="" if found is not None else "too large to show here")
 
 
 def _walk(table: TableView, path: Sequence[str]) -> View | None:

@@ -80,7 +80,7 @@ class CopyForm(Struct, frozen=True):
     title: str = "Keep a copy"
     button: str = "Keep"
     action: str = ""
-    about: str = "It can be changed, and has an address of its own."
+    about: str = "It can be changed, and has its own URL."
     submitted: Pairs | None = None
     violations: tuple[Violation, ...] = ()
 
@@ -100,7 +100,7 @@ def parse_copy(pairs: Pairs) -> dict[str, object]:
     given = dict(pairs)
     name, source = given.get("name", "").strip(), given.get("source", "").strip()
     if not name:
-        raise LoweringError(Violation("name", "is empty: a cockpit has a name", None))
+        raise LoweringError(Violation("name", "is empty: a cockpit needs a name", None))
     return {"name": name, "source": source}
 
 
@@ -138,7 +138,7 @@ def _number(panel: int, name: str, text: str, most: int, violations: list[Violat
         return None
     if text.isdecimal() and text.isascii() and len(text) < 4 and 1 <= int(text) <= most:
         return int(text)
-    violations.append(Violation(f"panel.{panel}.{name}", f"must be a whole number from 1 to {most}", text[:40]))
+    violations.append(Violation(f"panel.{panel}.{name}", f"must be an integer from 1 to {most}", text[:40]))
     return None
 
 

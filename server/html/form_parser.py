@@ -127,7 +127,7 @@ class _Reading:
 
     def end(self, value: JsonValue, form: str = "this form") -> JsonValue:
         """Return the value. Raises LoweringError for violations and for unknown fields."""
-        rest = (Violation(name, f"is no field of {form}", text) for name, text in self.texts.items())
+        rest = (Violation(name, f"is not a field of {form}", text) for name, text in self.texts.items())
         violations = (*self.violations, *rest)
         if violations:
             raise LoweringError(*violations)
@@ -161,16 +161,16 @@ def _read_base64(text: str) -> JsonValue:
 def _read_integer(text: str) -> JsonValue:
     text = text.strip()
     if not text:
-        raise ValueError("is empty: a whole number is needed")
+        raise ValueError("is empty: enter an integer")
     if not _INTEGER.fullmatch(text):
-        raise ValueError("must be a whole number")
+        raise ValueError("must be an integer")
     return int(text)
 
 
 def _read_float(text: str) -> JsonValue:
     text = text.strip()
     if not text:
-        raise ValueError("is empty: a number is needed")
+        raise ValueError("is empty: enter a number")
     if special := _SPECIAL.get(text.lower()):
         return special
     if not _FLOAT.fullmatch(text):
@@ -203,4 +203,4 @@ def _read_parameter(kind: str, text: str) -> JsonValue:
         return _read_json(text)
     if kind == "string":
         return _read_string(text)
-    raise ValueError(f"{kind!r} is no type of parameter; there are {', '.join(PARAMETER_TYPES)}")
+    raise ValueError(f"{kind!r} is not a parameter type; choose from {', '.join(PARAMETER_TYPES)}")

@@ -227,7 +227,7 @@ def _open_controls(shape: OpenShape, value: Json, filling: InputValues) -> tuple
     kind = parameter_type_of(value) if typed is None else typed.get(TYPE_FIELD, "string")
     text = filling.text(VALUE_FIELD, parameter_text(value))
     is_too_long = len(text) > MAX_TEXT
-    note = "The present value is too long to be edited here." if is_too_long else ""
+    note = "The current value is too long to edit here." if is_too_long else ""
     return (
         Input(TYPE_FIELD, "type", "select", kind, options=PARAMETER_TYPES),
         Input(

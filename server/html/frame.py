@@ -165,7 +165,7 @@ def page_frame(
     site: Site, title: str, url: str, notices: tuple[Notice, ...], live: bool = False, query: str = ""
 ) -> Frame:
     """Return the frame of a page with its notices, the most severe first, including one if the robot is unreachable."""
-    stale = (Notice(f"The robot cannot be seen: {site.stale}", NoticeLevel.WARNING),) if site.stale else ()
+    stale = (Notice(f"The robot cannot be reached: {site.stale}", NoticeLevel.WARNING),) if site.stale else ()
     ordered = sorted(stale + notices, key=lambda notice: _LOUDEST_FIRST.index(notice.level))
     return Frame(site, escape_controls(title), breadcrumb(site, url), url, tuple(ordered), live, query)
 

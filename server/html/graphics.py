@@ -93,7 +93,7 @@ def picture_view(schema: MessageSchema, message: Message, query: str, *, moves: 
         return PictureView(still, refused=f"{error}.")
     if image.encoding not in ENCODINGS:
         return PictureView(
-            still, refused=f"Images of the encoding {escape_controls(image.encoding[:40])} are not drawn."
+            still, refused=f"Images of the encoding {escape_controls(image.encoding[:40])} cannot be shown."
         )
     if image.width <= 0 or image.height <= 0:
         return PictureView(still, refused="The image has no pixels.")
@@ -109,7 +109,7 @@ def _words(encoding: str) -> str:
     if depth_scale(encoding) is None:
         return ""
     nearest, farthest = DEFAULT_RANGE
-    return f"Distances from {nearest:g} m (bright) to {farthest:g} m (dark); black is unknown. ?range= asks for others."
+    return f"Distances from {nearest:g} m (bright) to {farthest:g} m (dark); black is unknown. Set others with ?range=."
 
 
 VIEW_3D = "3d"

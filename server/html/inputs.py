@@ -185,7 +185,7 @@ def scalar_input(shape: ScalarShape | OpenShape, label: str, path: str, value: J
         )
     present = value if isinstance(value, str) and is_editable_text(value) else None
     text = filling.text(path, present or "")
-    fixed = "The present value cannot be edited here." if present is None and filling.submitted is None else ""
+    fixed = "The current value cannot be edited here." if present is None and filling.submitted is None else ""
     longest = min((each for each in (kind.bound, bounds.max_length) if each is not None), default="")
     return scalar(
         "textarea" if "\n" in text or "\r" in text else "text",
@@ -244,7 +244,7 @@ def _browser_reads(text: str) -> bool:
 def _json(kind: FieldType, label: str, path: str, value: Json, filling: InputValues) -> Input:
     present = json_text(kind, value)
     text = filling.text(path, present or "")
-    too_long = "The present value is too long to be edited here."
+    too_long = "The current value is too long to edit here."
     return Input(
         path,
         label,

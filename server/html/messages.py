@@ -85,12 +85,12 @@ def message_view(
 
 def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _Drawing) -> TableView:
     if depth > _DEEPEST:
-        return TableView((TableRow("…", (TextView("nested too deeply to be shown here", tone="quiet"),)),), kind.name)
+        return TableView((TableRow("…", (TextView("nested too deeply to show here", tone="quiet"),)),), kind.name)
     rows: list[TableRow] = []
     for each in kind.fields:
         if drawing.left <= 0:
             rows.append(
-                TableRow("…", (TextView("too much to be shown here; the other formats have all of it", tone="quiet"),))
+                TableRow("…", (TextView("too much to show here; the other formats are complete", tone="quiet"),))
             )
             break
         drawing.left -= 1

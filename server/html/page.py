@@ -355,8 +355,6 @@ def receipt_notice(receipt: Receipt, link: NoticeLink | None) -> Notice:
     if receipt.matched is None:
         return Notice(f"Done: {steps}{more}.", NoticeLevel.GOOD, link=link, is_lasting=True)
     if not receipt.matched:
-        return Notice(
-            f"Done: {steps}{more}. Nobody was there to get it.", NoticeLevel.WARNING, link=link, is_lasting=True
-        )
+        return Notice(f"Done: {steps}{more}. It had no subscriber.", NoticeLevel.WARNING, link=link, is_lasting=True)
     whom = "one subscriber" if receipt.matched == 1 else f"{receipt.matched} subscribers"
     return Notice(f"Done: {steps}{more}. It reached {whom}.", NoticeLevel.GOOD, link=link, is_lasting=True)

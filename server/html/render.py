@@ -54,18 +54,18 @@ from rosld.server.space.drawing import PLACED_TYPES
 _FAILED_GOALS = frozenset({ros.Aborted, ros.Rejected, ros.Lost})
 _GOAL_VERBS = {"succeeded": "has", **dict.fromkeys(("accepted", "rejected", "aborted", "canceled", "lost"), "was")}
 _CALLS = {
-    ros.Running: ("The service has not answered yet", NoticeLevel.INFO),
-    ros.Succeeded: ("The service has answered", NoticeLevel.GOOD),
+    ros.Running: ("The service has not responded yet", NoticeLevel.INFO),
+    ros.Succeeded: ("The service has responded", NoticeLevel.GOOD),
     ros.Failed: ("The call has failed", NoticeLevel.ERROR),
     ros.Refused: ("The call was refused", NoticeLevel.ERROR),
     ros.NotSent: ("The call was not sent", NoticeLevel.ERROR),
-    ros.OutcomeUnknown: ("It is not known what became of the call", NoticeLevel.ERROR),
+    ros.OutcomeUnknown: ("The outcome of the call is unknown", NoticeLevel.ERROR),
 }
 _NOTICED = (
     (ros.unreachable, "Unreachable"),
     (ros.unreadable, "Unreadable"),
     (ros.uncallable, "Cannot be called"),
-    (ros.lifecycleUnknown, "Lifecycle not known"),
+    (ros.lifecycleUnknown, "Lifecycle unknown"),
 )
 _DRAWN = (
     *(ldp.contains, ros.hasEndpoint, ros.stopStep, ros.warning, td.hasActionAffordance, td.hasEventAffordance),
@@ -227,7 +227,7 @@ def render_entry(page: EntryPage) -> bytes:
         ("The robot's topics, as Turtle", _curl(f"{page.site.base}topics/", "text/turtle")),
         ("One of them, as plain JSON", _curl(example, "application/json")),
         (
-            "A question to all of it",
+            "A query over all of it",
             f"curl '{_shell(page.site.base)}sparql' -H 'Accept: text/csv' \\\n  --data-urlencode "
             f"'query=SELECT ?topic ?type WHERE {{ ?topic <{page.site.vocabulary}hasMessageType> ?type }}'",
         ),

@@ -226,7 +226,7 @@ def stop_steps(document: Document, site: Site) -> StopSteps | None:
         return None
     is_stopped = _text(own.get(ros.stopped, ())) == "true"
     rows = tuple(_step_row(subjects.get(step, {}), site) for step in steps)
-    return StopSteps("What was told" if is_stopped else "What a stop tells", rows)
+    return StopSteps("What was sent" if is_stopped else "What a stop sends", rows)
 
 
 def _step_row(said: Statements, site: Site) -> StepRow:

@@ -74,7 +74,7 @@ class Site:
 
     def __post_init__(self) -> None:
         if not self.base.endswith("/") or urlsplit(self.base).scheme not in ("http", "https"):
-            raise ValueError(f"{self.base!r} is no base URL: it must be http or https and end with '/'")
+            raise ValueError(f"{self.base!r} is not a base URL: it must be http or https and end with '/'")
 
     @property
     def root(self) -> str:

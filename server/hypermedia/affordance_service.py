@@ -390,7 +390,7 @@ class AffordanceService(Generic[T]):
             try:
                 await asyncio.wait_for(_take(held, locks), self._session.settings.call_deadline)
             except (asyncio.TimeoutError, TimeoutError):
-                sentence = f"Another write to what belongs to {names[0]} is not finished yet; nothing was done."
+                sentence = f"Another write to the members of {names[0]} is still in progress; nothing was done."
                 raise Problem(503, sentence, headers={"Retry-After": "1"}) from None
             yield
 

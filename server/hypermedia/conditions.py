@@ -105,6 +105,6 @@ def value_triples(
 
 def _unreadable(about: str, reading: Reading | None) -> str:
     if reading is None:
-        return f"the state of {about} cannot be read: it is not there"
+        return f"the state of {about} cannot be read: it does not exist"
     why = reading.failure or "it has no value yet"
     return f"the state of {about} cannot be read: {reading.name}: {why}"

@@ -109,24 +109,21 @@ class Conventions(Struct, frozen=True):
 def _check_template(template: str) -> None:
     if len(_PLACE.findall(template)) != 1:
         raise ValueError(
-            f"The template {template!r} must hold {{name}} or {{Name}} exactly once, as 'get_{{name}}' does."
+            f"The template {template!r} must contain {{name}} or {{Name}} exactly once, as 'get_{{name}}' does."
         )
     if _PLACE.fullmatch(template):
         raise ValueError(
-            f"The template {template!r} fits every service: write something beside it, as in 'get_{{name}}'."
+            f"The template {template!r} matches every service: add a prefix or suffix, as in 'get_{{name}}'."
         )
     if "{" in (rest := _PLACE.sub("", template)) or "}" in rest:
-        raise ValueError(f"The template {template!r} may hold no braces but those of {{name}} or {{Name}}.")
+        raise ValueError(f"The template {template!r} can contain no braces except {{name}} or {{Name}}.")
     if "" in template.split("/"):
-        raise ValueError(
-            f"The template {template!r} stands for the last segments of a name: it may neither begin nor end in a "
-            "slash, nor hold two in a row."
-        )
+        raise ValueError(f"The template {template!r} must not begin or end with a slash, or contain two in a row.")
 
 
 def _check_glob(glob: str) -> None:
     if not glob.startswith(("/", "*", "?", "[")):
-        raise ValueError(f"The glob {glob!r} fits no service, as all names begin with a slash: try '*/{glob}'.")
+        raise ValueError(f"The glob {glob!r} matches no service, because names begin with a slash: try '*/{glob}'.")
 
 
 CONVENTIONS = Conventions(

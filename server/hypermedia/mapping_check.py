@@ -80,7 +80,11 @@ def warnings_of(resource: ComplexResource, tree: ResourceTree) -> tuple[str, ...
     found = [
         *(words for one in resource.properties for words in _of_property(one, tree)),
         *(words for one in resource.actions for words in _of_action(resource, one, tree)),
-        *(f"map:target {one.target}: no resource is there" for one in resource.links if one.target not in tree.paths),
+        *(
+            f"map:target {one.target}: there is no such resource"
+            for one in resource.links
+            if one.target not in tree.paths
+        ),
         *_of_conditions(resource, tree),
         *_of_stops(resource, tree),
     ]
@@ -105,7 +109,7 @@ def _of_action(resource: ComplexResource, mapped: MappedAction, tree: ResourceTr
             mapped.service, tree.invocable
         )
     elif plan.schema is None:
-        yield f"map:service {mapped.service}: it cannot be offered, for its type is not known"
+        yield f"map:service {mapped.service}: it cannot be offered, because its type is not known"
 
 
 def _of_conditions(resource: ComplexResource, tree: ResourceTree) -> Iterator[str]:

@@ -90,13 +90,13 @@ def load_mapping(path: Path, space: Space, name: str | None = None, *, is_valid:
     syntax = next((each for each in Syntax if f".{each.extension}" == path.suffix.lower()), None)
     if syntax is None:
         known = ", ".join(f".{each.extension}" for each in Syntax)
-        raise ValueError(f"{path} is no mapping that can be read: its name must end in {known}.")
+        raise ValueError(f"{path} cannot be read as a mapping: its name must end in {known}.")
     try:
         return read_mapping(
             path.read_bytes(), syntax.media_type, space.url("mappings", (name or path.stem,)), is_valid=is_valid
         )
     except ValueError as error:
-        raise ValueError(f"{path} is no mapping: {error}") from error
+        raise ValueError(f"{path} is not a mapping: {error}") from error
 
 
 def mapping_of(body: RdfBody, url: str, *, is_valid: bool = False) -> MappingDocument:
@@ -108,10 +108,10 @@ def mapping_of(body: RdfBody, url: str, *, is_valid: bool = False) -> MappingDoc
     triples = tuple(_triples(body))
     if len(triples) > MAX_TRIPLES:
         raise InvalidMapping(
-            Violation("", f"a mapping has at most {MAX_TRIPLES} triples; make several documents of it")
+            Violation("", f"a mapping can have at most {MAX_TRIPLES} triples; split it into several documents")
         )
     if strange := next((each for each in triples if Triple in (type(each.subject), type(each.object))), None):
-        raise InvalidMapping(Violation("", "a mapping has no triple terms", brief(strange)))
+        raise InvalidMapping(Violation("", "a mapping cannot contain triple terms", brief(strange)))
     reader = _Reader(url, _conditions_named(triples, url))
     if not is_valid:
         reader.permissions()
@@ -165,7 +165,7 @@ class _Reader:
         self.refuse()
         nodes = [node for node, said in self.said.items() if mapping.ComplexResource in said.get(rdf.type, ())]
         if not nodes:
-            self.wrong(None, "the document describes no map:ComplexResource, so there is nothing to arrange")
+            self.wrong(None, "the document does not describe a map:ComplexResource")
         resources = sorted((self.resource(node) for node in nodes), key=lambda one: (one.path, one.iri))
         self.check_paths(resources)
         self.check_sights(resources)
@@ -231,14 +231,16 @@ class _Reader:
         """Return a stop command, with full names."""
         service, topic = self.text(node, mapping.call), self.text(node, mapping.publish)
         if bool(service) == bool(topic):
-            self.wrong(node, "a map:stop either calls (map:call) or publishes (map:publish): say one of the two")
+            self.wrong(node, "a map:stop needs either map:call or map:publish, not both")
         content = self.text(node, mapping.content) or "{}"
         try:
             is_object = isinstance(parse_json(content.encode("utf-8", "replace")), dict)
         except BodyError:
             is_object = False
         if not is_object:
-            self.wrong(node, "map:content is the JSON of a message: an object, such as {}", content, mapping.content)
+            self.wrong(
+                node, "map:content must be the JSON of a message: an object, such as {}", content, mapping.content
+            )
         command = StopCommand(_full(service, path) if service else None, _full(topic, path) if topic else None, content)
         return MappedStop(command, self.when(node, mapping.atRestWhen))
 
@@ -293,7 +295,7 @@ class _Reader:
             inner = said.get(sh.property, [])
             if not inner and not any(term.value.startswith(sh.iri) and term not in _NEUTRAL for term in said):
                 what = "this property shape" if sh.path in said else "this shape"
-                self.wrong(shape, f"{what} demands nothing, so it would always hold: say what must be")
+                self.wrong(shape, f"{what} has no constraints, so it would always hold: add a constraint")
             waiting += [each for each in inner if each not in seen]
             seen.update(inner)
 
@@ -305,7 +307,7 @@ class _Reader:
             if mapping.about not in said:
                 continue
             if monotonic() > deadline:
-                self.wrong(node, "the conditions before this one are too large: make them fewer or simpler")
+                self.wrong(node, "the conditions before this one are too large: use fewer or simpler ones")
                 return
             assert isinstance(node, NamedNode)
             try:
@@ -320,7 +322,7 @@ class _Reader:
         node = NamedNode(resource.iri)
         names = [one.name for one in resource.properties] + [one.name for one in resource.actions]
         for name in _twice(names):
-            self.wrong(node, f"the name {name!r} is there twice; give one of the two another map:name", name)
+            self.wrong(node, f"the name {name!r} occurs twice; give one of them another map:name", name)
         for predicate in _twice([one.predicate for one in resource.properties]):
             words = f"two properties have the predicate {prefixed_name(predicate.value)[0]}; give each its own"
             self.wrong(node, words, None, mapping.property)
@@ -330,7 +332,7 @@ class _Reader:
         for path in _twice([one.path for one in resources]):
             first, *others = [NamedNode(one.iri) for one in resources if one.path == path]
             for other in others:
-                words = f"{self.places.of(first)} has this path already; give each its own, or make one of them"
+                words = f"{self.places.of(first)} already has this path; give each its own, or merge them"
                 self.wrong(other, words, path, mapping.path)
 
     def check_sights(self, resources: Sequence[ComplexResource]) -> None:
@@ -344,7 +346,7 @@ class _Reader:
             for path in sorted(condition.shape.paths - there, key=str):
                 self.wrong(
                     node,
-                    f"the state of {about} has no {prefixed_name(path.value)[0]}, so this would never hold; it has "
+                    f"the state of {about} has no {prefixed_name(path.value)[0]}, so this can never hold; it has "
                     + (", ".join(sorted(prefixed_name(each.value)[0] for each in there)) or "no properties"),
                 )
 

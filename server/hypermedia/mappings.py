@@ -70,9 +70,9 @@ def _check(document: MappingDocument, others: Iterable[MappingDocument]) -> None
         taken, named = _claims(other)
         about += [other.url] if paths & taken or conditions & named else []
         for path in sorted(paths & taken):
-            found.append(Violation(path, f"{other.url} arranges this path already; change that one, or remove it"))
+            found.append(Violation(path, f"{other.url} already defines this path; change or delete that one"))
         for iri in sorted(conditions & named):
-            found.append(Violation(iri, f"{other.url} describes this condition already; give this one its own IRI"))
+            found.append(Violation(iri, f"{other.url} already describes this condition; give this one its own IRI"))
     if found:
         raise InvalidMapping(*found, about=tuple(about))
 

@@ -86,7 +86,7 @@ def not_writable_reason(adapter: AuditedAdapter, settings: Settings, property: P
     if settings.read_only:
         return "This server is read-only."
     reasons = [reason for one in property.writers if (reason := _refusal(adapter, settings, one)) is not None]
-    return " ".join(reasons) or f"{property.name} has no setter, no parameter and no topic that could be written."
+    return " ".join(reasons) or f"{property.name} has no writable setter, parameter or topic."
 
 
 def not_writable_about(session: Session, property: Property) -> tuple[str, ...]:
@@ -114,14 +114,14 @@ def _setter_refusal(adapter: AuditedAdapter, name: str) -> str | None:
         return None
     service = adapter.graph.services.get(name)
     if service is None:
-        return f"There is no service {name} any more."
+        return f"The service {name} no longer exists."
     return f"The service {name} cannot be called" + (f": {service.uncallable}." if service.uncallable else ".")
 
 
 def _parameter_refusal(adapter: AuditedAdapter, name: str) -> str | None:
     graph = adapter.graph
     if name not in graph.parameters:
-        return f"There is no parameter {name} any more."
+        return f"The parameter {name} no longer exists."
     if (words := parameter_denied_reason(graph, name)) is not None:
         return words
     if Operation.SET_PARAMETER in adapter.allows(Ref(Kind.PARAMETER, name)):
@@ -133,7 +133,7 @@ def _topic_refusal(adapter: AuditedAdapter, permitted: tuple[str, ...], writer: 
     graph = adapter.graph
     topic = graph.topics.get(writer.name)
     if topic is None:
-        return f"There is no topic {writer.name} any more."
+        return f"The topic {writer.name} no longer exists."
     if writer.schema is None:
         return f"The type of {writer.name} is not known."
     if Operation.PUBLISH not in adapter.allows(Ref(Kind.TOPIC, writer.name)):
@@ -264,7 +264,7 @@ async def _call(session: Session, setter: Setter, request: bytes) -> None:
         try:
             message = response.codec.decode(answer, session.adapter.capabilities.encoding)
         except ValueError as error:
-            raise UnreadableResponse(f"the answer of {setter.name} cannot be read: {error}", sent=Sent.YES) from error
+            raise UnreadableResponse(f"the response of {setter.name} cannot be read: {error}", sent=Sent.YES) from error
         words = refusal_text(response, message)
         if words is not None:
             raise Refused(f"{setter.name} refused the value", words=words or None, sent=Sent.YES)

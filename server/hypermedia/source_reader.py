@@ -46,7 +46,7 @@ class TopicLook(NamedTuple):
 
 def timeout_message(name: str, seconds: float) -> str:
     """Return the failure of a source that did not answer in time."""
-    return f"{name} has not answered within {round(seconds, 1):g} s"
+    return f"{name} did not respond within {round(seconds, 1):g} s"
 
 
 def decode_value(topic: str, sample: Sample, schema: MessageSchema, origin: str) -> ReadResult:
@@ -154,7 +154,7 @@ class SourceReader:
             case RosError():
                 return f"{name} cannot be read: {error.sentence}", error.words
             case ValueError():
-                return f"the answer of {name} cannot be read: {error}", None
+                return f"the response of {name} cannot be read: {error}", None
         _log.exception("%s cannot be read", name, exc_info=error)
         return f"{name} cannot be read", None
 
@@ -168,4 +168,4 @@ def _parameter_result(name: str, value: ParameterValue) -> ReadResult:
 
 
 def _missing_parameter(name: str) -> ReadResult:
-    return ReadResult(None, f"there is no parameter {name} any more", time.time_ns())
+    return ReadResult(None, f"the parameter {name} no longer exists", time.time_ns())

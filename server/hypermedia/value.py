@@ -226,7 +226,7 @@ def lift_value(value: MessageValue, node: str, lifting: LiftSettings) -> LiftedM
 def _scalar_at(value: MessageValue, path: str) -> tuple[Primitive, object]:
     kind, found = field_at(select_fields(value.schema, value.fields), value.message, path)
     if not isinstance(kind, Primitive):
-        raise ValueError(f"the field {path!r} of {value.schema.ref.name} is no scalar")
+        raise ValueError(f"the field {path!r} of {value.schema.ref.name} is not a scalar")
     return kind, found
 
 
@@ -240,7 +240,7 @@ def _stored_at(value: ParameterValue, path: str) -> ParameterValue:
         else:
             raise ValueError(f"the parameter has no field {path!r}")
     if isinstance(found, dict | list):
-        raise ValueError(f"the field {path!r} of the parameter is no scalar")
+        raise ValueError(f"the field {path!r} of the parameter is not a scalar")
     return found
 
 
@@ -282,7 +282,7 @@ def content_from_rdf(
 def _single_object(body: RdfBody, subject: NamedNode, predicate: NamedNode) -> Term:
     terms = body.objects(subject, predicate)
     if len(terms) > 1:
-        raise LoweringError(Violation("", f"expected one value, and there are {len(terms)}: {predicate} is said twice"))
+        raise LoweringError(Violation("", f"expected one value, not {len(terms)}: {predicate} is given more than once"))
     if terms:
         return terms[0]
     raise LoweringError(Violation("", f"missing: expected the value, as {subject} {predicate}"))

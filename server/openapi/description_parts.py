@@ -106,8 +106,8 @@ May: TypeAlias = Callable[[str, str], bool]
 """Permission for a method at a path."""
 _METHODS = frozenset({"get", "put", "post", "patch", "delete"})
 _SCHEMES: _Json = {
-    "bearer": {"type": "http", "scheme": "bearer", "description": "A token, as whoever runs this server gives it."},
-    "basic": {"type": "http", "scheme": "basic", "description": "The same token as the password; the name is free."},
+    "bearer": {"type": "http", "scheme": "bearer", "description": "A token from the operator of this server."},
+    "basic": {"type": "http", "scheme": "basic", "description": "The same token as the password, with any user name."},
 }
 _DEMANDED: list[_Json] = [{"bearer": []}, {"basic": []}]
 

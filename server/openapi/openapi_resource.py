@@ -111,7 +111,7 @@ class OpenApiResource(Resource):
     async def custom_get(self, exchange: Exchange) -> Response | None:
         media_type = choose_offer(exchange.accept, MEDIA_TYPES)
         if media_type is None:
-            raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(MEDIA_TYPES)}.")
+            raise Problem(406, f"None of {exchange.accept!r} is available; choose from {', '.join(MEDIA_TYPES)}.")
         part = parse_part(exchange.query)
         hidden = exchange.query_flag("hidden") and self.session.adapter.capabilities.hidden_names
         kept = await self._describe(hidden)

@@ -166,7 +166,7 @@ class PathCollector(Struct, frozen=True):
             yield self._path(self._of(space.container("parameters", namespace)))
         for name in islice((each for each in graph.parameters if "" not in names.segments(each)), MAX_SINGLE):
             yield self._path(self._of(space.parameter(name)))
-        summary = "A parameter that may be made" + ("" if len(graph.parameters) <= MAX_SINGLE else _OR_ANOTHER)
+        summary = "A parameter that can be created" + ("" if len(graph.parameters) <= MAX_SINGLE else _OR_ANOTHER)
         item = self.resolve("/parameters/new").path_item(self.schemas)
         item = replace(item, summary=summary)
         yield self._template("/parameters/{name}", "/parameters/new", item=item, name=_NAME)

@@ -36,11 +36,11 @@ class Formula:
 
     def newUniversal(self, name: str, why: object = None) -> NoReturn:
         """Raise an error: variables are written `?name` only."""
-        raise RefusedSyntax("@forAll is not read here: write ?variables")
+        raise RefusedSyntax("@forAll is not supported: write ?variables")
 
     def declareExistential(self, name: str) -> NoReturn:
         """Raise an error: blank nodes are written `_:name` or `[]` only."""
-        raise RefusedSyntax("@forSome is not read here: write blank nodes")
+        raise RefusedSyntax("@forSome is not supported: write blank nodes")
 
 
 Node: TypeAlias = "NamedNode | BlankNode | Literal | Variable | Formula"

@@ -38,9 +38,9 @@ def read_n3(data: bytes, base: str) -> Formula:
     except BodyError:
         raise
     except RecursionError as error:
-        raise BodyError("nested deeper than can be read here") from error
+        raise BodyError("nested too deeply") from error
     except Exception as error:  # the parser raises various exceptions for unexpected input
-        raise BodyError(f"this is no N3 that can be read: {_words(error)}") from error
+        raise BodyError(f"this is not valid N3: {_words(error)}") from error
 
 
 _NUMERAL = re.compile(
@@ -93,7 +93,7 @@ class _Parser(SinkParser):
             return super().uri_ref2(argstr, i, res)
         found = _REFERENCE.match(argstr, start)
         if found is None:
-            self.BadSyntax(argstr, start, "no IRI reference")
+            self.BadSyntax(argstr, start, "not an IRI reference")
         assert self._baseURI is not None
         res.append(_resolve(found[0], self._baseURI))
         return found.end()
@@ -104,7 +104,7 @@ class _Parser(SinkParser):
             return -1
         found = _VARIABLE.match(argstr, start)
         if found is None:
-            self.BadSyntax(argstr, start, "no name of a variable")
+            self.BadSyntax(argstr, start, "not a variable name")
         res.append(Variable(found[1]))
         return found.end()
 
@@ -146,7 +146,7 @@ class _Sink:
         if datatype is None:
             return Literal(text, language=language)
         if not isinstance(datatype, str):
-            raise RefusedSyntax(f"the datatype of {text[:100]!r} is no IRI")
+            raise RefusedSyntax(f"the datatype of {text[:100]!r} is not an IRI")
         if datatype in _TAGGED:
             raise RefusedSyntax(f"{text[:100]!r} has a language by its datatype and none by its tag")
         return Literal(text, datatype=NamedNode(datatype))
@@ -160,7 +160,7 @@ class _Sink:
         return nodes[0] if nodes else rdf.nil
 
     def newSet(self, items: list[object], formula: Formula) -> NoReturn:
-        raise RefusedSyntax("sets {$ $} are not read here")
+        raise RefusedSyntax("sets {$ $} are not supported")
 
     def intern(self, term: object) -> object:
         return term
@@ -181,7 +181,7 @@ def _node(term: object) -> Node:
             return NamedNode(term)
         case (_, str(iri)):
             return NamedNode(iri)
-    raise RefusedSyntax(f"{str(term)[:100]} is no term that is read here")
+    raise RefusedSyntax(f"{str(term)[:100]} is not a supported term")
 
 
 def _error(text: str, position: int, words: str) -> BodyError:
@@ -191,4 +191,4 @@ def _error(text: str, position: int, words: str) -> BodyError:
 
 def _words(error: Exception) -> str:
     """Return an error's message if it helps the author of the text."""
-    return str(error)[:200] if isinstance(error, ValueError) else "it ends too early or holds what is not expected"
+    return str(error)[:200] if isinstance(error, ValueError) else "it ends too early or has unexpected content"

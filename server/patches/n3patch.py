@@ -68,7 +68,7 @@ def read_patch(data: bytes, base: str) -> N3Patch:
     5.3.1.
     """
     if len(data) > MAX_BYTES:
-        raise Problem(413, f"A patch has at most {MAX_BYTES} bytes here: put the whole resource instead.")
+        raise Problem(413, f"A patch can have at most {MAX_BYTES} bytes: PUT the whole resource instead.")
     from rosld.server.patches.n3_parser import read_n3  # imports rdflib, which many servers never need
 
     try:
@@ -97,13 +97,13 @@ def _subject(document: Formula) -> Node:
     }
     if len(subjects) != 1:
         raise _malformed(
-            f"A patch document has one patch, not {len(subjects)}: write `_:patch a solid:InsertDeletePatch`"
+            f"A patch document must have one patch, not {len(subjects)}: write `_:patch a solid:InsertDeletePatch`"
         )
     subject = next(iter(subjects))
     if not isinstance(subject, NamedNode | BlankNode):
-        raise _malformed(f"A patch is named by an IRI or a blank node, not by {_node_text(subject)}")
+        raise _malformed(f"A patch must be named by an IRI or a blank node, not by {_node_text(subject)}")
     if Statement(subject, rdf.type, _PATCH) not in document.statements:
-        raise _malformed(f"The patch {subject} does not say its type: add `a solid:InsertDeletePatch`")
+        raise _malformed(f"The patch {subject} has no type: add `a solid:InsertDeletePatch`")
     return subject
 
 
@@ -115,7 +115,7 @@ def _formula(document: Formula, patch: Node, predicate: NamedNode) -> Sequence[S
     if not objects:
         return ()
     if not isinstance(objects[0], Formula):
-        raise _malformed(f"What {_name(predicate)} names is a formula in braces, not {_node_text(objects[0])}")
+        raise _malformed(f"The value of {_name(predicate)} must be a formula in braces, not {_node_text(objects[0])}")
     return objects[0].statements
 
 
@@ -124,18 +124,20 @@ def _pattern(one: Statement, place: NamedNode, unnamed: dict[BlankNode, Variable
     found: list[Term | Variable] = []
     for node in one:
         if isinstance(node, Formula):
-            raise _malformed(f"The formula of {_name(place)} holds another: it may hold triples only")
+            raise _malformed(f"The formula of {_name(place)} contains another: it can contain only triples")
         if isinstance(node, BlankNode):
             if unnamed is None:
-                raise _malformed(f"The formula of {_name(place)} holds a blank node: write IRIs and ?variables")
+                raise _malformed(f"The formula of {_name(place)} contains a blank node: use IRIs and ?variables")
             node = unnamed.setdefault(node, Variable(f"[{len(unnamed)}]"))
         found.append(node)
     subject, predicate, _ = found
     if isinstance(subject, Literal):
-        raise _malformed(f"{_node_text(subject)} is the subject of a triple in {_name(place)}, and no literal can be")
+        raise _malformed(
+            f"{_node_text(subject)} is the subject of a triple in {_name(place)}, but a subject cannot be a literal"
+        )
     if not isinstance(predicate, NamedNode | Variable):
         raise _malformed(
-            f"{_node_text(predicate)} is the predicate of a triple in {_name(place)}, and only an IRI can be"
+            f"{_node_text(predicate)} is the predicate of a triple in {_name(place)}, but a predicate must be an IRI"
         )
     return Pattern(*found)
 
@@ -192,14 +194,14 @@ def find_changes(patch: N3Patch, before: Sequence[Triple]) -> tuple[list[Triple]
 
 def missing_deletion(triple: Triple) -> Problem:
     """Return the Problem for a deleted triple that does not exist."""
-    return Problem(409, f"What is to be deleted is not there: {triple} . Read the resource again.")
+    return Problem(409, f"The triple to delete does not exist: {triple} . Read the resource again.")
 
 
 def _triple(pattern: Pattern) -> Triple:
     subject, predicate, object_ = pattern
     assert not isinstance(object_, Variable)
     if not isinstance(subject, NamedNode | BlankNode | Triple) or not isinstance(predicate, NamedNode):
-        raise Problem(409, f"With what solid:where found, {pattern} would be no triple.")
+        raise Problem(409, f"With the bindings of solid:where, {pattern} is not a valid triple.")
     return Triple(subject, predicate, object_)
 
 
@@ -211,7 +213,7 @@ def _match(patch: N3Patch, triples: Sequence[Triple]) -> Bindings:
     for bindings in _Search(triples).solutions(patch.where, {}):
         named = {variable: term for variable, term in bindings.items() if variable not in patch.unnamed}
         if found is not None and named != found:
-            raise Problem(409, "solid:where matches in more than one way: say more of what is to be changed.")
+            raise Problem(409, "solid:where matches in more than one way: make it more specific.")
         found = named
     if found is None:
         raise Problem(409, "solid:where matches nothing in this resource: read it again.")
@@ -266,7 +268,7 @@ class _Search:
     def _step(self) -> None:
         self._steps += 1
         if self._steps > MAX_STEPS:
-            raise Problem(422, "To find what solid:where describes takes too long: say more of what is to be changed.")
+            raise Problem(422, "Evaluating solid:where takes too long: make it more specific.")
 
 
 def _bindings(pattern: Pattern, triple: Triple) -> Bindings | None:

@@ -101,9 +101,9 @@ def _carry_out(store: Store, text: str, base: str, functions: dict[NamedNode, Fu
     try:
         store.update(text, base_iri=base, custom_functions=functions)
     except SyntaxError as error:
-        raise Problem(400, "The update is not understood.") from error
+        raise Problem(400, "The update cannot be parsed.") from error
     except (OSError, RuntimeError, ValueError) as error:
-        raise Problem(422, f"The update cannot be carried out: {error}.") from error
+        raise Problem(422, f"The update cannot be applied: {error}.") from error
 
 
 def _decoded(quad: Quad) -> Quad:

@@ -65,7 +65,7 @@ def require_size(width: int, height: int) -> None:
     Raises NotEnoughMemory if there is not enough memory to draw it.
     """
     if width <= 0 or height <= 0:
-        raise CannotDraw(f"The image is {width} by {height} pixels, so there is nothing to be seen")
+        raise CannotDraw(f"The image is {width} by {height} pixels, so there is nothing to show")
     if width * height > MAX_PIXELS:
-        raise CannotDraw(f"The image has {width} by {height} pixels, and at most {MAX_PIXELS:,} are drawn")
+        raise CannotDraw(f"The image has {width} by {height} pixels, but the limit is {MAX_PIXELS:,}")
     PROCESS_MEMORY.require(width * height * _PER_PIXEL, f"a picture of {width} by {height} pixels")

@@ -50,8 +50,8 @@ def draw_grid(message: Message, width: int | None = None) -> Image.Image:
     cells = np.asarray(read_field(message, "data"))
     require_size(columns, rows)
     if cells.dtype.kind not in "iu" or cells.size != columns * rows:
-        words = f"{columns} by {rows} cells are {columns * rows:,}, and data has {cells.size:,}"
-        raise CannotDraw(f"The grid contradicts itself: {words}")
+        words = f"{columns} by {rows} cells are {columns * rows:,}, but data has {cells.size:,}"
+        raise CannotDraw(f"The grid is inconsistent: {words}")
     values = np.clip(cells.astype(np.int8, copy=False), -1, 100).reshape(rows, columns)
     factor = shrink_factor(columns, width)
     picture = Image.fromarray((_shrink_grid(values, factor) + 1).astype(np.uint8)[::-1], "P")
@@ -126,12 +126,12 @@ def _encoding(format: str) -> str:
 
 def _draw_depth_file(format: str, data: bytes, shown: DepthRange) -> Image.Image:
     if "rvl" in format or len(data) <= _DEPTH_HEADER.size:
-        raise UnknownPicture("Its format is not drawn: distances are, as compressedDepth png", format)
+        raise UnknownPicture("Its format is not supported: use compressedDepth png for distances", format)
     _, scale, offset = _DEPTH_HEADER.unpack_from(data)
     picture = _open(data[_DEPTH_HEADER.size :])
     values = np.asarray(_load_pixels(picture))
     if values.ndim != 2:
-        raise CannotDraw("The file of a compressedDepth image has colours, so no distances")
+        raise CannotDraw("The file of a compressedDepth image has colours instead of distances")
     if not _encoding(format).startswith("32FC1"):
         return draw_depth(values, 0.001, shown)
     return draw_depth(_dequantize(values, scale, offset), 1.0, shown)
@@ -150,7 +150,7 @@ def _open(data: bytes) -> Image.Image:
     try:
         found = Image.open(io.BytesIO(data), formats=_FORMATS)
     except (OSError, ValueError, SyntaxError, struct.error, Image.DecompressionBombError) as error:
-        raise CannotDraw(f"data is no {' or '.join(_FORMATS)} file that can be read") from error
+        raise CannotDraw(f"data is not a readable {' or '.join(_FORMATS)} file") from error
     require_size(found.width, found.height)
     return found
 
@@ -182,7 +182,7 @@ def draw_sample(schema: MessageSchema, sample: Sample, form: PictureForm) -> byt
         return write_picture(draw_raw(read_raw_image(message), form.shown), form)
     if schema.ref.name == OCCUPANCY_GRID:
         return write_picture(draw_grid(message, form.width), PictureForm(form.media_type))
-    raise UnknownPicture(f"A {schema.ref.name} is no picture")
+    raise UnknownPicture(f"A {schema.ref.name} is not a picture")
 
 
 def is_drawable(schema: MessageSchema, message: Message) -> bool:
@@ -211,7 +211,7 @@ def write_picture(picture: Image.Image, form: PictureForm) -> bytes:
         small.save(target, "PNG", compress_level=_PNG_EFFORT)
         return target.getvalue()
     if max(small.size) > _JPEG_SIDE:
-        words = f"The picture has {small.width} by {small.height} pixels, and a JPEG at most {_JPEG_SIDE} a side"
+        words = f"The picture has {small.width} by {small.height} pixels, but a JPEG has at most {_JPEG_SIDE} per side"
         raise UnknownPicture(f"{words}: ask for image/png, or for a smaller one by ?width=")
     _without_transparency(small).save(target, "JPEG", quality=_QUALITY)
     return target.getvalue()

@@ -38,7 +38,7 @@ def draw_depth(depth: npt.NDArray[np.generic], scale: float, shown: DepthRange) 
     Raises CannotDraw if `shown` is empty.
     """
     if not shown.nearest < shown.farthest:
-        raise CannotDraw(f"The range {shown.nearest:g} to {shown.farthest:g} has no distances in it")
+        raise CannotDraw(f"The range {shown.nearest:g} to {shown.farthest:g} is empty")
     nearest, span = shown.nearest / scale, (shown.farthest - shown.nearest) / scale
     with np.errstate(all="ignore"):
         distances = depth.astype(np.float32)
@@ -158,7 +158,7 @@ def read_bytes(message: Message) -> npt.NDArray[np.uint8]:
     """Return the field `data`. Raises CannotDraw if it is not an array of bytes."""
     found = np.asarray(read_field(message, "data"))
     if found.dtype != np.uint8 or found.ndim != 1:
-        raise CannotDraw("The field data of the message is no array of bytes")
+        raise CannotDraw("The field data of the message is not an array of bytes")
     return np.ascontiguousarray(found)
 
 
@@ -169,7 +169,9 @@ def draw_raw(image: RawImage, shown: DepthRange = DEFAULT_RANGE) -> Image.Image:
     """Return the picture of an image, in mode L, RGB or RGBA. Raises CannotDraw."""
     draw = _DRAWINGS.get(image.encoding)
     if draw is None:
-        raise UnknownPicture(f"Its encoding is not drawn: there are {', '.join(_DRAWINGS)}", image.encoding)
+        raise UnknownPicture(
+            f"Its encoding is not supported; the supported ones are {', '.join(_DRAWINGS)}", image.encoding
+        )
     require_size(image.width, image.height)
     return draw(image, shown)
 
@@ -202,11 +204,11 @@ def _pixels(image: RawImage, kind: str, channels: int) -> npt.NDArray[np.generic
 
 def _require_rows(image: RawImage, row: int, rows: int) -> None:
     if image.step < row:
-        words = f"a row of {image.width} pixels of {image.encoding} takes {row} bytes, and step is {image.step}"
-        raise CannotDraw(f"The image contradicts itself: {words}")
+        words = f"a row of {image.width} pixels of {image.encoding} takes {row} bytes, but step is {image.step}"
+        raise CannotDraw(f"The image is inconsistent: {words}")
     needed = image.step * (rows - 1) + row
     if image.data.size < needed:
-        raise CannotDraw(f"The image is cut off: it takes {needed:,} bytes, and data has {image.data.size:,}")
+        raise CannotDraw(f"The image is truncated: it needs {needed:,} bytes, but data has {image.data.size:,}")
 
 
 def _plain(mode: str, order: str, channels: int) -> Draw:
@@ -262,7 +264,7 @@ def _bayer(kind: str, pattern: str) -> Draw:
 def _packed(*, luma_first: bool) -> Draw:
     def draw(image: RawImage, _: DepthRange) -> Image.Image:
         if image.width % 2:
-            raise CannotDraw(f"{image.encoding} has two pixels in four bytes, and the image is {image.width} wide")
+            raise CannotDraw(f"{image.encoding} has two pixels in four bytes, but the image is {image.width} wide")
         values = _pixels(image, "u1", 2).astype(np.uint8, copy=False)
         pairs = np.ascontiguousarray(values).reshape(image.height, image.width // 2, 4)
         return _picture(convert_packed(pairs, luma_first=luma_first), "RGB")

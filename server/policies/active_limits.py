@@ -40,13 +40,13 @@ class ActiveLimits:
         """
         graph = tuple(quad.triple for quad in parse(triples, RdfFormat.N_TRIPLES))
         if len(graph) > MAX_TRIPLES:
-            raise ValueError(f"it has {len(graph)} triples, and {MAX_TRIPLES} are the most: make several of it")
+            raise ValueError(f"it has {len(graph)} triples, but the limit is {MAX_TRIPLES}: split it")
         try:
             if not Limits.from_graphs([graph], self._space):
-                raise ValueError("it limits nothing: there is no shape with a sh:targetNode or a sh:targetClass in it")
+                raise ValueError("it limits nothing: it has no shape with a sh:targetNode or a sh:targetClass")
             Limits.from_graphs(self._with(url, graph), self._space)
         except RecursionError as error:
-            raise ValueError("its shapes nest too deep") from error
+            raise ValueError("its shapes are nested too deeply") from error
         return graph
 
     def replace(self, url: str, graph: tuple[Triple, ...]) -> None:
@@ -71,7 +71,7 @@ class ActiveLimits:
                 try:
                     self.replace(url, self.check(url, unpack_triples(record.triples)))
                 except ValueError as error:
-                    _log.error("The limits %s are kept and not in force: %s", url, error)
+                    _log.error("The limits %s are stored but not in force: %s", url, error)
 
     def _with(self, url: str = "", graph: tuple[Triple, ...] = ()) -> list[Sequence[Triple]]:
         stored = {**self._stored, url: graph} if url else self._stored
@@ -86,5 +86,5 @@ def initial_limits(settings: Settings, adapter: Adapter, space: Space) -> Iterat
             graph = read_limits(path.read_bytes(), space.base, space.shape("limits"))
             Limits.from_graphs([graph], space)
         except ValueError as error:
-            raise ValueError(f"{path} holds no limits: {error}") from error
+            raise ValueError(f"{path} does not contain valid limits: {error}") from error
         yield graph

@@ -42,13 +42,13 @@ def check_cockpit(data: bytes, url: str) -> None:
     # A document that is far too long is not parsed completely just to count its triples.
     triples = [quad.triple for quad in islice(parse(data, RdfFormat.N_TRIPLES), _MAX_TRIPLES + 1)]
     if len(triples) > _MAX_TRIPLES:
-        words = f"a cockpit has at most {MAX_PANELS} panels and {_MAX_TRIPLES} triples; make several of it"
+        words = f"a cockpit can have at most {MAX_PANELS} panels and {_MAX_TRIPLES} triples; split it"
         raise InvalidCockpit(Violation("", words))
     if strange := next((each for each in triples if Triple in (type(each.subject), type(each.object))), None):
-        raise InvalidCockpit(Violation("", "a cockpit has no triple terms", brief_value(str(strange))))
+        raise InvalidCockpit(Violation("", "a cockpit cannot contain triple terms", brief_value(str(strange))))
     found = [_violation(each, url) for each in validate(triples, "cockpit")]
     if Triple(NamedNode(url), rdf.type, ros.Cockpit) not in triples:
-        words = f"the document describes no cockpit: say that <{url}> (<> in it) is a ros:Cockpit"
+        words = f"the document does not describe a cockpit: <{url}> (<> in it) must be a ros:Cockpit"
         found.insert(0, Violation("", words))
     if found:
         once = {(each.path, each.message): each for each in found}  # one message covers several constraints

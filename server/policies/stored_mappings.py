@@ -63,7 +63,7 @@ async def load_stored_mappings(mappings: Mappings, records: Records, settings: S
         try:
             mappings.replace(stored_mapping(unpack_triples(record.triples), url))
         except ValueError as error:
-            _log.error("The mapping %s is kept and not in force: %s", url, error)
+            _log.error("The mapping %s is stored but not in force: %s", url, error)
 
 
 _DISCOVERY = 5.0
@@ -77,7 +77,7 @@ async def log_mapping_warnings(affordances: AffordanceService[State], mappings: 
     while found := await _warnings(affordances, mappings):
         if loop_time() > until:
             for url, words in found:
-                _log.warning("The mapping %s names in vain: %s", url, words)
+                _log.warning("The mapping %s names things that do not exist: %s", url, words)
             return
         await asyncio.sleep(_AGAIN)
 

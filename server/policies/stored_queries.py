@@ -86,7 +86,7 @@ class StoredQueries:
             found = await asyncio.to_thread(self._checked.get, record.blob, lambda: self._parse_record(record))
         if isinstance(found, str):
             url = self._space.base + record.path
-            raise Problem(409, f"What is kept at {url} is no stored query (any more): {found}. PUT one that is.")
+            raise Problem(409, f"The content of {url} is not a valid stored query: {found}. PUT a valid one.")
         return found
 
     def check(self, path: str, blob: Blob) -> None:
@@ -104,7 +104,7 @@ class StoredQueries:
         try:
             return outline(name, content)
         except ValueError as error:
-            return StoredQuery(name, f"It is no stored query (any more): {error}", (), content)
+            return StoredQuery(name, f"It is not a valid stored query: {error}", (), content)
 
     def _parse_record(self, record: Record) -> StoredQuery | str:
         name = name_of(record.path)
@@ -116,7 +116,7 @@ class StoredQueries:
 
     def _text(self, name: str, blob: Blob) -> str:
         if blob.size > 4 * DEFAULT_BOUNDS.size:
-            raise ValueError(f"{name}: {blob.size} bytes are more than a query may have")
+            raise ValueError(f"{name}: a query cannot have {blob.size} bytes")
         data = self._records.file(blob).read_bytes()
         charset = parse_media_type(blob.media_type).parameter("charset") or UTF_8
         try:

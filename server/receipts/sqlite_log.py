@@ -42,7 +42,7 @@ class SqliteLog:
             self.report_failure(error)
         except sqlite3.Error as error:
             words = f"{self._path} cannot be used as the database of receipts: {error}"
-            raise ValueError(f"{words}. Move it away to begin a new one") from error
+            raise ValueError(f"{words}. Move it away to create a new one") from error
         self._thread = ThreadPoolExecutor(1, "receipts")
 
     @property
@@ -52,7 +52,7 @@ class SqliteLog:
 
     def report_failure(self, error: sqlite3.Error) -> None:
         """Log once that receipts cannot be written."""
-        problem = f"Receipts cannot be written to the disk ({error}), and are kept in memory until they can."
+        problem = f"Receipts cannot be written to disk ({error}) and are kept in memory for now."
         if problem != self.problem:
             _log.error("%s", problem)
         self.problem = problem
@@ -75,7 +75,7 @@ class SqliteLog:
                 connection.execute(f"PRAGMA {pragma}").fetchall()
             found, marked = (_number(connection, name) for name in ("user_version", "application_id"))
             if found > _FORMAT or (found and marked != _APPLICATION):
-                raise ValueError(f"{self._path} is of a newer rosld, or of something else: take another folder")
+                raise ValueError(f"{self._path} is of a newer rosld or another program: choose another folder")
             if found != _FORMAT:
                 connection.execute("BEGIN IMMEDIATE")
                 connection.execute(

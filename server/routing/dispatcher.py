@@ -171,7 +171,7 @@ class Dispatcher:
         elif b"after=" in query_string and "after" in exchange.query:
             await self._observation.wait_for_another(exchange, resource, state)
             if not exchange.auth.is_valid():
-                raise invalid_token("Your rights have changed meanwhile.")
+                raise invalid_token("Your permissions have changed.")
             state = await resource.state()
             unchanged = query_params.is_state(exchange.query["after"], self._representations.name(state))
         media_type = negotiate(exchange)

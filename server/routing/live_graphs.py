@@ -287,7 +287,7 @@ class RobotGraphs:
             for task, one in tasks.items():
                 if not task.done():
                     task.cancel()
-                    found.unread[one.url] = "the time of the query was over"
+                    found.unread[one.url] = "the query ran out of time"
 
     async def _first(self, one: LiveDocument, found: LiveGraphs) -> None:
         try:

@@ -133,7 +133,7 @@ class Observation:
             return state, True
         found = await wait_for_state(self._broadcasters, resource, is_wanted, exchange.request, seconds)
         if not exchange.auth.is_valid():
-            raise invalid_token("Your rights have changed meanwhile.")
+            raise invalid_token("Your permissions have changed.")
         if isinstance(found, Problem):
             raise found
         return (found, True) if found is not None else (await resource.state(), False)

@@ -85,7 +85,7 @@ class Representations:
         elif media_type == JSON and state.plain is not None:
             body = state.plain()
         elif state.is_large:
-            raise Problem(406, "This is too large to be sent here: GET it, or follow it by its notifications.")
+            raise Problem(406, "This is too large to send here: GET it, or subscribe to its notifications.")
         elif state.is_long:
             body = await asyncio.to_thread(_serialize, state, _JSON_IS_JSONLD.get(media_type, media_type))
         else:
@@ -155,11 +155,11 @@ def negotiate(exchange: Exchange) -> str:
     """Return the media type of the response: `?format=` takes precedence over Accept. Raises a 406 Problem."""
     if b"format=" in exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
         if wanted not in FORMATS:
-            raise Problem(406, f"?format={wanted} is unknown; there are {', '.join(FORMATS)}.")
+            raise Problem(406, f"?format={wanted} is unknown; choose from {', '.join(FORMATS)}.")
         return FORMATS[wanted]
     found = choose_offer(exchange.accept, OFFERS)
     if found is None:
-        raise Problem(406, f"None of {exchange.accept!r} is offered; there are {', '.join(OFFERS)}.")
+        raise Problem(406, f"None of {exchange.accept!r} is available; choose from {', '.join(OFFERS)}.")
     return found
 
 
@@ -167,7 +167,7 @@ def event_media_type(exchange: Exchange) -> str:
     """Return the media type of an event's data: plain JSON, or that of `?format=`. Raises a 406 Problem."""
     wanted = exchange.query.get("format", "json")
     if wanted not in FORMATS:
-        raise Problem(406, f"?format={wanted} cannot be streamed; there are {', '.join(FORMATS)}.")
+        raise Problem(406, f"?format={wanted} cannot be streamed; choose from {', '.join(FORMATS)}.")
     return FORMATS[wanted]
 
 

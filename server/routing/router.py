@@ -133,7 +133,7 @@ class ResourceFactory:
 
     def member(self, name: str) -> MemberResource:
         if name.endswith("/"):
-            raise Problem(404, f"No resource is called {name}: its own name would be empty.")
+            raise Problem(404, f"{name} is not a resource name: its last segment is empty.")
         return MemberResource(
             self.session, self.affordances, self.limit_checks, self.things, self.states, self.history, name
         )
@@ -191,7 +191,7 @@ def _parameter_route(route: Route, location: Location) -> Resource:
     """Return what a route of parameters leads to. Raises a 404 Problem for a name with an empty part."""
     name = location.name
     if "" in location.segments:
-        raise Problem(404, f"No parameter is called {name}: none has a part that is empty.")
+        raise Problem(404, f"{name} is not a parameter name: it has an empty segment.")
     return route(location)
 
 
@@ -199,7 +199,7 @@ def _thing_route(factory: ResourceFactory, location: Location) -> RobotThing:
     """The Thing Description of the robot at `/.well-known/wot`; 404 at other locations below `/.well-known/`."""
     space = factory.session.space
     if location.segments != ("wot",) or location.is_container:
-        raise Problem(404, f"It is not among what is well known here: {space.base}.well-known/ lists that.")
+        raise Problem(404, f"There is no such well-known resource: see {space.base}.well-known/.")
     return RobotThing(space, factory.affordances, factory.things)
 
 

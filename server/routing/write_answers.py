@@ -45,7 +45,7 @@ VERBS: Mapping[str, Callable[[Resource, Exchange], Awaitable[Answer]]] = {
 def refuse_partial_put(exchange: Exchange) -> None:
     """Raise a 400 Problem for a PUT of a part (RFC 9110 14.5), which would replace the whole."""
     if exchange.method == "PUT" and exchange.header("content-range") is not None:
-        raise Problem(400, "PUT replaces the whole, and Content-Range sends a part of it: send all, or PATCH.")
+        raise Problem(400, "PUT with Content-Range is not supported: send the whole resource, or PATCH.")
 
 
 def check_media_type(exchange: Exchange, resource: Resource) -> None:
@@ -60,7 +60,7 @@ def check_media_type(exchange: Exchange, resource: Resource) -> None:
     if exchange.media_type not in accepted:
         headers = {ACCEPT_FIELDS[exchange.method]: ", ".join(accepted)}
         raise Problem(
-            415, f"{exchange.method} takes {', '.join(accepted)} here, not {exchange.media_type}.", headers=headers
+            415, f"{exchange.method} accepts {', '.join(accepted)} here, not {exchange.media_type}.", headers=headers
         )
 
 
@@ -155,7 +155,7 @@ def _require(method: str, names: Sequence[str], known: Mapping[str, bool]) -> No
             words = f"{method} has no parameter ?{shown} here; the nearest is ?{nearest}. There are {there}."
             raise Problem(400, words)
         if name in names[:place] and not known[name]:
-            raise Problem(400, f"?{shown} is there more than once, and only one would count: leave out the others.")
+            raise Problem(400, f"?{shown} is given more than once: send it once.")
 
 
 class WriteAnswers:
@@ -269,7 +269,7 @@ class FormAnswers:
             return await self._pages.form_errors(resource, refusal, exchange.permissions)
         if isinstance(answer, Response) and answer.status_code == 202 and form.method != "DELETE":
             return await self._pages.with_notice(
-                resource, "It was published, but no subscriber was there to get it.", exchange.permissions
+                resource, "It was published, but had no subscriber.", exchange.permissions
             )
         back = _back(resource, answer, self._pages.referring_url(exchange), self._pages.space)
         if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):

@@ -63,7 +63,7 @@ class Memory:
             trim()
             left = self._refresh()
         if left is not None and needed > left:
-            sizes = f"{_mebibytes(needed)} of memory, and {_mebibytes(max(0, left))} are left"
+            sizes = f"{_mebibytes(needed)} of memory, but {_mebibytes(max(0, left))} are left"
             raise NotEnoughMemory(f"{what[0].upper()}{what[1:]} may need {sizes}; nothing was done.")
         self._left -= needed
 

@@ -174,6 +174,6 @@ class KeyedLock:
             else:
                 await lock.acquire()  # at once
         except (asyncio.TimeoutError, TimeoutError):
-            sentence = f"An earlier write to {url} is not finished yet; nothing was done."
+            sentence = f"An earlier write to {url} is still in progress; nothing was done."
             raise Problem(503, sentence, headers={"Retry-After": "1"}) from None
         return lock

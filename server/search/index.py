@@ -154,10 +154,10 @@ _Fits: TypeAlias = dict[int, Match]
 def terms_of(query: str) -> tuple[str, ...]:
     """Return the terms of a query. Raises ValueError if there are too many."""
     if len(query) > MAX_CHARACTERS:
-        raise ValueError(f"it has {len(query)} characters, and {MAX_CHARACTERS} are searched for at the most")
+        raise ValueError(f"it has {len(query)} characters, but the limit is {MAX_CHARACTERS}")
     terms = tuple(dict.fromkeys(query.casefold().split()))
     if len(terms) > MAX_WORDS:
-        raise ValueError(f"it has {len(terms)} words, and {MAX_WORDS} are searched for at the most")
+        raise ValueError(f"it has {len(terms)} words, but the limit is {MAX_WORDS}")
     return terms
 
 

@@ -83,7 +83,7 @@ def place_sample(schema: MessageSchema, sample: Sample) -> Drawing:
     """Return the drawing of a sample. Raises CannotDraw, and ValueError for undecodable bytes."""
     kind = _KINDS.get(schema.ref.name)
     if kind is None:
-        raise CannotDraw(f"A {schema.ref.name} is not drawn in space")
+        raise CannotDraw(f"A {schema.ref.name} cannot be drawn in space")
     message = schema.codec.decode(sample.data, sample.encoding)
     try:
         return kind.draw(message)
@@ -147,7 +147,7 @@ def _scan(message: Fields) -> Drawing:
     first, step = float(message.angle_min), float(message.angle_increment)
     nearest, farthest = float(message.range_min), float(message.range_max)
     if not (math.isfinite(first) and math.isfinite(step)):
-        raise CannotDraw("The angles of the scan are no numbers")
+        raise CannotDraw("The angles of the scan are not numbers")
     places = thin(np.flatnonzero(np.isfinite(ranges) & (ranges >= nearest) & (ranges <= farthest)))
     angles, distances = first + step * places, ranges[places]
     points = np.column_stack((distances * np.cos(angles), distances * np.sin(angles), np.zeros(len(places))))

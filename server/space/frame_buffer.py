@@ -34,7 +34,7 @@ _FIRST_CHOICES = ("map", "odom", "world", "earth")
 """Preferred fixed frames of a view (REP 105), the best first."""
 
 
-_ALL_ZERO = "Its quaternion is all zero: it is drawn without a rotation here, and tf2 ignores the transform"
+_ALL_ZERO = "Its quaternion is all zero: it is drawn here without rotation, but tf2 ignores the transform"
 
 
 class NoTransform(LookupError):
@@ -180,9 +180,7 @@ class FrameBuffer:
         for name, transform in self._upwards(target, stamp_ns):
             if name in above:
                 return compose(invert(transform), above[name])
-        raise NoTransform(
-            f"{_quoted(source)} and {_quoted(target)} are frames of different trees, which nothing connects"
-        )
+        raise NoTransform(f"{_quoted(source)} and {_quoted(target)} are in different trees, which are not connected")
 
     def _require(self, name: str) -> None:
         if name in self._histories or any(each.newest.parent == name for each in self._histories.values()):
@@ -264,11 +262,11 @@ def _node(buffer: FrameBuffer, name: str, depth: int, age_ns: Callable[[Sample],
     if name in buffer.problems:
         words.append(buffer.problems[name])
     if depth == 0:
-        words.append(f"It is below itself, by way of {newest.parent}")
+        words.append(f"It is its own ancestor, through {newest.parent}")
     if not newest.is_static and age_ns(newest.source) > OLD_NS:
-        words.append("It moves, and nothing was said of it for 10 s")
+        words.append("It moves, but no transform was received for 10 s")
     if len(parents) > 1:
         words.append(f"It has several parents: {', '.join(parents)}")
     if len(publishers) > 1:
-        words.append("Several nodes say where it is")
+        words.append("Several nodes publish its transform")
     return FrameNode(name, depth, newest, publishers, ". ".join(words))

@@ -110,14 +110,14 @@ def _layout(message: Fields) -> _Layout | None:
     if height <= 0 or width <= 0:
         return None
     if point_step <= 0:
-        raise CannotDraw(f"The points are {point_step} bytes long, so there is nothing to be seen")
+        raise CannotDraw(f"The points are {point_step} bytes long, so there is nothing to show")
     if height == 1:
         row_step = width * point_step  # the only row ends with its points, whatever row_step is
     if row_step < width * point_step:
-        raise CannotDraw(f"Rows of {row_step:,} bytes cannot hold {width:,} points of {point_step:,} bytes")
+        raise CannotDraw(f"Rows of {row_step:,} bytes are too short for {width:,} points of {point_step:,} bytes")
     size = (height - 1) * row_step + width * point_step
     if len(data) < size:
-        raise CannotDraw(f"The cloud has {len(data):,} bytes, and {width:,} by {height:,} points need {size:,}")
+        raise CannotDraw(f"The cloud has {len(data):,} bytes, but {width:,} by {height:,} points need {size:,}")
     fields: dict[str, _Field] = {}
     for each in message.fields[:_MAX_FIELDS]:
         format = _FORMATS.get(int(each.datatype))
@@ -148,7 +148,7 @@ _NAMES = {"<f4": "float", "|u1": "uchar"}
 def draw_cloud(schema: MessageSchema, sample: Sample, most: int) -> bytes:
     """Return the PLY file of at most `most` points of a sample. Raises CannotDraw, ValueError."""
     if schema.ref.name != POINT_CLOUD:
-        raise CannotDraw(f"A {schema.ref.name} is no point cloud")
+        raise CannotDraw(f"A {schema.ref.name} is not a point cloud")
     message = schema.codec.decode(sample.data, sample.encoding)
     try:
         return cloud_ply(read_cloud(message, most))

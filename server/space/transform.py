@@ -37,7 +37,7 @@ def unit_quaternion(x: float, y: float, z: float, w: float) -> Quaternion:
         return IDENTITY.rotation
     length = math.sqrt(x * x + y * y + z * z + w * w)
     if not math.isfinite(length) or length < _SHORTEST:
-        raise NoRotation(f"The quaternion ({x:g}, {y:g}, {z:g}, {w:g}) is no rotation")
+        raise NoRotation(f"The quaternion ({x:g}, {y:g}, {z:g}, {w:g}) is not a rotation")
     return x / length, y / length, z / length, w / length
 
 
@@ -120,7 +120,7 @@ def frame_name(text: object) -> str:
     """Return a frame without its leading slash, which the first tf used. Raises ValueError for an invalid name."""
     name = str(text).removeprefix("/")
     if len(name) > 300:
-        raise ValueError(f"A name of {len(name):,} characters is none of a frame")
+        raise ValueError(f"A frame name cannot have {len(name):,} characters")
     return name.encode("utf-8", "replace").decode()
 
 
@@ -141,7 +141,7 @@ def require_place(*numbers: float) -> None:
     """Raise ValueError if a number is not finite, or too large for a coordinate."""
     for each in numbers:
         if not math.isfinite(each) or abs(each) > MAX_COORDINATE:
-            raise ValueError(f"{each:g} is no coordinate")
+            raise ValueError(f"{each:g} is not a coordinate")
 
 
 def read_pose(pose: Fields) -> Transform:

@@ -177,7 +177,7 @@ def test_what_is_missing_and_what_is_no_field_are_named() -> None:
     }
     found = violations_of(TWO, "<#message> t:a [ i:x 1 ; i:y 2 ; i:z 3 ] ; t:b [ i:x 3 ; i:y 4 ] ; <http://e/p> 5 .")
     assert found.keys() == {"a.z", "http://e/p"}
-    assert f"<{TYPES}made_up/msg/Inner#z> is no field of <{TYPES}made_up/msg/Inner>; it has x, y" == found["a.z"]
+    assert f"<{TYPES}made_up/msg/Inner#z> is not a field of <{TYPES}made_up/msg/Inner>; it has x, y" == found["a.z"]
 
 
 def test_another_type_is_refused() -> None:

@@ -47,12 +47,12 @@ VAIN = {
         "map:service /arm/ame: there is no such service or action (there is /arm/aim)"
     ),
     'map:action [ map:relation ex:a ; map:service "odd" ]': (
-        "map:service /arm/odd: it cannot be offered, for its type is not known"
+        "map:service /arm/odd: it cannot be offered, because its type is not known"
     ),
     'map:action [ map:relation ex:a ; map:service "pick" ]': (
-        "map:service /arm/pick: it cannot be offered, for its type is not known"
+        "map:service /arm/pick: it cannot be offered, because its type is not known"
     ),
-    'map:link [ map:relation ex:l ; map:target "/hand/" ]': "map:target /hand/: no resource is there",
+    'map:link [ map:relation ex:l ; map:target "/hand/" ]': "map:target /hand/: there is no such resource",
     f"map:existsWhen {NO_STATE.format('/arm/gone')}": (
         "map:about /arm/gone: nothing is there, so the condition never holds"
     ),
@@ -138,7 +138,9 @@ def test_a_mapping_to_begin_with_is_told_of_in_the_log(
             f'map:property [ map:predicate ex:p ; map:member "/arm/{member}" ] .'
         )
     serving(mapping=(tmp_path / "right.ttl", tmp_path / "wrong.ttl"))
-    until(lambda: "names in vain" in caplog.text, "the warning")
-    (warning,) = [record.getMessage() for record in caplog.records if "names in vain" in record.getMessage()]
+    until(lambda: "names things that do not exist" in caplog.text, "the warning")
+    (warning,) = [
+        record.getMessage() for record in caplog.records if "names things that do not exist" in record.getMessage()
+    ]
     assert "/mappings/wrong" in warning
     assert "map:member /arm/posse: nothing of this name has a value (there is /arm/pose)" in warning

@@ -189,7 +189,7 @@ def test_a_file_given_at_start_is_in_force_also_in_place_of_that_of_the_robot(tm
 def test_a_bad_file_or_a_second_for_one_path_is_told_at_start_and_nothing_is_served(tmp_path: Path) -> None:
     path = tmp_path / "mine.ttl"
     for text, words in (
-        (SHIPPED.read_text(), ("/mappings/aircraft arranges this path already",)),
+        (SHIPPED.read_text(), ("/mappings/aircraft already defines this path",)),
         (BAD, (str(path), "map:path")),
     ):
         path.write_text(text)

@@ -102,7 +102,7 @@ def test_a_file_passes_as_it_came_unless_another_is_asked_for(camera: Any, servi
 def test_a_message_that_cannot_be_drawn_is_refused_in_words(camera: Any, serving: Any) -> None:
     http = serving()
     for path, status, words in (
-        ("topics/odd?format=png", 406, "encoding is not drawn: there are rgb8"),
+        ("topics/odd?format=png", 406, "encoding is not supported; the supported ones are rgb8"),
         ("topics/short?format=jpeg", 422, "cut off"), ("topics/huge?format=mjpeg", 422, "36,000,000"),
         ("topics/words?format=png", 406, "std_msgs/msg/String: only sensor_msgs/msg/Image"),
         ("topics/silent?format=jpeg", 404, "no message yet"), ("topics/none?format=jpeg", 404, "no topic"),
@@ -113,17 +113,17 @@ def test_a_message_that_cannot_be_drawn_is_refused_in_words(camera: Any, serving
         assert (answer.status_code, words in answer.json()["detail"]) == (status, True), (path, answer.text)
     for path, size in (("topics/wide", "70000 by 1"), ("topics/tall", "2 by 70000")):
         for form in ("jpeg", "mjpeg"):
-            words = f"{size} pixels, and a JPEG at most 65500 a side: ask for image/png"
+            words = f"{size} pixels, but a JPEG has at most 65500 per side: ask for image/png"
             assert words in get(http, f"{path}?format={form}").json()["detail"]
         assert get(http, f"{path}?format=png").status_code == 200
         assert get(http, f"{path}?format=jpeg&width=1").status_code == 200
     for form in ("jpeg", "png", "mjpeg"):
         answer = get(http, f"topics/empty?format={form}")
-        assert (answer.status_code, "nothing to be seen" in answer.text) == (422, True)
+        assert (answer.status_code, "nothing to show" in answer.text) == (422, True)
     assert "image/png" in get(http, accept="image/webp").json()["detail"]
     assert get(http, "topics/words", "image/png").status_code == 406
     page = get(http, "topics/odd", BROWSER).text
-    assert "Images of the encoding yuv420 are not drawn." in page
+    assert "Images of the encoding yuv420 cannot be shown." in page
     assert '<img src="?format=jpeg' not in page
 
 

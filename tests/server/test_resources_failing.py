@@ -67,7 +67,7 @@ def failing(http: httpx.Client, *words: str) -> None:
 def test_a_getter_that_hangs_is_waited_for_until_the_deadline(arm: MadeUp, serving: Serving) -> None:
     arm.hold("/arm/get_grip")
     http = serving(read_deadline=0.2, freshness=60)
-    failing(http, "/arm/get_grip has not answered within 0.2 s")
+    failing(http, "/arm/get_grip did not respond within 0.2 s")
     assert arm.calls == {"/arm/get_grip": 1, "/arm/get_label": 1}
     arm.release("/arm/get_grip")
     assert value(http, "/resources/arm/") == {"grip": 1, "label": "red"}
@@ -76,7 +76,7 @@ def test_a_getter_that_hangs_is_waited_for_until_the_deadline(arm: MadeUp, servi
 def test_a_call_that_hangs_for_ever_is_given_up(arm: MadeUp, serving: Serving) -> None:
     arm.hold("/arm/get_grip")
     http = serving(read_deadline=2, call_deadline=0.2, freshness=60)
-    failing(http, "/arm/get_grip has not answered within 0.2 s")
+    failing(http, "/arm/get_grip did not respond within 0.2 s")
     arm.release("/arm/get_grip")
     assert value(http, "/resources/arm/grip") is None  # its failure is as fresh as a value would be
     assert http.put("/resources/arm/grip", json=5).status_code == 204
@@ -137,7 +137,7 @@ def test_a_parameter_that_has_gone_is_told(robot: MadeUp, serving: Serving) -> N
     http = serving(freshness=0)
     robot.lose_parameter("/arm/name")
     assert value(http, "/resources/arm/") == {"name": None, "size": 3}
-    assert "there is no parameter /arm/name any more" in unreadable(http, "/resources/arm/", "/arm/name")
+    assert "the parameter /arm/name no longer exists" in unreadable(http, "/resources/arm/", "/arm/name")
 
 
 def test_a_setter_that_hangs_is_504_and_holds_up_no_reader(arm: MadeUp, serving: Serving) -> None:

@@ -160,8 +160,8 @@ def test_frames_of_two_trees_of_a_loop_and_without_a_rotation_have_words() -> No
         problems = {name: each["problem"] for name, each in frames.items()}
         page = http.get("/frames", headers={"Accept": "text/html"}).text
     assert problems["base"] == ""
-    assert "below itself" in problems["one"] + problems["two"]
-    assert "is no rotation" in problems["arm"]
+    assert "its own ancestor" in problems["one"] + problems["two"]
+    assert "is not a rotation" in problems["arm"]
     assert problems["unset"].startswith("Its quaternion is all zero")
     assert frames["unset"]["pose"] == [0, 0, 0, 0, 0, 0, 1]
     assert "2 trees that nothing connects" in page

@@ -61,7 +61,7 @@ def test_a_repeated_parameter_is_refused_unless_it_is_a_list(robot: MadeUp, serv
     robot.topic("/drive", "geometry_msgs/msg/Twist", published=False, heard=True)
     http = serving()
     answer = http.post("/topics/drive?lease=1&lease=5", json={})
-    assert (answer.status_code, "?lease is there more than once" in answer.text) == (400, True)
+    assert (answer.status_code, "?lease is given more than once" in answer.text) == (400, True)
     several = "using-graph-uri=urn:a&using-graph-uri=urn:b"
     update = {
         "content": "DELETE { GRAPH </data/x> { ?s <urn:p> 1 } } WHERE { ?s <urn:p> 1 }",

@@ -69,7 +69,7 @@ class WorkerPool:
         if data is None:  # such as rights that depend on types, which only this process knows
             return await asyncio.to_thread(work)
         if self._waiting >= MAX_QUEUED:
-            words = f"Too many large {self._subject}s are being worked on: try again."
+            words = f"Too many large {self._subject}s are being processed: try again."
             raise Problem(503, words, headers={"Retry-After": "5"})
         self._waiting += 1
         try:
@@ -107,7 +107,7 @@ class WorkerPool:
         if outcome is Outcome.VALUE:
             return value
         if isinstance(value, MemoryError):
-            words = f"This {self._subject} needs more memory than there is for one: split it into several."
+            words = f"This {self._subject} needs too much memory: split it into several."
             raise Problem(507, words) from value
         if isinstance(value, Exception):
             raise value
@@ -115,7 +115,7 @@ class WorkerPool:
         raise RuntimeError("a worker process failed")
 
     def _too_much(self, seconds: float) -> Problem:
-        words = f"This {self._subject} takes more than {seconds:g} s to be worked on, or more memory than there is"
+        words = f"This {self._subject} takes more than {seconds:g} s to process, or too much memory"
         return Problem(503, f"{words}: split it into several.", headers={"Retry-After": "60"})
 
     async def _worker(self, *, anew: bool) -> _Worker:

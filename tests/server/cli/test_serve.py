@@ -113,7 +113,7 @@ def test_a_ros_1_robot_that_is_off_is_waited_for_which_is_said_everywhere(tmp_pa
         assert robot["reason"] in logged
         for path in ("", "status"):
             assert robot["reason"] in httpx.get(url + path, headers={"Accept": "text/turtle"}).text
-        assert "The robot cannot be seen" in httpx.get(url, headers={"Accept": "text/html"}).text
+        assert "The robot cannot be reached" in httpx.get(url, headers={"Accept": "text/html"}).text
     for command in (["types", source], ["record", source, "-o", str(tmp_path / "x.mcap")]):
         done = CliRunner().invoke(main, command)  # requests that do not wait for a robot end
         assert (done.exit_code, host in done.stderr, done.stderr.count("\n")) == (1, True, 1), done.stderr

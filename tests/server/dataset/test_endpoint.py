@@ -137,7 +137,7 @@ def test_redirects_are_not_followed(failing: Start) -> None:
         return server.answer(connection, "307 Elsewhere", b"", "text/plain", f"Location: {other.url}")
 
     other = failing(answering)
-    with pytest.raises(StoreRefused, match="redirects, and nothing is sent elsewhere"):
+    with pytest.raises(StoreRefused, match="redirects, which is not followed"):
         post(failing(redirecting).url)
     assert other.bodies == []
 

@@ -64,7 +64,7 @@ def test_a_goal_or_call_says_first_what_has_become_of_it(rover: httpx.Client, ow
         until(lambda url=url, status=status: rover.get(url, headers=JSON).json()["status"] == status, "the end")
         assert re.search(words, rover.get(url, headers=HTML).text)
     lights = rover.post("/services/set_lights", json={"data": True}).headers["location"]
-    good = r'<div class="notice good"[^>]*>\s*<p><bdi>The service has answered'
+    good = r'<div class="notice good"[^>]*>\s*<p><bdi>The service has responded'
     assert re.search(good, rover.get(lights, headers=HTML).text)
     faster = own_aircraft.post("/services/aircraft/engine/set_speed", json={"data": 100.0}).headers["location"]
     assert re.search(f"{error}The call has failed: ", own_aircraft.get(faster, headers=HTML).text)

@@ -224,8 +224,8 @@ def test_a_text_that_is_no_value_is_refused_by_its_path() -> None:
         ("std_msgs/msg/Float64", "1e999", "too large"),
         ("std_msgs/msg/Float64", "1_0", "must be a number"),
         ("std_msgs/msg/Float64", "9" * 5000, "must be a number"),
-        ("std_msgs/msg/Int32", "1.5", "whole number"),
-        ("std_msgs/msg/Int32", "9" * 5000, "whole number"),
+        ("std_msgs/msg/Int32", "1.5", "integer"),
+        ("std_msgs/msg/Int32", "9" * 5000, "integer"),
         ("std_msgs/msg/Bool", "maybe", "true or false"),
     ):
         (found,) = violations_of(schema(name), [("data", text)])
@@ -241,8 +241,8 @@ def test_missing_unknown_and_repeated_fields_are_refused_together() -> None:
     said = {(each.path, each.message) for each in violations_of(schema("geometry_msgs/msg/Twist"), pairs)}
     assert ("linear.x", "is given twice") in said
     assert ("linear.y", "is missing") in said
-    assert ("linear.q", "is no field of geometry_msgs/msg/Twist") in said
-    assert ("__proto__", "is no field of geometry_msgs/msg/Twist") in said
+    assert ("linear.q", "is not a field of geometry_msgs/msg/Twist") in said
+    assert ("__proto__", "is not a field of geometry_msgs/msg/Twist") in said
 
 
 def test_headers_and_covariances_are_folded_unless_they_do_not_fit_and_sent_all_the_same() -> None:
@@ -393,13 +393,13 @@ def test_a_value_that_is_none_is_refused() -> None:
     refused: tuple[tuple[ValueShape, list[tuple[str, str]], str], ...] = (
         (ScalarShape(Primitive("float64")), [], "is missing"),
         (ScalarShape(Primitive("float64")), [("value", "")], "is empty"),
-        (ScalarShape(Primitive("int8")), [("value", "1.5")], "whole number"),
+        (ScalarShape(Primitive("int8")), [("value", "1.5")], "integer"),
         (ScalarShape(Primitive("bool")), [("value", "maybe")], "true or false"),
         (ScalarShape(Primitive("string")), [("value", "a"), ("value", "b")], "given twice"),
-        (ScalarShape(Primitive("string")), [("value", "a"), ("data", "b")], "no field of this form"),
+        (ScalarShape(Primitive("string")), [("value", "a"), ("data", "b")], "not a field of this form"),
         (OpenShape(Bounds(choices=CHOICES)), [("value", "off")], "must be one of on, 2, 0.5, true"),
         (OpenShape(), [("type", "number"), ("value", "many")], "must be a number"),
-        (MessageShape(twist, twist.type.fields[:1]), [("angular.x", "1")], "is no field of"),
+        (MessageShape(twist, twist.type.fields[:1]), [("angular.x", "1")], "is not a field of"),
     )
     for shape, pairs, words in refused:
         with pytest.raises(LoweringError) as refusal:

@@ -318,7 +318,7 @@ class TestExtended:
     def test_a_template_that_makes_no_sense_is_refused_with_the_reason(self) -> None:
         reasons = {
             "exactly once": ("get", "", "{name}_{name}", "{name}/{Name}", "{NAME}"),
-            "fits every service": ("{name}", "{Name}"),
+            "matches every service": ("{name}", "{Name}"),
             "braces": ("get_{name}{x}", "get_{{name}"),
             "slash": ("/get_{name}", "{name}/", "a//{name}"),
         }

@@ -145,8 +145,8 @@ def test_the_first_writer_that_may_write_now_does() -> None:
 def test_why_nothing_writes_is_told_of_every_writer() -> None:
     told = reason_of(robot(Graph(1))[0], writable())
     assert told == (
-        "There is no service /robot/set_x any more. There is no parameter /robot/x any more. "
-        "There is no topic /robot/x any more."
+        "The service /robot/set_x no longer exists. The parameter /robot/x no longer exists. "
+        "The topic /robot/x no longer exists."
     )
     uncallable = {"/robot/set_x": Service("/robot/set_x", SET.ref, (), "its definition is not known")}
     nothing = robot(dataclasses.replace(WHOLE_GRAPH, services=uncallable), ())[0]
@@ -158,9 +158,7 @@ def test_why_nothing_writes_is_told_of_every_writer() -> None:
     with pytest.raises(Problem) as caught:
         plan_write(robot(Graph(1))[0], writable(), 1)
     assert (caught.value.status, "/robot/set_x" in caught.value.detail) == (405, True)
-    assert reason_of(robot()[0], Property(X, OpenShape())) == (
-        "/robot/x has no setter, no parameter and no topic that could be written."
-    )
+    assert reason_of(robot()[0], Property(X, OpenShape())) == ("/robot/x has no writable setter, parameter or topic.")
 
 
 def test_the_answer_of_a_setter_is_the_outcome_of_the_write() -> None:

@@ -139,10 +139,10 @@ def test_every_encoding_that_is_drawn_is_compared_here() -> None:
 def test_what_is_no_picture_is_refused_in_words() -> None:
     good = image("rgb8", random("u1", (4, 6, 3), 1))
     for changes, words in (
-        ({"encoding": "8UC2"}, "encoding is not drawn: there are rgb8, bgr8"),
-        ({"step": 17}, "a row of 6 pixels of rgb8 takes 18 bytes, and step is 17"),
-        ({"height": 5}, "cut off: it takes 90 bytes, and data has 72"),
-        ({"width": 0}, "0 by 4 pixels, so there is nothing to be seen"),
+        ({"encoding": "8UC2"}, "encoding is not supported; the supported ones are rgb8, bgr8"),
+        ({"step": 17}, "a row of 6 pixels of rgb8 takes 18 bytes, but step is 17"),
+        ({"height": 5}, "truncated: it needs 90 bytes, but data has 72"),
+        ({"width": 0}, "0 by 4 pixels, so there is nothing to show"),
         ({"width": 2**31, "height": 2**31}, f"at most {MAX_PIXELS:,} are drawn"),
         ({"step": 2**31}, "cut off"),
         ({"encoding": "nv21", "width": 5, "step": 5, "height": 3}, "nv21 has colours for squares"),
@@ -210,12 +210,12 @@ HUGE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">II", 60000, 60000) + b"\
 
 def test_files_that_cannot_be_read_are_refused() -> None:
     for format, data, words in (
-        ("jpeg", b"\xff\xd8\xff and then nothing", "no JPEG or PNG file that can be read"),
+        ("jpeg", b"\xff\xd8\xff and then nothing", "not a readable JPEG or PNG file"),
         ("png", b"GIF89a" + bytes(40), "no JPEG or PNG file"),
         ("png", png(np.zeros((9, 9), "u1"))[:-30], "cannot be read"),
         ("png", HUGE, "PNG file|pixels"),
         ("16UC1; compressedDepth rvl", bytes(40), "compressedDepth png"),
-        ("16UC1; compressedDepth", bytes(12) + png(np.zeros((3, 3, 3), "u1")), "colours, so no distances"),
+        ("16UC1; compressedDepth", bytes(12) + png(np.zeros((3, 3, 3), "u1")), "colours instead of distances"),
     ):
         with pytest.raises(CannotDraw, match=words):
             draw_compressed(format, data, SHOWN)

@@ -57,11 +57,11 @@ def test_an_ellipse_has_the_axes_of_the_covariance() -> None:
 
 def test_a_message_without_a_place_is_refused_in_words() -> None:
     refused: tuple[tuple[str, dict[str, Any], str], ...] = (
-        ("geometry_msgs/msg/PoseStamped", {"pose": {"orientation": {"w": "NaN"}}}, "is no rotation"),
-        ("geometry_msgs/msg/PointStamped", {"point": {"x": "NaN"}}, "nan is no coordinate"),
+        ("geometry_msgs/msg/PoseStamped", {"pose": {"orientation": {"w": "NaN"}}}, "is not a rotation"),
+        ("geometry_msgs/msg/PointStamped", {"point": {"x": "NaN"}}, "nan is not a coordinate"),
         ("nav_msgs/msg/OccupancyGrid", {"info": {"resolution": 0.0}}, "cells of the grid are 0 m wide"),
-        ("sensor_msgs/msg/LaserScan", {**SCAN, "angle_increment": "NaN", "ranges": [1.0]}, "are no numbers"),
-        ("std_msgs/msg/String", {}, "is not drawn in space"),
+        ("sensor_msgs/msg/LaserScan", {**SCAN, "angle_increment": "NaN", "ranges": [1.0]}, "are not numbers"),
+        ("std_msgs/msg/String", {}, "cannot be drawn in space"),
     )
     for type_name, value, words in refused:
         with pytest.raises(CannotDraw, match=words):

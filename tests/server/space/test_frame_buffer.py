@@ -117,8 +117,8 @@ def test_what_is_no_tree_and_what_is_no_transform_is_said() -> None:
         ("map", "", 1, (0, 0, 0), UPRIGHT),
     )
     buffer.add(SimpleNamespace(transforms=[SimpleNamespace()]), SAMPLE, is_static=False)  # type: ignore[arg-type]
-    assert "is no rotation" in buffer.problems["base"]
-    assert buffer.problems["odom"] == "nan is no coordinate"
+    assert "is not a rotation" in buffer.problems["base"]
+    assert buffer.problems["odom"] == "nan is not a coordinate"
     assert "its own parent" in buffer.problems["self"]
     with pytest.raises(NoTransform, match=r"There is no frame called base: The quaternion \(0, 0, 0, nan\)"):
         buffer.look_up("arm", "base")

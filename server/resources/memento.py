@@ -208,7 +208,7 @@ def time_map_of(
     """
     text = exchange.query.get("start", "0")
     if not (text.isascii() and text.isdecimal() and len(text) < 19):
-        raise Problem(400, f"?start={text[:20]} is no number of a message.")
+        raise Problem(400, f"?start={text[:20]} is not a message number.")
     start = int(text)
 
     async def page() -> tuple[Sequence[int], str | None]:

@@ -165,7 +165,7 @@ def test_what_is_no_cockpit_is_refused_by_its_shape(rover: httpx.Client) -> None
     for turtle, words in (
         (f'{panel} "topics/odom" .', "#a ros:shows"),
         (f"{panel} <b> ; ros:gridWidth 13 .", "1 to 12"),
-        ("<> dcterms:title 'nothing' .", "no cockpit"),
+        ("<> dcterms:title 'nothing' .", "describe a cockpit"),
         ("<> a ros:Cockpit ; ros:hasPanel " + ", ".join(f"<#{n}>" for n in range(10_000)) + " .", "60 panels"),
     ):
         answer = put(rover, "refused", turtle)

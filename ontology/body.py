@@ -128,7 +128,7 @@ def parse_dataset(data: bytes, media_type: str, base: str) -> dict[str, list[Tri
     graphs: dict[str, list[Triple]] = {}
     for quad in parse_quads(data, media_type, base):
         if not isinstance(quad.graph_name, NamedNode):
-            raise BodyError(f"{quad.triple} stands in no graph that has an IRI: name the graph that is to say it")
+            raise BodyError(f"{quad.triple} is not in a graph with an IRI: name its graph")
         graphs.setdefault(quad.graph_name.value, []).append(quad.triple)
     return graphs
 
@@ -183,13 +183,13 @@ def _own_graphs(base: str) -> tuple[DefaultGraph | NamedNode, ...]:
 
 
 def _strange(graph: object) -> BodyError:
-    return BodyError(f"the graph {graph} is none of this resource: put it under a URL of its own")
+    return BodyError(f"the graph {graph} does not belong to this resource: PUT it to its own URL")
 
 
 def _form(media_type: str) -> RdfFormat:
     form = _FORMATS.get(media_type)
     if form is None:
-        raise ValueError(f"{media_type} is none of the RDF syntaxes read here: {', '.join(MEDIA_TYPES)}")
+        raise ValueError(f"{media_type} is not a supported RDF syntax: {', '.join(MEDIA_TYPES)}")
     return form
 
 
@@ -342,8 +342,7 @@ def _check_contexts(data: bytes, base: str) -> None:
     for context in _contexts(data) if b"context" in data or b"import" in data or b"\\" in data else ():
         if isinstance(context, str):
             raise BodyError(
-                f"the JSON-LD context {context} would have to be fetched, and nothing is fetched here: put the context "
-                "itself in its place"
+                f"the JSON-LD context {context} is not known, and contexts are not fetched: include the context itself"
             )
         text = orjson.dumps(context)
         if text not in seen:
@@ -427,7 +426,7 @@ def _check_xml(data: bytes) -> None:
         elif kind == "close":
             depth = max(0, depth - 1)
         elif kind == "declaration":
-            raise error_at(data, token.start(), "RDF/XML with a DOCTYPE is not read here: leave the declaration out")
+            raise error_at(data, token.start(), "RDF/XML with a DOCTYPE is not supported: omit the declaration")
         elif kind in ("broken", "tag"):
             raise error_at(data, token.start(), f"what begins here with {token[0].decode()} does not end")
 
@@ -459,7 +458,7 @@ def _once(pairs: list[tuple[str, object]]) -> dict[str, object]:
     if len(members) < len(pairs):
         seen: set[str] = set()
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise BodyError(f"the key {twice!r} is there twice in one object")
+        raise BodyError(f"the key {twice!r} occurs twice in one object")
     return members
 
 

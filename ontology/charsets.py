@@ -27,7 +27,7 @@ class UnknownCharset(ValueError):
     """An unsupported character encoding."""
 
     def __init__(self, name: str) -> None:
-        super().__init__(f"the charset {name[:100]!r} is not known here; there are {', '.join(CHARSETS)}")
+        super().__init__(f"unknown charset {name[:100]!r}; choose from {', '.join(CHARSETS)}")
 
 
 def codec_of(charset: str) -> str:
@@ -60,7 +60,7 @@ def decode_xml(data: bytes) -> bytes:
             return data
         found = codec_of((declared[2] or declared[3] or b"").decode("latin-1"))
         if found.startswith(_UTF_16):
-            raise ValueError("the document declares UTF-16 and has one byte a character")
+            raise ValueError("the document declares UTF-16 but has one byte per character")
     return strip_encoding_declaration(decode(data, found)).encode()
 
 

@@ -291,5 +291,5 @@ def _nested_type(field: Field) -> str | None:
 def _attribute(field: Field) -> str:
     """Return the attribute of a field after checking that it is an identifier: it becomes source code."""
     if not (_ATTRIBUTE.fullmatch(field.attribute) and _ATTRIBUTE.fullmatch(field.name)):
-        raise ValueError(f"{field.name!r} is no name of a ROS field")
+        raise ValueError(f"{field.name!r} is not a ROS field name")
     return field.attribute

@@ -37,15 +37,15 @@ HOLD = (
 )
 """Explanation of holding a topic."""
 MEANINGS = {
-    "rate": "How many times a second the message is published.",
-    "lease": "The seconds that the hold goes on unrenewed.",
-    "for": "Instead of a lease: the seconds after which the hold ends of itself.",
+    "rate": "How many times per second the message is published.",
+    "lease": "The seconds that the hold lasts without renewal.",
+    "for": "Instead of a lease: the seconds after which the hold ends automatically.",
     "then": "What is published when the hold ends: zero, none, or the URL of a message.",
 }
 _SETTINGS = LiftSettings()
 PARAMETERS = "{?rate,lease,for,then}"
 """The parameters of a hold, as in a URI template (RFC 6570)."""
-CONFIRM = "The id of the stop, which its page shows: needed of those who have not said who they are."
+CONFIRM = "The id of the stop, which its page shows: required from unauthenticated clients."
 CONFIRM_PARAMETER = "{?confirm}"
 """The parameter of a release, as in a URI template."""
 

@@ -59,7 +59,7 @@ def number_type(schema: MessageSchema, path: str) -> Primitive | Array:
     kind = type_at(schema, path)
     element = kind.element if isinstance(kind, Array) else kind
     if isinstance(element, Nested) or element.name in STRINGS:
-        raise ValueError(f"{path!r} of {schema.ref.name} is no number")
+        raise ValueError(f"{path!r} of {schema.ref.name} is not a number")
     assert not isinstance(kind, Nested)
     return kind
 

@@ -109,7 +109,7 @@ def _utf8(value: str) -> str:
     try:
         value.encode()
     except UnicodeEncodeError as error:
-        raise Misfit("expected a string of Unicode characters, and half a surrogate pair is none", value) from error
+        raise Misfit("expected a string of Unicode characters, without lone surrogates", value) from error
     return value
 
 
@@ -122,7 +122,7 @@ def _raw(value: object) -> str:
 def unexpected_value(kind: FieldType, value: object) -> Misfit:
     """Return the misfit of a value of the wrong kind, which mentions if it was elided."""
     if isinstance(value, dict) and value.get("elided") is True:
-        return Misfit("this was left out where it was read (elided): fetch it and send it whole", value)
+        return Misfit("this was elided when it was read: fetch it and send all of it", value)
     return Misfit(f"expected {describe_kind(kind)}", value)
 
 

@@ -138,7 +138,7 @@ def _elements(kind: Array, head: Term, reading: GraphReading) -> list[Term]:
 
 def _no_list(kind: Array | Primitive, term: Term, reading: GraphReading) -> Misfit:
     if ros.Elided in reading.body.objects(term, rdf.type):
-        return Misfit("this was left out where it was read (ros:Elided): fetch its ros:bytes and send it whole", term)
+        return Misfit("this was elided when it was read (ros:Elided): fetch its ros:bytes and send all of it", term)
     return _unexpected(kind, term)
 
 
@@ -286,7 +286,7 @@ def _unknown(iri: str, fields: tuple[Field, ...], predicate: NamedNode, path: Pa
     """Add a violation for a predicate that is no field."""
     has = ", ".join(field.name for field in fields) or "none"
     step = predicate.value.removeprefix(iri + "#")
-    findings.add((path, step), f"{predicate} is no field of <{iri}>; it has {has}")
+    findings.add((path, step), f"{predicate} is not a field of <{iri}>; it has {has}")
 
 
 def _complete(

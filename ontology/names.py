@@ -124,7 +124,7 @@ def type_names(names: Iterable[str], types: str) -> Mapping[str, TypeName]:
 def _type_name(name: str, types: str) -> TypeName:
     match = _NAME.fullmatch(name)
     if match is None:
-        raise ValueError(f"{name!r} is no name of a ROS type: it should look like geometry_msgs/msg/Twist")
+        raise ValueError(f"{name!r} is not a ROS type name: it must look like geometry_msgs/msg/Twist")
     package, kind, short = match.groups()
     qualified = package if kind == "msg" and package not in PREFIXES else f"{package}-{kind}"
     prefix = _CAPITALS.sub(lambda capitals: capitals[0].lower(), short, count=1) if short[0].isupper() else short

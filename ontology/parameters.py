@@ -234,7 +234,7 @@ def lower_term(term: Term, path: str = "") -> ParameterValue:
     if not isinstance(term, Literal):
         raise _error(path, "expected a literal as ros:value", str(term))
     if term.language is not None:
-        raise _error(path, "ROS has no languages: leave the language tag away", term.value)
+        raise _error(path, "ROS has no languages: omit the language tag", term.value)
     try:
         if term.datatype == rdf.JSON:
             value = lower_json(parse_json(term.value.encode()))
@@ -322,7 +322,7 @@ def _members(items: Iterable[tuple[object, object]], path: str, depth: int) -> d
 def _text(value: str, path: str) -> str:
     """Return a string of JSON, which may contain escapes of invalid characters."""
     if any("\ud800" <= character <= "\udfff" for character in value):
-        raise _error(path, "expected a string of Unicode characters, and half a surrogate pair is none", ascii(value))
+        raise _error(path, "expected a string of Unicode characters, without lone surrogates", ascii(value))
     return value
 
 

@@ -97,7 +97,7 @@ def _attributes(literal: Literal) -> str:
 def _text(value: str) -> str:
     """Return character data. A carriage return is a reference, as readers convert the character (XML 2.11)."""
     if found := _NO_CHARACTER.search(value):
-        raise CannotCarry(f"XML cannot hold the character U+{ord(found[0]):04X} of {value[:60]!r}; ask for Turtle")
+        raise CannotCarry(f"XML cannot contain the character U+{ord(found[0]):04X} of {value[:60]!r}; ask for Turtle")
     return value.translate(_IN_TEXT)
 
 

@@ -56,4 +56,4 @@ class Syntax(Enum):
             if syntax.media_type == media_type:
                 return syntax
         known = ", ".join(syntax.media_type for syntax in cls)
-        raise ValueError(f"{media_type!r} is no RDF syntax rosld writes; those are {known}")
+        raise ValueError(f"{media_type!r} is not a supported RDF syntax; choose from {known}")

@@ -31,7 +31,7 @@ def encode_segment(segment: str) -> str:
     try:
         return quote(text, safe="")
     except UnicodeEncodeError as error:
-        raise ValueError(f"{segment!r} holds a lone surrogate, which no URL can carry") from error
+        raise ValueError(f"{segment!r} contains a lone surrogate, which URLs cannot contain") from error
 
 
 def decode_segment(raw: str) -> str:
@@ -72,7 +72,9 @@ class Location(NamedTuple):
         """
         for segment in self.segments:
             if "/" in segment:
-                raise ValueError(f"the segment {segment!r} holds a slash: give each part of a ROS name its own segment")
+                raise ValueError(
+                    f"the segment {segment!r} contains a slash: write each part of a ROS name as its own segment"
+                )
         return names.join(self.segments)
 
 
@@ -140,7 +142,7 @@ class Space(Struct, frozen=True):
 
     def _leaf_url(self, kind: str, name: str) -> str:
         if not name.startswith("/"):
-            raise ValueError(f"{name!r} is no global ROS name: it must begin with '/'")
+            raise ValueError(f"{name!r} is not a global ROS name: it must begin with '/'")
         # Not names.segments: as a leaf, "/" is one empty segment, so that it never shares the URL of the container.
         return self.url(kind, tuple(name[1:].split("/")))
 

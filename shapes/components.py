@@ -59,7 +59,7 @@ def compile_pattern(text: str, flags: str = "") -> SafePattern:
         regex = re2.compile((f"(?{flags})" if flags else "").encode() + text.encode("utf-8", "surrogatepass"), options)
     except re2.error as error:
         words = error.args[0].decode("utf-8", "replace") if isinstance(error.args[0], bytes) else str(error)
-        raise ValueError(f"the pattern {text[:200]!r} is no regular expression of RE2: {words}") from error
+        raise ValueError(f"the pattern {text[:200]!r} is not a regular expression of RE2: {words}") from error
     return SafePattern(text, regex.search, _STEPS // max(1, regex.programsize))
 
 
@@ -227,7 +227,7 @@ def _datatype(parameter: NamedNode, value: Term, source: ShapeSource) -> Constra
 
 def _node_kind(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
     if value not in _KINDS or not isinstance(value, NamedNode):
-        raise ParameterFault(f"is {value}, which is no kind of node: sh:IRI, sh:Literal, sh:BlankNode, ...")
+        raise ParameterFault(f"is {value}, which is not a node kind: sh:IRI, sh:Literal, sh:BlankNode, ...")
     kinds = _KINDS[value]
     return Constraint(parameter, value, _KIND_WORDS[value], lambda value, _: isinstance(value, kinds))
 

@@ -238,13 +238,13 @@ def test_two_types_of_one_short_name_have_prefixes_of_their_own() -> None:
 def test_a_name_that_is_none_never_reaches_the_compiler(attribute: str) -> None:
     schema = schema_of("int8 v")
     name = f"a/msg/{attribute}"
-    with pytest.raises(ValueError, match="no name of a ROS type"):
+    with pytest.raises(ValueError, match="not a ROS type name"):
         lifter(
             replace(schema, ref=replace(schema.ref, name=name), types=MappingProxyType({name: MessageType(name, ())}))
         )
     field = Field(attribute, Primitive("int8"), attribute)
     types = MappingProxyType({schema.ref.name: MessageType(schema.ref.name, (field,))})
-    with pytest.raises(ValueError, match="no name of a ROS field"):
+    with pytest.raises(ValueError, match="not a ROS field name"):
         lifter(replace(schema, types=types)).ntriples(cast(Message, None), D, "#message")
 
 

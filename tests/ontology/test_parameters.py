@@ -123,7 +123,7 @@ def test_what_a_person_would_write_is_understood(turtle: str, value: ParameterVa
         ("<> ros:name 'x' .", "expected an ros:value"),
         ("<> ros:value 1, 2 .", "expected one ros:value, not 2"),
         ("<> ros:value <x> .", "expected a literal"),
-        ("<> ros:value 'x'@en .", "leave the language tag away"),
+        ("<> ros:value 'x'@en .", "omit the language tag"),
         ('<> ros:value "x"^^xsd:integer .', "no xsd:integer"),
         ('<> ros:value "300"^^xsd:byte .', "no xsd:byte"),
         ('<> ros:value "A"^^xsd:base64Binary .', "xsd:base64Binary"),

@@ -309,7 +309,7 @@ def test_media_types_extensions_and_labels_are_unique_and_known() -> None:
     for attribute in ("media_type", "extension", "label"):
         assert len({getattr(syntax, attribute) for syntax in Syntax}) == len(Syntax)
     assert serialize(POSE, "text/turtle") == serialize(POSE, Syntax.TURTLE)
-    with pytest.raises(ValueError, match="'text/html' is no RDF syntax"):
+    with pytest.raises(ValueError, match="'text/html' is not a supported RDF syntax"):
         serialize(POSE, "text/html")
 
 

@@ -98,7 +98,7 @@ def test_a_ros_2_parameter_is_one_segment_below_its_node() -> None:
         *((f"/topics/{each}", "malformed percent-escape '%.*%25") for each in ("a%", "a%2", "a%zz", "%GG")),
         *((f"/topics/{each}", "not percent-encoded UTF-8") for each in ("%FF", "%C3", "%ED%A0%80")),
         *((f"/topics/{each}", "write '~") for each in ("/a", "./a", "%2E%2e/a", "a//")),
-        ("/topics/a%2Fb", "holds a slash"),
+        ("/topics/a%2Fb", "contains a slash"),
         (b"/topics/\xff", "not UTF-8"),
     ],
 )

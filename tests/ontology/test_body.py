@@ -162,8 +162,8 @@ def test_json_keeps_every_integer_exact() -> None:
     [
         (b'{"a": NaN}', 'write the string "NaN"'),
         (b"[-Infinity]", 'write the string "-INF"'),
-        (b'{"a": 1, "a": 2}', "the key 'a' is there twice"),
-        (b'{"a": {"b": 1, "b": 1}}', "the key 'b' is there twice"),
+        (b'{"a": 1, "a": 2}', "the key 'a' occurs twice"),
+        (b'{"a": {"b": 1, "b": 1}}', "the key 'b' occurs twice"),
         (b'{"a": ', "line 1, column 7"),
         (b"", "line 1, column 1"),
         (b"{}{}", "Extra data"),

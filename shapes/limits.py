@@ -217,7 +217,7 @@ def _class(name: str, target: Term, shape: NodeShape, space: Space) -> str:
     iri = target.value if isinstance(target, NamedNode) else str(target)
     if not iri.startswith(space.types) or not _TYPE_NAME.fullmatch(iri[len(space.types) :]):
         raise ValueError(
-            f"{name} limits the class <{iri}>, which is no message type: it should look like "
+            f"{name} limits the class <{iri}>, which is not a message type: it should look like "
             f"<{space.types}geometry_msgs/msg/Twist>"
         )
     for path in shape.paths or ():

@@ -148,14 +148,14 @@ def test_a_setter_that_hangs_is_504_and_holds_up_no_reader(arm: MadeUp, serving:
         arm.until(lambda: arm.calls["/arm/set_grip"])
         assert value(http, "/resources/arm/") == {"grip": 1, "label": "red"}
         answer = late.result()
-    assert "/arm/set_grip has not answered" in detail(answer, 504)
+    assert "/arm/set_grip did not respond" in detail(answer, 504)
     arm.release("/arm/set_grip")
     assert http.put("/resources/arm/grip", json=2).status_code == 204
     assert value(http, "/resources/arm/grip") == 2
 
 
 WHY = {
-    "hangs": "has not answered",
+    "hangs": "did not respond",
     "refuses": "/door/get_lock refused",
     "has died": "cannot be read",
     "is not there": "is not there",

@@ -50,7 +50,7 @@ def test_a_choice_is_a_select_in_which_a_value_that_is_no_choice_is_never_chosen
 def test_what_cannot_be_read_says_why_and_only_single_scalars_are_set_in_place(pages: Mapping[str, bytes]) -> None:
     body = pages["unmapped"].decode()
     for source in ("get_battery", "distance"):
-        assert re.search(rf'cannot be read</span> <bdi class="why">/turtle1/{source} has not answered', body)
+        assert re.search(rf'cannot be read</span> <bdi class="why">/turtle1/{source} did not respond', body)
     assert "can only be written" in body
     assert "Leonardo" in body
     posted = forms(body)

@@ -211,7 +211,7 @@ HUGE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">II", 60000, 60000) + b"\
 def test_files_that_cannot_be_read_are_refused() -> None:
     for format, data, words in (
         ("jpeg", b"\xff\xd8\xff and then nothing", "not a readable JPEG or PNG file"),
-        ("png", b"GIF89a" + bytes(40), "no JPEG or PNG file"),
+        ("png", b"GIF89a" + bytes(40), "not a readable JPEG or PNG file"),
         ("png", png(np.zeros((9, 9), "u1"))[:-30], "cannot be read"),
         ("png", HUGE, "PNG file|pixels"),
         ("16UC1; compressedDepth rvl", bytes(40), "compressedDepth png"),

@@ -268,7 +268,7 @@ def test_deletions_go_and_insertions_come_or_nothing_is_done(
     if gone <= there:
         assert set(apply_patch(found, triples(_text(before)))) == (there - gone) | new
     else:
-        assert "not there" in conflict(found, triples(_text(before)))
+        assert "does not exist" in conflict(found, triples(_text(before)))
 
 
 _beginnings = st.text(max_size=200).map(lambda text: (PREFIXES + PATCH + text).encode("utf-8", "replace"))

@@ -280,7 +280,7 @@ class MadeUp:
             try:
                 await asyncio.wait_for(held.wait(), deadline - asyncio.get_running_loop().time())
             except (asyncio.TimeoutError, TimeoutError) as error:
-                raise TimedOut(f"{service} has not answered", sent=Sent.MAYBE) from error
+                raise TimedOut(f"{service} did not respond", sent=Sent.MAYBE) from error
         if service not in self._services:
             raise Unreachable(f"the node of {service} does not answer")
         schema, act = self._services[service]

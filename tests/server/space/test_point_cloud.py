@@ -75,7 +75,7 @@ def test_a_cloud_that_contradicts_itself_is_refused_in_words() -> None:
     refused: tuple[tuple[dict[str, Any], str], ...] = (
         ({"point_step": 0}, "The points are 0 bytes long"),
         ({"height": 2, "row_step": 20}, "Rows of 20 bytes are too short for 4 points"),
-        ({"width": 5}, "has 48 bytes, and 5 by 1 points need 60"),
+        ({"width": 5}, "has 48 bytes, but 5 by 1 points need 60"),
         ({"height": 2**32 - 1, "width": 2**32 - 1, "row_step": 2**32 - 1}, "are too short for"),
         ({"point_step": 8}, "The field 'z' reaches to byte 11 of points of 8 bytes"),
         ({"fields": []}, "The points have no field 'x'"),

@@ -74,7 +74,7 @@ def refuses(_: object) -> Mapping[str, Any]:
     ("failure", "status", "fate", "words"),
     [
         ("refuses", 422, "failed", "it is jammed"),
-        ("hangs", 504, "unknown", "has not answered"),
+        ("hangs", 504, "unknown", "did not respond"),
         ("has died", 503, "failed", "does not answer"),
     ],
 )
@@ -109,7 +109,7 @@ def test_what_was_unknown_is_read_anew(arm: MadeUp, serving: Serving) -> None:
 
     def lost(request: dict[str, Any]) -> Mapping[str, Any]:
         values.update(request)
-        raise TimedOut("/arm/set_first has not answered", sent=Sent.MAYBE)
+        raise TimedOut("/arm/set_first did not respond", sent=Sent.MAYBE)
 
     arm.offer("/arm/get_first", "made_up/srv/GetByte", lambda _: values)
     arm.offer("/arm/set_first", "made_up/srv/SetByte", lost)

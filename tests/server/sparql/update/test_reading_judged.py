@@ -127,12 +127,12 @@ def taken_there(text: str) -> str | None:
 
 
 REFUSED_HERE_ONLY = re.compile(
-    r"stands where (\. or \}|a predicate \(an IRI, a variable or a\)) is expected"  # it accepts no dot after a triple
-    r"|a literal is no subject"  # the grammar permits it there and RDF does not
-    r"|^[+-] at \S+ stands where the object of a triple"  # a sign apart from its number
-    r"|^; at \S+ stands where an operation"  # a semicolon without an operation before it
+    r"is unexpected; expected (\. or \}|a predicate \(an IRI, a variable or a\))"  # it accepts no dot after a triple
+    r"|a literal cannot be a subject"  # the grammar permits it there and RDF does not
+    r"|^[+-] at \S+ is unexpected; expected the object of a triple"  # a sign apart from its number
+    r"|^; at \S+ is unexpected; expected an operation"  # a semicolon without an operation before it
     r"|triple terms and reifiers|SERVICE"  # the lexer rejects it
-    r"| is no part of SPARQL|escapes nothing|an escape of a character| has no end"  # and this
+    r"| is not valid in SPARQL|not a valid escape|invalid escape|escapes a character| is not closed"  # and this
     r"|joins more than|nests deeper"
 )
 """Reasons for intentionally rejecting updates that pyoxigraph accepts."""

@@ -192,7 +192,7 @@ def test_bounds_of_a_message_are_by_dotted_path_and_merged() -> None:
         ("<#l> sh:targetClass <http://elsewhere/Twist> ; sh:nodeKind sh:IRI .", "not a message type"),
         (f"<#l> sh:targetClass <{TYPES}Twist> ; sh:nodeKind sh:IRI .", "not a message type"),
         ("<#l> sh:targetClass g:Twist ; sh:property [ sh:path vector:x ; sh:maxInclusive 1 ] .", "no field of that"),
-        ("<#l> a sh:NodeShape, rdfs:Class ; sh:property [ sh:path vector:x ; sh:maxInclusive 1 ] .", "not a message type"),
+        ("<#l> a sh:NodeShape, rdfs:Class ; sh:property [ sh:path vector:x ; sh:maxInclusive 1 ] .", "a message type"),
         ("<#l> sh:targetNode <topics/a> ; sh:property [ sh:maxInclusive 1 ] .", "without a sh:path"),
         ("<#l> sh:targetNode <topics/a> ; sh:property [ sh:path rdf:value ; sh:maxInlcusive 1 ] .", "sh:maxInlcusive"),
         ("<#l> sh:targetNode <topics/a> ; sh:node <#m> .", "nothing is said of it"),

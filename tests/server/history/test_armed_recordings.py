@@ -152,7 +152,7 @@ def test_what_was_kept_beyond_the_limit_says_so_and_waits_once_there_is_room(tmp
         again.resume(only_the_last)
         for _ in range(3):
             await asyncio.sleep(0)  # an iteration of the loop, in which it waits for its turn
-        assert "16 recordings wait" in str(last.suspended)
+        assert "16 recordings are already waiting" in str(last.suspended)
         assert begun.names == []
         await again.disarm("a00")
         await finished(last)

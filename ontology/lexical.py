@@ -45,7 +45,7 @@ def _integer(name: str, least: int | None, greatest: int | None) -> Callable[[st
             value = int(text)
             if (least is None or value >= least) and (greatest is None or value <= greatest):
                 return value
-        raise Misfit(f"this is no xsd:{name}", text)
+        raise Misfit(f"this is not a valid xsd:{name}", text)
 
     return read
 
@@ -53,7 +53,7 @@ def _integer(name: str, least: int | None, greatest: int | None) -> Callable[[st
 def _decimal(text: str) -> Decimal:
     if _DECIMAL.fullmatch(text := text.strip()):
         return Decimal(text)
-    raise Misfit("this is no xsd:decimal", text)
+    raise Misfit("this is not a valid xsd:decimal", text)
 
 
 def _double(text: str) -> float:
@@ -64,7 +64,7 @@ def _double(text: str) -> float:
         raise Misfit("this number is beyond the range of xsd:double (infinity is written INF)", text)
     if text in SPECIALS:
         return SPECIALS[text]
-    raise Misfit("this is no number (infinity is written INF)", text)
+    raise Misfit("this is not a number (infinity is written INF)", text)
 
 
 def _float(text: str) -> float:

@@ -128,7 +128,7 @@ def checked_term(value: Term) -> Term:
         if value.datatype in _XML:
             raise ParameterFault("is XML or HTML, which is not compared here")
         if is_numeric(value.datatype) and number(value) is None:
-            raise ParameterFault(f"is {value}, which is no number")
+            raise ParameterFault(f"is {value}, which is not a number")
     return value
 
 

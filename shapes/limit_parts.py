@@ -144,7 +144,7 @@ def _step(place: Place, path: NamedNode | None, space: Space) -> ValuePlace:
     """Return the place that a path leads to."""
     found = None if path is None else place.follow(path, space)
     if found is None or (found.primitive is None and not isinstance(found.kind, Nested)):
-        raise InexpressibleError(f"{path} is no field, or that of an array")
+        raise InexpressibleError(f"{path} is not a field, or is that of an array")
     return found
 
 

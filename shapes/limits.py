@@ -222,7 +222,7 @@ def _class(name: str, target: Term, shape: NodeShape, space: Space) -> str:
         )
     for path in shape.paths or ():
         if path.value.startswith(space.types) and not path.value.startswith(iri + "#"):
-            raise ValueError(f"{name} limits <{iri}>, but is about <{path.value}>, which is no field of that type")
+            raise ValueError(f"{name} limits <{iri}>, but is about <{path.value}>, which is not a field of that type")
     return iri
 
 
@@ -236,8 +236,8 @@ def _url(name: str, kind: NamedNode, target: Term, space: Space) -> str:
     location = space.location(url) if isinstance(target, NamedNode) else None
     if location is None or location.kind not in _KINDS or "#" in url or "?" in url:
         raise ValueError(
-            f"{name} limits <{url}>, which is no resource, topic, service, parameter or node of <{space.base}>: write "
-            "a relative IRI, such as <resources/aircraft/engine/speed>"
+            f"{name} limits <{url}>, which is not a resource, topic, service, parameter or node of <{space.base}>: "
+            "write a relative IRI, such as <resources/aircraft/engine/speed>"
         )
     return url
 
@@ -302,7 +302,7 @@ class _MessageCheck:
                     yield Violation(
                         "",
                         f"cannot be written while the limit <{shape.iri}> is about {path.value[len(own) :]!r}, which "
-                        f"is no field of {name}: correct the shapes that rosld was given (--shapes)",
+                        f"is not a field of {name}: correct the shapes that rosld was given (--shapes)",
                     )
 
     def _reaching(self) -> set[str]:

@@ -208,7 +208,7 @@ class ShapesGraph:
             if predicate in _BEYOND_CORE:
                 raise ValueError(f"{self.name(node)} uses {_prefixed(predicate)}: only SHACL Core is judged here")
             raise ValueError(
-                f"{self.name(node)} says {_prefixed(predicate)}, which is no term of SHACL Core for a shape"
+                f"{self.name(node)} says {_prefixed(predicate)}, which is not a term of SHACL Core for a shape"
             )
 
     def _path(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> tuple[NamedNode | None, Walk | None]:
@@ -270,7 +270,7 @@ class ShapesGraph:
 
     def _part(self, value: Term) -> Shape:
         if not isinstance(value, NamedNode | BlankNode):
-            raise ParameterFault(f"is {value}, which is no shape")
+            raise ParameterFault(f"is {value}, which is not a shape")
         return self.shape(value)
 
     # Statements about a shape
@@ -292,7 +292,7 @@ class ShapesGraph:
         """Return the shape's own message, preferably in English or without a language."""
         messages = [value for value in said.get(sh.message, ()) if isinstance(value, Literal)]
         if len(messages) < len(said.get(sh.message, ())):
-            raise self._wrong(node, sh.message, "is no text")
+            raise self._wrong(node, sh.message, "is not a string")
         preferred = sorted(messages, key=lambda each: (not (each.language or "en").startswith("en"), each.value))
         return preferred[0].value if preferred else None
 
@@ -303,7 +303,7 @@ class ShapesGraph:
             said = self._said.get(head, {})
             first, rest = said.get(rdf.first, []), said.get(rdf.rest, [])
             if len(first) != 1 or len(rest) != 1 or head in seen:
-                raise ParameterFault("is no well-formed list: write its members in round brackets")
+                raise ParameterFault("is not a well-formed list: write its members in round brackets")
             seen.add(head)
             members.append(first[0])
             head = rest[0]

@@ -73,7 +73,7 @@ class QueryParser(ExpressionParser):
         if self.is_at_end:
             raise Problem(400, "There is no query: it begins with SELECT, ASK, CONSTRUCT or DESCRIBE.")
         if name not in FORMS:
-            self.fail_at(form, "is no query form: SELECT, ASK, CONSTRUCT or DESCRIBE")
+            self.fail_at(form, "is not a query form: SELECT, ASK, CONSTRUCT or DESCRIBE")
         if name == "SELECT":
             outer = Group()
             selection = self._selection(outer)

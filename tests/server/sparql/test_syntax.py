@@ -42,7 +42,7 @@ def url(trap: socket.socket) -> str:
 
 WRONG = [
     ("", "There is no query: it begins with SELECT, ASK, CONSTRUCT or DESCRIBE."),
-    ("SELEC ?x {}", "SELEC at 1:1 is no query form: SELECT, ASK, CONSTRUCT or DESCRIBE."),
+    ("SELEC ?x {}", "SELEC at 1:1 is not a query form: SELECT, ASK, CONSTRUCT or DESCRIBE."),
     ("SELECT ?x {\n ?x foo:bar 1 }", "The prefix foo: is not declared, at 2:5."),
     ("ASK { ?s rdffs:label 1 }", "The prefix rdffs: is not declared (rdfs:?), at 1:10."),
     (

@@ -158,7 +158,7 @@ WHY = {
     "hangs": "did not respond",
     "refuses": "/door/get_lock refused",
     "has died": "cannot be read",
-    "is not there": "is not there",
+    "is not there": "does not exist",
 }
 """Ways in which a state is missing, and their descriptions."""
 

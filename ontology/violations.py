@@ -23,7 +23,7 @@ class Violation(Struct, frozen=True):
 
     `path` is that of the field (`linear.x`, "" for the message), followed by the expected and the actual value
     (shortened, None if missing). For violations of a SHACL shape, the rest is its validation result (SHACL 1.0 section
-    3.6.2): `term` is the value, `predicate` the result's path, `said` the shape's own message, a text by third parties.
+    3.6.2): `term` is the value, `predicate` the result's path, `quote` the shape's own message, text by third parties.
     """
 
     path: str
@@ -35,12 +35,12 @@ class Violation(Struct, frozen=True):
     predicate: NamedNode | None = None
     term: NamedNode | BlankNode | Literal | None = None
     severity: NamedNode | None = None
-    said: str | None = None
+    quote: str | None = None
 
     @property
     def with_quote(self) -> str:
         """The expected value, followed by the shape's message as a quotation."""
-        return f"{self.message} ({json.dumps(self.said, ensure_ascii=False)})" if self.said else self.message
+        return f"{self.message} ({json.dumps(self.quote, ensure_ascii=False)})" if self.quote else self.message
 
 
 def violations_text(violations: Iterable[Violation]) -> str:

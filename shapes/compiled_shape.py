@@ -134,7 +134,7 @@ class Shape(Struct, frozen=True, eq=False):
             predicate=predicate or self.path,
             term=value if isinstance(value, NamedNode | BlankNode | Literal) else None,
             severity=self.severity,
-            said=self.words,
+            quote=self.words,
         )
 
 

@@ -51,7 +51,7 @@ def validate(triples: Iterable[Triple], name: str) -> Iterator[ValidationResult]
             yield ValidationResult(
                 each.focus or _text(focus),
                 each.predicate,
-                each.said or each.message,
+                each.quote or each.message,
                 None if value is None else value.value,
                 each.component,
             )

@@ -62,7 +62,7 @@ class Problem(Exception):
         self.type = type
         self.headers = dict(headers)
         self.violations = tuple(map(_cleaned, violations))
-        quotation = "; ".join(dict.fromkeys(each.said for each in self.violations if each.said))
+        quotation = "; ".join(dict.fromkeys(each.quote for each in self.violations if each.quote))
         extra = {AGENT_SAID: quotation} | dict(extra) if quotation else extra
         self.extra = {name: redact_tokens_in(value) for name, value in _with_quotations(extra).items()}
         self.about = tuple(about)
@@ -142,6 +142,6 @@ def _cleaned(violation: Violation) -> Violation:
     """Return the violation without tokens, and with the shape's message ready to be quoted."""
     value = None if violation.value is None else redact_tokens(violation.value)
     path, message = redact_tokens(violation.path), redact_tokens(violation.message)
-    quotation = None if violation.said is None else redact_tokens(one_line(violation.said)) or None
-    same = (path, message, value, quotation) == (violation.path, violation.message, violation.value, violation.said)
-    return violation if same else replace(violation, path=path, message=message, value=value, said=quotation)
+    quote = None if violation.quote is None else redact_tokens(one_line(violation.quote)) or None
+    same = (path, message, value, quote) == (violation.path, violation.message, violation.value, violation.quote)
+    return violation if same else replace(violation, path=path, message=message, value=value, quote=quote)

@@ -41,7 +41,7 @@ def validation_report(url: str, violations: Sequence[Violation], *, node: str = 
             (sh.resultSeverity, violation.severity or sh.Violation),
             (sh.focusNode, violation.focus or NamedNode(url + node)),
             (ros.fieldPath, text(violation.path) if violation.path else None),
-            (sh.resultMessage, text(violation.said or violation.message)),
+            (sh.resultMessage, text(violation.quote or violation.message)),
             *_source(violation),
         )
     return Document(url, tuple(triples))
@@ -120,7 +120,7 @@ def members(problem: Problem) -> dict[str, object]:
     if problem.violations:
         cleaned = map(_cleaned, problem.violations)
         found["violations"] = [
-            {"path": one.path, "message": one.message, "value": one.value} | ({"said": one.said} if one.said else {})
+            {"path": one.path, "message": one.message, "value": one.value} | ({"said": one.quote} if one.quote else {})
             for one in cleaned
         ]
     if problem.near:

@@ -323,7 +323,7 @@ def test_a_violation_is_a_sentence_with_everything_for_a_report() -> None:
 def test_the_shapes_own_message_is_apart_and_in_english_where_there_is_one(demand: str, message: str) -> None:
     said = '"zu schnell"@de, "too fast"@en' if "max" in demand else '"too fast"'
     shape = compiled(f":shape sh:property [ sh:path ex:p ; sh:{demand} ; sh:message {said} ] .")
-    assert [(each.message, each.said) for each in shape.violations(FOCUS, of_p("1"))] == [(message, "too fast")]
+    assert [(each.message, each.quote) for each in shape.violations(FOCUS, of_p("1"))] == [(message, "too fast")]
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,7 @@ def test_what_is_not_understood_is_refused_at_the_start_in_a_sentence(tmp_path: 
         ("[[issuer]]\nurl = 'https://i.example'\naudience = 'x'\nalgorithms = ['HS256']", "'HS256' is not supported"),
         ("[[issuer]]\nurl = 'https://i.example'\naudience = 'x'\nalgorithms = ['none']", "'none' is not supported"),
         ("[[user]]\nname = 'x'", "unknown table 'user'; choose from"),
-        ("rule = 3", "unknown key 'rule'"),
+        ("rule = 3", "unknown table 'rule'"),
         ("[[rule", "auth.toml: "),
     ):
         file = tmp_path / "auth.toml"

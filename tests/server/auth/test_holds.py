@@ -45,7 +45,7 @@ def test_a_hold_is_changed_kept_and_ended_by_its_holder_alone(guard: Callable[..
         both["mate"].get(hold, params={"keep": "true"}, headers=stream),
     ):
         assert answer.status_code == 403, answer.text
-        assert "is pilot's" in answer.json()["detail"]
+        assert "belongs to pilot" in answer.json()["detail"]
     assert both["mate"].get(hold, headers={"Accept": "application/json"}).json()["message"] == {"data": "held"}
     assert both["pilot"].patch(hold, json={"data": "still mine"}).status_code == 204
     assert both["pilot"].delete(hold).status_code == 204

@@ -1,20 +1,20 @@
-"""The adapter contract: what a kind of ROS system must offer so that rosld can serve it.
+"""The adapter contract: the interface between rosld and a kind of ROS system.
 
-Outsiders implement `Adapter` and publish a factory in the entry-point group `rosld.adapters`, under the scheme of
+Third parties implement `Adapter` and publish a factory in the entry-point group `rosld.adapters`, under the scheme of
 their sources (`myros` for `rosld serve myros://...`). The built-in adapters are found the same way, and
 `tests/contracts/` runs one suite on each of them.
 
-Rules, each of which a contract test holds:
+Rules, each verified by a contract test:
 
 - All methods are called on the server's event loop; no call blocks it. A live adapter does its I/O on a thread of
-  its own, so that a busy server never makes a robot's publisher wait.
-- Deadlines are absolute times of the running loop (`loop.time()`). Cancelling an await stops waiting, it undoes
+  its own, so that a busy server never delays a robot's publisher.
+- Deadlines are absolute times of the running loop (`loop.time()`). Cancelling an await stops waiting; it undoes
   nothing.
-- Errors are `rosld.adapters.model`'s; each tells whether the robot may have received the request.
-- Reconnection is the adapter's business: the graph goes `Stale`, never empty, and subscriptions stay valid.
-- Looking leaves no trace in the robot's system; whatever was registered is unregistered by `close`.
-- What rosld publishes is a sample of the publisher `graph.own_node` like anyone's: any subscription to that topic,
-  made before or after, shows it, with no subscription to ourselves.
+- Errors are those of `rosld.adapters.model`; each states whether the robot may have received the request.
+- The adapter reconnects by itself: meanwhile the graph is `Stale`, never empty, and subscriptions stay valid.
+- Reading leaves no trace in the robot's system; `close` unregisters everything that was registered.
+- Messages that rosld publishes are samples of the publisher `graph.own_node`: every subscription to the topic, older
+  or newer, delivers them without a ROS subscription to rosld itself.
 """
 
 from __future__ import annotations
@@ -30,16 +30,15 @@ from rosld.adapters.model import ParameterValue as ParameterValue
 
 
 class Capabilities(Struct, frozen=True):
-    """What an adapter's kind of system can do at all, for what `allows` cannot tell thing by thing.
+    """Capabilities of a kind of system as a whole; `Adapter.allows` answers for a single thing.
 
     `system` names it ("ROS 1", "recording", ...); `encoding` is what `publish` and `call` take and `call` returns;
     `parameter_trees`: parameters form one tree of namespaces (ROS 1), so that a namespace can be read and deleted
-    whole; `parameter_server`: parameters that have no node in the graph are kept by a server, of whose changes nodes
-    are not told (ROS 1); `writes`: anything can be written at all; `creates_topics`: a topic that is not there may be
-    published;
+    whole; `parameter_server`: a server stores parameters that belong to no node, and does not notify nodes of changes
+    (ROS 1); `writes`: the system accepts writes; `creates_topics`: publishing may create a topic;
     `qos`: publishers and subscribers have a quality of service; `hidden_names`: a name with a segment that begins with
-    an underscore is hidden (ROS 2), and listings leave it out unasked.
-    `mapping` and `limits` are documents that this kind of robot comes with (RDF, opaque to adapters), None for most.
+    an underscore is hidden (ROS 2), and listings omit it by default.
+    `mapping` and `limits` are documents supplied with this kind of robot (RDF, opaque to adapters), None for most.
     """
 
     system: str
@@ -69,21 +68,21 @@ class Watch(Protocol):
 
 
 class Subscription(Protocol):
-    """A counted interest in one topic."""
+    """A reference-counted subscription to one topic."""
 
     def latest(self) -> Sequence[Sample]:
-        """Return the newest sample of each publisher (the newest `depth` of each), the one that came last at the end.
+        """Return the newest `depth` samples of each publisher, the most recently received last.
 
-        Cheap: the very same sequence object comes back while nothing new has arrived.
+        Cheap: returns the identical sequence object until a new sample arrives.
         """
         ...
 
     def watch(self, wake: Callable[[], None]) -> Watch:
-        """Call `wake` on the server's loop after something new arrived: coalesced, carrying nothing."""
+        """Call `wake` without arguments on the server's loop after new samples arrive; calls are coalesced."""
         ...
 
     def close(self) -> None:
-        """Give this interest back. Idempotent."""
+        """Release this reference to the subscription. Idempotent."""
         ...
 
 
@@ -91,20 +90,20 @@ class Sink(Protocol):
     """Receives the changes of an adapter. Thread-safe, never blocks, never raises."""
 
     def graph_changed(self, graph: Graph) -> None:
-        """The computation graph is now `graph`; several changes may come as one."""
+        """Receive the new computation graph; one call may cover several changes."""
         ...
 
     def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
-        """Something became known of a goal, of rosld's or another's. Feedback may be left out where it comes fast."""
+        """Receive an update about a goal of rosld or of another client. Frequent feedback may be dropped."""
         ...
 
     def parameter_changed(self, name: str) -> None:
-        """A hint that the value of this parameter (or of something below it) should be read again."""
+        """Receive a hint that the value of this parameter (or of one below it) should be read again."""
         ...
 
 
 class NullSink:
-    """A `Sink` that ignores everything; a subclass overrides what it listens to."""
+    """A `Sink` that ignores everything; subclasses override the events they need."""
 
     def graph_changed(self, graph: Graph) -> None:
         """Not of interest."""
@@ -117,7 +116,7 @@ class NullSink:
 
 
 class RecordedTopic(Struct, frozen=True):
-    """A topic of a recording: its type, how many messages, and why they cannot be decoded (None: they can)."""
+    """A topic of a recording: its type, its number of messages, and the reason they cannot be decoded, if any."""
 
     name: str
     type: TypeRef
@@ -128,7 +127,7 @@ class RecordedTopic(Struct, frozen=True):
 class RecordedMessage(Struct, frozen=True):
     """Message `index` (from 0, in recorded order) of a recording.
 
-    `is_opening`: it was sent before the recording begins, and opens it, for it is latched.
+    `is_opening`: a latched message sent before the recording began, repeated at its start.
     """
 
     index: int
@@ -138,13 +137,13 @@ class RecordedMessage(Struct, frozen=True):
 
 
 FOR_EVER = 1 << 62
-"""A time in ns, and a number of messages, that none is above."""
+"""Upper bound of any time in ns and of any number of messages."""
 
 
 class MessageFilter(Struct, frozen=True):
-    """Which messages of a recording: of `topics` (None: all), recorded from `from_ns` to `to_ns`, both included.
+    """Filter for messages of a recording: of `topics` (None: all), recorded from `from_ns` to `to_ns` (inclusive).
 
-    Their indexes are from `start` on and below `end`.
+    Indexes range from `start` (inclusive) to `end` (exclusive).
     """
 
     topics: frozenset[str] | None = None
@@ -155,9 +154,9 @@ class MessageFilter(Struct, frozen=True):
 
 
 class MessagePage(NamedTuple):
-    """Some messages in the order of their indexes, and the `start` of those that come after them; None: there are none.
+    """A page of messages in index order, with the `start` of the next page (None for the last page).
 
-    What cannot be read is left out.
+    Unreadable messages are omitted.
     """
 
     messages: Sequence[RecordedMessage]
@@ -165,7 +164,7 @@ class MessagePage(NamedTuple):
 
 
 PAGE_BYTES = 16 * 1024 * 1024
-"""Bytes of messages after which a page ends, whatever its limit."""
+"""Size in bytes of messages after which a page ends, even below its limit."""
 
 
 class Recording(Protocol):
@@ -183,27 +182,27 @@ class Recording(Protocol):
 
     @property
     def format(self) -> str:
-        """The format of its file, for people."""
+        """The human-readable name of the file format."""
         ...
 
     @property
     def first(self) -> int:
-        """The index of the first message that it still holds: 0 but where the oldest are removed."""
+        """The index of the first stored message: 0 unless the oldest messages were removed."""
         ...
 
     @property
     def count(self) -> int:
-        """The number of messages from the first on."""
+        """The number of stored messages."""
         ...
 
     @property
     def start_ns(self) -> int:
-        """When the first was recorded; 0 where there is none."""
+        """The time of the first message in ns; 0 if there is none."""
         ...
 
     @property
     def end_ns(self) -> int:
-        """When the last was recorded; 0 where there is none."""
+        """The time of the last message in ns; 0 if there is none."""
         ...
 
     @property
@@ -217,40 +216,40 @@ class Recording(Protocol):
         ...
 
     def message(self, index: int) -> RecordedMessage:
-        """Message `index`; raises NotFound outside first to first+count-1. Quick, but reads the disk."""
+        """Return message `index`; raises NotFound outside first to first+count-1. Fast, but reads the disk."""
         ...
 
     def topic_of(self, index: int) -> str | None:
-        """Return the topic of message `index`, None where there is no such message. Quick, and reads no message."""
+        """Return the topic of message `index`, or None if there is no such message. Fast: reads no message."""
         ...
 
     def messages(self) -> Iterator[RecordedMessage]:
-        """Return all messages in recorded order, those that cannot be decoded included."""
+        """Return all messages in recorded order, including those that cannot be decoded."""
         ...
 
     @property
     def identity(self) -> str:
-        """An identifier (letters and digits) that no other recording has, also none of the same name.
+        """A unique identifier (letters and digits), different even for recordings of the same name.
 
-        While it is the same a message's index means the same message.
+        Message indexes are stable as long as the identifier is.
         """
         ...
 
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
-        """Times in ns that all messages from index `start` and below `end` lie between; None where there is none."""
+        """Return bounds in ns on the times of the messages from `start` to `end` (exclusive); None if there are none."""
         ...
 
     @property
     def settled(self) -> int:
-        """The index below which no message comes any more."""
+        """The index below which no message will be added."""
         ...
 
     def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
-        """The message of a topic that was the newest at a time; None where there was none. Raises Unreachable."""
+        """Return the newest message of a topic at a time, or None if there was none. Raises Unreachable."""
         ...
 
     def select(self, criteria: MessageFilter, limit: int) -> MessagePage:
-        """Return at most `limit` messages, of about `PAGE_BYTES`; no more is read than these take."""
+        """Return at most `limit` messages of about `PAGE_BYTES` in total, reading no others."""
         ...
 
     def schema(self, ref: TypeRef) -> Schema:
@@ -273,25 +272,25 @@ class Adapter(Protocol):
 
     @property
     def recordings(self) -> Mapping[str, Recording]:
-        """The recordings this source offers, by name; empty for most."""
+        """The recordings of this source by name; empty for most sources."""
         ...
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Connect. When it returns the graph is there; Stale for a robot that is off, which is then waited for.
+        """Connect and load the graph. If the robot is off, the graph is Stale and the adapter keeps trying to connect.
 
-        Raises Unreachable for what no waiting helps (a middleware that does not start), NotFound for a missing file.
+        Raises Unreachable for permanent failures (a middleware that does not start), NotFound for a missing file.
         """
         ...
 
     async def close(self) -> None:
-        """Leave without a trace: quick (two seconds at most) and idempotent."""
+        """Disconnect and unregister everything within two seconds. Idempotent."""
         ...
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
-        """What ROS can do with this thing now: pure, from the graph.
+        """Return the operations that ROS allows on a thing now: a pure function of the graph.
 
-        Unknown things allow nothing, but a topic that is not there allows PUBLISH where `creates_topics`, and a
-        parameter SET_PARAMETER. A node allows CHANGE_STATE while a transition of its lifecycle is legal.
+        Unknown things allow nothing, except that a missing topic allows PUBLISH if `creates_topics` and a missing
+        parameter allows SET_PARAMETER. A node allows CHANGE_STATE while a transition of its lifecycle is legal.
         """
         ...
 
@@ -300,50 +299,50 @@ class Adapter(Protocol):
         ...
 
     def known_types(self) -> Sequence[TypeRef]:
-        """Return the types in use or met so far (what `/types/` lists); cheap."""
+        """Return the types that are or were in use (listed at `/types/`). Cheap."""
         ...
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
-        """Begin to receive a topic: counted, and fine before a publisher is there. Returns at once."""
+        """Subscribe to a topic, which may not have a publisher yet. Reference-counted; returns at once."""
         ...
 
     def age_ns(self, sample: Sample) -> int:
-        """How many nanoseconds ago a sample was received, by the clock of its system.
+        """Return the nanoseconds since a sample was received, by the wall clock or the playback clock of a recording.
 
-        That of the wall, or of the playing where it is a recording. Never negative; cheap, and called in any thread.
+        Never negative, cheap and thread-safe.
         """
         ...
 
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
-        """Publish, advertising first if need be and then waiting for a subscriber to match until `deadline`.
+        """Publish a message, advertising the topic and waiting for a subscriber until `deadline` if necessary.
 
-        With no match by then the message is still handed over and `matched` is 0. Raises Refused, Unreachable.
+        Without a subscriber by then, the message is still published and `matched` is 0. Raises Refused, Unreachable.
         """
         ...
 
     async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
-        """Advertise a topic without publishing, so that its subscribers are connected when something is published.
+        """Advertise a topic without publishing, so that subscribers are connected before the first message.
 
-        Waits for a subscriber to match until `deadline`; that none does is no error. Where it is advertised already it
-        is made to suit those who subscribe now. Raises Refused, Unreachable, UnknownType.
+        Waits for a subscriber until `deadline`; having none is no error. An existing advertisement is adapted to the
+        current subscribers. Raises Refused, Unreachable, UnknownType.
         """
         ...
 
     async def unadvertise(self, topic: str) -> None:
-        """Stop advertising what rosld advertised; NotFound where it advertised nothing."""
+        """Stop advertising a topic. Raises NotFound if rosld does not advertise it."""
         ...
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Call a service. Raises Refused with the node's words, TimedOut, Unreachable, NotFound."""
+        """Call a service. Raises Refused with the node's message, TimedOut, Unreachable, NotFound."""
         ...
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """Send a goal and return its id once it is accepted; what follows is announced to the sink.
+        """Send a goal and return its id once it is accepted; the sink receives later updates.
 
-        `goal` is a message of the type's goal. Raises Refused (with the server's words) where it is rejected, TimedOut,
-        Unreachable, NotFound.
+        `goal` is a goal message of the action type. Raises Refused (with the server's message) if it is rejected,
+        TimedOut, Unreachable, NotFound.
         """
         ...
 
@@ -352,39 +351,39 @@ class Adapter(Protocol):
         ...
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
-        """Ask for all goals of an action to be canceled, whoever sent them; there may be none.
+        """Request the cancellation of all goals of an action, regardless of sender; there may be none.
 
         Raises Refused, TimedOut, Unreachable, NotFound.
         """
         ...
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """Announce all goals of an action to the sink, those of others too, until the watch is closed. Counted.
+        """Report all goals of an action, of any sender, to the sink until the watch is closed. Reference-counted.
 
-        Returns once what can be known of them now was told, at the latest at the deadline. Of goals that rosld sent it
-        is told without this, until they have ended. Raises NotFound.
+        Returns once the sink has received the current goals, at the latest at the deadline. Goals that rosld sent are
+        reported until they end even without this watch. Raises NotFound.
         """
         ...
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """Have a managed node make a transition, named by its label.
+        """Request a lifecycle transition of a managed node by its label.
 
-        When it returns or raises, the graph has the state that the node told afterwards, where it told one. Raises
-        Refused where the transition is not legal now (`sent` is NO) or the node did not make it (YES), and for nodes
-        without a lifecycle; TimedOut, Unreachable, NotFound.
+        Afterwards, even after an error, the graph has the state that the node reported, if any. Raises Refused if the
+        transition is not legal now (`sent` is NO), if the node did not make it (YES) or if the node has no lifecycle;
+        TimedOut, Unreachable, NotFound.
         """
         ...
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the values of those names that exist; a name that is a tree gives a dict, `/` all."""
+        """Return the values of existing names; a namespace has a dict as its value, and `/` holds all parameters."""
         ...
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Set them, all or none where ROS can. Raises Refused naming the parameter."""
+        """Set parameters, atomically where ROS supports that. Raises Refused naming the parameter."""
         ...
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """Delete them (trees whole). Raises NotFound."""
+        """Delete parameters and whole namespaces. Raises NotFound."""
         ...
 
 
@@ -392,11 +391,11 @@ MESSAGE_LIMIT = 256 * 1024 * 1024
 
 
 class AdapterOptions(Struct, frozen=True):
-    """The options of `rosld serve` that concern adapters; each adapter takes what applies to it.
+    """The options of `rosld serve` for adapters; each adapter uses those that apply to it.
 
-    `qos` are profiles for topics by glob: the first that fits holds, where it says something. `message_limit` are the
-    most bytes that a message or a response may have which a robot's node announces and rosld then reads,
-    `recording_index_limit` the most memory that the index of a recording may take, where strangers may have made it.
+    `qos` maps globs of topics to profiles; the first matching profile applies, as far as it is set. `message_limit` is
+    the maximum size in bytes of a message or response from a robot's node. `recording_index_limit` is the maximum
+    memory in bytes for the index of a recording, which may come from an untrusted source.
     """
 
     types: tuple[Path, ...] = ()
@@ -410,4 +409,4 @@ class AdapterOptions(Struct, frozen=True):
 
 
 Factory: TypeAlias = Callable[[str, AdapterOptions], Adapter]
-"""Makes an adapter (not yet open) from a source as given on the command line. Raises ValueError for a bad source."""
+"""Factory of an unopened adapter from a source on the command line. Raises ValueError for an invalid source."""

@@ -236,7 +236,7 @@ class Recording(Protocol):
         ...
 
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
-        """Return bounds in ns on the times of the messages from `start` to `end` (exclusive); None if there are none."""
+        """Return bounds in ns on the times of the messages from `start` to `end` (exclusive), or None."""
         ...
 
     @property

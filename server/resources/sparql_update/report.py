@@ -1,4 +1,4 @@
-"""What became of an update, graph by graph."""
+"""Outcome of an update, graph by graph."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from rosld.server.rest.ros_problems import problem_of, problem_of_body
 
 
 class Outcome(Enum):
-    """What became of the write of one graph."""
+    """Outcome of the write of one graph."""
 
     DONE = "done"
     UNHEARD = "unheard"
-    """It was published, and nobody was listening."""
+    """The message was published without any subscriber."""
     FAILED = "failed"
-    """It was not done."""
+    """The write was not done."""
     UNKNOWN = "unknown"
-    """It may have been done."""
+    """The write may have been done."""
     LEFT = "not attempted"
 
 
 class ReportEntry(Struct, frozen=True):
-    """One graph of a report: what its write does, what became of it, and why where it was not done."""
+    """Entry of a report for one graph: description of the write, its outcome, and the reason for a failure."""
 
     graph: str
     description: str
@@ -43,7 +43,7 @@ class ReportEntry(Struct, frozen=True):
 
     @property
     def members(self) -> dict[str, object]:
-        """As JSON."""
+        """Return the entry as JSON members."""
         found: dict[str, object] = {"graph": self.graph, "does": self.description, "outcome": self.outcome.value}
         if self.reason is not None:
             found |= {"status": self.reason.status, "detail": self.reason.detail, **self.reason.quoted_members}
@@ -51,7 +51,7 @@ class ReportEntry(Struct, frozen=True):
 
 
 def report_response(entries: Sequence[ReportEntry]) -> Response:
-    """The answer to an update that was carried out: 204, or 202 with a report in JSON where something was unheard."""
+    """Return the response to a completed update: 204, or 202 with a JSON report if any message had no subscriber."""
     if not any(entry.outcome is Outcome.UNHEARD for entry in entries):
         return Response(status_code=204)
     body = orjson.dumps({"graphs": [entry.members for entry in entries]}, option=orjson.OPT_INDENT_2)
@@ -59,7 +59,7 @@ def report_response(entries: Sequence[ReportEntry]) -> Response:
 
 
 class RefusedGraphs(Problem):
-    """The Problem of an update of which `graphs` are refused: nothing was done. The first reason is its own."""
+    """Problem of an update refused because of `graphs`, with the status of the first reason; nothing was done."""
 
     def __init__(self, reasons: Sequence[tuple[str, Problem]]) -> None:
         self.graphs = frozenset(name for name, _ in reasons)
@@ -79,7 +79,7 @@ class RefusedGraphs(Problem):
 
 
 def partial_failure(entries: Sequence[ReportEntry]) -> Problem:
-    """The Problem of an update that failed part-way: what was done, what was not, and what is unknown."""
+    """Return the Problem of an update that failed part-way, with the outcome of each graph."""
     failed = next(entry for entry in entries if entry.reason is not None)
     assert failed.reason is not None
     by_fate = {
@@ -105,13 +105,13 @@ def _retry_after(problem: Problem) -> dict[str, str]:
 
 
 def failed_outcome(error: RosError | Problem) -> Outcome:
-    """What an error in carrying out says of the write."""
+    """Return the outcome of a write that raised this error."""
     sent = error.sent.value if isinstance(error, RosError) else error.extra.get("sent")
     return Outcome.UNKNOWN if sent == Sent.MAYBE.value else Outcome.FAILED
 
 
 def reason(error: Problem | LoweringError | BodyError | RosError, permissions: Permissions, graph: str) -> Problem:
-    """Why a graph cannot be written as an update asks, as an agent may be told."""
+    """Return the Problem of a graph that cannot be updated, without details that the agent may not see."""
     if isinstance(error, RosError):
         problem = problem_of(error)
     elif isinstance(error, LoweringError | BodyError):

@@ -48,9 +48,9 @@ from rosld.server.storage.record import Conflict, ConflictCause, Model, Write
 
 
 def require_rights(operations: Sequence[Operation], permissions: Permissions) -> None:
-    """Refuse what may not be, before anything is looked at: it tells nothing but what was asked. Raises 401, 403.
+    """Check permissions before reading any graph, so that errors reveal no data. Raises 401 and 403 Problems.
 
-    A WHERE sees the whole dataset, so it is for those who may read it.
+    A WHERE reads the whole dataset, so it requires permission to read everything.
     """
     if permissions.is_unrestricted:
         return
@@ -70,7 +70,7 @@ def require_rights(operations: Sequence[Operation], permissions: Permissions) ->
 
 
 def require_change(permissions: Permissions, graph: str, resource: Resource) -> None:
-    """Refuse to change a graph, with all that this changes. Raises 401, 403."""
+    """Check permission to change a graph and everything that changes with it. Raises 401 and 403 Problems."""
     place = permissions.locate(graph)
     if permissions.is_unrestricted or place is None:
         return
@@ -82,7 +82,7 @@ def require_change(permissions: Permissions, graph: str, resource: Resource) -> 
 def without_silent_failures(
     operations: Sequence[Operation], require: Callable[[Operation], None]
 ) -> Sequence[Operation]:
-    """Return the operations without those with SILENT that are refused; raise the Problem of any other."""
+    """Return the operations without refused SILENT ones; raise the Problem of any other refused operation."""
     found = []
     for operation in operations:
         try:
@@ -96,24 +96,24 @@ def without_silent_failures(
 
 
 def without_silent_on(operations: Sequence[Operation], graphs: Set[str]) -> Sequence[Operation]:
-    """Return the operations without those with SILENT that name one of these graphs, which are refused."""
+    """Return the operations without SILENT ones that name any of these refused graphs."""
     return [each for each in operations if not (each.silent and graphs & named_graphs([each]))]
 
 
 ATTEMPTS = 4
-"""Times that an update is evaluated where what it is evaluated over changes before it is carried out."""
+"""Maximum number of evaluations of an update whose data changes before it is carried out."""
 _LIVE = ("topics", "parameters", "resources")
-"""The routes whose graphs hold values that change by themselves."""
+"""Routes whose graphs contain live values of the robot."""
 _PATIENCE = 1.0
-"""Seconds that an update lets others of the same graphs go first."""
+"""Seconds that an update waits for other updates of the same graphs."""
 _CHANGED = frozenset({ConflictCause.CHANGED, ConflictCause.THERE, ConflictCause.MISSING})
-"""Why the graphs are no longer those that an update was evaluated over."""
+"""Causes of conflicts that require evaluating the update again."""
 _INLINE = 16 * 1024
-"""Characters of an update up to which it is read on the loop."""
+"""Maximum length in characters of an update that is parsed on the loop."""
 
 
 class _WholeGraphNeeded(Exception):
-    """The plan of a graph needs its whole content, and only the change is known."""
+    """Raised when planning needs the whole content of a graph, and only the change is known."""
 
 
 class Target(NamedTuple):
@@ -131,7 +131,7 @@ class PlannedGraph(NamedTuple):
 
 
 class UpdateService:
-    """Carries updates out. Belongs to one loop. `at` finds the resource at a path below the base."""
+    """Executor of updates, for use on one loop. `at` finds the resource at a path below the base."""
 
     def __init__(
         self,
@@ -159,18 +159,18 @@ class UpdateService:
     async def answer(
         self, request: UpdateRequest, *, accept: str | None, permissions: Permissions = ALLOW_ALL
     ) -> Response:
-        """Carry an update out. Raises Problems.
+        """Carry out an update and return the response. Raises Problems.
 
-        Where one graph is refused nothing is done: 403 where it cannot be written, 422 where what it is to say does not
-        fit, 409 where it is in conflict, 503 where the robot is gone. An update that fails part-way lists in its
-        problem, graph by graph, what was done, what was not, and what is unknown.
+        If any graph is refused, nothing is done: 403 if it is not writable, 422 if its new content is invalid, 409 on a
+        conflict, 503 if the robot is unreachable. The Problem of an update that fails part-way lists for each graph
+        whether its write was done, was not done, or has an unknown outcome.
         """
         if self._session.settings.read_only:
             raise Problem(403, "This server is read-only.")
         return await self.carry_out(await self._read(request), permissions=permissions)
 
     async def carry_out(self, operations: Sequence[Operation], *, permissions: Permissions = ALLOW_ALL) -> Response:
-        """Carry out operations, as `answer` does those of an update. Raises Problems."""
+        """Carry out operations like `answer`. Raises Problems."""
         if self._session.settings.read_only:
             raise Problem(403, "This server is read-only.")
         operations = self._without_groups(operations, permissions)
@@ -192,10 +192,9 @@ class UpdateService:
 
     @contextlib.asynccontextmanager
     async def _serialize_updates(self, operations: Sequence[Operation]) -> AsyncIterator[None]:
-        """Within it updates that name the same graphs come one after the other.
+        """Run updates that name the same graphs one at a time, so that they do not invalidate each other's evaluation.
 
-        Else each would find changed what it was evaluated over. Nothing else depends on it, so one that has waited for
-        long goes ahead.
+        Only an optimization: after `_PATIENCE` seconds an update proceeds without the lock.
         """
         async with contextlib.AsyncExitStack() as held:
             with contextlib.suppress(Problem):
@@ -208,7 +207,7 @@ class UpdateService:
         is_query = has_where(operations)
         locked: frozenset[str] = frozenset() if is_query else named_graphs(operations)
         for _ in range(ATTEMPTS):
-            # Where others write these graphs all the time, a WHERE is evaluated under their locks, too.
+            # From the second attempt on, a WHERE is evaluated under the locks of the graphs that it changes.
             async with self._keyed_lock.acquire(*locked):
                 if not is_query:
                     delta = await self._evaluate_data(operations, by_change=documents is not None)
@@ -233,7 +232,7 @@ class UpdateService:
         )
 
     async def _evaluate_data(self, operations: Sequence[Operation], *, by_change: bool) -> Delta:
-        """The changes that operations without WHERE make now."""
+        """Return the changes that operations without WHERE make to the current graphs."""
         named, stored = named_graphs(operations), self._documents.records.version
         graphs = await read_graphs(named, self._resource_of)
         return Delta(await graphs.changes(operations, by_change=by_change), graphs.tokens, stored, named)
@@ -243,20 +242,20 @@ class UpdateService:
             return self._read_operations(request)
         return await asyncio.to_thread(self._read_operations, request)
 
-    # What graphs are
+    # Kinds of graphs
 
     def _kind(self, graph: str) -> str | None:
-        """The route that it lies at; None where it is none of this server's."""
+        """Return the route of a graph, or None for a graph outside this server."""
         location = self._session.space.location(graph)
         return None if location is None else location.kind
 
     def _unseen(self, delta: Delta) -> frozenset[str]:
-        """The graphs that change by themselves, and whose values were not there when the update was evaluated."""
+        """Return the changed graphs with live values that the evaluation did not read."""
         changed = (change.graph for change in delta.changes)
         return frozenset(graph for graph in changed if graph not in delta.tokens and self._kind(graph) in _LIVE)
 
     def _require_manageable(self, operation: Operation) -> None:
-        """Raise a 403 Problem where an operation on whole graphs is about one that clients do not keep."""
+        """Raise a 403 Problem if an operation on whole graphs names a graph that is not stored."""
         if not isinstance(operation, ManageGraph):
             return
         moved = [operation.source] if operation.verb is GraphVerb.MOVE else []
@@ -266,7 +265,7 @@ class UpdateService:
                 raise Problem(403, f"{words} Nothing was done.", extra={"graph": graph})
 
     def _without_groups(self, operations: Sequence[Operation], permissions: Permissions) -> Sequence[Operation]:
-        """Return the operations with the documents that the agent may write in place of NAMED and ALL."""
+        """Return the operations with NAMED and ALL expanded to the documents that the agent may write."""
         found: list[Operation] = []
         for operation in operations:
             if not isinstance(operation, ManageGraph) or not isinstance(operation.target, GraphGroup):
@@ -286,7 +285,7 @@ class UpdateService:
         return found
 
     def _documents_kept(self) -> Iterator[str]:
-        """Yield the graphs of all documents below `/data/`: no containers, no files, nothing that guards the robot."""
+        """Yield the graphs of all documents below `/data/`: no containers, no files, no policies."""
         records, after = self._documents.records, 0
         while changes := records.changes_since(after):
             for change in changes:
@@ -296,11 +295,11 @@ class UpdateService:
             after = changes[-1].version
 
     def is_stored(self, graph: str) -> bool:
-        """Whether clients keep the graph of this name, or may."""
+        """Whether the graph of this name is, or could be, a stored one."""
         return isinstance(self._resource_of(graph), StoredResource)
 
     def _resource_of(self, graph: str) -> Resource | None:
-        """The resource whose graph this is; None where nothing of this server has that URL."""
+        """Return the resource of a graph, or None if this server has no resource at that URL."""
         base = self._session.space.base
         if not graph.startswith(base) or "?" in graph or "#" in graph:
             return None
@@ -317,12 +316,15 @@ class UpdateService:
             raise Problem(403, f"This graph cannot be written here; use graphs below {base}data/.")
         return found
 
-    # From the changes to the answer
+    # Planning and writing
 
     async def _write_if_current(
         self, delta: Delta, permissions: Permissions, locked: frozenset[str]
     ) -> Response | None:
-        """The answer; None where a graph that the update was evaluated over has changed. `locked` are locked."""
+        """Write the changes and return the response, or None if the data has changed since the evaluation.
+
+        The caller holds the locks of the graphs `locked`.
+        """
         targets = await self._targets(delta.changes, permissions)
         async with self._lock_targets(targets, locked):
             if not await self._is_current(delta, targets):
@@ -333,7 +335,7 @@ class UpdateService:
             return await self._carry_out(plans, permissions)
 
     async def _targets(self, changes: Sequence[GraphChange], permissions: Permissions) -> Sequence[Target]:
-        """What is written; the Problem of all that cannot be written whatever they are to say, if any is."""
+        """Return the targets of the changes. Raises RefusedGraphs if any graph is not writable at all."""
         found, reasons = [], []
         for change in changes:
             try:
@@ -351,7 +353,7 @@ class UpdateService:
 
     @contextlib.asynccontextmanager
     async def _lock_targets(self, targets: Sequence[Target], locked: Set[str]) -> AsyncIterator[None]:
-        """Keep others from changing anything that the plans for these targets depend on; `locked` are locked."""
+        """Lock everything that the plans for these targets depend on, except the graphs `locked`."""
         async with self._keyed_lock.acquire(*{target.resource.url for target in targets} - locked):
             members = [each.resource for each in targets if isinstance(each.resource, MemberResource | ComplexResource)]
             if not members:
@@ -363,7 +365,7 @@ class UpdateService:
                 yield
 
     async def _is_current(self, delta: Delta, targets: Sequence[Target]) -> bool:
-        """Whether all that the update was evaluated over is as it was."""
+        """Whether the data of the update is unchanged since its evaluation."""
         for target in targets:
             if isinstance(target.resource, StoredResource):
                 record = self._documents.records.get(target.resource.path)
@@ -372,7 +374,7 @@ class UpdateService:
                 if (record is not None) != target.change.was_there:
                     return False
         meant = delta.named | {change.graph for change in delta.changes}
-        # All values together never stand still, so only those count that an update means.
+        # Some live value changes all the time, so only the graphs that the update names or changes count.
         tokens = [each for each in delta.tokens.items() if each[0] in meant]
         return all([await self._has_token(graph, token) for graph, token in tokens])
 
@@ -383,7 +385,7 @@ class UpdateService:
             return False
 
     async def _plans(self, targets: Sequence[Target], permissions: Permissions) -> Sequence[PlannedGraph]:
-        """A plan a graph; the Problem of all that are refused, if any is."""
+        """Return a plan for each graph. Raises RefusedGraphs if any is refused."""
         found, reasons = [], []
         for change, resource in targets:
             try:
@@ -404,7 +406,10 @@ class UpdateService:
         return plan
 
     async def _carry_out(self, plans: Sequence[PlannedGraph], permissions: Permissions) -> Response | None:
-        """Carry plans out: what is kept in one transaction, then what moves the robot, one after the other."""
+        """Carry out the plans: stored graphs in one transaction, then writes to the robot one by one.
+
+        Returns None if a stored graph has changed since the evaluation.
+        """
         kept = [(graph, plan) for graph, plan in plans if isinstance(plan, StorageWrite)]
         moves = [(graph, plan) for graph, plan in plans if isinstance(plan, RobotWrite)]
         if moves:
@@ -412,7 +417,7 @@ class UpdateService:
         if kept:
             writes: dict[str, Write] = {}
             for graph, plan in kept:
-                for write in plan.writes:  # what makes a container for a member must not replace what it is to say
+                for write in plan.writes:  # an explicit write of a container precedes an implicit one
                     if write.path not in writes or graph == self._session.space.base + write.path:
                         writes[write.path] = write
             try:

@@ -23,13 +23,13 @@ from rosld.server.sparql.update.evaluate import GraphChange, Row, StagingDataset
 from rosld.server.sparql.update.operations import ChangeData, Load, ManageGraph, Operation, Where
 
 _INLINE = 1000
-"""Quads of an update that is evaluated on the loop."""
+"""Maximum number of quads of an update that is evaluated on the loop."""
 
 
 class ResourceGraphs(Struct, frozen=True):
-    """The graphs of resources at one moment: the states of those that are there, by the names of the graphs.
+    """Snapshot of the graphs of resources: the states of existing resources by graph name.
 
-    `tokens` are the tags of those that change by themselves, `documents` the names of all others.
+    `tokens` are the tags of graphs that are not stored, `documents` the names of the stored ones.
     """
 
     states: Mapping[str, State]
@@ -37,14 +37,14 @@ class ResourceGraphs(Struct, frozen=True):
     documents: frozenset[str]
 
     def triples(self, graph: str) -> Sequence[Triple] | None:
-        """The triples of a graph, None where there is no such graph."""
+        """Return the triples of a graph, or None if there is no such graph."""
         state = self.states.get(graph)
         return None if state is None else state.document.all_triples()
 
     async def changes(self, operations: Sequence[Operation], *, by_change: bool) -> tuple[GraphChange, ...]:
-        """The changes that operations without WHERE make. Raises Problems, as `evaluate` does.
+        """Return the changes that operations without WHERE make. Raises Problems like `evaluate`.
 
-        `by_change`: of documents only what changes is told, and the rest is not read, unless that is needed.
+        `by_change`: report only the difference for documents, reading the rest only if necessary.
         """
         changed = self.documents if by_change else frozenset()
         quads = sum(len(each.inserts) + len(each.deletes) for each in operations if isinstance(each, ChangeData))
@@ -63,7 +63,7 @@ class ResourceGraphs(Struct, frozen=True):
 
 
 async def read_graphs(graphs: Iterable[str], find: Callable[[str], Resource | None]) -> ResourceGraphs:
-    """Return graphs by name as the resources that `find` finds have them. Raises Problems of what cannot be read."""
+    """Return the graphs of these names from the resources that `find` returns. Raises Problems of unreadable graphs."""
     states: dict[str, State] = {}
     tokens: dict[str, Hashable] = {}
     for graph in graphs:
@@ -75,7 +75,7 @@ async def read_graphs(graphs: Iterable[str], find: Callable[[str], Resource | No
             state = await resource.state()
         except (Problem, RosError) as error:
             problem = error if isinstance(error, Problem) else problem_of(error)
-            if problem.status < 500:  # no graph to read; whether it can be written is the plan's to say
+            if problem.status < 500:  # no graph to read; planning decides whether it can be written
                 continue
             raise RefusedGraphs([(graph, problem)]) from error
         states[graph] = state
@@ -91,10 +91,10 @@ def _refuse(where: Where) -> Iterable[Row]:
 async def load_documents(
     operations: Sequence[Operation], allowed: frozenset[str], *, seconds: float, limit: int
 ) -> Sequence[Operation]:
-    """The operations with what each LOAD found in its place; each may take `seconds` and find `limit` bytes.
+    """Return the operations with each LOAD replaced by an insertion, within `seconds` and `limit` bytes per document.
 
-    Raises Problems: 403 for a document that is not `allowed`, 422 where no RDF is found, 502 where
-    nothing is found; none for LOAD SILENT, which then does nothing.
+    Raises Problems: 403 for a document that is not `allowed`, 422 for a document without RDF, 502 for an unavailable
+    one. A failing LOAD SILENT does nothing.
     """
     return [
         await _load_or_nothing(each, allowed, seconds, limit) if isinstance(each, Load) else each for each in operations
@@ -129,7 +129,7 @@ def _read(document: str, seconds: float, limit: int) -> Sequence[Triple]:
         triples = parse_triples(body, answer.media_type, document)
     except StoreError as error:
         raise Problem(502, f"LOAD: {error.sentence}", extra={AGENT_SAID: error.words}) from error
-    except (Problem, ValueError) as error:  # a BodyError is one, and may quote what was read
+    except (Problem, ValueError) as error:  # BodyError is a ValueError and may quote the document
         words = error.detail if isinstance(error, Problem) else f"{error}."
         raise Problem(422, f"LOAD: <{document}> cannot be read.", extra={AGENT_SAID: words}) from error
     finally:

@@ -1,6 +1,6 @@
 """Base of LDP resources: stored documents, their validators, and their transaction.
 
-A validator is called before a write is done; what it returns is called afterwards. Its writes are serialized by `lock`.
+A validator is called before a write and returns a callback for after the write. Its `lock` serializes its writes.
 """
 
 from __future__ import annotations
@@ -49,33 +49,33 @@ from rosld.server.storage.sqlite import Records
 from rosld.shapes.message import SHACL_SHACL
 
 MAX_BYTES = 4 * 1024 * 1024
-"""Bytes of N-Triples that a mapping, or limits, may say: some 40,000 triples."""
+"""Maximum size in bytes of a mapping or limits document as N-Triples: some 40,000 triples."""
 
 
 class Validator:
-    """Says which documents may be stored directly below a route, and puts them into force."""
+    """Validator and activator of the documents directly below a route."""
 
     route: str
     shape: str
-    """The name, below `/shapes/`, of what constrains it."""
+    """The name of the shape below `/shapes/` for its documents."""
     media_types: Sequence[str] = RDF_BODIES
-    """The media types of what may be made."""
+    """The media types of documents that may be created."""
     what: str
-    """What its documents are, for the 409 Problem of anything else."""
+    """Beginning of the message of the 409 Problem for any other resource."""
 
     def __init__(self, space: Space, lock: asyncio.Lock, announce: Callable[[], None]) -> None:
-        """`announce` tells that other documents are in force; `lock` is held while a write is validated and done."""
+        """`announce` is called after each change; `lock` is held during validation and write."""
         self._space = space
         self.lock = lock
         self._announce = announce
 
     @property
     def conforms_to(self) -> Sequence[str]:
-        """The URLs of the shapes of what its documents say, beside that of all that is kept."""
+        """The URLs of the shapes of its documents, in addition to that of all stored documents."""
         return (self._space.shape(self.shape),)
 
     async def validate(self, write: Write) -> Callable[[], None]:
-        """Return what to call once a write is done. Raises Problems and LoweringError for one that must not be done."""
+        """Return a callback for after the write. Raises Problems and LoweringError for an invalid write."""
         url = self._space.base + write.path
         if isinstance(write, Remove):
             act = self.removal(url)
@@ -92,20 +92,20 @@ class Validator:
         return done
 
     def is_allowed(self, put: Put) -> bool:
-        """Whether a document is of the kind that the route takes."""
+        """Whether the route accepts this kind of document."""
         return put.model is Model.RDF_SOURCE
 
     def removal(self, url: str) -> Callable[[], None]:
-        """Return what to do once the document at a URL is removed."""
+        """Return a callback for after the removal of the document at a URL."""
         return _nothing
 
     async def check(self, put: Put, url: str) -> Callable[[], None]:
-        """Return what to do once a document is stored. Raises Problems and LoweringError."""
+        """Return a callback for after storing a document. Raises Problems and LoweringError."""
         raise NotImplementedError
 
 
 class MappingValidator(Validator):
-    """Validates mapping documents, which are in force once they are stored."""
+    """Validator of mapping documents, which take effect when stored."""
 
     route = MAPPINGS
     shape = "mapping"
@@ -119,13 +119,13 @@ class MappingValidator(Validator):
         return partial(self._mappings.remove, url)
 
     async def check(self, put: Put, url: str) -> Callable[[], None]:
-        document = await asyncio.to_thread(stored_mapping, _unpack(put), url)  # a large one takes its time
+        document = await asyncio.to_thread(stored_mapping, _unpack(put), url)  # large documents take long
         self._mappings.check(document)
         return partial(self._mappings.replace, document)
 
 
 class QueryValidator(Validator):
-    """Validates stored queries, which are stored byte for byte and parsed when they are run."""
+    """Validator of stored queries, which are stored byte for byte and parsed when they are run."""
 
     route = QUERIES
     shape = "query"
@@ -146,9 +146,9 @@ class QueryValidator(Validator):
 
     async def check(self, put: Put, url: str) -> Callable[[], None]:
         before, blob = self._records.get(put.path), put.blob
-        if blob is not None and (before is None or before.blob != blob):  # else its description changes
+        if blob is not None and (before is None or before.blob != blob):  # otherwise only the description changes
             try:
-                await asyncio.to_thread(self._queries.check, put.path, blob)  # a long one takes its time
+                await asyncio.to_thread(self._queries.check, put.path, blob)  # long queries take long
             except ValueError as error:
                 self._records.discard(blob)
                 raise Problem(422, f"This is not a stored query: {error}.") from error
@@ -156,7 +156,7 @@ class QueryValidator(Validator):
 
 
 class LimitsValidator(Validator):
-    """Validates limits, which bound what may be written once they are stored."""
+    """Validator of limits, which constrain writes as soon as they are stored."""
 
     route = SHAPES
     shape = "limits"
@@ -178,7 +178,7 @@ class LimitsValidator(Validator):
 
     async def check(self, put: Put, url: str) -> Callable[[], None]:
         try:
-            graph = await asyncio.to_thread(self._limits.check, url, _unpack(put))  # a large one takes its time
+            graph = await asyncio.to_thread(self._limits.check, url, _unpack(put))  # large documents take long
         except ValueError as error:
             words = f"These limits cannot be put in force: {error}. Relative IRIs are relative to {url}."
             raise Problem(422, words) from error
@@ -186,11 +186,11 @@ class LimitsValidator(Validator):
 
     def _change(self, change: Callable[[], None]) -> None:
         change()
-        self._states.clear()  # bounds are part of what resources say of themselves
+        self._states.clear()  # states of resources include their bounds
 
 
 class CockpitValidator(Validator):
-    """Validates cockpits, which are pages once they are stored."""
+    """Validator of cockpits, which are served as pages once they are stored."""
 
     route = COCKPITS
     shape = "cockpit"
@@ -205,11 +205,11 @@ class CockpitValidator(Validator):
 
 
 def _nothing() -> None:
-    """Nothing is to be done."""
+    """Do nothing."""
 
 
 def _unpack(put: Put) -> bytes:
-    """The N-Triples that a document says. Raises a 413 Problem for more than is read beside the loop in good time."""
+    """Return the N-Triples of a document. Raises a 413 Problem beyond `MAX_BYTES`."""
     if unpacked_size(put.triples) > MAX_BYTES:
         words = f"A document that is in force can have at most {MAX_BYTES} bytes of N-Triples"
         raise Problem(413, f"{words}, this one has {unpacked_size(put.triples)}: split it into several.")
@@ -217,7 +217,7 @@ def _unpack(put: Put) -> bytes:
 
 
 class Documents(Struct, frozen=True):
-    """The records, and the services with which resources read and write them."""
+    """The records and the services for reading and writing them."""
 
     space: Space
     settings: Settings
@@ -227,9 +227,9 @@ class Documents(Struct, frozen=True):
     states: VersionCache[State]
     workers: WorkerPool
     validators: Mapping[str, Validator]
-    """By the route below which a document has an effect."""
+    """Validators by the route of their documents."""
     mapping_warnings: Callable[[str], Awaitable[Sequence[str]]]
-    """Tells what the mapping at a URL names in vain, in sentences."""
+    """Returns a warning for each missing thing that the mapping at a URL names."""
 
     def validator_of(self, path: str) -> Validator | None:
         """Return the validator of documents at a path; None for most."""
@@ -238,7 +238,7 @@ class Documents(Struct, frozen=True):
 
 
 async def write_together(documents: Documents, writes: Sequence[Write]) -> Sequence[Record | None]:
-    """Do these writes in one transaction, if they are found good. Raises Conflict, Problems and LoweringError."""
+    """Validate the writes and carry them out in one transaction. Raises Conflict, Problems and LoweringError."""
     for write in writes:
         record_step(
             f"{'store' if isinstance(write, Put) else 'delete'} /{write.path}", documents.space.base + write.path
@@ -260,9 +260,9 @@ async def write_together(documents: Documents, writes: Sequence[Write]) -> Seque
 
 
 async def with_warnings(documents: Documents, path: str, exchange: Exchange, answer: Answer) -> Answer:
-    """The answer to a write that put a mapping in force: in words where it names in vain, if no other is preferred.
+    """Return the answer to a write, replaced by warnings if a mapping names missing things and no Prefer forbids it.
 
-    The warnings name what is there instead, so they are for those who may read everything.
+    The warnings suggest existing names, so they require permission to read everything.
     """
     is_told = exchange.permissions.may_read_all and not (exchange.prefer.minimal or exchange.prefer.representation)
     if not path.startswith(ROUTE) or not is_told:
@@ -291,10 +291,10 @@ DELETES = WriteMethod(
 
 
 class StoredResource(Resource):
-    """Base of the resources that clients keep. `path` is the URL without the base."""
+    """Base class of resources that clients store. `path` is the URL without the base."""
 
     is_cacheable = False
-    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # browsers add some to bypass caches
+    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # browsers add parameters to bypass caches
 
     def __init__(self, documents: Documents, path: str) -> None:
         super().__init__(documents.space, documents.space.base + path)
@@ -306,7 +306,7 @@ class StoredResource(Resource):
 
     @property
     def accepted_media_types(self) -> Sequence[str]:
-        """The media types of what may be made here: those of its validator, where there is one."""
+        """The media types that may be created here: those of the validator, if there is one."""
         permissions = self.documents.validator_of(self.path + "?")
         return (*RDF_BODIES, ANYTHING) if permissions is None else permissions.media_types
 
@@ -327,7 +327,7 @@ class StoredResource(Resource):
         return self.space.shape("data" if permissions is None else permissions.shape)
 
     def require_record(self) -> Record:
-        """Return the record; a 404 or 410 Problem where there is none."""
+        """Return the record. Raises a 404 or 410 Problem, or a 308 redirect, if there is none."""
         found = self.documents.records.get(self.path)
         if found is None:
             raise missing_problem(self.documents, self.path)
@@ -337,15 +337,15 @@ class StoredResource(Resource):
         return self.documents.changes.watch(wake, lambda path: path == self.path)
 
     def require_if_match(self, exchange: Exchange) -> None:
-        """Raise a 428 Problem for a PUT without If-Match where the settings demand it (LDP 4.2.4.5)."""
+        """Raise a 428 Problem for a PUT without If-Match if the settings demand one (LDP 4.2.4.5)."""
         if self.documents.settings.demand_if_match:
             require_if_match(exchange.header("if-match"), "Read the document before replacing it.")
 
     async def change_record(self, exchange: Exchange, make: Callable[[Record], Awaitable[Write]]) -> None:
-        """Do what `make` makes of the record as it is.
+        """Write what `make` returns for the current record.
 
-        Where somebody else changes it meanwhile it is made anew, or 412 if the request is conditional. A 503 Problem
-        where others change it all the time.
+        Retries if another request changes the record meanwhile; raises a 412 Problem if this request is conditional,
+        and a 503 Problem after `call_deadline` seconds of retries.
         """
         patience = self.documents.settings.call_deadline
         until = time.monotonic() + patience
@@ -362,9 +362,9 @@ class StoredResource(Resource):
                     raise Problem(503, words, headers={"Retry-After": "1"}) from error
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Remove the record, which leaves a tombstone; with `?versions=true` its former versions, too.
+        """Remove the record, leaving a tombstone; with `?versions=true`, remove its former versions, too.
 
-        Raises a 409 Problem for a container that has members, 412 where another has changed it.
+        Raises a 409 Problem for a container with members, and 412 if a precondition no longer holds.
         """
         with_versions = exchange.query_flag("versions") and self.documents.settings.versions > 0
 
@@ -376,14 +376,14 @@ class StoredResource(Resource):
 
 
 def conflict_problem(space: Space, error: Conflict) -> Problem:
-    """The Problem of a write that cannot be done as things are."""
+    """Return the Problem of a write that conflicts with the stored state."""
     status = {ConflictCause.GONE: 410, ConflictCause.CHANGED: 412, ConflictCause.MISSING: 404}.get(error.cause, 409)
     url = space.base + error.path
     return Problem(status, f"{url}: {error.words}.", about=(url,))
 
 
 def missing_problem(documents: Documents, path: str) -> Problem:
-    """410 where something was removed and not made again, 308 to a container, else 404."""
+    """Return 410 for a deleted resource, 308 if the path exists with (or without) a final slash, else 404."""
     if documents.records.is_tombstone(path):
         return Problem(410, f"/{path} was deleted; PUT to create it again.")
     other = path[:-1] if path.endswith("/") else path + "/"

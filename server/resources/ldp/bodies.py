@@ -51,15 +51,15 @@ from rosld.server.storage.record_documents import (
 
 
 def model_of_request(exchange: Exchange, url: str, *, container: bool) -> Model:
-    """Return the interaction model that a request to `url` asks for; raises as `requested_model`.
+    """Return the interaction model that a request to `url` specifies; raises like `requested_model`.
 
-    `container`: the URL of what is made ends in a slash.
+    `container`: the URL of the new resource ends in a slash.
     """
     return requested_model(_links(exchange), url, exchange.essence, container_hint=container)
 
 
 def require_model(exchange: Exchange, model: Model, url: str) -> None:
-    """Raise a 409 Problem where a request asks to turn a resource into one of another model (LDP 4.2.3, 5.2.3.4)."""
+    """Raise a 409 Problem if a request would change the interaction model of a resource (LDP 4.2.3, 5.2.3.4)."""
     links = _links(exchange)
     if not links:
         return
@@ -77,9 +77,9 @@ def _links(exchange: Exchange) -> Sequence[Link]:
 
 
 async def read_statements(workers: WorkerPool, exchange: Exchange, url: str, subject: str) -> Statements:
-    """Return the triples of a body about `subject`, resolved against `url`. No body at all, of no type, states nothing.
+    """Return the triples of a body about `subject`, resolved against `url`; none without body and Content-Type.
 
-    Raises BodyError, and a 422 Problem for triples about triples, which are not kept.
+    Raises BodyError, and a 422 Problem for triples about triples.
     """
     data = await exchange.body()
     if not data and exchange.header("content-type") is None:
@@ -90,10 +90,7 @@ async def read_statements(workers: WorkerPool, exchange: Exchange, url: str, sub
 
 
 async def as_statements(triples: Sequence[Triple], subject: str) -> Statements:
-    """Triples as a body about `subject` states them.
-
-    Raises a 422 Problem for triples about triples, which are not kept.
-    """
+    """Return triples as the statements of a body about `subject`. Raises a 422 Problem for triples about triples."""
     if isinstance(triples, Statements):
         return triples
     if len(triples) <= MAX_PATCHED:
@@ -102,13 +99,13 @@ async def as_statements(triples: Sequence[Triple], subject: str) -> Statements:
 
 
 def require_small(triples: Sequence[Triple]) -> None:
-    """Raise a 413 Problem for more than a document of a few thousand triples."""
+    """Raise a 413 Problem for more than a few thousand triples."""
     if isinstance(triples, Statements) and triples.is_large:
         raise Problem(413, "This is too large to store: at most a few thousand triples.")
 
 
 def require_same_containment(documents: Documents, record: Record, triples: Iterable[Triple]) -> None:
-    """Raise a 409 Problem where a body would change what a container contains (LDP 5.2.4.1)."""
+    """Raise a 409 Problem if a body would change what a container contains (LDP 5.2.4.1)."""
     stated = contained_members(triples, documents.space.base + record.path)
     if stated and stated != {
         NamedNode(documents.space.base + each.path) for each in all_members(documents.records, record)
@@ -117,9 +114,9 @@ def require_same_containment(documents: Documents, record: Record, triples: Iter
 
 
 async def receive_blob(documents: Documents, exchange: Exchange) -> Blob:
-    """Stream the body, or what was read of it already, into a blob.
+    """Stream the body into a blob.
 
-    Raises Problems (415 for a malformed Content-Type, and as `read_chunks`), ValueError beyond the limit, StorageError.
+    Raises Problems (415 for a malformed Content-Type, or like `read_chunks`), ValueError if too large, StorageError.
     """
     media_type = exact_media_type(exchange.header("content-type"))
     limit, whole = documents.settings.upload_limit, exchange.consumed_body
@@ -128,14 +125,14 @@ async def receive_blob(documents: Documents, exchange: Exchange) -> Blob:
 
 
 async def single_chunk(data: bytes) -> AsyncIterator[bytes]:
-    """A body that was read already, as the chunks of one that is read as it comes."""
+    """Yield a body that was read already as a single chunk."""
     yield data
 
 
 async def client_statements(documents: Documents, record: Record, triples: Statements, times: bytes) -> bytes:
-    """What is the client's to say of a body, as it is kept: all but what the server says of the record itself.
+    """Return the client's triples of a body in packed form, without server-managed ones, preceded by `times`.
 
-    It begins with `times`, which its first writer said.
+    `times` are the N-Triples of the times stated by the first writer.
     """
     subject, servers = documents.space.base + record.path, frozenset[Triple]()
     if record.membership is not None:
@@ -148,14 +145,14 @@ async def client_statements(documents: Documents, record: Record, triples: State
 
 _N_TRIPLES = "application/n-triples"
 _MAX_UNITED = 4 * 1024 * 1024
-"""Bytes of N-Triples that several parts may make a new graph of."""
+"""Maximum size in bytes of the N-Triples of a graph created from several parts."""
 
 
 async def merged_statements(workers: WorkerPool, exchange: Exchange, url: str, subject: str) -> Statements:
-    """The statements about `subject` of a request whose body is multipart/form-data: what all its parts say.
+    """Return the statements about `subject` in all parts of a multipart/form-data body.
 
-    The parts are resolved against `url`. Raises BodyError and Problems: 400 for what cannot be cut into parts, 415 for
-    parts that are no RDF.
+    The parts are resolved against `url`. Raises BodyError and Problems: 400 for a malformed body, 415 for a part that
+    is not RDF.
     """
     data, stated = await exchange.raw_body(), parse_media_type(exchange.header("content-type") or "")
     work = partial(_unite, data, stated.parameter("boundary"), url, subject)
@@ -163,9 +160,9 @@ async def merged_statements(workers: WorkerPool, exchange: Exchange, url: str, s
 
 
 async def merge_parts(workers: WorkerPool, exchange: Exchange, url: str) -> None:
-    """Turn a request whose body is multipart/form-data into one of N-Triples that says what all its parts say.
+    """Replace the multipart/form-data body of a request with the merged N-Triples of its parts.
 
-    Raises what `merged_statements` raises, and a 413 Problem where that is too large.
+    Raises like `merged_statements`, and a 413 Problem if the result is too large.
     """
     found = await merged_statements(workers, exchange, url, url)
     if unpacked_size(found.packed) > _MAX_UNITED:
@@ -194,7 +191,7 @@ def _read(part: Part, number: int, url: str) -> list[Triple]:
 
 
 _MILLISECOND = 1_000_000
-"""Nanoseconds: many clients know times no better, JavaScript's do not."""
+"""Nanoseconds in a millisecond, the precision of times in many clients (such as JavaScript)."""
 
 
 def managed_triples_in(triples: Sequence[Triple], url: str, model: Model) -> list[Triple]:
@@ -205,13 +202,13 @@ def managed_triples_in(triples: Sequence[Triple], url: str, model: Model) -> lis
     return [each for each in triples if each.subject == subject and is_managed(each.predicate, each.object, model)]
 
 
-# Of what is new
+# New resources
 
 
 def initial_times(managed: Sequence[Triple]) -> bytes:
-    """When a new resource was created and modified as its first writer says, as lines of N-Triples.
+    """Return the times of creation and modification that the first writer states, as N-Triples.
 
-    Raises a 409 Problem for what is said more than once, or by something else than a short literal.
+    Raises a 409 Problem for several values, or for a value that is not a short literal.
     """
     found: list[Triple] = []
     for predicate in TIMES:
@@ -225,7 +222,7 @@ def initial_times(managed: Sequence[Triple]) -> bytes:
 
 
 def require_classes(managed: Sequence[Triple], model: Model) -> None:
-    """Raise a 409 Problem where a body says that it is of another interaction model than it is to be made with."""
+    """Raise a 409 Problem if a body states another interaction model than that of the new resource."""
     for each in managed:
         if each.predicate == rdf.type and each.object not in rdf_types(model):
             asked = each.object.value if isinstance(each.object, NamedNode) else each.object
@@ -233,14 +230,14 @@ def require_classes(managed: Sequence[Triple], model: Model) -> None:
             raise Problem(409, f'{words} interaction model by a Link header with rel="type" (LDP 5.2.3.4).')
 
 
-# Of what is there
+# Existing resources
 
 
 def require_unchanged(managed: Sequence[Triple], record: Record, url: str) -> None:
-    """Raise a 409 Problem, which names the property, where a body says otherwise what the server says of a resource.
+    """Raise a 409 Problem that names the property if a body changes a server-managed triple of a resource.
 
-    A time of modification that it had at any time since it was made passes: it is an earlier state that is put back.
-    Members and membership are judged by themselves.
+    Any modification time since the creation is accepted, so that clients can restore an earlier state. Members and
+    membership are checked separately.
     """
     present, first = managed_triples(record, url), parse_ntriples(b"".join(client_times(record, url)))
     for each in managed:
@@ -253,7 +250,7 @@ def require_unchanged(managed: Sequence[Triple], record: Record, url: str) -> No
 
 
 def require_membership(membership: Membership, managed: Sequence[Triple], url: str) -> None:
-    """Raise a 409 Problem, which names the property, where a body changes what membership triples are made of."""
+    """Raise a 409 Problem that names the property if a body changes the configuration of membership triples."""
     present = membership_declaration(membership, url)
     for each in managed:
         is_default = each.predicate == ldp.insertedContentRelation and membership.content is None

@@ -1,7 +1,7 @@
 """Records as named graphs: changes of graphs, derived from the changed records only.
 
-A container may have very many members, so its graph is never told anew for one of them: what a member adds to it (a
-containment triple, a membership triple) comes and goes by itself.
+A container may have very many members, so a change of one member never resends the container's graph: only the
+member's own triples (containment, membership) are added or removed.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from rosld.server.storage.record_documents import (
 from rosld.server.storage.sqlite import Records
 
 _PAGE = 200
-"""Changed records looked at before the loop gets its turn: some milliseconds."""
+"""Number of changed records processed before yielding to the loop: some milliseconds."""
 _MORE = 20
-"""Pages of what changed while others were looked at."""
+"""Maximum number of additional pages for changes made during a search."""
 _MEMBERS = 1000
-"""Members listed before the loop gets its turn."""
+"""Number of members listed before yielding to the loop."""
 _ROBOTS = frozenset({"topics", "parameters", "resources", "nodes", "services", "actions"})
-"""Rooms in which clients keep nothing."""
+"""Routes without stored resources."""
 _OVERHEAD = 600
-"""About how many characters the server adds to what a record says."""
+"""Approximate number of characters that the server adds to the statements of a record."""
 
 
 ExtraTriples: TypeAlias = Callable[[Record], Sequence[Triple]]
-"""What a resource says of itself beside what its record says. Called in any thread."""
+"""Returns the triples of a resource that are not in its record. Called in any thread."""
 
 
 def _nothing(record: Record) -> Sequence[Triple]:
@@ -53,9 +53,9 @@ def _nothing(record: Record) -> Sequence[Triple]:
 
 
 class RecordGraphs:
-    """The graphs of all records, each what a GET of its resource says: a `ChangeSource`.
+    """`ChangeSource` of the graphs of all records, each equal to the representation of its resource.
 
-    The graphs of the containers `elsewhere` come from somewhere else.
+    Another source provides the graphs of the containers `elsewhere`.
     """
 
     def __init__(
@@ -73,11 +73,11 @@ class RecordGraphs:
         return self._records.version
 
     def may_match(self, needs: Needs) -> bool:
-        """Whether a query can match what clients say, which may be anything."""
+        """Whether a query can match stored triples, which may be arbitrary."""
         return bool(needs.patterns) or needs.asks_graphs
 
     def last_change(self, graph: str) -> int:
-        """When what this graph says last changed, as far as that is known at once."""
+        """Return the version of the last change of a graph, or an upper bound on it."""
         path = graph[len(self._base) :] if graph.startswith(self._base) else ""
         if not path or path.partition("/")[0] in _ROBOTS:
             return 0
@@ -92,14 +92,14 @@ class RecordGraphs:
 
 
 class _Times:
-    """Modification times in the graphs of containers: a change of a list changes only these."""
+    """Modification times in the graphs of containers, which change with their lists of members."""
 
     def __init__(self, base: str) -> None:
         self._base = base
         self._told: dict[str, dict[str, int]] = {}
 
     def tell(self, record: Record, after: int) -> tuple[str, str]:
-        """Return the current triple of a container, and all that it may replace; `after` is certain to exist."""
+        """Return a container's current triple and those it may replace, given that version `after` was delivered."""
         told = self._told.setdefault(record.path, {})
         certain = max((version for version in told.values() if version <= after), default=0)
         for line in [line for line, version in told.items() if version < certain]:
@@ -114,9 +114,9 @@ class _Times:
 
 
 class _Search:
-    """One search for what changed after a version.
+    """One search for changes after a version.
 
-    Containers that changed themselves are told whole, when all else was told; what is listed in them since is added.
+    Changed containers are sent whole, after everything else; members listed since then are added.
     """
 
     def __init__(
@@ -128,17 +128,17 @@ class _Search:
         self._base = base
         self._after = after
         self._times = times
-        self._whole: dict[str, int] = {}  # the versions of the containers that were told whole
-        self._due: dict[str, None] = {}  # the containers that are to be
+        self._whole: dict[str, int] = {}  # versions of containers that were sent whole
+        self._due: dict[str, None] = {}  # containers still to be sent whole
         self._graphs: dict[str, Callable[[], str] | None] = {}
         self._edits: list[Edit] = []
         self._size = 0
 
     def parts(self) -> Iterator[Changes]:
-        """Until nothing has changed any more, so that no write is told in part.
+        """Yield changes until there are no more, so that no write is delivered in part.
 
-        Where writes never end, until some time after what had changed at first. What changes meanwhile comes up once
-        more, in this search or the next.
+        During continuous writes, stop `_MORE` pages after the initial changes. Records that change meanwhile are
+        yielded again in this search or the next.
         """
         last, now, more = self._after, self._records.version, _MORE
         while True:
@@ -196,7 +196,7 @@ class _Search:
         self._size += unpacked_size(record.triples) + _OVERHEAD
 
     def _step(self, path: str, steps: Sequence[RecordWrite]) -> None:
-        """Do what writes did, one after the other: that is no harm to a graph in which some of it is done."""
+        """Replay writes in order, which is safe for a graph that already contains some of them."""
         url = self._base + path
         for step in steps:
             before, after = (_managed_lines(record, url) for record in (step.before, step.after))
@@ -211,7 +211,7 @@ class _Search:
         self._due.pop(path, None)
         self._times.drop(path)
         self._graphs[self._base + path] = None
-        if self._records.get(path + META) is None:  # whether it was a file is not known
+        if self._records.get(path + META) is None:  # it may have been a file
             self._graphs[self._base + path + META] = None
 
     def _list(self, container: Record, path: str, record: Record | None) -> None:
@@ -219,14 +219,14 @@ class _Search:
         if record is not None and record.created_ns == record.modified_ns:
             self._edit(container.path, self._lines(container, [(path, record.member)]))
         elif _is_indirect(container.membership):
-            self._due[container.path] = None  # what stood for it before is not known, and may stand for others too
+            self._due[container.path] = None  # its former URI is unknown and may represent other members, too
         elif record is None:
             self._edit(container.path, removed=self._lines(container, [(path, None)]))
         else:
             self._edit(container.path, self._lines(container, [(path, record.member)]))
 
     def _container(self, path: str, reached: int) -> Iterator[Changes]:
-        """Yield a container, and then its members in pages. If it changes meanwhile, it comes up once more."""
+        """Yield a container, then its members in pages. A container that changes meanwhile is yielded again."""
         container = self._records.get(path)
         if container is None:
             return

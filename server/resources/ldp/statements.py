@@ -1,6 +1,6 @@
-"""The statements of bodies, merges and patches, in the form in which records keep them. Pure.
+"""Statements of bodies, merges and patches, in the form in which records store them. Pure.
 
-Worker processes call the functions at the end, so this imports little.
+Worker processes call the functions at the end, so this module has few imports.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ from rosld.server.storage.record_documents import (
 
 N3_PATCH = "text/n3"
 SMALL_BYTES = 32 * 1024
-"""Bytes of a body that the loop reads itself: at most some 15,000 triples, which take 15 ms."""
+"""Maximum size in bytes of a body parsed on the loop: at most some 15,000 triples, which take 15 ms."""
 _TINY_BYTES = 4 * 1024
 _LONG = re.compile(rb"""<[^>\s]{512}|"[^"]{512}|'[^']{512}|[^\s,;"'<>\[\](){}]{512}""")
-"""What may be said once in a body and be a part of every triple of it: a long IRI or prefix."""
+"""Pattern of a long IRI, prefix or literal, which a body may state once and repeat in every triple."""
 MAX_CHANGED = 500
-"""Triples up to which the change of a large document is told as what changed."""
+"""Maximum number of triples in the recorded difference of a large document."""
 MAX_PATCHED = 5_000
-"""Triples that may come of a patch on the loop's side; what comes to more is done in a worker process."""
+"""Maximum number of triples resulting from a patch on the loop; larger patches run in a worker process."""
 
 _Term = TypeVar("_Term")
 
 
 class Statements(Sequence[Triple]):
-    """The triples of a body, given as they are kept or as triples: each is made of the other when somebody looks at it.
+    """The triples of a body, given in packed form or as triples; each form is derived lazily from the other.
 
-    `managed` are those about the resource that the server manages, where they were looked for already; `changed` is
-    what a change of a large document came to, where it is little.
+    `managed` are the server-managed triples about the resource, if known already; `changed` is the difference that a
+    small change made to a large document.
     """
 
     def __init__(
@@ -65,31 +65,34 @@ class Statements(Sequence[Triple]):
 
     @cached_property
     def packed(self) -> bytes:
-        """As they are kept."""
+        """The packed form that records store."""
         return self._given if isinstance(self._given, bytes) else pack_triples(to_ntriples(self._given))
 
     @property
     def is_large(self) -> bool:
-        """Whether they are too many to be looked at by the loop."""
+        """Whether there are too many triples to process on the loop."""
         return isinstance(self._given, bytes) and is_packed(self._given)
 
     @property
     def managed(self) -> Sequence[Triple]:
-        """Return the statements if any of them may be server-managed, else none."""
+        """The server-managed triples if known, else all triples if any may be server-managed."""
         if self._managed is not None:
             return self._managed
         return self if not isinstance(self._given, bytes) or may_be_managed(unpack_triples(self._given)) else ()
 
     def set_managed(self, managed: Sequence[Triple]) -> None:
-        """These are the ones that the server manages."""
+        """Set the server-managed triples."""
         self._managed = managed
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Without what was parsed."""
+        """Pickle without the parsed triples."""
         return Statements, (self.packed, self._managed, self.changed)
 
     def difference(self, before: Record, url: str, times: bytes) -> Difference | None:
-        """Return the change of the record at `url`; None if it is large, or touches server-managed triples."""
+        """Return the change of the record at `url`.
+
+        None if it is unknown or large, or concerns blank nodes or server-managed triples.
+        """
         if self.changed is None or before.model is not Model.RDF_SOURCE:
             return None
         triples = [*self.changed.removed, *self.changed.added]
@@ -129,7 +132,7 @@ def is_small(data: bytes) -> bool:
 
 
 def statements_of(given: bytes | list[Triple]) -> Statements:
-    """The statements of N-Triples or of triples. Raises a 422 Problem for triples about triples, which are not kept."""
+    """Return the statements of N-Triples or triples. Raises a 422 Problem for triples about triples."""
     if not isinstance(given, bytes):
         found = Statements(given)
     else:
@@ -148,7 +151,7 @@ def contained_members(triples: Iterable[Triple], url: str) -> set[Term]:
 
 
 def require_same_members(before: Iterable[Triple], after: Iterable[Triple], url: str) -> None:
-    """Raise a 409 Problem where a patch would change what a container contains (LDP 5.2.4.1)."""
+    """Raise a 409 Problem if a patch would change what a container contains (LDP 5.2.4.1)."""
     if contained_members(before, url) != contained_members(after, url):
         raise Problem(409, f"{CONTAINMENT}, not by a patch.")
 
@@ -167,7 +170,7 @@ def triples_of(body: RdfBody) -> list[Triple]:
 
 
 def rename_blank_nodes(triples: Iterable[Triple]) -> list[Triple]:
-    """Return these triples with new blank nodes: graphs that are merged share none (RDF 1.1 Semantics 4.1)."""
+    """Return the triples with new blank nodes, as merging graphs requires (RDF 1.1 Semantics 4.1)."""
     new: dict[BlankNode, BlankNode] = {}
     return [
         Triple(_anew(each.subject, new), each.predicate, _anew(each.object, new)) if _has_blank(each) else each
@@ -188,7 +191,7 @@ def parse_patch(
 ) -> Callable[[Sequence[Triple]], list[Triple]]:
     """Return the function that applies a patch to triples, which raises TooManyTriples beyond `limit`.
 
-    Raises Problems for what is no patch.
+    Raises Problems for an invalid patch.
     """
     if media_type == N3_PATCH:
         patch = read_patch(data, url)
@@ -196,11 +199,11 @@ def parse_patch(
     return lambda before: triples_of(apply_update(data, before, url, limit))
 
 
-# In a worker
+# Called in worker processes
 
 
 def parse_statements(ntriples: bytes, subject: str) -> Statements:
-    """Return the statements of N-Triples, with those about the resource `subject` that the server manages."""
+    """Return the statements of N-Triples, with the server-managed triples about the resource `subject`."""
     found, node = statements_of(ntriples), NamedNode(subject)
     may_be = found if may_be_managed(ntriples) else ()
     found.set_managed(
@@ -215,7 +218,7 @@ def parse_body_statements(data: bytes, media_type: str, url: str, subject: str) 
 
 
 def merge_statements(describe: Callable[[], Document], added: Statements, subject: str) -> Statements:
-    """The statements of a document and those that are added to it."""
+    """Return the statements of a document merged with the added ones."""
     before = describe().triples
     after = dict.fromkeys((*before, *rename_blank_nodes(added)))
     return _noting(before, after, parse_statements(to_ntriples(after), subject))
@@ -232,7 +235,7 @@ def patch_statements(
 
 
 def _noting(before: Sequence[Triple], after: Collection[Triple], found: Statements) -> Statements:
-    """Note what changed, where that is little of much."""
+    """Set `changed` on the statements of a large document after a small change."""
     if found.is_large and abs(len(after) - len(before)) <= MAX_CHANGED:
         known = frozenset(before)
         added = [each for each in after if each not in known]
@@ -245,9 +248,9 @@ def _noting(before: Sequence[Triple], after: Collection[Triple], found: Statemen
 
 
 def client_triples(kept: Statements, subject: str, model: Model, servers: frozenset[Triple], times: bytes) -> bytes:
-    """As it is kept, what is the client's to say: neither what the server manages nor what `servers` has.
+    """Return the client's triples in packed form: neither server-managed nor in `servers`, preceded by `times`.
 
-    It begins with `times`, which its first writer said.
+    `times` are the N-Triples of the times stated by the first writer.
     """
     return pack_triples(
         times + to_ntriples([each for each in remove_managed(kept, subject, model) if each not in servers])
@@ -255,12 +258,12 @@ def client_triples(kept: Statements, subject: str, model: Model, servers: frozen
 
 
 def member_uri(membership: Membership, kept: Statements, url: str) -> str:
-    """Return the URI of a new member at `url` in membership triples. Raises as `member_derived_uri`."""
+    """Return the URI of a new member at `url` in membership triples. Raises like `member_derived_uri`."""
     return member_derived_uri(membership, index_triples(kept), url)
 
 
 class KeptChange(NamedTuple):
-    """The statements of a record after a change, as they are kept, and the lines that the change removed and added."""
+    """The packed statements of a record after a change, and the lines that the change removed and added."""
 
     triples: bytes
     removed: bytes
@@ -268,9 +271,9 @@ class KeptChange(NamedTuple):
 
 
 def change_kept(kept: bytes, removed: bytes, added: bytes) -> KeptChange | None:
-    """Return the statements `kept` without the lines of `removed`, as far as they are there, and with those of `added`.
+    """Return the stored statements `kept` without the lines of `removed` and with those of `added`.
 
-    None where blank nodes are removed that are not there: they may have other labels.
+    None if lines of `removed` with blank nodes are missing: their labels may differ.
     """
     gone, new = dict.fromkeys(_lines(removed)), dict.fromkeys(_lines(added))
     lines = _lines(unpack_triples(kept))
@@ -288,9 +291,9 @@ def change_kept(kept: bytes, removed: bytes, added: bytes) -> KeptChange | None:
 def patch_kept(
     record: Record, describe: Callable[[], Document], data: bytes, media_type: str, url: str, subject: str
 ) -> KeptChange | None:
-    """The change that a SPARQL Update or an N3 Patch makes; None where it is about what the server says of `subject`.
+    """Return the change that a SPARQL Update or N3 Patch makes, or None if it concerns server-managed triples.
 
-    `describe` makes the whole document, of which only patterns need more than the lines that are kept. Raises Problems.
+    `describe` returns the whole document, which only patterns need. Raises Problems.
     """
     kept = record.triples
     if media_type == "text/n3":
@@ -325,7 +328,7 @@ def has_managed(triples: Iterable[Triple], subject: str) -> bool:
 
 
 def has_blank_nodes(ntriples: bytes) -> bool:
-    """Whether lines of N-Triples may have a blank node; true for some literals, too."""
+    """Whether lines of N-Triples may contain blank nodes; some literals give a false positive."""
     return any(line.startswith(b"_:") or b" _:" in line[line.rindex(b" ", 0, -2) :] for line in _lines(ntriples))
 
 

@@ -1,4 +1,4 @@
-"""Panels of cockpits, each read from its resource as one agent may see it."""
+"""Panels of cockpits, read from their resources with the permissions of one agent."""
 
 from __future__ import annotations
 
@@ -61,35 +61,35 @@ from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.stored_query import OTHER_SETTINGS, StoredQuery, bind_parameters
 
 _PATIENCE = 4.0
-"""Seconds that a panel may take; then it says so."""
+"""Seconds after which a panel shows a timeout."""
 _LOOK_SECONDS = 2.0
-"""How often is looked at what tells of no change."""
+"""Seconds between polls of values without change notifications."""
 _ROWS = 50
 _TABLE_SECONDS = 10.0
-"""For so long the results of a query are shown again."""
+"""Seconds that results of a query are cached."""
 _QUERY_SECONDS = 3.0
 _MAX_TABLES = 64
 _COMMANDED = frozenset({"services", "actions", "resources", "topics", "parameters", "goals", "holds", "stop"})
-"""The kinds of URLs that a panel offers to send something to: all that reaches the robot."""
+"""Kinds of URLs that panels may send to: those that reach the robot."""
 
 
 class PanelHidden(Exception):
-    """The agent may not know of what a panel shows, or may not do what it offers."""
+    """Raised when the agent may not read the content of a panel or use its controls."""
 
 
 class QueryTables:
-    """The results of queries as they were shown last, each for a while."""
+    """Cache of query results with a time limit."""
 
     def __init__(self) -> None:
         self._found: OrderedDict[tuple[str, str], tuple[float, PageResults]] = OrderedDict()
 
     def find(self, key: tuple[str, str]) -> PageResults | None:
-        """Return the results under a key, if they are new enough."""
+        """Return the results under a key, or None if they are missing or too old."""
         found = self._found.get(key)
         return None if found is None or time.monotonic() - found[0] > _TABLE_SECONDS else found[1]
 
     def put(self, key: tuple[str, str], results: PageResults) -> PageResults:
-        """Keep results; returns them."""
+        """Store results and return them."""
         self._found.pop(key, None)
         self._found[key] = (time.monotonic(), results)
         if len(self._found) > _MAX_TABLES:
@@ -112,7 +112,7 @@ class CockpitSources(Struct, frozen=True):
 
 
 class PanelReader:
-    """Reads panels for one agent."""
+    """Reader of panels for one agent."""
 
     def __init__(self, sources: CockpitSources, permissions: Permissions) -> None:
         self._sources = sources
@@ -120,13 +120,13 @@ class PanelReader:
         self._permissions = permissions
 
     async def read(self, cockpit: Cockpit) -> tuple[tuple[FilledPanel, ...], int]:
-        """The panels as they are now, and the number of those that the agent may not know of."""
+        """Return the current panels, and the number of panels hidden from the agent."""
         found = await asyncio.gather(*map(self._fill, cockpit.panels))
         there = tuple(each for each in found if each is not None)
         return there, len(found) - len(there)
 
     async def watch(self, cockpit: Cockpit, wake: Callable[[], None]) -> Watch:
-        """Call `wake` whenever a value may have changed; what announces no change is polled."""
+        """Call `wake` whenever a value may have changed; values without notifications are polled."""
         watches = [self._sources.software_stop.changes.watch(wake), call_every(_LOOK_SECONDS, wake)]
         kinds = (PanelKind.VALUE, PanelKind.BUTTON)
         for url in {url for each in cockpit.panels if each.kind in kinds for url in each.shows}:
@@ -135,7 +135,7 @@ class PanelReader:
                     resource = await self._resource(url)
                     watches += [watch for watch in [await resource.watch(wake)] if watch is not None]
             except (Problem, RosError, ValueError):
-                continue  # the panel says why
+                continue  # the panel shows the reason
         return combine_watches(*watches)
 
     async def _fill(self, panel: Panel) -> FilledPanel | None:
@@ -201,7 +201,7 @@ class PanelReader:
         return found
 
     async def _state(self, resource: Resource) -> State:
-        """The state of a resource as the agent may see it. Raises Problems and RosError."""
+        """Return the state of a resource, redacted for the agent. Raises Problems and RosError."""
         try:
             state = await resource.state()
         except NotImplementedError as error:
@@ -218,7 +218,7 @@ class PanelReader:
             raise Problem(404, f"There is no topic {found.name} now.")
         return found
 
-    # What is shown
+    # Contents
 
     async def _value(self, url: str) -> tuple[PanelContent, str]:
         resource = await self._resource(url)
@@ -236,7 +236,7 @@ class PanelReader:
         return PlotContent(tuple(numbers), tuple(references)), repr(numbers)
 
     def _references(self, panel: Panel) -> Sequence[str]:
-        """The references of the numbers that a panel draws: its fields, or those that the URL of a plot names."""
+        """Return references to the numbers that a panel plots: its fields, or those named by the URL of a plot."""
         found: list[str] = []
         for url in panel.shows:
             below = url.removeprefix(self._session.space.base)
@@ -250,7 +250,7 @@ class PanelReader:
         return found
 
     def _space(self, urls: Sequence[str]) -> tuple[PanelContent, str]:
-        """Return the view at a URL, or that of topics."""
+        """Return the space view at a URL, or that of topics."""
         base = self._session.space.base
         if isinstance(self._find(urls[0]), SpaceResource):
             reference = urls[0].removeprefix(base)
@@ -330,7 +330,7 @@ class PanelReader:
         return TableContent(results), digest(said.encode("utf-8", "replace"))
 
     async def _results(self, url: str) -> PageResults:
-        """The first rows of the results of a stored query, with the parameters that a URL gives. Raises Problems."""
+        """Return the first result rows of a stored query with the parameters in a URL. Raises Problems."""
         query = await self._query(url)
         pairs = parse_qsl(url.partition("#")[0].partition("?")[2], keep_blank_values=True, max_num_fields=100)
         given = {name: value for name, value in pairs if name not in OTHER_SETTINGS}

@@ -63,18 +63,18 @@ from rosld.server.storage.record import Record
 from rosld.server.storage.record_documents import unpack_prefix
 
 MAX_KEPT = 500
-"""Documents that are looked through, those that lie highest first: the rest is for SPARQL."""
+"""Maximum number of indexed documents, nearest to the root first; SPARQL covers the others."""
 _MAX_BYTES = 8192
-"""Bytes of a document in which its titles are looked for."""
+"""Number of bytes at the start of a document that are searched for titles."""
 _AT_ONCE = 25
-"""Documents that are read before the loop has its turn."""
+"""Number of documents read before yielding to the loop."""
 _NAMING = "|".join(map(re.escape, (dcterms.title.value, rdfs.label.value, schema_org.name.value)))
 _TITLES = re.compile(rf'<(?:{_NAMING})> "((?:[^"\\]|\\.)*)"'.encode())
 _ROOTS = (ROUTE, stored_cockpits.ROUTE, "data/")
 
 
 async def kept_entries(documents: Documents, queries: StoredQueries) -> list[Entry]:
-    """Return the entries of stored documents, at most `MAX_KEPT` beside the queries."""
+    """Return the entries of stored queries and documents, at most `MAX_KEPT` each."""
     found = [
         Entry(EntryKind.QUERY, f"/{query.name}", url, (), (query.purpose,))
         for url, query in queries.all(limit=MAX_KEPT)
@@ -100,22 +100,22 @@ def _entry(space: Space, record: Record) -> Entry:
 
 
 def _name(path: str) -> str:
-    """Return the path below its route, as people write it."""
+    """Return the decoded path below its route."""
     return "/" + "/".join(locate(f"/{path}").segments)
 
 
 def titles_in(triples: bytes) -> list[str]:
-    """Return the titles and labels in the first of N-Triples that are kept so."""
+    """Return the titles and labels at the start of packed N-Triples."""
     found = _TITLES.findall(unpack_prefix(triples, _MAX_BYTES))
     return [text.decode("utf-8", "replace").replace('\\"', '"') for text in found]
 
 
 _MANY_NAMES = 1000
-"""Names from which an index is made on a thread: ten thousand take a quarter of a second."""
+"""Number of names above which an index is built on a thread: ten thousand take a quarter of a second."""
 
 
 class _Index(Struct, frozen=True, eq=False):
-    """An index of one version of what it was made of."""
+    """An index with the version of its source."""
 
     version: Hashable
     index: SearchIndex
@@ -136,7 +136,7 @@ class Finder:
         self._making = asyncio.Lock()
 
     async def find(self, terms: Sequence[str], permissions: Permissions, limit: int) -> SearchResults:
-        """Return the readable entries with all these terms, the best first, at most `limit`."""
+        """Return at most `limit` readable entries that match all terms, best first."""
         async with self._making:
             self._of_robot = await self._robot_index(self._of_robot)
             self._of_kept = await self._kept_index(self._of_kept)
@@ -186,9 +186,9 @@ _tree_names: IdentityCache[ResourceTree, NearNames] = IdentityCache(_near_in_tre
 
 
 def near_urls(space: Space, adapter: AuditedAdapter, affordances: AffordanceService[State], url: str) -> Sequence[str]:
-    """Return the URLs of what the robot has under names near that of `url`, the nearest first.
+    """Return URLs with existing names similar to the missing one in `url`, most similar first.
 
-    None where `url` is in no container of names, and where its name is there: then it is absent for another reason.
+    Empty if `url` has no name, or if its name exists and the resource is absent for another reason.
     """
     place = space.location(url)
     if place is None or not place.segments:
@@ -223,9 +223,9 @@ def _missing_name(place: Location) -> str:
 
 MAX_RESULTS = 20
 MAX_BYTES = 5000
-"""What is told at the most, of the bytes in JSON: values are left out before results are."""
+"""Maximum size in bytes of results in JSON; values are omitted before results."""
 _PARAMETER_SECONDS = 0.3
-"""How long the values of parameters that were found are waited for."""
+"""Seconds to wait for the values of matching parameters."""
 _QUERY = QueryParameter("q", "Words to search for in names, types, their fields, titles, units and descriptions.")
 _VALUES = QueryParameter(
     "values",
@@ -241,7 +241,7 @@ _CLASSES: Mapping[EntryKind, NamedNode] = {
     EntryKind.QUERY: ros.Query,
 }
 _KEPT = frozenset({EntryKind.QUERY, EntryKind.MAPPING, EntryKind.DOCUMENT})
-"""What has a path and no name of ROS."""
+"""Kinds of entries with a path instead of a ROS name."""
 NOTHING_AT_HAND = LatestValue(None)
 _RESULTS: JsonSchema = json_object(
     {
@@ -300,7 +300,7 @@ class FindResource(Resource):
         self._total = 0
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the search for what `?q=` says, as the agent may see it. Raises a 400 Problem for too many words."""
+        """Return the search for `?q=` with the agent's permissions. Raises a 400 Problem for too many words."""
         query = " ".join(exchange.query.get("q", "").split())
         try:
             terms_of(query)
@@ -323,11 +323,11 @@ class FindResource(Resource):
         return State(describe, lambda: plain, digest(plain))
 
     def document(self) -> Document:
-        """Return the search itself, while nothing is searched for."""
+        """Return the description of the search without results."""
         return unasked_document(self.url, self.space)
 
     async def _results_of(self, hits: Sequence[Hit]) -> Sequence[SearchResult]:
-        """Return the results, each with its latest value where that is at hand."""
+        """Return the results, each with its latest value if available."""
         values = await self._values([hit.entry for hit in hits])
         small = {url: thumbnail(latest, url) for url, latest in values.items()}
         self._pictures = {url: picture for url, picture in small.items() if picture is not None}
@@ -341,7 +341,7 @@ class FindResource(Resource):
         return SearchResult(member, entry.kind.value, hit.match.label, hit.field, resource)
 
     async def _values(self, entries: Sequence[Entry]) -> Mapping[str, LatestValue]:
-        """The latest values by URL: of topics that are subscribed to, of parameters, and of getters that were asked."""
+        """Return the latest values by URL: of subscribed topics, of parameters, and cached ones of getters."""
         found = dict[str, LatestValue]()
         if self._subscribes:
             await self._subscribe([entry.name for entry in entries if entry.kind is EntryKind.TOPIC])
@@ -367,7 +367,7 @@ class FindResource(Resource):
         return found
 
     async def _subscribe(self, names: Sequence[str]) -> None:
-        """Look at the topics whose messages are small; they stay subscribed to as after any look."""
+        """Read topics with small messages; they stay subscribed as after any read."""
         topics, light = self.session.graph.topics, list[str]()
         for name in names:
             ref = topics[name].type if name in topics else None
@@ -377,7 +377,7 @@ class FindResource(Resource):
         await asyncio.gather(*map(self.session.topics.read, light), return_exceptions=True)
 
     def _plain(self) -> bytes:
-        """Return the results as plain JSON: as many as fit, with as many values as fit."""
+        """Return the results as plain JSON: as many as fit, then as many values as fit."""
         head = {"query": self._text, "total": self._total}
         if not self._text:
             return orjson.dumps({**head, "template": search_template(self.space), "results": []})
@@ -405,7 +405,7 @@ class FindResource(Resource):
 
 
 def _read(url: str, reading: Reading | None) -> dict[str, LatestValue]:
-    """The value that was read, by the URL; nothing where there is none."""
+    """Return the value of a reading by URL; empty if there is none."""
     if reading is None or reading.value is None:
         return {}
     try:
@@ -415,7 +415,7 @@ def _read(url: str, reading: Reading | None) -> dict[str, LatestValue]:
 
 
 def _json(result: SearchResult, *, value: bool = True) -> bytes:
-    """One result as plain JSON."""
+    """Return a result as plain JSON."""
     member = result.member
     told: dict[str, object] = {
         "name": member.name,

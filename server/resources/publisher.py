@@ -1,4 +1,4 @@
-"""Publishing: from a body to a plan, which is where everything is refused, and from the plan to the robot."""
+"""Publishing: a body becomes a plan, with all checks, and the plan is then carried out on the robot."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from rosld.server.robot.publication import (
 
 
 def goes_on_response(exchange: Exchange, topic: str, topic_url: str) -> Response:
-    """Return the answer to a velocity that was published once: 204 with a link to how it is held.
+    """Return the answer to a velocity published once: 204 with a link to the way to hold it.
 
-    Where the client accepts a type in particular, and prefers no other answer, it is 200 and says so in a body.
+    A client that accepts specific types and prefers no other answer receives 200 with a warning as the body.
     """
     is_silent = exchange.accept is None or exchange.accept.strip() == "*/*"
     if is_silent or exchange.prefer.minimal or exchange.prefer.representation:
@@ -44,7 +44,7 @@ def goes_on_response(exchange: Exchange, topic: str, topic_url: str) -> Response
 
 
 class PublishingResource(NamedResource[Topic]):
-    """A topic on which messages are published. `plan` and `plan_patch` parse, lower and encode: nothing moves."""
+    """A topic on which messages are published. `plan` and `plan_patch` only parse, lower and encode."""
 
     kind = shape = "Topic"
     ros_kind = Kind.TOPIC
@@ -52,7 +52,7 @@ class PublishingResource(NamedResource[Topic]):
 
     @property
     def commands_velocity(self) -> bool:
-        """Whether its messages are commands of velocities."""
+        """Whether the messages of the topic are velocity commands."""
         topic = self.found
         return topic is not None and topic.type is not None and topic.type.name in COMMANDS
 
@@ -62,7 +62,7 @@ class PublishingResource(NamedResource[Topic]):
         return await self._publication(schema, message, latch=exchange.query_flag("latch"))
 
     async def read_message(self, exchange: Exchange) -> tuple[MessageSchema, Message]:
-        """The schema and the message in a body that was sent to the topic. Raises LoweringError, and Problems."""
+        """Return the schema and the message of a body sent to the topic. Raises LoweringError and Problems."""
         data, topic = await exchange.body(), self.found
         if exchange.media_type == JSON:
             if topic is None:
@@ -76,7 +76,7 @@ class PublishingResource(NamedResource[Topic]):
         return schema, await self._lower(topic, schema, body)
 
     async def message_of(self, exchange: Exchange, schema: MessageSchema, url: str) -> Message:
-        """The message of a schema in a body that was sent to `url`. Raises LoweringError, and Problems."""
+        """Return the message of this schema in a body sent to `url`. Raises LoweringError and Problems."""
         data = await exchange.body()
         if exchange.media_type == JSON:
             return self._from_json(exchange, schema, data)
@@ -89,13 +89,13 @@ class PublishingResource(NamedResource[Topic]):
         return lowering.from_json(parse_json(data), defaults=not is_strict(exchange))
 
     async def require_within_limits(self, schema: MessageSchema, message: Message) -> None:
-        """Raise a LoweringError where a message is outside the limits on what is published here."""
+        """Raise a LoweringError if a message violates the limits of the topic."""
         await self.limit_checks.require_message(Kind.TOPIC, self.name, schema, message)
 
     async def plan_graph(self, triples: Sequence[Triple]) -> Publication:
-        """What the graph of the topic asks to be published, if it is to say these triples.
+        """Return the publication that gives the graph of the topic these triples.
 
-        An update may name `#message` without its type: that is the topic's.
+        `#message` has the topic's type by default.
         """
         topic, body, node = self.found, index_triples(triples), NamedNode(f"{self.url}#message")
         schema = await self._schema_for(topic, body)
@@ -106,9 +106,9 @@ class PublishingResource(NamedResource[Topic]):
         return await self._publication(schema, message)
 
     async def plan_patch(self, exchange: Exchange, description: Sequence[Triple]) -> Publication:
-        """What a PATCH of the latest message asks to be published; `description` is said of the topic beside it.
+        """Return the publication of the patched latest message; `description` holds the triples of the topic itself.
 
-        Raises a 409 Problem where there is no message to patch, other Problems for the patch, and LoweringError.
+        Raises a 409 Problem if there is no message to patch, other Problems for the patch, and LoweringError.
         """
         view = await self.session.topics.read(self.name)
         if view.newest is None:
@@ -129,7 +129,7 @@ class PublishingResource(NamedResource[Topic]):
     async def _publication(self, schema: MessageSchema, message: Message, *, latch: bool = False) -> Publication:
         await self.require_within_limits(schema, message)
         data = schema.codec.encode(message, self.session.adapter.capabilities.encoding)
-        # By the stop and the graph of now: the robot may have been stopped while the body was read.
+        # The robot may have been stopped while the body was read.
         return prepare(self.session, self.name, schema, message, data, latch=latch)
 
     async def _lower(self, topic: Topic | None, schema: MessageSchema, body: RdfBody) -> Message:
@@ -138,7 +138,7 @@ class PublishingResource(NamedResource[Topic]):
         return lowerer(schema, self.session.lifting).from_body(body, self.url)
 
     def _check_stable(self, topic: Topic | None, body: RdfBody) -> None:
-        """Raise a 409 Problem for a changed server-managed statement about a topic; repeating it is fine."""
+        """Raise a 409 Problem for a changed server-managed statement about a topic; unchanged ones are allowed."""
         about = NamedNode(self.url)
         if about not in body.subjects:
             return
@@ -151,7 +151,7 @@ class PublishingResource(NamedResource[Topic]):
                     raise Problem(409, f"The {predicate.value} of {self.name} is {value!r} and cannot become {term}.")
 
     async def _schema_for(self, topic: Topic | None, body: RdfBody) -> MessageSchema:
-        """Return the schema of the topic's type; of the type that the body states where it has none yet."""
+        """Return the schema of the topic's type, or of the type that the body states for a topic without one."""
         has_type = topic is not None and bool(topic.types)
         return await (self._schema(topic) if has_type else self._stated_schema(body))
 
@@ -164,7 +164,7 @@ class PublishingResource(NamedResource[Topic]):
             raise Problem(409, f"Nothing can be published on {self.name}: {error.sentence}.") from error
 
     async def _stated_schema(self, body: RdfBody) -> MessageSchema:
-        """Return the schema of the type that the body states: of `#message`, or the topic's `ros:hasMessageType`."""
+        """Return the schema of the type that the body states for `#message` or as `ros:hasMessageType`."""
         base = self.session.space.types
         stated = [
             *body.objects(NamedNode(f"{self.url}#message"), rdf.type),
@@ -180,9 +180,9 @@ class PublishingResource(NamedResource[Topic]):
         raise Problem(422, f"{self.name} has no type yet, and neither has the body: give the message a type of {base}.")
 
     async def carry_out(self, publication: Publication, exchange: Exchange) -> Response:
-        """Publish: 201 where that makes the topic, 202 where it has no subscriber, else 204. Raises RosError.
+        """Publish: 201 if that creates the topic, 202 if there is no subscriber, else 204. Raises RosError.
 
-        A velocity that goes on is 200 with a warning where the client accepts a type in particular.
+        For a velocity that stays in effect, a client that accepts specific types receives 200 with a warning.
         """
         is_new = self.found is None
         published = await publish(self.session, publication)

@@ -65,10 +65,10 @@ from rosld.server.storage.sqlite import Records
 async def create_record(
     kept: StoredResource, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
 ) -> Record:
-    """Make the resource that `kept` stands for, and the containers on the way to it that are missing.
+    """Create the resource `kept` and its missing ancestor containers.
 
-    `blob` is the body of a non-RDF source. Raises Conflict where something was made at its path meanwhile, or with
-    `unused` was ever there.
+    `blob` is the body of a non-RDF source. Raises Conflict if another request created the resource meanwhile, or, with
+    `unused`, if the path was ever in use.
     """
     documents, path = kept.documents, kept.path
     expect_status(201)
@@ -87,10 +87,10 @@ async def create_record(
 async def creation_writes(
     documents: Documents, path: str, model: Model, triples: Sequence[Triple], *, unused: bool = False
 ) -> list[Put]:
-    """Return the writes that make an RDF source or a container that says these triples, the last being its own.
+    """Return the writes that create an RDF source or container with these triples; its own write is the last.
 
-    With `unused` that one is done only where nothing was ever at its path.
-    Raises 409 Problems for a name that is taken, and for containment that is stated; 422 for triples about triples.
+    With `unused`, that write requires that its path was never in use.
+    Raises 409 Problems for a name in use and for containment triples, 422 for triples about triples.
     """
     require_free(documents, path)
     url = documents.space.base + path
@@ -119,7 +119,7 @@ async def _as_member(documents: Documents, put: Put, stated: Statements, url: st
 
 
 def _ways_to(records: Records, path: str) -> list[Put]:
-    """The containers to be made first."""
+    """Return the writes that create missing ancestor containers."""
     found: list[Put] = []
     above = container_of(path)
     while above and records.get(above) is None:
@@ -129,7 +129,7 @@ def _ways_to(records: Records, path: str) -> list[Put]:
 
 
 def require_free(documents: Documents, path: str) -> None:
-    """Raise a 409 Problem where the same name is a container already, or is none: a name means one thing."""
+    """Raise a 409 Problem if the name already exists as the other kind (container or not)."""
     other = path[:-1] if path.endswith("/") else path + "/"
     if documents.records.get(other) is not None:
         raise Problem(409, f"{documents.space.base}{other} already exists: choose another name.")
@@ -169,7 +169,7 @@ class ContainerResource(PagedContainer, RdfSourceResource):
         return super().methods() - ({"DELETE"} if is_root else frozenset())
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The parts that Prefer asks for (LDP 7.2), the page that `?page=` does, the first of many pages (303)."""
+        """Return the parts that Prefer selects (LDP 7.2) or the page `?page=`; 303 to the first of many."""
         if exchange.method not in ("GET", "HEAD"):
             return self
         parts = select_parts(exchange.prefer) if exchange.header("prefer") is not None else ALL_PARTS
@@ -191,7 +191,7 @@ class ContainerResource(PagedContainer, RdfSourceResource):
         return None if record is None else page_at(self.documents, record, place)[0]
 
     async def forms(self) -> Sequence[Form]:
-        return ()  # a form that is posted here is a file like any other
+        return ()  # a posted form is stored like any other file
 
     def streams_body(self, exchange: Exchange) -> bool:
         return exchange.method == "POST" and self._model(exchange) is Model.NON_RDF_SOURCE
@@ -200,19 +200,19 @@ class ContainerResource(PagedContainer, RdfSourceResource):
         return model_of_request(exchange, self.url, container=False)
 
     def is_taken(self, name: str) -> bool:
-        """Whether a member of this name, not yet encoded, is there or ever was (LDP 5.2.3.11)."""
+        """Whether a member of this unencoded name exists or existed (LDP 5.2.3.11)."""
         records = self.documents.records
         paths = (self.path + encode_segment(name), f"{self.path}{encode_segment(name)}/")
         return any(records.get(path) is not None or records.is_tombstone(path) for path in paths)
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Make a member, named by Slug where that is free (LDP 5.2.3)."""
+        """Create a member, named by Slug if that name is free (LDP 5.2.3)."""
         self.require_record()
         model = self._model(exchange)
         permissions = exchange.permissions
 
         def is_taken(name: str) -> bool:
-            """Whether it is taken, or not for who asks to give: which of both is not told."""
+            """Whether the name is taken or forbidden to the agent, who cannot distinguish the two."""
             return not permissions.may("PUT", self.url + encode_segment(name)) or self.is_taken(name)
 
         blob = await receive_blob(self.documents, exchange) if model is Model.NON_RDF_SOURCE else None
@@ -234,15 +234,15 @@ def resource_of(documents: Documents, path: str, model: Model) -> StoredResource
 
 
 _NAMED_MEANWHILE = frozenset({ConflictCause.THERE, ConflictCause.NAME, ConflictCause.GONE})
-"""Why a name that was free is not any more: another one is looked for."""
+"""Causes of conflicts over a name, which are resolved by choosing another name."""
 
 
 async def create_resource(
     documents: Documents, path: str, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
 ) -> Answer:
-    """Create a resource, and return the response (LDP 4.2.3, 5.2.3). Raises Conflict as `create_record`."""
+    """Create a resource and return the response (LDP 4.2.3, 5.2.3). Raises Conflict like `create_record`."""
     record = await create_record(resource_of(documents, path, model), model, exchange, blob, unused=unused)
-    resource = resource_of(documents, path, model)  # as it is now that it is there
+    resource = resource_of(documents, path, model)  # reflects the created record
     if model is Model.NON_RDF_SOURCE:
         return CreatedAnswer(
             resource.url, resource, None, (Link(resource.url + META, "describedby", anchor=resource.url),)

@@ -94,12 +94,12 @@ class RdfSourceResource(StoredResource):
     }
 
     async def prepare(self) -> None:
-        """One of which versions are kept is its own TimeGate, and says so."""
+        """Add TimeGate links if versions are stored: the resource is its own TimeGate."""
         if has_versions(self.documents.settings, self.path):
             self.links = (*type(self).links, *timegate_links(self.url))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """`?at=TIME`, `?timemap`: as it was."""
+        """Return the former version (`?at=TIME`) or the TimeMap (`?timemap`) that the request selects."""
         return former_of(self.documents, self.path, exchange) or await super().select_variant(exchange)
 
     @property
@@ -117,21 +117,21 @@ class RdfSourceResource(StoredResource):
         return [DeleteForm("Delete it")] if "DELETE" in self.methods() else []
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Replace all triples (LDP 4.2.4). Of writes that state no condition the last one counts."""
+        """Replace all triples (LDP 4.2.4). Unconditional writes: last one wins."""
         self.require_if_match(exchange)
         require_model(exchange, self.require_record().model, self.url)
         triples = await read_statements(self.documents.workers, exchange, self.document_url, self._subject)
 
         async def replaced(record: Record) -> Write:
             whole = record.model is Model.RDF_SOURCE and not exchange.is_conditional
-            expected = None if whole else record.version  # the last one counts, whatever was there
+            expected = None if whole else record.version  # None: last one wins
             return await self.with_triples(record, triples, expected)
 
         await self.change_record(exchange, replaced)
         return await with_warnings(self.documents, self.path, exchange, no_content())
 
     async def post(self, exchange: Exchange) -> Answer:
-        """The body is merged into what is here (SPARQL 1.1 Graph Store Protocol 5.5)."""
+        """Merge the body into the triples (SPARQL 1.1 Graph Store Protocol 5.5)."""
         read = merged_statements if exchange.essence == MULTIPART else read_statements
         added = await read(self.documents.workers, exchange, self.document_url, self._subject)
 
@@ -151,10 +151,7 @@ class RdfSourceResource(StoredResource):
         return await with_warnings(self.documents, self.path, exchange, no_content())
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Apply a SPARQL Update, an N3 Patch or a JSON merge patch to the triples as they are now.
-
-        One that is made while another changes the resource is applied anew.
-        """
+        """Apply a SPARQL Update or an N3 Patch to the current triples; retry if another request changes them."""
         data, media_type, url = await exchange.body(), exchange.media_type, self.document_url
 
         def patch(before: Sequence[Triple]) -> Sequence[Triple]:
@@ -178,9 +175,9 @@ class RdfSourceResource(StoredResource):
         return await with_warnings(self.documents, self.path, exchange, no_content())
 
     async def _changed(self, record: Record, change: Work[KeptChange | None], *, is_long: bool = True) -> Put | None:
-        """The write of a change of what is kept, made in a worker if it `is_long`.
+        """Return the write of a change of the stored triples, computed in a worker if it `is_long`.
 
-        None where more must be looked at than changes.
+        None if the change is not enough and the whole document must be checked.
         """
         if record.membership is not None or record.member == NO_MEMBER:
             return None
@@ -204,7 +201,7 @@ class RdfSourceResource(StoredResource):
     async def _patch(
         self, patch: Callable[[Sequence[Triple]], Sequence[Triple]], before: Sequence[Triple]
     ) -> Sequence[Triple]:
-        after = await asyncio.to_thread(patch, before)  # a hostile one takes its time
+        after = await asyncio.to_thread(patch, before)  # a malicious patch may take long
         require_same_members(before, after, self.url)
         return after
 
@@ -244,10 +241,10 @@ class RdfSourceResource(StoredResource):
     async def with_triples(
         self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
     ) -> Put:
-        """The write that gives the record these triples; those that the server manages must be as they are, or absent.
+        """Return the write that replaces the triples of a record; server-managed triples must be unchanged or absent.
 
-        The write expects the version `expected`, or whatever is there (None). `said` are managed triples that are known
-        to be as they are. Raises 409 Problems for the others that are not, and as `as_statements`.
+        The write expects the version `expected`, or any version (None). `said` are triples known to be unchanged.
+        Raises 409 Problems for changed server-managed triples, and like `as_statements`.
         """
         url = self._subject
         stated = await as_statements(triples, url)
@@ -281,7 +278,7 @@ class RdfSourceResource(StoredResource):
 
 
 class DescriptionResource(RdfSourceResource):
-    """The description of a file, at its URL and `.meta`: it comes and goes with the file (LDP 4.2.1.6, 5.2.3.12)."""
+    """The description of a file, at the file's URL plus `.meta`, with the file's lifetime (LDP 4.2.1.6, 5.2.3.12)."""
 
     kind = "Description"
     shape = "File"
@@ -298,7 +295,7 @@ class DescriptionResource(RdfSourceResource):
 
 
 class StoredFile(StoredResource):
-    """A non-RDF source: bytes as they were sent."""
+    """A non-RDF source: bytes stored as sent."""
 
     kind = "File"
     writes = frozenset({"PUT", "PATCH", "DELETE"})
@@ -322,7 +319,7 @@ class StoredFile(StoredResource):
             try:
                 return await self._file_response(exchange, record)
             except FileNotFoundError:
-                if self.documents.records.get(self.path) is record:  # nobody has replaced it meanwhile
+                if self.documents.records.get(self.path) is record:  # no other request has replaced it meanwhile
                     raise
 
     async def _file_response(self, exchange: Exchange, record: Record) -> Response:
@@ -346,14 +343,14 @@ class StoredFile(StoredResource):
         )
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Replace the bytes and their media type (RFC 9110 9.3.4). Raises a 507 Problem where there is no space."""
+        """Replace the bytes and their media type (RFC 9110 9.3.4). Raises a 507 Problem if the disk is full."""
         self.require_if_match(exchange)
         before = self.require_record()
         require_model(exchange, before.model, self.url)
         return await self.replace(exchange, before, await receive_blob(self.documents, exchange))
 
     async def replace(self, exchange: Exchange, before: Record, blob: Blob) -> Answer:
-        """Return the answer to a PUT of these bytes; `before` is what the request was judged against."""
+        """Return the answer to a PUT of these bytes; `before` is the record that the request was checked against."""
 
         async def with_these(record: Record) -> Write:
             return with_blob(before if exchange.is_conditional else record, blob)
@@ -362,7 +359,7 @@ class StoredFile(StoredResource):
         return Response(status_code=204)
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """JSON merge patch of a JSON file (RFC 7396)."""
+        """Apply a JSON merge patch to a JSON file (RFC 7396)."""
         patch = await exchange.body()
         if len(patch) <= SMALL_BYTES:
             parse_json(patch)  # before all else that may be wrong
@@ -391,7 +388,7 @@ class StoredFile(StoredResource):
 
 
 def merge_json_file(path: Path, patch: bytes, media_type: str) -> bytes:
-    """The JSON of a file of a media type after a merge patch (RFC 7396). Raises FileNotFoundError, LoweringError."""
+    """Return the JSON of a file after a merge patch (RFC 7396). Raises FileNotFoundError, LoweringError."""
     stated = parse_media_type(media_type)
     before = parse_json(to_utf8(path.read_bytes(), stated))
     return json.dumps(merge_patch(before, parse_json(patch))).encode(codec_for(stated))  # integers of any size

@@ -1,4 +1,4 @@
-"""Representations of records, with their documents. Pure; worker processes import it, so it imports little."""
+"""Representations of records and their documents. Pure; few imports, because worker processes import this module."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from rosld.server.storage.sqlite import Records
 def stored_document(
     base: str, record: Record, parts: ContainerParts, members: Sequence[Member], more: Sequence[Triple]
 ) -> Document:
-    """The parts of a record, and of a container with these members, that are asked for; `more` is said beside them."""
+    """Return the requested parts of a record, with these members of a container, and the triples `more`."""
     url = base + record.path
     membership = (
         membership_declaration(record.membership, url) if record.membership is not None and parts.minimal else []
@@ -64,9 +64,9 @@ def member_uris(space: Space, members: Iterable[Member]) -> list[str]:
 
 
 def state_of(documents: Documents, record: Record, parts: ContainerParts = ALL_PARTS) -> State:
-    """A record as it is, or the parts of a container that are asked for: kept while it does not change.
+    """Return the current state of a record, or the requested parts of a container. Cached until it changes.
 
-    A container that comes in pages is shown without its members: what is done with it does not grow with them.
+    The state of a paged container omits its members, so that its cost does not grow with their number.
     """
     if record.count > MAX_PAGE_SIZE:
         parts = replace(parts, containment=False, membership=False)
@@ -79,12 +79,12 @@ def state_of(documents: Documents, record: Record, parts: ContainerParts = ALL_P
 
 
 def former_state(documents: Documents, record: Record) -> State:
-    """A document as a former version of its record has it."""
+    """Return the state of a document in a former version of its record."""
     return _state(documents, record, ALL_PARTS, [])
 
 
 def page_state(documents: Documents, record: Record, parts: ContainerParts, place: PagePosition) -> State:
-    """One page of a container (LDP Paging 1.0)."""
+    """Return the state of one page of a container (LDP Paging 1.0)."""
     url = documents.space.base + record.path
 
     def make() -> State:

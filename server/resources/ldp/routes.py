@@ -1,4 +1,4 @@
-"""Routes of `/data/` and below: from a path to a resource, by the records as they are now."""
+"""Routes of `/data/` and below: the resource at a path according to the current records."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ _PATCHES = (SPARQL_UPDATE, N3_PATCH)
 
 
 class AbsentResource(StoredResource):
-    """Nothing yet: PUT makes it, and so does a PATCH that only inserts (Solid Protocol 5.3.1)."""
+    """A missing resource: PUT creates it, and so does a PATCH that only inserts (Solid Protocol 5.3.1)."""
 
     kind = "Absent"
     in_turn = frozenset({"PATCH"})
     links = ()
     merges = False
-    """Whether what is sent is added to what others make here meanwhile, and does not replace it."""
+    """Whether the body is merged into a resource created meanwhile, instead of replacing it."""
 
     def __init__(self, documents: Documents, path: str) -> None:
         super().__init__(documents, path)
@@ -57,7 +57,7 @@ class AbsentResource(StoredResource):
         self.accepts: Mapping[str, Sequence[str]] = {"PUT": puts}
         if RDF_BODIES[0] in puts:
             self.accepts = {"PUT": puts, "PATCH": _PATCHES}
-            if not path.endswith("/"):  # where a container is missing, what POST would make is one of its members
+            if not path.endswith("/"):  # POST to a container would create a member
                 self.accepts |= {"POST": (*RDF_BODIES, MULTIPART)}
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -101,9 +101,9 @@ class AbsentResource(StoredResource):
         return self
 
     async def merge_into(self, exchange: Exchange) -> None:
-        """Have a POST make an RDF source, or be merged into what others make here meanwhile (Graph Store Protocol 5.5).
+        """Let a POST create an RDF source, or merge into one created meanwhile (Graph Store Protocol 5.5).
 
-        Raises what `merge_parts` raises.
+        Raises like `merge_parts`.
         """
         if exchange.essence == MULTIPART:
             await merge_parts(self.documents.workers, exchange, self.url)
@@ -144,9 +144,9 @@ class AbsentResource(StoredResource):
         return Model.BASIC_CONTAINER if self.path.endswith("/") else Model.RDF_SOURCE
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Make the resource with the content that is sent (LDP 4.2.4); one that was made meanwhile is replaced.
+        """Create the resource from the body (LDP 4.2.4), or replace one created meanwhile.
 
-        Raises a 412 Problem where the request was only to make it.
+        Raises a 412 Problem if a conditional request finds a resource created meanwhile.
         """
         model, blob = self._model(exchange), None
         if model is Model.NON_RDF_SOURCE:
@@ -162,7 +162,7 @@ class AbsentResource(StoredResource):
         return await self._once_more(exchange, blob)
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Make the resource of what a patch inserts; one that was made meanwhile is patched.
+        """Create the resource from the insertions of a patch, or patch one created meanwhile.
 
         Raises a 404 or 410 Problem for a patch that deletes something.
         """
@@ -180,7 +180,7 @@ class AbsentResource(StoredResource):
                 )
             )[-1]
         except Conflict as error:
-            # The preconditions of a conditional request were checked while nothing was here, so it is not tried again.
+            # A conditional request is not retried: its preconditions were checked against a missing resource.
             if error.path != self.path or error.cause is not ConflictCause.THERE or exchange.is_conditional:
                 raise conflict_problem(self.space, error) from error
             return await self._patch_there(exchange)
@@ -196,7 +196,7 @@ class AbsentResource(StoredResource):
         return await there.patch(exchange)
 
     async def _once_more(self, exchange: Exchange, blob: Blob | None) -> Answer:
-        """The same write of what another request has made meanwhile: of those without a condition the last one wins."""
+        """Retry as an update of the resource created meanwhile (unconditional writes: last one wins)."""
         record = self.require_record()
         there = resource_of(self.documents, self.path, record.model)
         if isinstance(there, StoredFile):
@@ -208,7 +208,7 @@ class AbsentResource(StoredResource):
 
 
 def missing_description(records: Records, path: str) -> Problem:
-    """410 where the description went with its file (LDP 5.2.5.2), else 404: it comes with a file and not otherwise."""
+    """Return 410 if the description was deleted with its file (LDP 5.2.5.2), else 404."""
     file = path.removesuffix(META)
     if records.is_tombstone(file):
         return Problem(410, f"/{file} was deleted, and its description with it.")
@@ -219,9 +219,9 @@ def missing_description(records: Records, path: str) -> Problem:
 
 
 def stored_route(documents: Documents, location: Location) -> Resource:
-    """Return the resource at `/data/` or below, by its record; an `AbsentResource` where there is none.
+    """Return the resource at `/data/` or below, or an `AbsentResource` if it has no record.
 
-    Raises a 308 Problem for `/data`, and 404 for the description of a file that is not there.
+    Raises a 308 Problem for `/data`, and a 404 or 410 Problem for the description of a missing file.
     """
     if not location.segments and not location.is_container:
         raise permanent_redirect(documents.space.container(location.kind))

@@ -1,4 +1,4 @@
-"""Documents of clients and cockpits as they were: `?at=TIME`, `?timemap`, Accept-Datetime (RFC 7089)."""
+"""Former versions of stored documents and cockpits: `?at=TIME`, `?timemap`, Accept-Datetime (RFC 7089)."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _ROOTS = ("data/", COCKPITS)
 
 
 def has_versions(settings: Settings, path: str) -> bool:
-    """Whether former versions of what is at a path are kept, if it is a document."""
+    """Whether former versions of a document at this path are stored."""
     return settings.versions > 0 and path.startswith(_ROOTS) and not path.endswith("/")
 
 
 def memento_times(records: Records, path: str) -> list[int]:
-    """When each version of a document that is known was written, in ns, ascending."""
+    """Return the times in ns when the stored versions of a document were written, ascending."""
     current = records.get(path)
     times = [each.modified_ns for each in records.versions(path)]
     is_document = current is not None and current.model is Model.RDF_SOURCE
@@ -47,7 +47,7 @@ def memento_times(records: Records, path: str) -> list[int]:
 
 
 def version_at(records: Records, path: str, time_ns: int) -> Record | None:
-    """Return the version of a document at a time, the one of now included; None where there was none."""
+    """Return the version of a document at a time, which may be the current one, or None if there was none."""
     current = records.get(path)
     if current is not None and current.model is Model.RDF_SOURCE and current.modified_ns <= time_ns:
         return current
@@ -93,6 +93,6 @@ async def _all_mementos(records: Records, path: str) -> tuple[Sequence[int], Non
 async def _state_at(documents: Documents, record: Record, at_ns: int) -> State:
     state = former_state(documents, record)
     headers = {**state.headers, "vary": VARY}
-    if at_ns < time.time_ns():  # what is written from now on is of a later time
+    if at_ns < time.time_ns():  # a version at a future time may still change
         headers["memento-datetime"] = memento_datetime(record.modified_ns)
     return replace(state, headers=headers, renderings={}, redactions={})

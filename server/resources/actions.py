@@ -1,4 +1,4 @@
-"""Actions and their goals: POST sends a goal, the goal is a resource, DELETE cancels it."""
+"""Actions and their goals: POST creates a goal as a resource, DELETE cancels it."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
         return self.states.get_or_make(self.url, version, lambda: State(self.document))
 
     def document(self) -> Document:
-        """The RDF of this action now; that it is made late keeps the state, which is cached, from holding a graph."""
+        """Return the current RDF of the action. Created on demand, so that cached states do not retain a graph."""
         graph = self.session.graph
         goals = [goal.id for goal in self.session.goals.of_action(self.name)]
         action = self.require(graph)
@@ -114,7 +114,7 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
         return await self.send(exchange, schema, await self.read_message(exchange, self.url, schema))
 
     async def send(self, exchange: Exchange, schema: ActionSchema, message: Message) -> CreatedAnswer:
-        """Send a goal: 201 once it is accepted. Raises RosError and Problems where it is not."""
+        """Send a goal: 201 once it is accepted. Raises RosError and Problems if it is not."""
         sending = await self._submit(exchange, schema, message)
         problem = _failure(self.space, self.name, sending)
         if problem is not None or sending.goal is None:
@@ -123,9 +123,9 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
         return CreatedAnswer(resource.url, resource, resource.state_of(sending.goal))
 
     async def cancel_goals(self, *, others: bool = False) -> Response:
-        """Cancel the goals that were sent from here and have not ended, `others`: and those of others.
+        """Cancel the active goals sent by this server and, with `others`, those of other clients.
 
-        The answer names the newest of them. Raises a 409 Problem where there are none, or one is not canceled.
+        The answer names the newest one. Raises a 409 Problem if there are none, or if one is not canceled.
         """
         await follow_action(self.session, self.name)
         pursued = [goal for goal in self.session.goals.of_action(self.name) if goal.is_cancelable]
@@ -193,7 +193,7 @@ class GoalResource(KeptResource[Goal]):
         return resources_only_reason(goal.action)
 
     def _is_open(self, goal: Goal) -> bool:
-        """Whether anything may be done with it: what has ended may be forgotten in any case."""
+        """Whether the goal may be canceled or forgotten; ended goals always, unless read-only."""
         is_closed = not goal.status.is_final and self.session.is_resources_only(goal.action)
         return not (self.session.settings.read_only or is_closed)
 
@@ -210,7 +210,7 @@ class GoalResource(KeptResource[Goal]):
         return self.session.goals.watch(goal.action, wake, self.id)
 
     def state_of(self, goal: Goal) -> State:
-        """Return the state of this goal as it stood."""
+        """Return the state of this version of the goal."""
         return self.states.get_or_make(
             self.url, (IdentityKey(goal), self._is_open(goal)), lambda: self._make_state(goal)
         )
@@ -220,18 +220,18 @@ class GoalResource(KeptResource[Goal]):
         state = State(lambda: self.document(goal), lambda: self._plain(goal), shapes=shapes)
         if not goal.status.is_settled:
             return state
-        has_result = goal.result is not None or goal.key is None  # it may come after the status
+        has_result = goal.result is not None or goal.key is None  # the result may arrive after the status
         open_members = frozenset[str]() if has_result else frozenset({"result"})
         return EndedState(state.describe, state.plain, shapes=shapes, open_members=open_members)
 
     def document(self, goal: Goal) -> Document:
-        """Return the RDF of this goal as it stood."""
+        """Return the RDF of this version of the goal."""
         return goal_document(
             _view(goal, cancelable=goal.is_cancelable and self._is_open(goal)), self.space, self.session.lifting
         )
 
     def _plain(self, goal: Goal) -> bytes:
-        """How it stands as JSON, its messages as ROS's own."""
+        """Return the goal as plain JSON, with its messages in ROS form."""
         told = {
             "id": self.id,
             "url": self.url,
@@ -265,9 +265,9 @@ class GoalResource(KeptResource[Goal]):
         return (DeleteForm("Cancel the goal", "Cancel"),)
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Forget a goal that is over (204), or ask for it to be canceled (202), of which its state tells.
+        """Forget an ended goal (204), or request the cancellation of an active one (202); its state shows the outcome.
 
-        Raises a 409 Problem where the action server refuses to cancel it.
+        Raises a 409 Problem if the action server refuses to cancel it.
         """
         goal, goals = self.require(), self.session.goals
         if goal.status.is_final:
@@ -277,7 +277,7 @@ class GoalResource(KeptResource[Goal]):
 
 
 async def _cancel(session: Session, goal: Goal) -> Response:
-    """Ask for a goal to be canceled. Raises a 409 Problem where that is refused, and RosError."""
+    """Request the cancellation of a goal. Raises a 409 Problem if that is refused, and RosError."""
     expect_status(202)
     try:
         await session.goals.cancel(goal, deadline=loop_time() + session.settings.call_deadline)
@@ -290,7 +290,7 @@ async def _cancel(session: Session, goal: Goal) -> Response:
 
 
 async def follow_action(session: Session, action: str) -> None:
-    """See to it that the goals of others are heard of: the first look waits a moment for what is known."""
+    """Follow the goals of other clients; the first call waits briefly for the current goals."""
     found = session.graph.actions.get(action)
     if found is None or found.type is None:
         return
@@ -298,7 +298,7 @@ async def follow_action(session: Session, action: str) -> None:
         await session.schemas.action(found.type)
         await session.goals.follow(action, deadline=loop_time() + session.settings.first_value_wait)
     except (RosError, asyncio.TimeoutError):
-        pass  # its goals cannot be read now; what is known is told
+        pass  # goals of others are unreadable now; known goals are still shown
 
 
 def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> JsonSchema:
@@ -314,7 +314,7 @@ def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> JsonSc
 
 
 def _failure(space: Space, action: str, sending: GoalSubmission) -> Problem | None:
-    """The Problem of a goal that was not taken, with the URL of the goal where it was rejected."""
+    """Return the Problem of a goal that was not accepted, with its URL if it has one; None without an error."""
     error = sending.error
     if error is None:
         return None
@@ -333,7 +333,6 @@ def _failure(space: Space, action: str, sending: GoalSubmission) -> Problem | No
 
 
 def _view(goal: Goal, *, cancelable: bool) -> GoalView:
-    """A goal as it is described."""
     schema, told = goal.schema, goal.feedback
     return GoalView(
         goal.id,

@@ -70,9 +70,9 @@ _SUBSCRIPTION: JsonSchema = json_object(
 
 
 class Notifications:
-    """The notifications of one server: its subscription services, the channels they made, the resources they tell of.
+    """The notifications of one server: its subscription services, channels and topics.
 
-    `resolve` finds the resource that a request is about.
+    `resolve` returns the resource of a request.
     """
 
     def __init__(
@@ -93,20 +93,20 @@ class Notifications:
         self.services = tuple(ServiceDescription(space.url(ROUTE, (kind,)), kind) for kind in CHANNEL_TYPES)
         self.description = f"{space.base}{WELL_KNOWN}/solid"
         self.link = Link(self.description, STORAGE_DESCRIPTION)
-        """What every answer links to (2.1)."""
+        """Link in every response (2.1)."""
 
     def service(self, kind: str) -> ServiceDescription | None:
-        """Return the service that makes channels of a type."""
+        """Return the service that creates channels of a type."""
         return next((service for service in self.services if service.type == kind), None)
 
     def urls_of(self, kind: str, token: str) -> tuple[str, str]:
-        """Return the URLs of a channel, and of what is received from."""
+        """Return the URLs of a channel and of its notification source."""
         url = self.space.url(ROUTE, (kind, token))
         source = f"{url}/{SOURCE}"
         return url, source.replace("http", "ws", 1) if kind == WEBSOCKET else source
 
     async def create_channel(self, exchange: Exchange, service: ServiceDescription) -> Channel:
-        """Return the channel that a request asks for. Raises Problems, and BodyError for what cannot be read."""
+        """Create and return the requested channel. Raises Problems, and BodyError for an unreadable body."""
         check_profile(exchange.header("content-type"))
         media_type = exchange.media_type
         data = exchange.to_utf8(await read_body(exchange.request, limit=MAX_BYTES))
@@ -116,7 +116,7 @@ class Notifications:
         return self.channels.open(wish, service.type, resource, state, place, exchange.auth)
 
     def websocket_receiver(self, scope: Scope) -> WebSocketReceiver:
-        """Return the receiver over a new WebSocket. Raises Problems: 404 for every other path, 503."""
+        """Return the receiver of a new WebSocket. Raises Problems: 404 for an unknown path, 503 at capacity."""
         try:
             path = scope["raw_path"].decode("ascii").removeprefix(self.space.path.rstrip("/"))
             location = locate(path)
@@ -129,7 +129,7 @@ class Notifications:
         raise Problem(404, f"There is no such WebSocket: subscribe at {self.space.url(ROUTE, (WEBSOCKET,))} first.")
 
     async def _topic(self, url: str, auth: AuthContext) -> tuple[Resource, State]:
-        """Return the topic of a channel, and its state. Raises a 422 Problem for what has no state to follow."""
+        """Return the topic of a channel, and its state. Raises a 422 Problem for a topic without a state."""
         scope, permissions = self._scope(url), auth.permissions
         exchange = Exchange(Request(scope), 0)
         exchange.auth = auth
@@ -153,7 +153,7 @@ class Notifications:
             raise Problem(422, detail, extra=problem.quoted_members) from error
 
     def _scope(self, url: str) -> Scope:
-        """The GET request for a URL of this server, by whichever of its names. Raises a 422 Problem for all others."""
+        """Return a GET request for a URL under any origin of this server. Raises a 422 Problem for other URLs."""
         try:
             parts = urlsplit(url)
             origin = f"{parts.scheme}://{normalize_authority(parts.netloc, parts.scheme)}"
@@ -173,7 +173,7 @@ class Notifications:
 
 
 async def _narrow(resource: Resource, exchange: Exchange) -> Resource:
-    """What query and preferences ask for; a container that is read in pages is followed as a whole."""
+    """Return the variant that a request selects; a paged container is followed as a whole."""
     try:
         return await resource.select_variant(exchange)
     except Problem as problem:
@@ -183,25 +183,25 @@ async def _narrow(resource: Resource, exchange: Exchange) -> Resource:
 
 
 def prefers_json(exchange: Exchange, offers: tuple[str, ...] = OFFERS) -> bool:
-    """Whether JSON(-LD) is preferred: then it is written for clients without RDF."""
+    """Whether JSON(-LD) is preferred, which is then written for clients without RDF support."""
     if exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
         return wanted in ("jsonld", "json")
     return choose_offer(exchange.accept, offers) in (JSON_LD, JSON)
 
 
 class DescribedResource(Resource):
-    """Base of these resources: a document, and the same as compact JSON-LD."""
+    """Base class of resources with a document that is also available as compact JSON-LD."""
 
     def __init__(self, notifications: Notifications, url: str) -> None:
         super().__init__(notifications.space, url)
         self.notifications = notifications
 
     def document(self) -> Document:
-        """What it says."""
+        """Return the RDF of the resource."""
         raise NotImplementedError
 
     def members(self) -> Json | None:
-        """The same as members of a JSON-LD object, None where any JSON-LD will do."""
+        """Return the members of the compact JSON-LD object, or None to use the default JSON-LD."""
         return None
 
     async def state(self) -> State:
@@ -225,7 +225,7 @@ def _content(body: bytes) -> list[tuple[bytes, bytes]]:
 
 
 class StorageDescription(DescribedResource):
-    """`/.well-known/solid`: which subscription services there are."""
+    """`/.well-known/solid`: the storage description, with the subscription services."""
 
     kind = "Storage description"
     shape = "Subscriptions"
@@ -240,7 +240,7 @@ class StorageDescription(DescribedResource):
 
 
 class WellKnownContainer(DescribedResource):
-    """`/.well-known/`: what is served below it. RFC 8615 3 asks for nothing there; the URLs below it lead up to it."""
+    """`/.well-known/`: container of the resources below it. RFC 8615 3 does not require one."""
 
     kind = "Well-known resources"
     shape = "Container"
@@ -254,7 +254,7 @@ class WellKnownContainer(DescribedResource):
 
 
 class ServiceContainer(DescribedResource):
-    """`/channels/`: the subscription services. The channels are listed nowhere: who knows one may use it."""
+    """`/channels/`: the subscription services. Channels are not listed: knowing the URL of one suffices to use it."""
 
     kind = "Subscription services"
     shape = "Container"
@@ -267,7 +267,7 @@ class ServiceContainer(DescribedResource):
 
 
 class SubscriptionService(DescribedResource):
-    """`/channels/TYPE`: makes channels of one type."""
+    """`/channels/TYPE`: the subscription service that creates channels of one type."""
 
     kind = "Subscription service"
     shape = "SubscriptionService"
@@ -301,7 +301,7 @@ class SubscriptionService(DescribedResource):
         return True
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Make a channel of notifications (Solid Notifications Protocol): 201, in JSON-LD as the protocol has it."""
+        """Create a notification channel: 201, in the JSON-LD of the Solid Notifications Protocol by default."""
         channel = await self.notifications.create_channel(exchange, self._service)
         made = ChannelResource(self.notifications, channel)
         if not prefers_json(exchange, (JSON_LD, *OFFERS)):
@@ -312,7 +312,7 @@ class SubscriptionService(DescribedResource):
 
 
 class ChannelResource(DescribedResource):
-    """`/channels/TYPE/TOKEN`: one channel. Deleting it ends it."""
+    """`/channels/TYPE/TOKEN`: one channel. DELETE ends it."""
 
     kind = "Notification channel"
     shape = "Channel"
@@ -334,14 +334,14 @@ class ChannelResource(DescribedResource):
         return self._channel.terms.members()
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Close the channel: nothing more is sent to it."""
+        """Close the channel; no more notifications are sent."""
         exchange.audit.add_step("end the channel", self.url)
         self.notifications.channels.close(self._channel)
         return Response(status_code=204)
 
 
 class ChannelSourceResource(DescribedResource):
-    """`/channels/TYPE/TOKEN/messages`: where the notifications of a channel are received from."""
+    """`/channels/TYPE/TOKEN/messages`: the notification source of a channel."""
 
     kind = "Notification source"
     item = PathItem(
@@ -370,7 +370,7 @@ class ChannelSourceResource(DescribedResource):
 
 
 def channel_route(location: Location, *, notifications: Notifications) -> Resource:
-    """The resource at a location under `/channels/`. Raises Problems: 404, or 308 for `/channels` without its slash."""
+    """Return the resource under `/channels/`. Raises Problems: 404, or 308 for `/channels` without a slash."""
     space = notifications.space
     if not location.segments:
         url = space.container(ROUTE)
@@ -411,7 +411,7 @@ def fixed_resources(notifications: Notifications) -> Sequence[DescribedResource]
 
 
 def routes(notifications: Notifications, well_known: Route) -> Mapping[str, Route]:
-    """The routes of notifications by their first segments; `well_known` is that of whatever else is well known."""
+    """Return the routes of notifications by first segment; `well_known` serves other paths below `/.well-known/`."""
 
     def known(location: Location) -> Resource:
         if not location.segments:

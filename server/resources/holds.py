@@ -60,11 +60,11 @@ from rosld.shapes.value import Bounds, MessageShape
 
 ZERO, NONE = "zero", "none"
 _FORM_TIME = 5.0
-"""Seconds that a hold lasts which begins by a form, where nothing else is typed."""
+"""Default duration in seconds of a hold started with a form."""
 
 
 async def create_hold(exchange: Exchange, topic: PublishingResource, holds: Holds, find: Find) -> Answer:
-    """Carry out a POST to a topic: hold it. Raises all refusals."""
+    """Carry out a POST to a topic and return the created hold. Raises Problems and LoweringError."""
     session, name = topic.session, topic.name
     rate, (lease, is_timed) = _rate(exchange, session.limiter), _lease(exchange, session) or (LEASE, False)
     if rate is None and not topic.commands_velocity:
@@ -85,7 +85,7 @@ _KEEP = QueryParameter("keep", "Whether the requested event stream keeps the hol
 
 
 def hold_parameters(longest: float, required: str = "") -> tuple[QueryParameter, ...]:
-    """Return the parameters of what begins a hold, or changes it; `longest` is the longest time that it may ask for."""
+    """Return the query parameters to start or change a hold; `longest` is the maximum of `for` in seconds."""
     most = {"rate": MAX_RATE, "lease": MAX_LEASE, "for": longest}
     return tuple(
         QueryParameter(
@@ -107,7 +107,7 @@ def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> JsonSc
 def hold_form(
     session: Session, topic: str, schema: MessageSchema, latest: Json, bounds: Mapping[str, Bounds]
 ) -> HoldForm:
-    """Return the form that holds a topic, with a pad where that commands a velocity."""
+    """Return the form that holds a topic, with a pad for velocity commands."""
     lifted = lifter(schema, session.lifting).json(zero_message(schema, session.lifting), session.space.topic(topic))
     zero = cast(Json, parse_json(lifted))
     is_velocity = schema.ref.name in TWISTS
@@ -176,7 +176,7 @@ class HoldResource(KeptResource[Hold]):
         return self.holds.changes.watch(wake, lambda about: about == self.id)
 
     def state_of(self, hold: Hold) -> State:
-        """Return the state of this hold as it stood."""
+        """Return the state of this version of the hold."""
         shapes = self.space.shapes_of(hold.message.schema)
         return self.states.get_or_make(
             self.url,
@@ -185,7 +185,7 @@ class HoldResource(KeptResource[Hold]):
         )
 
     def document(self, hold: Hold) -> Document:
-        """Return the RDF of this hold as it stood."""
+        """Return the RDF of this version of the hold."""
         view = HoldView(
             hold.id,
             hold.topic,
@@ -204,7 +204,7 @@ class HoldResource(KeptResource[Hold]):
         return hold_document(view, self.space, self.session.lifting)
 
     def _plain(self, hold: Hold) -> bytes:
-        """How it stands as JSON, its messages as ROS's own."""
+        """Return the hold as plain JSON, with its message in ROS form."""
         told = {
             "id": hold.id,
             "url": self.url,
@@ -228,9 +228,9 @@ class HoldResource(KeptResource[Hold]):
         return (DeleteForm("End the hold", "End", last), DeleteForm("Renew the hold", "Renew", renewed, method="PATCH"))
 
     def keep_alive(self, exchange: Exchange) -> contextlib.AbstractContextManager[float | None]:
-        """`?keep=true`: the stream keeps the hold, and says twice a lease that it is alive.
+        """Keep the hold alive during an event stream with `?keep=true`, with two heartbeats per lease.
 
-        Raises a 403 Problem for anybody but its holder, and on a read-only server.
+        Raises a 403 Problem for agents other than the holder, and on a read-only server.
         """
         if not exchange.query_flag("keep"):
             return contextlib.nullcontext()
@@ -246,9 +246,9 @@ class HoldResource(KeptResource[Hold]):
             yield lease / 2
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Renew the hold, and change what is held, `?rate=`, `?lease=` or `?for=` (seconds), `?then=` where given.
+        """Renew the hold, changing its message, `?rate=`, `?lease=` or `?for=` (seconds) and `?then=` if given.
 
-        Raises a 403 Problem for anybody but its holder.
+        Raises a 403 Problem for agents other than the holder.
         """
         hold = self.require()
         require_holder(exchange, hold)
@@ -269,7 +269,7 @@ class HoldResource(KeptResource[Hold]):
             release_requested=then_asked,
         )
         if asked is hold.message and not exchange.query:
-            exchange.audit.mark_read_only()  # a sign of life, several a second: the receipt of the hold tells the rest
+            exchange.audit.mark_read_only()  # frequent; the receipt of the hold suffices
         what = f"hold {hold.topic} at {changed.rate:g} Hz, unrenewed for {changed.lease:g} s"
         exchange.audit.add_step(what, self.space.topic(hold.topic))
         expect_status(204)
@@ -277,7 +277,7 @@ class HoldResource(KeptResource[Hold]):
         return Response(status_code=204)
 
     async def _changed_message(self, exchange: Exchange, topic: PublishingResource, hold: Hold) -> HeldMessage:
-        """Return the command after the change that a body asks for."""
+        """Return the message to hold after applying the body."""
         data = await exchange.body()
         if not data.strip():
             return hold.message
@@ -292,9 +292,9 @@ class HoldResource(KeptResource[Hold]):
         return _command(self.session, topic.name, schema, message, restamp=False)
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """End the hold, and wait until what it ends with is published.
+        """End the hold and wait until its final message is published.
 
-        Raises a 403 Problem for anybody but its holder.
+        Raises a 403 Problem for agents other than the holder.
         """
         require_holder(exchange, self.require())
         topic = self.require().topic
@@ -306,12 +306,12 @@ class HoldResource(KeptResource[Hold]):
 
 
 def require_holder(exchange: Exchange, hold: Hold) -> None:
-    """Raise a 403 Problem where somebody else than its holder would change, keep or end a hold."""
+    """Raise a 403 Problem if the agent is not the holder."""
     if exchange.agent != hold.holder:
         raise Problem(403, f"The hold {hold.id} belongs to {hold.holder.name}; POST to /stop ends it in any case.")
 
 
-# What is asked for
+# Settings of requests
 
 _RATES = f"at least {MIN_OF_HOLDS:f} and at most {MAX_RATE:g} Hz"
 _LEASES = f"at least {MIN_OF_HOLDS:f} and at most {MAX_LEASE:g} s"
@@ -326,7 +326,7 @@ def _rate(exchange: Exchange, limiter: PublishLimiter) -> float | None:
 
 
 def _lease(exchange: Exchange, session: Session) -> tuple[float, bool] | None:
-    """Return the seconds that a hold lasts without renewal, and whether `?for=` set them; None without any."""
+    """Return the seconds that a hold lasts without renewal, and whether `?for=` set them; None if neither is given."""
     longest = session.settings.hold_time
     words = f"at least {MIN_OF_HOLDS:f} and at most {longest:g} s (--setting hold_time)"
     lease, time = _number(exchange, "lease", MAX_LEASE, _LEASES), _number(exchange, "for", longest, words)
@@ -365,7 +365,7 @@ def _readable(space: Space, find: Find, exchange: Exchange) -> Find:
 async def _then(
     asked: str | None, topic: PublishingResource, held: HeldMessage, find: Find
 ) -> tuple[HeldMessage | None, str]:
-    """Return the message at the end of a hold, and how it was requested; checked against limits and encoded."""
+    """Return the checked and encoded final message of a hold, and the text that requested it."""
     session, schema = topic.session, held.schema
     words = asked or (ZERO if schema.ref.name in TWISTS else NONE)
     if words == NONE:

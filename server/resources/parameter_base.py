@@ -47,13 +47,13 @@ def omit_parameters(name: str, tree: dict[str, ParameterValue], omitted: Contain
 
 
 def names_below(name: str, graph: Graph) -> list[str]:
-    """Return the names of the parameters that lie in the tree of this name now, at any depth."""
+    """Return the names of the current parameters in the tree of this name, at any depth."""
     prefix = name.rstrip("/") + "/"
     return [each for each in graph.parameters if each.startswith(prefix)]
 
 
 def leaf_values(name: str, value: ParameterValue) -> Iterator[tuple[str, ParameterValue]]:
-    """Yield the parameters that a tree written at `name` comes to, each with its value; of no tree, this one."""
+    """Yield the names and values of the parameters in a value written at `name`: its leaves, or itself if no tree."""
     if not isinstance(value, dict):
         yield name, value
         return
@@ -62,14 +62,14 @@ def leaf_values(name: str, value: ParameterValue) -> Iterator[tuple[str, Paramet
 
 
 def leaf_names(name: str, value: ParameterValue) -> Iterator[str]:
-    """Return the names of the parameters that a tree written at `name` comes to."""
+    """Return the names of the parameters in a value written at `name`."""
     return (leaf for leaf, _ in leaf_values(name, value))
 
 
 def changed_values(
     before: Mapping[str, ParameterValue], after: Mapping[str, ParameterValue]
 ) -> dict[str, ParameterValue]:
-    """Return the values after a write that differ from those written: 1, 1.0 and true are three."""
+    """Return the values in `after` that are new or differ from `before`; 1, 1.0 and true all differ."""
     return {
         name: value
         for name, value in after.items()
@@ -78,17 +78,17 @@ def changed_values(
 
 
 def overlaps(one: str, other: str) -> bool:
-    """Whether two names are the same, or one is a tree that holds the other."""
+    """Whether two names are equal or one is a namespace of the other."""
     ones, others = one.rstrip("/") + "/", other.rstrip("/") + "/"
     return ones.startswith(others) or others.startswith(ones)
 
 
 _LOOK_AGAIN_SECONDS = 1.0
-"""How often a parameter that is watched is read again: not every kind of robot tells of all changes."""
+"""Seconds between reads of a watched parameter, because not every kind of robot reports all changes."""
 
 
 class ParameterBase(NamedResource[Parameter]):
-    """Base of the resources of a parameter and of a tree of them."""
+    """Base class of parameters and trees of parameters."""
 
     shape = "Parameter"
     constraint = "limits"
@@ -110,7 +110,7 @@ class ParameterBase(NamedResource[Parameter]):
         return (await self.session.adapter.get_parameters([self.name], deadline=deadline)).get(self.name)
 
     def _plain(self, value: ParameterValue) -> bytes:
-        """Return the value as plain JSON; a 406 Problem for one that another node nested too deep to be shown."""
+        """Return the value as plain JSON. Raises a 406 Problem for a too deeply nested value."""
         try:
             return parameter_json(value)
         except ValueError as error:
@@ -121,7 +121,7 @@ class ParameterBase(NamedResource[Parameter]):
         return combine_watches(told, call_every(_LOOK_AGAIN_SECONDS, wake))
 
     async def _require_settable(self, values: Mapping[str, ParameterValue]) -> None:
-        """Raise a Problem or a LoweringError where a value must not be set."""
+        """Raise a Problem or a LoweringError if a value must not be set."""
         graph = self.session.graph
         for name, value in values.items():
             self._require_open(graph, name, value)
@@ -157,21 +157,21 @@ class ParameterBase(NamedResource[Parameter]):
             self._announce(gone)
 
     def _announce(self, changed: Iterable[str]) -> None:
-        graph = self.session.graph  # of after the write: what it made lies below its names, too
+        graph = self.session.graph  # read after the write, so that it includes new parameters below the names
         for name in changed:
             for each in (name, *names_below(name, graph)):
                 self.session.announce_write(Kind.PARAMETER, each)
 
     def _require_open(self, graph: Graph, name: str, value: ParameterValue) -> None:
-        """Raise a 409 Problem where a tree holds, or would hold, a name that is written under /resources/ only."""
+        """Raise a 409 Problem if a tree contains, or would contain, a name that is writable only under /resources/."""
         for each in (name, *names_below(name, graph), *leaf_names(name, value)):
             if self.session.is_resources_only(each):
                 raise Problem(409, resources_only_reason(each))
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Delete the parameter, of a tree all that is in it.
+        """Delete the parameter or the whole tree.
 
-        Raises a 409 Problem where a node declares that it is never deleted, 404 where it is not there.
+        Raises a 409 Problem if the node declares it undeletable, 404 if it does not exist.
         """
         if await self._value() is None:
             raise Problem(404, f"There is no parameter {self.name}.")
@@ -186,21 +186,21 @@ def descriptor_of(graph: Graph, name: str) -> Descriptor | None:
 
 
 def require_not_fixed(graph: Graph, name: str, *, delete: bool = False) -> None:
-    """Raise a 409 Problem where the node of a parameter declares that this is never done with it."""
+    """Raise a 409 Problem if the node of a parameter declares that it cannot be set (or deleted)."""
     words = parameter_denied_reason(graph, name, delete=delete)
     if words is not None:
         raise Problem(409, words)
 
 
 _TRIPLES_BYTES = 40
-"""Bytes of N-Triples, about, that a byte of plain JSON of a tree comes to."""
+"""Approximate bytes of N-Triples per byte of plain JSON of a tree."""
 
 
 class ParameterContainer(NamespaceBase, ParameterBase):
-    """A namespace of parameters as it is read: a container, and as plain JSON the object of its members' values.
+    """A readable namespace of parameters: a container in RDF, an object of its members' values in plain JSON.
 
-    Where there are many members the container comes in pages. The object is one value, and never does unasked. Neither
-    tells of the parameters of hidden nodes unasked.
+    A container with many members is paged; the object is paged only on request. Both omit parameters of hidden nodes
+    by default.
     """
 
     kind = "Parameters"
@@ -217,7 +217,7 @@ class ParameterContainer(NamespaceBase, ParameterBase):
         return self.state_of(await self._value())
 
     def state_of(self, value: ParameterValue | None) -> State:
-        """Return the state with this value. Raises a 404 Problem where it is none of a tree."""
+        """Return the state with this value. Raises a 404 Problem if the value is not a tree."""
         if value is None and not self.namespace:
             value = {}
         if not isinstance(value, dict):
@@ -250,7 +250,7 @@ class ParameterContainer(NamespaceBase, ParameterBase):
         )
 
     def _list(self, value: dict[str, ParameterValue]) -> dict[str, ParameterValue]:
-        """The tree as it is listed; the same object where nothing is left out."""
+        """Return the tree without hidden parameters; the same object if nothing is omitted."""
         capabilities = self.session.adapter.capabilities
         if self._hidden or not capabilities.hidden_names or names.is_hidden(self.name):
             return value

@@ -49,7 +49,7 @@ from rosld.shapes.value import OpenShape
 
 
 def parameter_form(value: Json, descriptor: Descriptor | None, note: str | None) -> Form:
-    """Return the form for a value by the declaration of the parameter, or an open one without."""
+    """Return the form for a value, constrained by the declaration of the parameter if there is one."""
     title = "Set the parameter"
     if descriptor is None:
         return ValueForm(OpenShape(), title=title, value=value, about=note or "")
@@ -69,7 +69,7 @@ _NEW_VALUE: JsonSchema = {"anyOf": [*_VALUES, {"type": "object"}]}
 
 
 class ParameterResource(ParameterBase):
-    """One parameter that is no tree."""
+    """One parameter that is not a tree."""
 
     kind = "Parameter"
     accepts: Mapping[str, Sequence[str]] = {"PUT": (*RDF_BODIES, JSON), "PATCH": (MERGE_PATCH, SPARQL_UPDATE)}
@@ -100,13 +100,13 @@ class ParameterResource(ParameterBase):
         )
 
     def _note(self, graph: Graph) -> str | None:
-        """Return the explanation of a value that the server keeps for nodes; None for a node's own."""
+        """Return the explanation of a value stored by the parameter server; None for a parameter of a node."""
         parameter = graph.parameters.get(self.name)
-        is_kept = parameter is None or parameter.node is None  # one that was just set is in no graph yet
+        is_kept = parameter is None or parameter.node is None  # a new parameter is not in the graph yet
         return _AT_START if is_kept and self.session.adapter.capabilities.parameter_server else None
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Itself, or its shape. Raises a 404 Problem for its past."""
+        """Return the parameter or its shape. Raises a 404 Problem for past values."""
         if exchange.method in ("GET", "HEAD") and (asked := exchange.query.keys() & {"at", "timemap", "series"}):
             raise Problem(404, f"?{min(asked)}: parameter values are not recorded: request the current one.")
         return await super().select_variant(exchange)
@@ -131,7 +131,7 @@ class ParameterResource(ParameterBase):
         return self.space.container("parameters", names.segments(self.name))
 
     def state_of(self, value: ParameterValue) -> State:
-        """Return the state with this value, which is no tree. Raises Problem 406 for one that is nested too deep."""
+        """Return the state with this value, which is not a tree. Raises a 406 Problem for a too deeply nested value."""
         graph = self.session.graph
         plain, descriptor, note = self._plain(value), descriptor_of(graph, self.name), self._note(graph)
 
@@ -156,7 +156,7 @@ class ParameterResource(ParameterBase):
         return forms
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Set the parameter: 204, 201 where it is new, 200 with the value where a node made another of it."""
+        """Set the parameter: 204, or 201 if it is new, or 200 with the value if the node changed it."""
         value = await self._parse(exchange)
         _require_below(exchange, self.url, value)
         before = await self._value()
@@ -206,7 +206,7 @@ class ParameterResource(ParameterBase):
         return lower_parameter(body, self.url)
 
     def _check_place(self, value: ParameterValue, before: ParameterValue | None) -> None:
-        """A value never wipes out others unasked: neither a tree of this name nor a parameter above it (409)."""
+        """Raise a 409 Problem if the value would replace a tree of this name or a parameter above it."""
         if isinstance(before, dict) and before and not isinstance(value, dict):
             raise Problem(
                 409, f"{self.name} is a tree of parameters; DELETE {self._tree_url()} first, or choose another name."
@@ -219,7 +219,7 @@ class ParameterResource(ParameterBase):
                 raise Problem(409, words, about=(self.space.parameter(above),))
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Set what a patch makes of the value: 204, or 200 with the value where a node made another of it."""
+        """Set the patched value: 204, or 200 with the value if the node changed it."""
         before = await self._value()
         if before is None:
             raise Problem(404, f"There is no parameter {self.name}; PUT to create it.")
@@ -237,7 +237,7 @@ class ParameterResource(ParameterBase):
 
 
 class ParameterTree(ParameterContainer):
-    """A namespace of parameters, in which parameters are made, set and deleted."""
+    """A namespace of parameters, in which clients create, set and delete parameters."""
 
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON), "PATCH": (MERGE_PATCH,)}
 
@@ -293,9 +293,9 @@ class ParameterTree(ParameterContainer):
         return asked
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Make a member, named by Slug where it is free (LDP 5.2.3.10).
+        """Create a member, named by Slug if that name is free (LDP 5.2.3.10).
 
-        Raises a 404 Problem where there is no such tree.
+        Raises a 404 Problem if there is no such tree.
         """
         if self.namespace and await self._value() is None:
             raise Problem(404, f"There is no tree of parameters {self.name}.")
@@ -312,9 +312,9 @@ class ParameterTree(ParameterContainer):
         return f"{name}_{secrets.token_hex(3)}" if taken else name
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Set the members of a merge patch, delete those that are null (RFC 7396); those of a node all or none.
+        """Set the members of a merge patch and delete the null ones (RFC 7396); a node's values are set atomically.
 
-        Raises a 422 Problem for a patch that is no object, 409 for parameters of another node.
+        Raises a 422 Problem for a patch that is not an object, 409 for parameters of another node.
         """
         before = await self._value()
         patch = parse_json(await exchange.body())
@@ -338,7 +338,7 @@ class ParameterTree(ParameterContainer):
         return await self._answer(values)
 
     async def _patch_node(self, before: Mapping[str, ParameterValue], after: Mapping[str, ParameterValue]) -> Answer:
-        """Set what changes of this node's parameters at once, then delete what is gone."""
+        """Set the changed parameters of this node in one call, then delete the removed ones."""
         changed = changed_values(before, after)
         gone = [name for name in before if name not in after]
         graph = self.session.graph
@@ -360,7 +360,7 @@ class ParameterTree(ParameterContainer):
 
 
 def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:
-    """Refuse a tree where not everything in it is for who asks to write."""
+    """Raise a Problem for a tree unless the agent may write the whole subtree."""
     place = exchange.permissions.locate(url)
     if isinstance(value, dict) and place is not None:
         require_subtree(exchange.permissions, exchange.method, place)

@@ -1,4 +1,4 @@
-"""Recorded messages for SPARQL queries: selection, and their text."""
+"""Recorded messages for SPARQL queries: their selection and their N-Triples."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from rosld.server.sparql.past import MAX_TEXT, PastQuery, PastSelection, PastTex
 from rosld.server.sparql.query_limits import MAX_PAST, out_of_time, too_much_past
 
 _SLICE = 0.004
-"""Seconds of lifting after which the loop gets its turn."""
+"""Seconds of lifting between pauses that let the loop run."""
 
 
 class RecordedPast:
-    """The past of one robot, for its SPARQL endpoint: the recordings that it has."""
+    """Recorded messages of one robot for its SPARQL endpoint."""
 
     def __init__(self, session: Session, recordings: Recordings) -> None:
         self._session = session
@@ -47,7 +47,7 @@ class RecordedPast:
         until: float,
         most: int | None = None,
     ) -> PastText:
-        """What is said of the messages that a query asks for, or of those at an end of them. Raises Problems."""
+        """Return the text of the messages that a query selects, or of about `most` at one end. Raises Problems."""
         recordings = self._find(asked, graphs)
         selections = asked.selections(now)
         readable = [one for one in recordings if self._may_read(one, permissions)]
@@ -61,7 +61,7 @@ class RecordedPast:
                 self._session.schemas.add(ref, schema)
 
     def _find(self, asked: PastQuery, graphs: tuple[str, ...]) -> Sequence[Recording]:
-        """The recordings that a query is about. Raises Problem 400 where there are none."""
+        """Return the recordings of a query. Raises a 400 Problem if there are none."""
         space = self._session.space
         by_url = {space.bag(one.name): one for one in self._recordings.readable.values()}
         named = asked.recordings & set(graphs) if graphs else asked.recordings
@@ -84,7 +84,7 @@ class RecordedPast:
         )
 
     def _may_read(self, recording: Recording, permissions: Permissions) -> bool:
-        """Whether an agent may read the recording and messages of it; of which topics is judged topic by topic."""
+        """Whether an agent may read a recording and its messages; topics are checked separately."""
         space = self._session.space
         messages = f"{space.bag_messages(recording.name)}{{index}}"
         return permissions.may_read(space.bag(recording.name)) and permissions.may_template("GET", messages)
@@ -92,7 +92,7 @@ class RecordedPast:
     def _require_recorded(
         self, selection: PastSelection, recordings: Sequence[Recording], permissions: Permissions
     ) -> None:
-        """Raise Problem 400 for a topic that is named and is not recorded: silence would look like an answer."""
+        """Raise a 400 Problem for a named topic that is not recorded: empty results would be misleading."""
         space = self._session.space
         for url in sorted(selection.urls or ()):
             location = space.location(url)
@@ -113,7 +113,7 @@ class RecordedPast:
 
 
 class _Reading:
-    """One reading, in a thread. `learned` are the types that were not known before."""
+    """One read operation on a thread. `learned` are newly loaded types."""
 
     def __init__(self, session: Session, asked: PastQuery, permissions: Permissions, until: float) -> None:
         self.learned: dict[TypeRef, MessageSchema] = {}
@@ -129,7 +129,7 @@ class _Reading:
         self._lifters: dict[tuple[TypeRef, str], ColumnLifter | None] = {}
 
     def read(self, recordings: Sequence[Recording], selections: Sequence[PastSelection], most: int | None) -> PastText:
-        """What is said of all messages, or of about `most` at the end that matters. Raises Problems."""
+        """Return the text of all messages, or of about `most` at the relevant end. Raises Problems."""
         plans = [(one, self._ranges(one, selections)) for one in recordings]
         is_whole = True
         if most is not None and self._end is not None:
@@ -139,7 +139,7 @@ class _Reading:
                 plans = [(one, clip_ranges(ranges, bound, is_newest=self._end.is_newest)) for one, ranges in plans]
         count = sum(count_past(*plan) for plan in plans)
         topics = sorted({each.topic for _, ranges in plans for each in ranges})
-        if count > MAX_PAST + 1000 * len(topics):  # chunks at the edges count whole
+        if count > MAX_PAST + 1000 * len(topics):  # chunks at the edges are counted in full
             raise self._too_much(f"{count} recorded messages of {_list(topics)} may take part in this query")
         texts: list[str] = []
         pause = time.monotonic() + _SLICE
@@ -207,7 +207,7 @@ class _Reading:
         return found if isinstance(found, MessageSchema) else None
 
     def _lift_block(self, recording: Recording, block: MessageBlock, said: _RecordText) -> Iterator[tuple[str, int]]:
-        """Yield the text of messages with their numbers, in columns if only numbers are needed."""
+        """Yield texts, each with its number of messages; by columns if only numeric fields are needed."""
         if block.rows is not None and not len(block.rows.times):
             return
         if block.rows is not None and self._only is not None and not said.is_more:
@@ -258,7 +258,7 @@ class _Reading:
 
 
 class _RecordText:
-    """Text about the messages of a recording, except their content."""
+    """N-Triples about the messages of a recording, without their content."""
 
     def __init__(self, space: Space, recording: Recording, only: frozenset[str] | None) -> None:
         self.messages = space.bag_messages(recording.name)
@@ -268,7 +268,7 @@ class _RecordText:
         self.is_more = only is None or not only.isdisjoint(_OF_RECORDS)
 
     def of_record(self, url: str, message: RecordedMessage, reason: str | None = None) -> str:
-        """Return the text about one message; `reason` is why it cannot be read, if so."""
+        """Return the text about one message; `reason` says why it is unreadable, if it is."""
         topic = self.topic(message.topic)
         link = f"<{topic}> <{ros.past.value}> <{url}{MESSAGE}> .\n" if reason is None else ""
         if not self.is_more:
@@ -303,6 +303,6 @@ _OF_RECORDS = frozenset(
 
 
 def _list(topics: Sequence[str]) -> str:
-    """Some names, for people."""
+    """Return a readable list of at most three topics."""
     shown = ", ".join(topics[:3])
     return f"{shown} and {len(topics) - 3} more topics" if len(topics) > 3 else shown or "no topic"

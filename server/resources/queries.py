@@ -1,6 +1,6 @@
-"""Stored queries: `/queries/` keeps and lists them, `/queries/NAME?param=value` runs one in any result format.
+"""Stored queries: `/queries/` lists them, `/queries/NAME?param=value` runs one with results in any format.
 
-Those that rosld ships are there to be read; what clients put beside them are files of SPARQL, kept as `/data/` is.
+Queries shipped with rosld are read-only; those of clients are files of SPARQL, stored like `/data/`.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def _query_item(purpose: str, parameters: Iterable[QueryParameterDeclaration]) -
 
 
 class QueryRunner(Struct, frozen=True):
-    """Runs stored queries, and renders the pages of their results."""
+    """Runner of stored queries and renderer of their result pages."""
 
     service: QueryService
     pages: PageRenderer
@@ -118,10 +118,10 @@ class QueryRunner(Struct, frozen=True):
     async def answer(
         self, exchange: Exchange, resource: Resource, query: StoredQuery, state: str | None = None
     ) -> Response | None:
-        """The results in the form that is preferred; None where the description of the query is.
+        """Return the results in the preferred format, or None if the client prefers the query's description.
 
-        `state` is the state part of the ETags of a query that may change; else it is a digest of the results. Raises
-        Problems: 400 as `bind_parameters`, 406, and those of the query service.
+        `state` is the state part of the ETags of a query that may change; otherwise a digest of the results is used.
+        Raises Problems: 400 like `bind_parameters`, 406, and those of the query service.
         """
         given = {name: value for name, value in exchange.query.items() if name not in OTHER_SETTINGS}
         pairs = [(name, value) for name, value in exchange.query.items() if value]
@@ -161,7 +161,7 @@ class QueryRunner(Struct, frozen=True):
     async def _page(
         self, exchange: Exchange, resource: Resource, query: StoredQuery, given: Mapping[str, str], asked: QueryRequest
     ) -> Response:
-        """Return the page: with results where all parameters are there, with the reason where they are not."""
+        """Return the page, with results if all parameters are given and valid, or with the error."""
         results: PageResults | None = None
         notices: tuple[Notice, ...] = ()
         status, also = 200, dict[str, str]()
@@ -194,7 +194,7 @@ class QueryRunner(Struct, frozen=True):
 
 
 class ShippedQueryResource(Resource):
-    """A query that comes with rosld. Results come in every format; its RDF description and its text are there too."""
+    """A query shipped with rosld: its results in every format, its RDF description and its text."""
 
     kind = "Stored query"
     is_cacheable = False
@@ -236,15 +236,15 @@ class ShippedQueryResource(Resource):
 
 
 def shipped_document(url: str, query: StoredQuery) -> Document:
-    """The description of a query that comes with rosld."""
+    """Return the description of a query shipped with rosld."""
     return Document(url, (*triples_about(NamedNode(url), *RDF_SOURCE), *query_triples(url, query)))
 
 
-# What clients keep
+# Queries of clients
 
 
 class StoredQueryResource(StoredFile):
-    """A query that a client keeps: its text is a file, byte for byte; its results come in every format."""
+    """A query of a client: its text, stored byte for byte, and its results in every format."""
 
     kind = "Stored query"
     writes: ClassVar[frozenset[str]] = frozenset({"PUT", "DELETE"})
@@ -279,7 +279,7 @@ class StoredQueryResource(StoredFile):
 
 
 class QueryDescription(DescriptionResource):
-    """The description of a query that a client keeps: what the text says of itself is not to be written there."""
+    """The description of a query of a client; writes omit the triples derived from the query's text."""
 
     def __init__(self, documents: Documents, queries: StoredQueries, path: str) -> None:
         super().__init__(documents, path)
@@ -297,7 +297,7 @@ class QueryDescription(DescriptionResource):
 
 
 class AbsentQueryResource(AbsentResource):
-    """No query yet: PUT makes it."""
+    """A missing query: PUT creates it."""
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         methods = READ if self.documents.settings.read_only else READ | {"PUT", "DELETE"}
@@ -310,7 +310,7 @@ class AbsentQueryResource(AbsentResource):
 
 
 class QueryContainer(ContainerResource):
-    """`/queries/`: stored queries, and those that come with rosld."""
+    """`/queries/`: stored queries of clients and those shipped with rosld."""
 
     item = PathItem("The stored queries", query=(FORMAT, PAGE))
 
@@ -360,7 +360,7 @@ class QueryContainer(ContainerResource):
         return _list(document, shipped, kept, titled=self._parts.minimal)
 
     def _shipped(self) -> dict[str, str]:
-        """Return the purposes of the queries that come with rosld, on the first page."""
+        """Return the purposes of the queries shipped with rosld, which are on the first page."""
         return _shipped(self.documents, self.queries) if self._place is None or self._place.after == 0 else {}
 
     def _stored_queries(self) -> list[tuple[str, StoredQuery]]:
@@ -395,7 +395,7 @@ def _list(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str
 
 
 def queries_document(documents: Documents, queries: StoredQueries) -> Callable[[], Document]:
-    """What describes `/queries/` with all that is in it, as it is now. What is returned may be called in any thread."""
+    """Return a thread-safe function that returns the document of the current `/queries/` with all members."""
     record = documents.records.get(ROUTE)
     assert record is not None
     url, shipped, kept = (
@@ -413,7 +413,7 @@ def queries_document(documents: Documents, queries: StoredQueries) -> Callable[[
 
 
 def _describe(documents: Documents, queries: StoredQueries, record: Record) -> State:
-    """Return the description of a kept query: that of the file, and what its text says."""
+    """Return the description of a stored query: that of the file, and the triples derived from its text."""
     state = state_of(documents, record)
 
     def describe() -> Document:
@@ -428,12 +428,12 @@ def _describe(documents: Documents, queries: StoredQueries, record: Record) -> S
 
 
 def _shapes(space: Space) -> tuple[str, ...]:
-    """Return the shapes of the description of a query; its results have none."""
+    """Return the shapes of a query's description; results have none."""
     return (space.document_shape("Query"),)
 
 
 async def _require_size(exchange: Exchange) -> None:
-    """Raise a 413 Problem for a text that says that it is longer than a query may be."""
+    """Raise a 413 Problem if the Content-Length exceeds the limit for queries."""
     limit = 4 * DEFAULT_BOUNDS.size
     if exchange.method in ("PUT", "POST") and (parse_content_length(exchange.header("content-length")) or 0) > limit:
         async for _ in exchange.chunks(limit=limit):
@@ -441,7 +441,7 @@ async def _require_size(exchange: Exchange) -> None:
 
 
 def query_route(documents: Documents, queries: StoredQueries, runner: QueryRunner, location: Location) -> Resource:
-    """`/queries/` and below."""
+    """Return the resource at `/queries/` or below."""
     found = stored_route(documents, location)
     match found:
         case StoredFile():

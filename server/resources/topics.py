@@ -80,7 +80,7 @@ from rosld.server.runtime.tasks import combine_watches
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
-"""The names of topics that both ROS 1 and ROS 2 allow."""
+"""Pattern of topic names that are valid in both ROS 1 and ROS 2."""
 _LATCH = QueryParameter("latch", "Whether later subscribers get the message.", {"type": "boolean"})
 
 
@@ -104,7 +104,7 @@ class TopicResource(PublishingResource):
         name: str,
         find: Callable[[str], Resource],
     ) -> None:
-        """`find` gives the resource at a path below the base."""
+        """`find` returns the resource at a path below the base."""
         super().__init__(session, limit_checks, states, name)
         self._find = find
         self.history = history
@@ -113,7 +113,7 @@ class TopicResource(PublishingResource):
         self._allowed: tuple[Graph, frozenset[str], str | None] | None = None
 
     async def prepare(self) -> None:
-        """One that is recorded is its own TimeGate, and says so."""
+        """Add TimeGate links if the topic is recorded: it is its own TimeGate."""
         gate = timegate_links(self.url) if is_recorded(self.history, self.name) else ()
         self.links = (*type(self).links, *gate)
 
@@ -123,18 +123,18 @@ class TopicResource(PublishingResource):
         methods = self.methods()
         return PathItem(
             "A topic that can be created" if topic is None else f"The topic {self.name}",
-            (*FIELD_READS, *PICTURES) if self.is_picture else FIELD_READS,  # the bytes of a cloud are among them
+            (*FIELD_READS, *PICTURES) if self.is_picture else FIELD_READS,  # these include the bytes of a cloud
             ANYTHING if schema is None else nullable(schemas.read(schema)),
             (PICTURE_FORMAT, FIELD, *PARAMETERS, *TIMEMAP, *PICTURE_PARAMETERS)
             if self.is_picture
             else (*(CLOUD_PARAMETERS if self.is_cloud else (FORMAT,)), FIELD, *PARAMETERS, *TIMEMAP),
             self._writes(schema, schemas),
             has_shape=topic is not None and topic.type is not None,
-            methods=methods | {"DELETE"} if "PUT" in methods else methods,  # once rosld publishes
+            methods=methods | {"DELETE"} if "PUT" in methods else methods,  # available once rosld publishes
         )
 
     def _writes(self, schema: MessageSchema | None, schemas: MessageSchemas) -> Mapping[str, WriteMethod]:
-        """Return the request and response of each method that writes; `schema` is None for an unknown type."""
+        """Return the request and response of each writing method; `schema` is None for an unknown type."""
         sent, patch = schemas.write(schema), OBJECT
         if schema is not None:
             patch = patch_schema(message_schema(schema, schemas.lifting, read=False, sent=True))
@@ -168,7 +168,7 @@ class TopicResource(PublishingResource):
 
     @property
     def withheld(self) -> frozenset[str]:
-        """All that writes, while the robot is stopped; but zero may be published on a velocity topic, and held."""
+        """The writing methods while the robot is stopped, except those that can send zero to a velocity topic."""
         return super().withheld - {"PUT", "POST"} if self._takes_zero else super().withheld
 
     @property
@@ -179,15 +179,15 @@ class TopicResource(PublishingResource):
 
     @property
     def is_holdable(self) -> bool:
-        """Whether to hold it is on offer now."""
+        """Whether the topic can be held now."""
         return "POST" in self.methods() and not self.session.is_stopped
 
     def unwritable_reason(self) -> str | None:
-        """Why nothing may be published here, in a sentence; None where it may."""
+        """Return a sentence why publishing is not allowed, or None if it is."""
         return self._allowance()[2]
 
     def _allowance(self) -> tuple[Graph, frozenset[str], str | None]:
-        """The verbs and the refusal in the graph as it is: found once a graph."""
+        """Return the current graph with its methods and refusal, computed once per graph."""
         graph = self.session.graph
         if self._allowed is None or self._allowed[0] is not graph:
             refusal = self._refusal(graph)
@@ -197,7 +197,7 @@ class TopicResource(PublishingResource):
         return self._allowed
 
     def _refusal(self, graph: Graph) -> str | None:
-        """Return why nothing may be published, in a sentence; None where it may, and the topic may be made."""
+        """Return a sentence why publishing is not allowed, or None if publishing or creating the topic is."""
         name, permitted, found = self.name, self.session.settings.allow_publish, self.found_in(graph)
         if self.closed_reason is not None:
             return self.closed_reason
@@ -211,7 +211,7 @@ class TopicResource(PublishingResource):
 
     @property
     def is_absent(self) -> bool:
-        return False  # a PUT may make it
+        return False  # PUT may create it
 
     def deny_reason(self, method: str) -> str:
         reason = self.unwritable_reason()
@@ -229,10 +229,10 @@ class TopicResource(PublishingResource):
             if self.name not in self.session.graph.topics:
                 raise self.missing()
             view = await self.session.topics.read(self.name)
-        return await self.state_of(view)  # in the graph of after the wait: its publishers belong to the values
+        return await self.state_of(view)  # reads the graph after the wait, so that publishers match the values
 
     async def state_of(self, view: TopicView) -> State:
-        """Return the state with these values; at once where the types of their messages are at hand."""
+        """Return the state with these values, without waiting if the types of the messages are cached."""
         graph = self.session.graph
         topic = graph.topics.get(self.name) or Topic(self.name)
         hold = self.holds.find_by_topic(self.name)
@@ -265,7 +265,7 @@ class TopicResource(PublishingResource):
         hold, can = self.holds.find_by_topic(self.name), self.is_holdable
         said = f"{topic!r}{view.version_key()}{hold and hold.id}{can}{[one.reason for one in decoded]}"
         token = digest(said.encode("utf-8", "replace"))
-        recorded = bool(self.session.adapter.recordings)  # a recording's times are of the past: no Age (RFC 9111 5.1)
+        recorded = bool(self.session.adapter.recordings)  # recorded times would give a wrong Age (RFC 9111 5.1)
         received = view.newest.received_ns if view.newest and not recorded else None
         return MessageState(
             lambda: self._document(topic, view, decoded, None if hold is None else hold.id, holdable=can),
@@ -278,7 +278,7 @@ class TopicResource(PublishingResource):
         )
 
     def _shapes(self, topic: Topic, decoded: Sequence[DecodedSample]) -> tuple[str, ...]:
-        """The shapes of the messages; none where their types contradict each other: `/shapes/` has one of a name."""
+        """Return the shapes of the messages; none for conflicting types, as `/shapes/` has one shape per name."""
         if len(topic.types) > 1:
             return ()
         schemas = (one.schema for one in decoded)
@@ -287,7 +287,7 @@ class TopicResource(PublishingResource):
     def _document(
         self, topic: Topic, view: TopicView, decoded: Sequence[DecodedSample], hold: str | None, *, holdable: bool
     ) -> Document:
-        """The RDF of this topic; that the graph is read late keeps the state, which is cached, from holding one."""
+        """Return the RDF of the topic. Reads the graph late, so that cached states retain none."""
         found = [lift_sample(self.space, self.session.lifting, one) for one in decoded if one.message is not None]
         reason = next((one.reason for one in decoded if one.reason), topic.unreadable)
         return topic_document(
@@ -318,7 +318,7 @@ class TopicResource(PublishingResource):
         return forms
 
     async def _message_forms(self, schema: MessageSchema) -> Sequence[Form]:
-        """The forms that publish and hold, that with a pad first; while the robot is stopped what publishes zero."""
+        """Return the forms to publish and hold, one with a pad first; while the robot is stopped, one for zero only."""
         if self.session.is_stopped:
             return (
                 message_form(schema, title="Publish zero", about="The robot is stopped: everything else is refused."),
@@ -331,7 +331,7 @@ class TopicResource(PublishingResource):
         return (publish, hold) if hold.pad is None else (hold, publish)
 
     async def _latest_json(self) -> Json:
-        """Return the latest message as plain JSON, None where there is none that can be read."""
+        """Return the latest message as plain JSON, or None if there is no readable one."""
         view = self.session.topics.find_view(self.name)
         if view is None or view.newest is None:
             return None
@@ -341,9 +341,9 @@ class TopicResource(PublishingResource):
         return cast(Json, parse_json(lifter(decoded.schema, self.session.lifting).json(decoded.message, self.url)))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the resource out of the history that `?series=FIELD`, `?at=TIME` or `?timemap` asks for.
+        """Return the part of the history that `?series=FIELD`, `?at=TIME` or `?timemap` selects.
 
-        Raises the redirection to a memento that `Accept-Datetime` asks for (RFC 7089 4.1).
+        Raises a redirection to a memento for a request with `Accept-Datetime` (RFC 7089 4.1).
         """
         if exchange.method in ("GET", "HEAD"):
             query = exchange.query if exchange.request.scope["query_string"] else {}
@@ -363,7 +363,7 @@ class TopicResource(PublishingResource):
         return await super().select_variant(exchange)
 
     async def _past(self, text: str) -> Resource:
-        """The topic as it was. Raises Problems."""
+        """Return a memento of the topic. Raises Problems."""
         require_history(self.history, self.name)
         at, now = read_time(text, time.time_ns()), time.time_ns()
         sample = await read_history(lambda: self.history.writer.latest_at(self.name, at))
@@ -374,7 +374,7 @@ class TopicResource(PublishingResource):
         return Memento(self, "Topic as it was", text, state, partial(self._get_part, sample))
 
     async def _past_state(self, sample: Sample, *, is_settled: bool) -> State:
-        """Return the state with the message that was the newest then."""
+        """Return the state of a memento with this message."""
         decoded = await decode(self.session.schemas, sample)
         state = self._state(self.found or Topic(self.name), TopicView((sample,)), [decoded])
         headers = {"memento-datetime": memento_datetime(sample.received_ns)} if is_settled else {}
@@ -382,7 +382,7 @@ class TopicResource(PublishingResource):
 
     @property
     def is_picture(self) -> bool:
-        """Whether its messages can be drawn."""
+        """Whether its messages can be rendered as pictures."""
         topic = self.found
         return topic is not None and any(can_draw(ref.name) for ref in topic.types)
 
@@ -393,9 +393,9 @@ class TopicResource(PublishingResource):
         return topic is not None and any(is_cloud(ref.name) for ref in topic.types)
 
     async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
-        """`?field=PATH`: the bytes of a field of the latest message; or its picture or points, where preferred.
+        """Return a field of the latest message (`?field=PATH`), or its picture or points if preferred.
 
-        Raises a 404 Problem where there is no message or no such field.
+        Raises a 404 Problem if there is no message or no such field.
         """
         return await self._get_part(None, self, exchange)
 
@@ -439,11 +439,11 @@ class TopicResource(PublishingResource):
         return RobotWrite(f"publish a {publication.type.name} on {self.name}", carried_out)
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Publish the message in the body: 204, 202 where no subscriber is there, 201 where this made the topic."""
+        """Publish the message in the body: 204, or 202 without a subscriber, or 201 if that created the topic."""
         return await self.carry_out(await self.plan(exchange), exchange)
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Hold the topic: publish the message in the body again and again while the lease is renewed.
+        """Hold the topic: publish the message in the body repeatedly while the lease is renewed.
 
         Answers 201 with the hold.
         """

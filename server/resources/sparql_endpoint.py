@@ -100,7 +100,7 @@ def accept_of(exchange: Exchange, formats: Collection[str] = FORMATS.keys()) -> 
         return exchange.accept
     wanted = _ALSO.get(wanted, wanted)
     if wanted not in formats:
-        raise Problem(406, f"?format={wanted} is unknown here; there are {', '.join(formats)}.")
+        raise Problem(406, f"?format={wanted} is unknown here; choose from {', '.join(formats)}.")
     return FORMATS[wanted]
 
 

@@ -132,11 +132,16 @@ class ResourceFactory:
         )
 
     def member(self, name: str) -> MemberResource:
-        if name.endswith("/"):
-            raise Problem(404, f"{name} is not a resource name: its last segment is empty.")
         return MemberResource(
             self.session, self.affordances, self.limit_checks, self.things, self.states, self.history, name
         )
+
+
+def _member(factory: ResourceFactory, name: str) -> MemberResource:
+    """Return the member of a complex resource at a URL. Raises a 404 Problem for a name that ends with a slash."""
+    if name.endswith("/"):
+        raise Problem(404, f"{name} is not a resource name: its last segment is empty.")
+    return factory.member(name)
 
 
 Route: TypeAlias = Callable[[Location], Resource]
@@ -266,7 +271,7 @@ class Router:
             "types": partial(type_route, session, states),
             "shapes": partial(shape_route, factory.limit_checks, documents),
             "bags": partial(bag_route, factory.bags),
-            "resources": _nested(space, lambda path: factory.complex(path_of(path)), factory.member),
+            "resources": _nested(space, lambda path: factory.complex(path_of(path)), partial(_member, factory)),
             "data": stored,
             "mappings": stored,
             ".well-known": partial(_thing_route, factory),

@@ -236,7 +236,7 @@ def _bound_term(parameter: QueryParameterDeclaration, given: str | None, base: s
     if given is None or (not given and parameter.type is not ParameterType.STRING):
         given = parameter.default
     if given is None:
-        raise ValueError(f"is required: {parameter.about}")
+        raise ValueError(f"a value is required: {parameter.about}")
     if _SURROGATE.search(given):
         raise ValueError(f"{_brief(given)} contains a lone surrogate, which is not a character")
     return _TERMS[parameter.type](given, base)

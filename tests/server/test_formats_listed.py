@@ -23,7 +23,7 @@ def test_each_format_that_is_listed_is_served(http: httpx.Client) -> None:
     for place in PLACES:
         answer = asked(http, place, "zzz")
         assert answer.status_code == 406, answer.text
-        listed = re.findall(r"[a-z0-9]+", answer.json()["detail"].partition("there are ")[2])
+        listed = re.findall(r"[a-z0-9]+", answer.json()["detail"].partition("choose from ")[2])
         assert {"ttl", "jsonld"} <= set(listed) or "csv" in listed
         for format in listed:
             assert asked(http, place, format).status_code == 200, (place, format)

@@ -154,7 +154,7 @@ def test_what_cannot_be_taken_back_is_refused_whole(http: httpx.Client) -> None:
     kept = f"<{http.base_url}data/never> {{ <urn:s> <urn:p> 1 }}\n"
     for body, status, words in (
         ("<urn:s> <urn:p> 1 .", 400, "is not in a graph"),
-        ("<urn:g> { <urn:s> <urn:p> 1 }", 403, "No graph <urn:g> can be here"),
+        ("<urn:g> { <urn:s> <urn:p> 1 }", 403, "The graph <urn:g> cannot be created"),
         ("<urn:g> { <urn:s> <urn:p> ", 400, ""),
     ):
         answer = http.put("/graphs?all", content=kept + body, headers={"Content-Type": "application/trig"})

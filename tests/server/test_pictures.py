@@ -103,7 +103,7 @@ def test_a_message_that_cannot_be_drawn_is_refused_in_words(camera: Any, serving
     http = serving()
     for path, status, words in (
         ("topics/odd?format=png", 406, "encoding is not supported; the supported ones are rgb8"),
-        ("topics/short?format=jpeg", 422, "cut off"), ("topics/huge?format=mjpeg", 422, "36,000,000"),
+        ("topics/short?format=jpeg", 422, "truncated"), ("topics/huge?format=mjpeg", 422, "36,000,000"),
         ("topics/words?format=png", 406, "std_msgs/msg/String: only sensor_msgs/msg/Image"),
         ("topics/silent?format=jpeg", 404, "no message yet"), ("topics/none?format=jpeg", 404, "no topic"),
         (f"{CAMERA}?format=jpeg&width=0", 400, "from 1 to"), (f"{CAMERA}?format=jpeg&range=4", 400, "two distances"),

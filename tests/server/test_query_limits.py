@@ -279,7 +279,7 @@ def test_a_killed_process_is_one_failure_and_other_queries_go_on(served: Served)
             os.kill(worker_of(served), number)
             answer = everything(connection)
         assert answer.startswith(b"HTTP/1.1 500"), answer
-        assert b"ended before it was done" in answer
+        assert b"died before it finished" in answer
         assert get(served, "SELECT (COUNT(*) AS ?n) { ?a a ?c . ?b a ?c }").status_code == 200
     quiet(served)
     with closing(asked(served, "SELECT * { ?a ?b ?c . ?d ?e ?f FILTER(?a != ?d) }")) as connection:

@@ -229,7 +229,7 @@ def test_a_graph_that_is_refused_is_left_out_and_those_of_others_are_not_touched
     taken = {row[2] for row in picky.said(f"{http.base_url}data/")}
     assert taken == {f"value {number}." for number in range(30) if number != 13} | {"the last"}
     assert picky.said(OTHER)
-    left_out = [record.getMessage() for record in caplog.records if "left out" in record.getMessage()]
+    left_out = [record.getMessage() for record in caplog.records if "is omitted" in record.getMessage()]
     assert len(left_out) == 2
     assert any(f"{http.base_url}data/13 " in each for each in left_out)
 
@@ -255,4 +255,4 @@ def test_where_a_store_fails_all_the_time_nothing_grows_and_the_end_is_quick(
         assert running.http.put("data/one", content=f"<> {P} {number} .", headers=TURTLE, timeout=20).is_success
     assert mirror(running.http)["pending"] < 1000
     assert running.stop() == 0
-    assert len([record for record in caplog.records if "behind" in record.getMessage()]) == 1
+    assert len([record for record in caplog.records if "out of date" in record.getMessage()]) == 1

@@ -98,7 +98,7 @@ def test_a_stored_query_is_loaded_with_fields_for_its_parameters(editor: Any) ->
     editor.until("document.getElementById('parameter-node')")
     assert editor.run(f"{MIRROR}.getValue()").startswith("# What a node does")
     answer(editor)
-    editor.until("document.querySelector('.errorResult').textContent.includes('node is required')")
+    editor.until("document.querySelector('.errorResult').textContent.includes('node must be given')")
     editor.run("document.getElementById('parameter-node').value = '/nodes/rover'")
     answer(editor)
     editor.until(f"{LINKS}.includes('/topics/odom')")

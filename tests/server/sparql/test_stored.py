@@ -119,7 +119,7 @@ REFUSED = [
     ("iri", "/topics/../x", "a path segment cannot be '..'"),
     ("iri", "/topics/%zz", "malformed percent-escape"),
     ("iri", "/topics/x#>", "neither an absolute IRI nor a path"),
-    ("iri", "", "is required"),
+    ("iri", "", "a value is required"),
     ("integer", "1.5", "'1.5' is not an integer"),
     ("integer", "1) }", "is not an integer"),
     ("integer", "٣", "is not an integer"),
@@ -151,7 +151,7 @@ def test_what_is_not_given_is_as_by_default_and_all_that_is_wrong_is_told_at_onc
         assert words in problem.json()["detail"]
     second = {"name": "second", "type": "integer", "default": "2", "about": "the other -- by default 2"}
     assert problem.json()["parameters"][1] == second
-    assert "first: is required: the one" in run(stored, "add", word="x").json()["detail"]
+    assert "first: a value is required: the one" in run(stored, "add", word="x").json()["detail"]
     assert "This query has no parameters" in run(stored, "none", x="1").json()["detail"]
 
 

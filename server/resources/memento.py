@@ -1,4 +1,4 @@
-"""Mementos (RFC 7089): what is recorded is its own TimeGate, `?at=` are its mementos, `?timemap` lists them."""
+"""Mementos (RFC 7089): a recorded resource is its own TimeGate, `?at=` are its mementos, `?timemap` lists them."""
 
 from __future__ import annotations
 
@@ -44,38 +44,38 @@ from rosld.server.runtime.version_cache import VersionCache
 LINK_FORMAT = "application/link-format"
 VARY = "Accept, Accept-Datetime"
 SETTLED_NS = 3_000_000_000
-"""How long ago what was is what will always have been: everything of then is written."""
+"""Age in ns from which the history is complete and no longer changes."""
 TIMEMAP = (
     QueryParameter("timemap", "The mementos that there are of it (RFC 7089), `start` the number of the first."),
     QueryParameter("start", "The number of the first memento that `timemap` tells."),
 )
 PAST = (QueryParameter("at", "The resource as it was at this time, an xsd:dateTime, by the history."), *TIMEMAP)
-"""Parameters that ask for the past of a resource."""
+"""Query parameters for past states of a resource."""
 _PAGE = 1000
 _SECOND = 1_000_000_000
 _DATE = "Tue, 31 Jan 2030 12:00:00 GMT"
 _T = TypeVar("_T")
 MementoPage: TypeAlias = Callable[[], Awaitable[tuple[Sequence[int], str | None]]]
-"""Returns the times of mementos in ns, and the URL of the TimeMap that goes on; None where it ends here."""
+"""Returns the times of mementos in ns, and the URL of the next TimeMap, or None for the last."""
 
 
 def is_recorded(history: History, topic: str) -> bool:
-    """Whether there are mementos of a topic."""
+    """Whether a topic has mementos."""
     return history.is_enabled and topic in history.writer.types
 
 
 def timegate_links(url: str) -> tuple[Link, ...]:
-    """The links of an original resource that is its own TimeGate, and of its mementos (RFC 7089 2.2)."""
+    """Return the links of an original resource that is its own TimeGate, and of its mementos (RFC 7089 2.2)."""
     return (Link(url, "original"), Link(url, "timegate"), Link(f"{url}?timemap", "timemap", type=LINK_FORMAT))
 
 
 def memento_url(url: str, time_ns: int) -> str:
-    """The memento of a resource as it was at a time."""
+    """Return the URL of the memento of a resource at a time."""
     return f"{url}?at={date_time(0, time_ns)}"
 
 
 def memento_datetime(time_ns: int) -> str:
-    """A time as `Memento-Datetime` and the links of mementos have it: whole seconds."""
+    """Return a time in the format of `Memento-Datetime` and of links to mementos, which has whole seconds."""
     return format_datetime(datetime.fromtimestamp(time_ns // _SECOND, timezone.utc), usegmt=True)
 
 
@@ -89,7 +89,7 @@ def parse_accept_datetime(text: str) -> int:
 
 
 def found(location: str, links: Sequence[Link]) -> Problem:
-    """302 from a TimeGate to a memento (RFC 7089 4.1.1)."""
+    """Return a redirection (302) from a TimeGate to a memento (RFC 7089 4.1.1)."""
     headers = {"Location": location, "Vary": VARY, "Link": render_links(links)}
     return Problem(302, f"It is at {location}", title="Found", headers=headers)
 
@@ -103,7 +103,7 @@ async def read_history(read: Callable[[], _T]) -> _T:
 
 
 async def negotiate_topic(space: Space, history: History, topic: str, accept_datetime: str) -> Problem:
-    """302 to the memento of a topic that a time asks for: before the first that is the first (RFC 7089 4.5.3).
+    """Return a redirection (302) to the memento of a topic at a time, or to the first one (RFC 7089 4.5.3).
 
     Raises Problems.
     """
@@ -128,7 +128,7 @@ async def negotiate_topic(space: Space, history: History, topic: str, accept_dat
 
 
 class Memento(Resource):
-    """A resource as it was at a time: nothing is written, nothing changes."""
+    """A read-only, unchanging resource for the state of another at a time."""
 
     is_cacheable = False
 
@@ -140,7 +140,7 @@ class Memento(Resource):
         state: Callable[[], Awaitable[State]],
         get: Callable[[Resource, Exchange], Awaitable[Response | Motion | None]] | None = None,
     ) -> None:
-        """`text` is the time in the query, `state` reads the state of then, `get` a part of it."""
+        """`text` is the time in the query, `state` reads the past state, `get` a part of it."""
         super().__init__(now.space, now.url)
         self.kind = kind
         self.title = now.title
@@ -195,16 +195,16 @@ class TimeMap(Resource):
         return State(lambda: time_map_document(self.url, self._original, mementos, after))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """As links (RFC 6690), the default."""
+        """Return the TimeMap as links (RFC 6690), the default format."""
         return _time_map_response(self, exchange, self._original, *await self._page())
 
 
 def time_map_of(
     space: Space, history: History, original: str, name: str, topics: frozenset[str], exchange: Exchange
 ) -> TimeMap:
-    """The requested TimeMap of a resource that topics tell: a memento per message, a thousand at a time.
+    """Return the requested TimeMap of a resource derived from topics: a memento per message, a thousand per page.
 
-    `?start` is the number in the history of the first. Raises a 400 Problem.
+    `?start` is the number of the first message in the history. Raises a 400 Problem.
     """
     text = exchange.query.get("start", "0")
     if not (text.isascii() and text.isdecimal() and len(text) < 19):
@@ -227,7 +227,7 @@ def time_map_of(
 def _time_map_response(
     resource: Resource, exchange: Exchange, original: str, times: Sequence[int], after: str | None
 ) -> Response | None:
-    """A TimeMap as links, where that is preferred: of mementos of these times (ns), and of the TimeMap after it."""
+    """Return a TimeMap as links to mementos at `times` (ns) and to the TimeMap `after`; None if RDF is preferred."""
     if "format" in exchange.query or choose_offer(exchange.accept, (LINK_FORMAT, *OFFERS)) != LINK_FORMAT:
         return None
     ends = (("from", memento_datetime(times[0])), ("until", memento_datetime(times[-1]))) if times else ()
@@ -256,7 +256,7 @@ def _time_map_url(original: str, start: int) -> str:
 def read_time(text: str, now_ns: int) -> int:
     """Return a time in ns: an xsd:dateTime, or seconds before now with a minus. Raises a 400 Problem.
 
-    What is earlier or later than any message can be is the first or the last time that a message can have.
+    The result is clamped to the times that messages can have.
     """
     return max(-FOR_EVER, min(_nanoseconds(text, now_ns), FOR_EVER))
 
@@ -280,7 +280,7 @@ _NOT_KEPT = "Nothing is recorded: rosld serve --history records topics."
 
 
 class PastReadings:
-    """The readings of properties at a time."""
+    """Readings of properties at a time in the past."""
 
     def __init__(self, session: Session, affordances: AffordanceService[State], history: History, at_ns: int) -> None:
         self._session = session
@@ -289,7 +289,7 @@ class PastReadings:
         self._at_ns = at_ns
 
     async def snapshot(self, properties: Sequence[Property]) -> Snapshot:
-        """Return the state that follows from readings of these properties."""
+        """Return the snapshot of these properties."""
         readings = [await self._reading(each) for each in properties]
         return self._affordances.snapshot(await self._affordances.tree(), readings)
 
@@ -311,7 +311,7 @@ class PastReadings:
 
 
 class TimeGate(CommandResource):
-    """Base of properties and complex resources, which are the TimeGates of their mementos (RFC 7089)."""
+    """Base class of properties and complex resources, which are TimeGates of their mementos (RFC 7089)."""
 
     def __init__(
         self,
@@ -334,17 +334,17 @@ class TimeGate(CommandResource):
         self.history = history
         self.links = (*self._own_links(), *(timegate_links(self.url) if history.is_enabled else ()))
         self._headers = {"vary": VARY} if history.is_enabled else {}
-        """Headers of the current state, against caching for requests of other times."""
+        """Headers of the current state, which prevent its reuse by caches for past times."""
 
     def _own_links(self) -> tuple[Link, ...]:
         return type(self).links
 
     async def past_state(self, readings: PastReadings) -> State:
-        """Return the state that follows from former readings. Raises a 404 Problem if it has no past."""
+        """Return the state for past readings. Raises a 404 Problem if the resource has no past."""
         raise NotImplementedError
 
     async def recorded_properties(self) -> Sequence[Property]:
-        """Return the properties whose topics tell what it was."""
+        """Return the properties whose topics determine past states."""
         raise NotImplementedError
 
     async def get_part(self, resource: Resource, exchange: Exchange) -> Response | None:
@@ -364,7 +364,7 @@ class TimeGate(CommandResource):
         return Memento(self, "Resource as it was", text, partial(self._state_at, at_ns), self.get_part)
 
     async def _state_at(self, at_ns: int) -> State:
-        """Return a former state with the headers of a memento, once nothing can change it any more."""
+        """Return a past state, with the headers of a memento if it can no longer change."""
         state = await self.past_state(PastReadings(self.session, self.affordances, self.history, at_ns))
         is_settled = at_ns < time.time_ns() - SETTLED_NS
         headers = {"memento-datetime": memento_datetime(at_ns)} if is_settled else {}
@@ -380,7 +380,7 @@ class TimeGate(CommandResource):
 
 
 def asked_time(history: History, url: str, exchange: Exchange) -> tuple[int, str] | None:
-    """Return the time that `?at=` asks for, and its text; None where nothing does. Raises Problems: 302, 400, 404."""
+    """Return the time in `?at=` and its text, or None for the current state. Raises Problems: 302, 400, 404."""
     wanted = exchange.headers.get("accept-datetime")
     if exchange.method not in ("GET", "HEAD") or ("at" not in exchange.query and wanted is None):
         return None
@@ -396,7 +396,7 @@ def asked_time(history: History, url: str, exchange: Exchange) -> tuple[int, str
 
 
 def asks_for_time_map(history: History, exchange: Exchange) -> bool:
-    """Whether a request is one for the mementos that there are. Raises a 404 Problem where there are none."""
+    """Whether a request is for the TimeMap. Raises a 404 Problem if nothing is recorded."""
     if exchange.method not in ("GET", "HEAD") or "timemap" not in exchange.query:
         return False
     if not history.is_enabled:
@@ -405,7 +405,7 @@ def asks_for_time_map(history: History, exchange: Exchange) -> bool:
 
 
 def _recorded_topic(history: History, property: Property) -> str | None:
-    """Return the recorded topic that tells the past of a property; None where nothing does."""
+    """Return the recorded topic of a property, or None if there is none."""
     topics = (each.name for each in property.readers if isinstance(each, TopicSource))
     return next((each for each in topics if is_recorded(history, each)), None)
 

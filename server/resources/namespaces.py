@@ -41,7 +41,7 @@ from rosld.server.robot.session import Session
 from rosld.server.runtime.version_cache import VersionCache
 
 _THUMBNAIL_WIDTH = 192
-"""Pixels: it is drawn half as wide, for screens that have two of them where others have one."""
+"""Width in pixels; thumbnails are drawn half as wide, for high-density screens."""
 
 
 def _outline(
@@ -62,7 +62,7 @@ def _outline(
 
 
 def topic_cells(topic: Topic, latest: LatestValue | None, space: Space) -> tuple[Cell, ...]:
-    """Return the cells of a topic: its type, its latest value and rate as far as they are at hand, its endpoints."""
+    """Return the cells of a topic: type, latest value and rate if available, numbers of publishers and subscribers."""
     kind = NamedNode(space.class_of(topic.type.name)) if topic.type else ", ".join(ref.name for ref in topic.types)
     value = "" if latest is None or latest.json is None else brief_text(latest.json)
     picture = None if latest is None else thumbnail(latest, space.topic(topic.name))
@@ -71,13 +71,13 @@ def topic_cells(topic: Topic, latest: LatestValue | None, space: Space) -> tuple
 
 
 def thumbnail(latest: LatestValue, url: str) -> Thumbnail | None:
-    """Return the small picture of the topic at a URL; None where its latest value is no picture that is drawn.
+    """Return the thumbnail of the topic at a URL, or None if its latest value is not a drawable picture.
 
-    Its address is another one with each message, so that a page that is kept up to date fetches it again then only.
+    The thumbnail's URL changes with each message, so that pages fetch it again only then.
     """
     if latest.picture is None:
         return None
-    format = "png" if latest.picture.type_name == OCCUPANCY_GRID else "jpeg"  # of maps much is transparent
+    format = "png" if latest.picture.type_name == OCCUPANCY_GRID else "jpeg"  # maps are largely transparent
     query = f"format={format}&width={_THUMBNAIL_WIDTH}&v={latest.picture.sequence}"
     return Thumbnail(url, query, "" if latest.json is None else brief_text(latest.json))
 
@@ -98,10 +98,10 @@ NB = TypeVar("NB", bound="NamespaceBase")
 Namespaces = Mapping[tuple[str, ...], Members]
 
 MAX_ROWS = 1000
-"""Rows of a table on the page of a namespace."""
+"""Maximum number of rows in the table of a namespace's page."""
 
 HIDDEN = "hidden=true"
-"""The query that asks a listing for hidden names too."""
+"""Query string of listings with hidden names."""
 _HIDDEN = QueryParameter("hidden", "Whether to include names with a segment that begins with `_`.", {"type": "boolean"})
 
 _VALUES_NOTE = "Values and rates are shown for subscribed topics: a list does not subscribe."
@@ -127,7 +127,7 @@ def namespaces(graph: Graph, route: str) -> Namespaces:
 
 
 def is_of_hidden(parameter: Parameter) -> bool:
-    """Whether a parameter belongs to a node that is hidden."""
+    """Whether a parameter belongs to a hidden node."""
     return parameter.node is not None and names.is_hidden(parameter.node)
 
 
@@ -161,7 +161,7 @@ def listed_graph(graph: Graph, capabilities: Capabilities) -> Graph:
 
 
 LISTING_PARAMETERS = (FORMAT, _HIDDEN)
-"""Query parameters of a listing of names. Without hidden names `hidden` changes nothing."""
+"""Query parameters of a listing of names; `hidden` has no effect on systems without hidden names."""
 
 
 def with_hidden(url: str) -> str:
@@ -170,7 +170,7 @@ def with_hidden(url: str) -> str:
 
 
 def listing_query(place: PagePosition | None, *, hidden: bool) -> str:
-    """Return the query of a listing's URL: of the page at `place`, or of all; with `hidden` members or without."""
+    """Return the query string of a listing: of the page at `place` or the whole, with or without `hidden` members."""
     parts = [HIDDEN] if hidden else []
     return "&".join(parts if place is None else [*parts, page_query(place.token)])
 
@@ -186,9 +186,9 @@ class ListedNamespace(Struct, frozen=True, eq=False):
 
     @property
     def members(self) -> Members | None:
-        """The members that are listed; None where there is no such namespace.
+        """The listed members; None if there is no such namespace.
 
-        Within a namespace that is hidden itself nothing is, and neither where hidden ones are asked for.
+        Hidden members are listed on request, and always within a hidden namespace.
         """
         every = self._every_member()
         if every is None or self.hidden or names.is_hidden(names.join(self.namespace)):
@@ -197,7 +197,7 @@ class ListedNamespace(Struct, frozen=True, eq=False):
 
     @property
     def leaves_out(self) -> bool:
-        """Whether hidden members are left out."""
+        """Whether hidden members are omitted."""
         return self.members != self._every_member()
 
     @property
@@ -206,7 +206,7 @@ class ListedNamespace(Struct, frozen=True, eq=False):
         return names.join(self.namespace) in things_of(self.graph, self.route)
 
     def document(self, space: Space, members: Members) -> Document:
-        """Return the namespace with these members, or these of them; where some are left out it links to all."""
+        """Return the document with these members, and a link to the whole listing if hidden ones are omitted."""
         whole = with_hidden(space.container(self.route, self.namespace)) if self.leaves_out else None
         return namespace_document(self.route, self.namespace, members, space, is_name=self.is_name, whole=whole)
 
@@ -215,23 +215,23 @@ class ListedNamespace(Struct, frozen=True, eq=False):
 
 
 def count_members(members: Members) -> int:
-    """Return the number of a namespace's members: names, and nested namespaces."""
+    """Return the number of names and nested namespaces in a namespace."""
     return len(members.leaves) + len(members.namespaces)
 
 
 def member_keys(members: Members) -> list[str]:
-    """Return the members as they end their URLs, in the order of pages."""
+    """Return the last part of each member's URL, in the order of pages."""
     return sorted([*map(encode_segment, members.leaves), *(f"{encode_segment(one)}/" for one in members.namespaces)])
 
 
 def members_from_keys(ends: Sequence[str]) -> Members:
-    """Return the members whose URLs end so: the inverse of `member_keys`."""
+    """Return the members with these last parts of URLs: the inverse of `member_keys`."""
     leaves = tuple(sorted(decode_segment(end) for end in ends if not end.endswith("/")))
     return Members(leaves, tuple(sorted(decode_segment(end[:-1]) for end in ends if end.endswith("/"))))
 
 
 def redirect_to_namespace(space: Space, graph: Graph, route: str, name: str) -> Problem | None:
-    """308 to the container where a name is a namespace and nothing else; None where it is none."""
+    """Return a redirect (308) to the container of a name that is a namespace, or None if it is not."""
     path = names.segments(name)
     if path not in namespaces(graph, route):
         return None
@@ -239,7 +239,7 @@ def redirect_to_namespace(space: Space, graph: Graph, route: str, name: str) -> 
 
 
 class NamespaceBase(PagedContainer):
-    """Base of the containers of one kind of names, with hidden members or without."""
+    """Base class of the containers of one kind of names, with or without hidden members."""
 
     session: Session
     route: str
@@ -259,13 +259,13 @@ class NamespaceBase(PagedContainer):
         return with_hidden(self.url) if self._hidden else self.url
 
     def _listed(self) -> ListedNamespace:
-        """The namespace as it is listed in the graph of now."""
+        """Return the listed namespace of the current graph."""
         return ListedNamespace(
             self.session.graph, self.session.adapter.capabilities, self.route, self.namespace, hidden=self._hidden
         )
 
     def requested(self: NB, exchange: Exchange) -> NB:
-        """Return the page, and with it the members, that a query asks for."""
+        """Return the variant for the requested page, with hidden members if requested."""
         token = exchange.query.get("page")
         place = None if token is None else parse_named_position(token)
         return self.variant(_place=place, _hidden=exchange.query_flag("hidden"))
@@ -276,7 +276,7 @@ class NamespaceBase(PagedContainer):
 
 
 class NamespaceContainer(NamespaceBase):
-    """A namespace of one kind of names: `/topics/`, `/topics/camera/`, ...; in pages where there are many."""
+    """A namespace of one kind of names: `/topics/`, `/topics/camera/`, ...; paged if it has many members."""
 
     kind = "Namespace"
     is_found_by_state = True
@@ -300,7 +300,7 @@ class NamespaceContainer(NamespaceBase):
         self.item = PathItem(self.route.capitalize(), query=LISTING_PARAMETERS, is_paged=True)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the page that `?page=` asks for, the first of many pages (303)."""
+        """Return the page `?page=`; redirect to the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
         asked = self.requested(exchange)
@@ -327,7 +327,7 @@ class NamespaceContainer(NamespaceBase):
         return self.states.get_or_make(self._sequence if page is None else page.url, version, make)
 
     def outline(self) -> tuple[Hashable, Callable[[], Document]]:
-        """Return the description without values, after a token that changes with it."""
+        """Return a token that changes with the description, and a function for the description without values."""
         now = self._listed()
         members = self._members(now)
         outlines = self._outlines(now, members, lambda name: None)
@@ -336,7 +336,7 @@ class NamespaceContainer(NamespaceBase):
     def _outlines(
         self, now: ListedNamespace, told: Members, latest_of: Callable[[str], LatestValue | None]
     ) -> tuple[MemberOutline, ...]:
-        """Return in brief these members: names, types, latest values of topics."""
+        """Return outlines of these members: names, types, latest values of topics."""
         things, space = things_of(now.graph, self.route), self.space
         leaves = ((*self.namespace, leaf) for leaf in told.leaves)
         below = ((*self.namespace, inner) for inner in told.namespaces)
@@ -346,7 +346,7 @@ class NamespaceContainer(NamespaceBase):
         )
 
     def _values_below(self) -> Sequence[tuple[str, LatestValue | None]]:
-        """The values at hand of all topics below, which the page lists, too: it is another one when one of them is."""
+        """Return the cached values of all topics below, which are part of the page's version."""
         if self.route != "topics":
             return ()
         prefix, values = "".join(f"/{part}" for part in self.namespace) + "/", self.latest_values
@@ -354,20 +354,20 @@ class NamespaceContainer(NamespaceBase):
         return tuple((name, values.of_topic(name)) for name in below)
 
     def _document(self, now: ListedNamespace, members: Members, outlines: Sequence[MemberOutline]) -> Document:
-        """Return the document of the namespace, with brief members."""
+        """Return the document of the namespace with outlines of its members."""
         document = now.document(self.space, members)
         told = (triple for outline in outlines for triple in member_triples(outline, self.space))
         return replace(document, triples=(*document.triples, *told))
 
     def _members(self, now: ListedNamespace) -> Members:
-        """Return the members; a Problem where there is no such namespace."""
+        """Return the members. Raises a Problem if there is no such namespace."""
         members = now.members
         if members is None:
             raise self._missing(now)
         return members
 
     def _page(self, place: PagePosition, members: Members) -> tuple[LdpPage, Members]:
-        """Return a page, and its members."""
+        """Return a page and its members."""
         page, told = page_of_names(self._sequence, place, member_keys(members))
         return page, members_from_keys(told)
 
@@ -405,7 +405,7 @@ class NamespaceContainer(NamespaceBase):
         return None if self._place is None or members is None else MemberColumns(total=count_members(members))
 
     def _below(self, known: Mapping[str, object], members: Members | None) -> tuple[list[str], int]:
-        """The names in this namespace that its page lists, in order: at most `MAX_ROWS`; and how many there are."""
+        """Return the sorted names to list on this page, at most `MAX_ROWS`, and the total number of names."""
         prefix = "".join(f"/{part}" for part in self.namespace) + "/"
         below = sorted(name for name in known if name.startswith(prefix))
         total = len(below)
@@ -417,7 +417,7 @@ class NamespaceContainer(NamespaceBase):
         return below[:MAX_ROWS], total
 
     def _missing(self, now: ListedNamespace) -> Problem:
-        """308 where the name is a leaf, else 404."""
+        """Return a 308 redirect if the name is a leaf, else a 404 Problem."""
         if now.is_name:
             leaf = self.space.url(self.route, self.namespace)
             return permanent_redirect(leaf)

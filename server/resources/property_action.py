@@ -89,7 +89,7 @@ class MemberResource(TimeGate):
 
     @property
     def _plans(self) -> tuple[PropertyPlan | None, ActionPlan | None]:
-        """The plans of the property and of the action, as far as they are known."""
+        """The plans of the property and of the action, if known."""
         tree = self.affordances.cached_tree()
         return (None, None) if tree is None else (tree.property(self.name), tree.action(self.name))
 
@@ -123,7 +123,7 @@ class MemberResource(TimeGate):
         )
 
     def methods(self) -> frozenset[str]:
-        """Return the methods by the kind of resource; unmet conditions are 409."""
+        """Return the methods for this kind of resource, regardless of conditions (unmet ones are 409)."""
         if self.session.settings.read_only:
             return READ
         methods = READ
@@ -142,7 +142,7 @@ class MemberResource(TimeGate):
         return super().withheld - {"DELETE"}
 
     async def current_methods(self) -> frozenset[str]:
-        """Nothing where it does not exist now; of an action that is not on offer what writes, for it says why not."""
+        """Return the current methods: none for a missing resource, only writing ones (which say why) if not offered."""
         tree, methods = await self.affordances.tree(), self.methods()
         plan, action = tree.property(self.name), tree.action(self.name)
         reads = (*(() if plan is None else plan.reads), *(() if action is None else action.reads))
@@ -172,7 +172,7 @@ class MemberResource(TimeGate):
 
     @property
     def _has_shape(self) -> bool:
-        """Whether there is a shape of what may be written here."""
+        """Whether there is a shape for the values that may be written here."""
         plan, action = self._plans
         is_invoked = action is not None and action.request is not None
         return is_invoked or (plan is not None and has_property_shape(self.session, plan))
@@ -207,7 +207,7 @@ class MemberResource(TimeGate):
         raise self._missing(tree)
 
     def outline(self, tree: ResourceTree) -> State | None:
-        """Return the state without the value; None where what is on offer depends on values."""
+        """Return the state without the value, or None if the affordances depend on values."""
         plan, action, offers = tree.property(self.name), tree.action(self.name), self.affordances
         if plan is not None:
             return None if plan.is_conditional else self._state_of(plan, offers.unread(tree, plan.reads))
@@ -255,7 +255,7 @@ class MemberResource(TimeGate):
         return State(lambda: action_document(view, self.space, self.session.lifting), view=view, headers=self._headers)
 
     def _missing(self, tree: ResourceTree) -> Problem:
-        """308 to the complex resource of that name, or to the property that a mapping calls so here; else 404."""
+        """Return a 308 redirect to the complex or remapped resource of this name, else a 404 Problem."""
         instead = tree.replacement(self.name)
         if instead is not None:
             return Problem(404, f"{self.name} is offered as {url_of(instead, self.space)}")
@@ -276,7 +276,7 @@ class MemberResource(TimeGate):
         return await self.get_part(self, exchange)
 
     async def get_part(self, resource: Resource, exchange: Exchange) -> Response | None:
-        """`?field=PATH`: the bytes of one field of the value; a 404 Problem where there is none."""
+        """Return one field of the value for `?field=PATH`, else None. Raises a 404 Problem for a missing field."""
         if b"field=" not in exchange.request.scope["query_string"] or "field" not in exchange.query:
             return None
         view, path = (await resource.state()).view, exchange.query["field"]
@@ -290,7 +290,7 @@ class MemberResource(TimeGate):
         return Response(data, media_type=media_type, headers={"Cache-Control": "no-cache"})
 
     async def forms(self) -> Sequence[Form]:
-        """Whatever conditions say now: a form that was on offer when its page was drawn is told why it no longer is."""
+        """Return the forms regardless of conditions, so that a form of an older page gets the reason for a refusal."""
         tree, offers = await self.affordances.tree(), self.affordances
         forms: list[Form] = []
         if tree.property(self.name) is not None:
@@ -307,9 +307,9 @@ class MemberResource(TimeGate):
     # Writing
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Write the property through what its mapping or convention writes by: a topic, a service or a parameter.
+        """Write the property through the topic, service or parameter of its mapping or convention.
 
-        200 with the value where the robot made another of it, 202 where no subscriber heard it.
+        Returns 200 with the value if the robot changed it, 202 without a subscriber, else 204.
         """
         tree, plan = await self._property()
         content = await self._content(exchange, plan, await exchange.body())
@@ -319,7 +319,7 @@ class MemberResource(TimeGate):
             return await self._answer(exchange, written)
 
     async def _answer(self, exchange: Exchange, planned: PlannedWrite) -> Answer:
-        """Carry out a write; the response shows the result if it differs from the request."""
+        """Carry out a write and return the response, which has the value if it differs from the requested one."""
         expect_status(204)
         written = await carry_out(self.session, planned)
         if written is WriteOutcome.OTHERWISE:
@@ -329,7 +329,7 @@ class MemberResource(TimeGate):
     async def _write(
         self, tree: ResourceTree, plan: PropertyPlan, content: object, *, defaults: bool = False
     ) -> PlannedWrite:
-        """Plan the write of a value, if it may be written now; nothing moves."""
+        """Plan the write of a value if conditions allow it; sends nothing to the robot."""
         if plan.is_conditional or plan.member.field is not None:
             snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
             require_writable(self.affordances, plan, snapshot)
@@ -339,7 +339,7 @@ class MemberResource(TimeGate):
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Plan the write of the property by a graph; the caller holds the lock of `affected_names`.
 
-        Raises a 403 Problem where it cannot be written, or would be dropped (`triples` None).
+        Raises a 403 Problem if the property is not writable or would be deleted (`triples` None).
         """
         tree, plan = await self._property()
         if "PUT" not in self.methods():
@@ -355,12 +355,12 @@ class MemberResource(TimeGate):
         return RobotWrite(f"write {self.name}", carried_out)
 
     def affected_names(self, tree: ResourceTree) -> tuple[str, ...]:
-        """Return the names that a write through its graph concerns."""
+        """Return the names affected by a write of the resource's graph."""
         plan = tree.property(self.name)
         return (self.name,) if plan is None else (self.name, plan.source.name)
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Write what a patch makes of the value as it is read within this turn: no write of ours comes between."""
+        """Write the patched current value; a lock excludes other writes by this server between read and write."""
         tree, plan = await self._property()
         data = await exchange.body()
         async with self.affordances.lock(tree, self.name, modified=(plan.source.name,)):
@@ -378,7 +378,7 @@ class MemberResource(TimeGate):
         return tree, plan
 
     def _whole(self, plan: PropertyPlan, snapshot: Snapshot, content: object) -> object:
-        """Return the content of the whole property, where what is written is one field of it."""
+        """Return the content of the whole property if the member is one field of it."""
         field = plan.member.field
         return (
             content
@@ -392,7 +392,7 @@ class MemberResource(TimeGate):
         return await self._content_of(plan, parse_body(data, exchange.media_type, self.url))
 
     async def _content_of(self, plan: PropertyPlan, body: RdfBody) -> object:
-        """Return the value that RDF states: by rdf:value, or by the relation of a mapping."""
+        """Return the value in RDF: the object of rdf:value or of the mapping's predicate."""
         subject, predicate = NamedNode(self.url), rdf.value
         home = NamedNode(url_of(plan.parent, self.space))
         if plan.mapped is not None and body.objects(home, plan.mapped.predicate):
@@ -414,7 +414,7 @@ class MemberResource(TimeGate):
     async def post(self, exchange: Exchange) -> Answer:
         """Invoke the action: call its service, or send its goal.
 
-        Raises a 409 Problem where a condition forbids it now.
+        Raises a 409 Problem if a condition does not hold.
         """
         tree = await self.affordances.tree()
         plan = tree.action(self.name)
@@ -436,7 +436,7 @@ class MemberResource(TimeGate):
         return await self._after(plan.parent, outcome)
 
     async def _send_goal(self, exchange: Exchange, tree: ResourceTree, plan: ActionPlan) -> Answer:
-        """Send a goal to the action of ROS that the mapping names: what is made is the goal."""
+        """Send a goal to the ROS action of the mapping and return the created goal."""
         action = ActionResource(self.session, self.limit_checks, self.states, plan.service)
         schema = await action.schema()
         goal = await action.read_message(exchange, self.url, schema)
@@ -445,9 +445,9 @@ class MemberResource(TimeGate):
             return await action.send(exchange, schema, goal)
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Cancel the goals of an action of ROS, whatever conditions say; `?others=true`: also those of other clients.
+        """Cancel goals of a ROS action regardless of conditions, with `?others=true` also those of other clients.
 
-        Raises a 404 Problem where there is no such action.
+        Raises a 404 Problem if there is no such action.
         """
         tree = await self.affordances.tree()
         plan = tree.action(self.name)
@@ -458,7 +458,7 @@ class MemberResource(TimeGate):
         )
 
     async def _after(self, path: str, outcome: CallOutcome) -> ShownAnswer:
-        """The complex resource as it is after an action; the one above where the action has ended its own."""
+        """Return the complex resource after an action, or the nearest existing ancestor if the action removed it."""
         call = Link(self.space.call(outcome.call.id), ros.Call.value)
         while True:
             resource = ComplexResource(

@@ -51,24 +51,24 @@ from rosld.server.runtime.dry_run import DryRunEnded, note_conditions
 async def read_fresh_state(
     affordances: AffordanceService[State], tree: ResourceTree, reads: Sequence[Property]
 ) -> Snapshot:
-    """Return the state as it is now, not as it was a moment ago."""
+    """Return a snapshot of newly read values."""
     return affordances.snapshot(tree, await affordances.read(reads, refresh=True))
 
 
 def require_writable(affordances: AffordanceService[State], plan: PropertyPlan, snapshot: Snapshot) -> None:
-    """Raise a 404 Problem where a property is not there now, a 409 with the report where it must not be written."""
+    """Raise a 404 Problem if a property does not exist now, a 409 with the report if conditions forbid a write."""
     affordances.require_exists(plan.exists_when, snapshot.results, plan.source.name)
     condition_conflict(plan.write_conditions, snapshot, f"{plan.source.name} must not be written now")
 
 
 def require_offered(affordances: AffordanceService[State], plan: ActionPlan, snapshot: Snapshot) -> None:
-    """Raise a 404 Problem where what an action belongs to is not there, a 409 with the report if it is not offered."""
+    """Raise a 404 Problem if an action's resource does not exist now, a 409 with the report if it is not offered."""
     affordances.require_exists(plan.exists_when, snapshot.results, plan.parent)
     condition_conflict(plan.conditions, snapshot, f"{plan.name} is not on offer now")
 
 
 def condition_conflict(conditions: Sequence[Condition], snapshot: Snapshot, sentence: str) -> None:
-    """Raise a 409 Problem with the report of the conditions that do not hold."""
+    """Raise a 409 Problem with a report if any condition does not hold."""
     note_conditions(condition.iri for condition in conditions)
     broken: tuple[Violation, ...] = snapshot.results.violations(conditions)
     if broken:
@@ -81,7 +81,7 @@ def condition_conflict(conditions: Sequence[Condition], snapshot: Snapshot, sent
 async def plan_property_write(
     limit_checks: LimitChecks, own: Property, content: object, *, defaults: bool = False
 ) -> PlannedWrite:
-    """Plan a write of a property within the limits. Raises as `plan_write` does."""
+    """Plan a write of a property and check it against the limits. Raises like `plan_write`, and LoweringError."""
     plan = plan_write(limit_checks.session, own, content, defaults=defaults)
     name, value = plan.writer.name, plan.value
     if not isinstance(value, MessageValue):
@@ -93,7 +93,7 @@ async def plan_property_write(
 
 
 def write_response(exchange: Exchange, space: Space, plan: PlannedWrite, written: WriteOutcome) -> Response:
-    """Return the response to a write that was carried out: 204, or 202 without a receiver."""
+    """Return the response to a completed write: 204, or 202 without a subscriber."""
     name = plan.writer.name
     if written is WriteOutcome.UNHEARD:
         return render(no_subscriber_problem(name), exchange.accept).response()
@@ -103,14 +103,14 @@ def write_response(exchange: Exchange, space: Space, plan: PlannedWrite, written
 
 
 class MemberChange(Struct, frozen=True):
-    """A member that is to have another value: `content` is what becomes of it, or of the field that it shows."""
+    """Change of a member: `content` is the new value of the member, or of the field that it shows."""
 
     member: MemberPlan
     content: object
 
 
 def changes_in_json(patch: object, plan: ComplexPlan, view: ComplexView) -> tuple[MemberChange, ...]:
-    """Return the changes that a JSON merge patch asks for (RFC 7396). Raises LoweringError for what is no member."""
+    """Return the changes in a JSON merge patch (RFC 7396). Raises LoweringError for missing or removed members."""
     if not isinstance(patch, dict):
         raise LoweringError(Violation("", "expected an object of members and their values"))
     members = {one.name: one for one in plan.members}
@@ -131,7 +131,7 @@ def changes_in_json(patch: object, plan: ComplexPlan, view: ComplexView) -> tupl
 def changes_in_graph(
     body: RdfBody, plan: ComplexPlan, view: ComplexView, lifting: LiftSettings
 ) -> tuple[MemberChange, ...]:
-    """Return the changes between what is said of the members now and what `body` says. Raises LoweringError."""
+    """Return the changes from the current members to those in `body`. Raises LoweringError."""
     seen = {one.affordance.name: one for one in view.members}
     found = (_member_change(body, one, seen[one.name], view.url, lifting) for one in plan.members)
     return tuple(change for change in found if change is not None)
@@ -157,7 +157,7 @@ def _member_change(
 
 
 def _says(stated: Literal, seen: Member) -> bool:
-    """Whether a literal says what the value of a member is already: a store gives numbers back in other words."""
+    """Whether a literal equals the value of a member; compares values, because stores rewrite lexical forms."""
     present = _literal(seen)
     if stated == present or present is None:
         return stated == present
@@ -169,12 +169,12 @@ def _says(stated: Literal, seen: Member) -> bool:
 
 
 def _is_said(member: Member) -> bool:
-    """Whether RDF states a value of the member."""
+    """Whether the member has a value in RDF."""
     return (member.field is None and isinstance(member.reading.value, MessageValue)) or _literal(member) is not None
 
 
 def _literal(member: Member) -> Literal | None:
-    """Return the literal that is the value of a member, None where there is none."""
+    """Return the value of a member as a literal, or None if it has none."""
     value = member.reading.value
     try:
         return None if value is None else value_literal(value, member.field)
@@ -183,7 +183,7 @@ def _literal(member: Member) -> Literal | None:
 
 
 def _present(member: Member) -> object:
-    """Return the value of a member as plain JSON, None where there is none."""
+    """Return the value of a member as plain JSON, or None if it has none."""
     value, field = member.reading.value, member.field
     if value is None:
         return None
@@ -193,16 +193,16 @@ def _present(member: Member) -> object:
         return None
 
 
-# The plan
+# Planning
 
 
 async def plan_changes(
     limit_checks: LimitChecks, plan: ComplexPlan, snapshot: Snapshot, changes: Sequence[MemberChange]
 ) -> tuple[tuple[str, PlannedWrite], ...]:
-    """Return the writes that bring these changes about, with the names of the members that ask for them.
+    """Return the writes for these changes, with the names of the changed members; sends nothing to the robot.
 
-    Everything that can be refused is: a member that must not be written now (409), that nothing writes (409), a value
-    that does not fit or breaks a limit (LoweringError). Nothing moves.
+    Raises a 409 Problem for a member that is not writable (now), and LoweringError for a value that does not fit or
+    violates a limit.
     """
     for change in changes:
         condition_conflict(change.member.write_conditions, snapshot, f"{change.member.name} must not be written now")
@@ -223,7 +223,7 @@ async def plan_changes(
 def _by_property(
     changes: Iterable[MemberChange], readings: Mapping[str, Reading]
 ) -> Iterable[tuple[str, Property, object]]:
-    """One content a property: members that show fields of one message change that message together."""
+    """Return the new content of each property; changes of several fields of one message are combined."""
     whole: dict[str, tuple[list[str], Property, object]] = {}
     for change in changes:
         member, own = change.member, change.member.source
@@ -254,7 +254,7 @@ def with_field(own: Property, reading: Reading, name: str, path: str, value: obj
 
 
 def _is_whole_value(own: Property, reading: Reading, path: str) -> bool:
-    """Whether a field is all of a message: one of a single scalar is read and written as that (`std_msgs/String`)."""
+    """Whether a field is the only (scalar) field of its message, which is then the value (`std_msgs/String`)."""
     if isinstance(reading.value, MessageValue):
         fields = [reading.value.fields]
     else:
@@ -274,20 +274,20 @@ def _replace_field(content: object, path: str, value: object) -> object:
 
 
 def _plain(value: object) -> object:
-    """Return a literal as JSON, for use in a message."""
+    """Return a literal as plain JSON, and other values unchanged."""
     return parse_json(parameter_json(lower_term(value))) if isinstance(value, Literal) else value
 
 
 def _within(name: str, error: LoweringError) -> LoweringError:
-    """Return the same violations, at a member."""
+    """Return the error with its paths prefixed by a member."""
     return LoweringError(*(replace(one, path=f"{name}.{one.path}" if one.path else name) for one in error.violations))
 
 
-# Carrying it out
+# Execution
 
 
 async def carry_out_all(session: Session, writes: Sequence[tuple[str, PlannedWrite]]) -> Response:
-    """Carry the writes out in order. The first failure ends this: its Problem has the outcome of each."""
+    """Carry out the writes in order. The first failure stops: its Problem lists the outcome of each write."""
     done: list[dict[str, object]] = []
     for place, (name, write) in enumerate(writes):
         try:

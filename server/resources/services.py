@@ -1,4 +1,4 @@
-"""Services, and the calls made of them: POST calls, the call is a resource."""
+"""Services and their calls: POST calls a service and creates a call as a resource."""
 
 from __future__ import annotations
 
@@ -65,14 +65,14 @@ Thing = TypeVar("Thing", bound=Service | Action)
 
 
 class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
-    """Base of services and actions: a POST sends the robot a message, a request or a goal."""
+    """Base class of services and actions: a POST sends the robot a request or a goal."""
 
     accepts: Mapping[str, Sequence[str]] = {"POST": (*RDF_BODIES, JSON)}
     operation: Operation
     usage: str
-    """What POST does, for a 405 to another method."""
+    """Beginning of the message of a 405 Problem, which says what POST does."""
     cannot: str
-    """That nothing can be sent to a name now."""
+    """Template of the sentence that nothing can be sent to a name now."""
     form: tuple[str, str]
     """The title and the button of the form."""
 
@@ -81,11 +81,11 @@ class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
         raise NotImplementedError
 
     def part(self, schema: Schema) -> MessageSchema:
-        """Return the schema of the message that is sent."""
+        """Return the schema of the message to send."""
         raise NotImplementedError
 
     def unusable(self, found: Thing) -> str | None:
-        """Return why nothing can be sent, in a sentence, or None."""
+        """Return a sentence why nothing can be sent, or None if it can."""
         raise NotImplementedError
 
     def methods(self) -> frozenset[str]:
@@ -124,10 +124,10 @@ class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
             raise Problem(409, f"{cannot}: {error.sentence}") from error
 
     async def read_message(self, exchange: Exchange, url: str, schema: Schema) -> Message:
-        """Return the request or the goal in a body sent to `url`, which is within the limits.
+        """Return the request or goal in a body sent to `url`, checked against the limits.
 
-        No body is a message without fields: for one that has some, `{}` asks for its defaults, and a body that got lost
-        does not move the robot. Raises BodyError, LoweringError, and Problems.
+        An empty body is valid only for a message without fields, so that a lost body does not move the robot; `{}`
+        stands for the defaults. Raises BodyError, LoweringError and Problems.
         """
         data, sent = await exchange.body(), self.part(schema)
         lowering = lowerer(sent, self.session.lifting)
@@ -178,15 +178,15 @@ class ServiceResource(InvocableResource[Service, ServiceSchema]):
 
     async def state(self) -> State:
         service, space = self.require(), self.space
-        # The graph is read when the document is made: a state is cached, and would keep a whole graph in memory.
+        # The graph is read late, so that cached states do not retain a graph.
         return self.states.get_or_make(
             self.url, IdentityKey(service), lambda: State(lambda: service_document(service, space, self.session.graph))
         )
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Call the service with the request in the body: 201 with the call, which has the response (paper, Table 2).
+        """Call the service with the request in the body: 201 with the call, including its response (paper, Table 2).
 
-        A repetition with the same `Idempotency-Key` gets the first outcome.
+        A repetition with the same `Idempotency-Key` returns the first outcome.
         """
         schema = await self.schema()
         request = await self.read_message(exchange, self.url, schema)
@@ -198,7 +198,7 @@ class ServiceResource(InvocableResource[Service, ServiceSchema]):
         return CreatedAnswer(resource.url, resource, resource.response_state_of(outcome.call))
 
     async def call(self, exchange: Exchange, schema: ServiceSchema, request: Message) -> CallOutcome:
-        """Call the service, once only for each Idempotency-Key. Raises a 422 Problem for a key of another request."""
+        """Call the service, once per Idempotency-Key. Raises a 422 Problem for a key of another request."""
         deadline = loop_time() + self.session.settings.call_deadline
         key, sender, calls = exchange.header("idempotency-key"), sender_of(exchange), self.session.calls
         if key is None:
@@ -236,7 +236,7 @@ class CallResource(KeptResource[Call]):
         return self.session.calls.changes.watch(wake)
 
     def state_of(self, call: Call) -> State:
-        """Return the state of this call as it stood."""
+        """Return the state of this version of the call."""
         return self._state(call, self._plain)
 
     def response_state_of(self, call: Call) -> State:
@@ -255,7 +255,7 @@ class CallResource(KeptResource[Call]):
         return lifter(call.schema.response, self.session.lifting).json(call.response, self.url)
 
     def _plain(self, call: Call) -> bytes:
-        """How it stands as JSON, its messages as ROS's own."""
+        """Return the call as plain JSON, with its messages in ROS form."""
         ended_ns = None if call.state is CallState.UNKNOWN else call.answered_ns
         described = {
             "id": call.id,
@@ -271,24 +271,20 @@ class CallResource(KeptResource[Call]):
         return orjson.dumps(described)[:-1] + rest
 
     def document(self, call: Call) -> Document:
-        """Return the RDF of this call as it stood."""
+        """Return the RDF of this version of the call."""
         return call_document(_view(call), self.space, self.session.lifting)
 
     async def forms(self) -> Sequence[Form]:
         return (DeleteForm("Forget the call", "Forget"),) if "DELETE" in self.methods() else ()
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Forget the call; of one that is still running the answer is dropped.
-
-        Raises a 404 Problem where there is none.
-        """
+        """Forget the call, and discard the response of a running one. Raises a 404 Problem if there is no such call."""
         self.require()
         self.session.calls.delete(self.id)
         return Response(status_code=204)
 
 
 def _view(call: Call) -> CallView:
-    """A call as it is described."""
     schema = call.schema
     return CallView(
         call.id,
@@ -309,7 +305,7 @@ def sender_of(exchange: Exchange) -> Sender:
 
 
 def call_problem(space: Space, outcome: CallOutcome) -> Problem | None:
-    """Return the Problem of a call that did not succeed, with the URL of the call; None where an answer came."""
+    """Return the Problem of a failed call, with the URL of the call; None if it has a response."""
     error = outcome.error
     if error is None:
         return None
@@ -326,7 +322,7 @@ def call_problem(space: Space, outcome: CallOutcome) -> Problem | None:
 
 
 def refusal_problem(space: Space, outcome: CallOutcome) -> Problem | None:
-    """Return the Problem of a call whose answer says `bool success` false: a refusal in the robot's words."""
+    """Return the Problem of a call whose response has `bool success` false, with the robot's message."""
     call = outcome.call
     if call.response is None:
         return None

@@ -240,7 +240,7 @@ def test_a_need_beyond_the_available_memory_is_refused_with_both_sizes() -> None
     assert left is None or left > 0
     memory = Memory(lambda: MARGIN + 1000 * 1024 * 1024)
     memory.require(900 * 1024 * 1024, "a body of 9 bytes")
-    with pytest.raises(NotEnoughMemory, match="A body of 9 bytes may need 1001 MiB, and 1000 MiB are left"):
+    with pytest.raises(NotEnoughMemory, match="A body of 9 bytes may need 1001 MiB of memory, but 1000 MiB are left"):
         memory.require(1001 * 1024 * 1024, "a body of 9 bytes")
 
 

@@ -70,7 +70,7 @@ def test_more_solutions_than_an_update_may_have_are_422(start_server: Callable[.
         )
         assert answer.status_code == (204 if fine else 422), answer.text
         if not fine:
-            assert "more than 100000 solutions" in answer.json()["detail"]
+            assert "more than the limit of 100000 solutions" in answer.json()["detail"]
             assert client.get("/data/sums").status_code == 404
     assert client.get("/data/sums").status_code == 200
 

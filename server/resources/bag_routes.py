@@ -63,7 +63,7 @@ _FORMAT = QueryParameter(
 
 
 class BagFile(BagBase):
-    """The bytes of a recording, whole or in ranges; or converted into a bag of ROS 1 or ROS 2."""
+    """The bytes of a recording, whole or in ranges, or converted into a bag of ROS 1 or ROS 2."""
 
     kind = "File of a recording"
     links = (RESOURCE,)
@@ -113,12 +113,12 @@ class BagFile(BagBase):
         return self.recordings.encoding(self.recording)
 
     def _wanted(self, exchange: Exchange) -> ExportFormat | None:
-        """The format that the recording is to be converted into; None: its file as it is. Raises a 406 Problem."""
+        """Return the requested format to convert to, or None for the original file. Raises a 406 Problem."""
         name = exchange.query.get("format")
         if name is None:
             own = [each.media_type for each in EXPORT_FORMATS.values() if each.encoding is self._encoding]
             media_type = choose_offer(exchange.accept, (UNKNOWN, *own))
-            media_type = media_type or choose_offer(exchange.accept, _EXPORTED)  # whose refusal says why
+            media_type = media_type or choose_offer(exchange.accept, _EXPORTED)  # a refused conversion gives the reason
             return next((one for one in EXPORT_FORMATS.values() if one.media_type == media_type), None)
         if name not in EXPORT_FORMATS:
             others = " and ".join(f"?format={each}" for each in EXPORT_FORMATS)
@@ -128,7 +128,7 @@ class BagFile(BagBase):
         return EXPORT_FORMATS[name]
 
     async def _export(self, exchange: Exchange, wanted: ExportFormat, headers: Mapping[str, str]) -> Response:
-        """Return the recording in another format, once it is converted. Raises Problems: 406, 410, 503, 507."""
+        """Return the converted recording. Raises Problems: 406, 410, 503, 507."""
         recording = self.recording
         shown = {
             **headers,
@@ -139,7 +139,7 @@ class BagFile(BagBase):
         try:
             encoding = self._encoding
             if encoding is wanted.encoding and recording.path.suffix == wanted.suffix:
-                file = await asyncio.to_thread(FileIO, recording.path)  # it is one already
+                file = await asyncio.to_thread(FileIO, recording.path)  # the file already has the format
             else:
                 require_encoding(recording.name, encoding, wanted)
                 if exchange.method == "HEAD":
@@ -159,7 +159,7 @@ class BagFile(BagBase):
 
 
 class BagUpload(BagBase):
-    """`/bags/NAME` without a slash at its end: where a recording is sent to; what there is of it has the slash."""
+    """`/bags/NAME` without a final slash: target of uploads; the recording itself has the slash."""
 
     kind = "Recording to upload"
     takes_forms = False
@@ -195,9 +195,9 @@ class BagUpload(BagBase):
         raise Problem(404, f"There is no recording {self.name}.")
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Receive a recording as the body, chunk by chunk: 201 once it can be read.
+        """Stream a recording from the body: 201 once it is readable.
 
-        Raises a 409 Problem where the name is taken, 422 where it is no recording, 507 where it cannot be stored.
+        Raises a 409 Problem if the name is taken, 422 if the body is not a recording, 507 if it cannot be stored.
         """
         limit, whole = self.session.settings.upload_limit, exchange.consumed_body
         chunks = exchange.chunks(limit=limit) if whole is None else single_chunk(whole)
@@ -213,7 +213,7 @@ class BagUpload(BagBase):
 
 
 class UnreadableBag(BagBase):
-    """`/bags/NAME/` of a file that cannot be opened: it has taken the name, until DELETE removes it."""
+    """`/bags/NAME/` of a file that cannot be opened, which occupies the name until DELETE removes it."""
 
     kind = "File that cannot be opened"
 
@@ -243,7 +243,7 @@ def _file_status(path: Path) -> os.stat_result | None:
 
 
 class BagContainer(BagBase):
-    """`/bags/`: the recordings of this source, the history, and those that clients make or send."""
+    """`/bags/`: the recordings of this source, the history, and recordings that clients start or upload."""
 
     kind = "Recordings"
     shape = "Container"
@@ -254,7 +254,7 @@ class BagContainer(BagBase):
     is_cacheable = True
 
     def __init__(self, bags: Bags, triggers: RecordingTriggers | None = None) -> None:
-        """`triggers` follows what a recording may wait for; without it none can."""
+        """`triggers` follows the triggers of recordings; without it, triggers are refused."""
         super().__init__(bags, bags.session.space.container("bags"))
         self._triggers = triggers
 
@@ -279,16 +279,15 @@ class BagContainer(BagBase):
 
     async def state(self) -> State:
         members = bag_urls(self.space, self.recordings)
-        version = members, tuple(self.session.graph.topics)  # the page has a form that names them
+        version = members, tuple(self.session.graph.topics)  # the form on the page lists the topics
         return self.states.get_or_make(
             self.url, version, lambda: State(lambda: container_document(self.url, members, "Recordings"))
         )
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Begin a recording of topics that who asks may read, or have it wait for its trigger: 201 with either.
+        """Start a recording of topics that the agent may read, or let it wait for its trigger: 201.
 
-        Raises a 403 Problem for a topic that must not be read, 409 where the name is taken, 507 where nothing can be
-        stored.
+        Raises a 403 Problem for a topic that the agent may not read, 409 if the name is taken, 507 if storing fails.
         """
         order = await self._read_order(exchange)
         try:
@@ -300,7 +299,7 @@ class BagContainer(BagBase):
         return CreatedAnswer(resource.url, resource, await resource.state())
 
     async def _read_order(self, exchange: Exchange) -> RecordingOrder:
-        """Return the order in a body and `Slug`. Raises a 403 Problem for a topic that must not be read."""
+        """Return the order in a body and `Slug`. Raises a 403 Problem for a topic that the agent may not read."""
         order = read_order(await exchange.body(), exchange.media_type, self.url, is_form=bool(exchange.typed))
         slug = exchange.header("slug")
         if order.name is None and slug is not None and self.recordings.can_be_named(slug):
@@ -311,7 +310,7 @@ class BagContainer(BagBase):
         return order
 
     async def _begin(self, order: RecordingOrder, exchange: Exchange) -> RunningBag | ArmedBag:
-        """Return the recording that was begun, or that waits for its trigger. Raises RecordingRefused, OSError."""
+        """Start a recording, or let it wait for its trigger, and return it. Raises RecordingRefused, OSError."""
         if order.trigger is None:
             may_record = partial(may_read_topic, self.space, exchange.permissions)
             return RunningBag(self.bags, self.recordings.begin(order, may_record))
@@ -338,7 +337,7 @@ def bag_route(bags: Bags, location: Location, *, triggers: RecordingTriggers | N
             return bag_moment(bags, _recording(recordings, name))
         case (name, "ldes"), False:
             return EventStreamResource(bags, _recording(recordings, name))
-        case (name, "ldes"), True:  # where the breadcrumb of a page of the stream leads
+        case (name, "ldes"), True:  # target of the breadcrumb on pages of the stream
             raise permanent_redirect(space.bag_stream(name))
         case (name, "ldes", page), False:
             return event_stream_page(bags, _recording(recordings, name), page)

@@ -1,4 +1,4 @@
-"""Recordings: those that can be read, those being made, and those that wait for a trigger."""
+"""Recordings: finished, running, and waiting for a trigger."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from rosld.server.runtime.version_cache import VersionCache
 
 
 class Bags(Struct, frozen=True):
-    """The recordings, and what is needed to read and describe them."""
+    """The recordings and the services for reading and describing them."""
 
     session: Session
     states: VersionCache[State]
@@ -48,7 +48,7 @@ class Bags(Struct, frozen=True):
 
 
 class BagBase(Resource):
-    """Base of recordings and of their parts."""
+    """Base class of recordings and their parts."""
 
     is_cacheable = False
 
@@ -61,7 +61,7 @@ class BagBase(Resource):
 
 
 class UnfinishedView(Struct, frozen=True):
-    """A recording that cannot be read yet, as it is described: it waits for its trigger, or is being made."""
+    """Description of a recording that is not readable yet, because it is waiting for its trigger or running."""
 
     name: str
     topics: Mapping[str, RecordedTopic] = {}
@@ -74,13 +74,13 @@ class UnfinishedView(Struct, frozen=True):
 
 
 def bag_urls(space: Space, recordings: Recordings) -> tuple[str, ...]:
-    """Return the URLs of all recordings, those that are being made, and those that wait to be, included."""
+    """Return the URLs of all recordings, including running and waiting ones."""
     names = (*recordings.readable, *recordings.running, *recordings.armed)
     return tuple(map(space.bag, dict.fromkeys(names)))
 
 
 def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> Document:
-    """Return the document of a recording that can be read."""
+    """Return the document of a readable recording."""
     history = recordings.history
     if recording is history.recording:
         return bag_document(BagView(recording, dropped=history.dropped(), problem=history.problem), space)
@@ -93,7 +93,7 @@ def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> 
 
 
 def describe_running(space: Space, recordings: Recordings, one: RunningRecording) -> Document:
-    """Return the document of a recording that is being made."""
+    """Return the document of a running recording."""
     writer = one.writer
     types, counts = writer.types, dict(writer.counts)
     topics = {topic: RecordedTopic(topic, types[topic], n) for topic, n in counts.items() if topic in types}
@@ -109,18 +109,18 @@ def describe_running(space: Space, recordings: Recordings, one: RunningRecording
 
 
 def describe_armed(space: Space, one: ArmedRecording) -> Document:
-    """Return the document of a recording that waits for its trigger."""
+    """Return the document of a recording waiting for its trigger."""
     status, problem = ("armed", one.problem) if one.suspended is None else ("suspended", one.suspended)
     view = BagView(UnfinishedView(one.name), problem=problem, status=status, order=one.order, triggered=one.count)
     return bag_document(view, space)
 
 
 _TOPIC_BYTES = 200
-"""Bytes that a recording says of a topic."""
+"""Approximate bytes of a recording's document per topic."""
 
 
 class BagResource(BagBase):
-    """One recording that can be read."""
+    """One readable recording."""
 
     kind = "Recording"
     shape = "Bag"
@@ -171,7 +171,7 @@ class BagResource(BagBase):
         return (DeleteForm("Delete the recording", "Delete", about),) if "DELETE" in self.methods() else ()
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
-        """Return a button that saves its file, where it is one."""
+        """Return a link to download the recording if it is a single file."""
         is_file = self.recording is not self.recordings.history.recording and self.recording.path.is_file()
         return (SequenceLink("enclosure", f"{self.url}file"),) if is_file else ()
 
@@ -188,9 +188,9 @@ _WORDS = 'A recording can only be ended: send {"status": "ended"}, or have ros:r
 
 
 def require_end(data: bytes, media_type: str, url: str, before: Iterable[Triple]) -> None:
-    """Raise Problems where a patch of the recording at `url`, which says `before`, does anything but end it.
+    """Raise a Problem unless a patch of the recording at `url`, with the triples `before`, just ends it.
 
-    400 for what cannot be read, 409 for an N3 patch that does not fit, 422 for anything else.
+    400 for an unreadable patch, 409 for an N3 patch that does not match, 422 for any other change.
     """
     if media_type not in (SPARQL_UPDATE, N3_PATCH):
         try:
@@ -215,7 +215,7 @@ def require_end(data: bytes, media_type: str, url: str, before: Iterable[Triple]
 
 
 _LOOK_SECONDS = 1.0
-"""Between two looks of those who follow a recording that is being made."""
+"""Seconds between updates to clients that follow a running recording."""
 
 
 class UnfinishedBag(BagBase):
@@ -238,7 +238,7 @@ class UnfinishedBag(BagBase):
 
 
 class RunningBag(UnfinishedBag):
-    """A recording that is being made: how far it is. PATCH ends it, DELETE gives it up."""
+    """A running recording and its progress. PATCH ends it, DELETE discards it."""
 
     kind = "Running recording"
 
@@ -248,7 +248,7 @@ class RunningBag(UnfinishedBag):
 
     @property
     def _finished(self) -> Resource | None:
-        """The recording as it can be read, once it has ended: who follows it sees it end."""
+        """The readable recording once it has ended, so that clients that follow it see the end; else None."""
         recording = self.recordings.readable.get(self.one.name)
         return None if recording is None else BagResource(self.bags, recording)
 
@@ -266,7 +266,7 @@ class RunningBag(UnfinishedBag):
 
     @property
     def _seconds_left(self) -> int | None:
-        """The seconds until it ends by itself, None where it does not."""
+        """The seconds until the recording ends by itself, or None if it does not."""
         ends_at = self.one.ends_at
         return None if ends_at is None else max(0, math.ceil(ends_at - loop_time()))
 
@@ -282,9 +282,9 @@ class RunningBag(UnfinishedBag):
         return super().page(site, state, forms, csrf, (told, *notices))
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """End it: `{"status": "ended"}`, or that `ros:recordingStatus` is "ended" from now on.
+        """End the recording with `{"status": "ended"}`, or with "ended" as its new `ros:recordingStatus`.
 
-        Answers with the recording, or a 507 Problem where it could not be completed.
+        Returns the recording. Raises a 507 Problem if it could not be completed.
         """
         before = describe_running(self.space, self.recordings, self.one).triples
         require_end(await exchange.body(), exchange.media_type, self.url, before)
@@ -306,13 +306,13 @@ class RunningBag(UnfinishedBag):
         return (end, DeleteForm("Delete the recording", "Delete", "It is ended and deleted."))
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """End it, and delete what there is of it."""
+        """End the recording and delete its file."""
         await self.recordings.delete(self.one.name)
         return Response(status_code=204)
 
 
 class ArmedBag(UnfinishedBag):
-    """A recording that waits for its trigger. PATCH and DELETE cancel it."""
+    """A recording waiting for its trigger. PATCH and DELETE cancel it."""
 
     kind = "Recording that waits for its trigger"
 

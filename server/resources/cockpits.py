@@ -1,4 +1,4 @@
-"""Cockpits: `/cockpit/NAME`, panels in a grid, kept as RDF; `/cockpit/default` is made from what the robot has."""
+"""Cockpits: panels in a grid at `/cockpit/NAME`, stored as RDF; `/cockpit/default` is generated for the robot."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class CockpitState(State, eq=False):
 
 
 def wants_page(exchange: Exchange) -> bool:
-    """Whether a request asks for the page, follows it, or is a form of it."""
+    """Whether a request is for the page of a cockpit or submits one of its forms."""
     if exchange.method == "POST":
         return (exchange.header("content-type") or "").startswith(FORM)
     if exchange.method not in ("GET", "HEAD"):
@@ -70,18 +70,18 @@ def wants_page(exchange: Exchange) -> bool:
 
 
 def cockpit_tabs(documents: Documents) -> tuple[tuple[str, str], ...]:
-    """Return the URLs of the default cockpit and the first of those that clients keep, with what they are called."""
+    """Return the URLs and titles of the default cockpit and of the first stored ones."""
     space = documents.space
     return ((space.cockpit(DEFAULT), "Default"), *cockpit_titles(documents.records, space, _MAX_TABS))
 
 
 def copy_form(site: Site, source: str) -> CopyForm | None:
-    """Return the form that keeps a copy, None where the reader may keep none."""
+    """Return the form that stores a copy, or None if the reader may not store any."""
     return None if site.read_only or not site.may("POST", f"{site.base}{ROUTE}") else CopyForm(source)
 
 
 class _CockpitBase(Resource):
-    """Base of cockpits: documents, whose pages are shown to one agent with the values that its panels have now."""
+    """Base class of cockpits: documents, whose pages show an agent the current values of the panels."""
 
     kind = "Cockpit"
     _reader: PanelReader | None = None
@@ -93,7 +93,7 @@ class _CockpitBase(Resource):
         self._sources = sources
 
     async def cockpit(self) -> Cockpit:
-        """Return the cockpit as it is now."""
+        """Return the current cockpit."""
         raise NotImplementedError
 
     async def document_state(self) -> State:
@@ -105,7 +105,7 @@ class _CockpitBase(Resource):
         return self._reader is not None, super().variant_key
 
     def shown(self, exchange: Exchange) -> Resource:
-        """Return the page if a request asks for it, else the document."""
+        """Return the page if requested, else the document."""
         if self._reader is not None or not wants_page(exchange):
             return self
         reader = PanelReader(self._sources, exchange.permissions)
@@ -123,7 +123,7 @@ class _CockpitBase(Resource):
         )
 
     def redact(self, state: State, permissions: Permissions) -> State:
-        """Return the state of a page as it is: its panels were read for the agent."""
+        """Return the state of a page unchanged, as its panels were read with the agent's permissions."""
         return state if self._reader is not None else super().redact(state, permissions)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
@@ -154,18 +154,18 @@ class _CockpitBase(Resource):
         )
 
 
-# What clients keep
+# Stored cockpits
 
 
 class CockpitResource(_CockpitBase, RdfSourceResource):
-    """A cockpit that a client keeps."""
+    """A cockpit stored by a client."""
 
     def __init__(self, sources: CockpitSources, path: str) -> None:
         RdfSourceResource.__init__(self, sources.documents, path)
         self._sources = sources
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """As it was, or its page where that is asked for."""
+        """Return the requested former version, or the page, or the document."""
         return former_of(self.documents, self.path, exchange) or self.shown(exchange)
 
     async def document_state(self) -> State:
@@ -185,9 +185,9 @@ class CockpitResource(_CockpitBase, RdfSourceResource):
         return (edit, DeleteForm("Delete this cockpit"))
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Write the cockpit that a form describes in place of this one.
+        """Replace the cockpit by the body, or by the one that a form describes.
 
-        Raises a 409 Problem where it was changed after the form was drawn.
+        Raises a 409 Problem if the cockpit was changed after the form was loaded.
         """
         if self._reader is None:
             return await super().put(exchange)
@@ -227,11 +227,11 @@ def _suggestions(sources: CockpitSources, site: Site) -> tuple[str, ...]:
     return tuple(each.removeprefix(space.base) for each in urls if site.may("GET", each))[:_MAX_SUGGESTIONS]
 
 
-# What is made
+# The default cockpit
 
 
 class DefaultCockpit(_CockpitBase):
-    """The cockpit that is made from what the robot has. It is not kept: a copy of it is."""
+    """The cockpit generated for the robot. It is not stored, but copies of it are."""
 
     title = "Default cockpit"
     item = PathItem("The cockpit that is generated from what the robot has", query=(FORMAT,))
@@ -267,11 +267,11 @@ class DefaultCockpit(_CockpitBase):
         return Document(self.url, (*own, *cockpit_triples(self.url, cockpit)))
 
 
-# All of them
+# The container
 
 
 class CockpitContainer(ContainerResource):
-    """`/cockpit/`: stored cockpits. Its page also lists the default cockpit, and makes copies."""
+    """`/cockpit/`: stored cockpits. Its page also lists the default cockpit and creates copies."""
 
     item = PathItem("The cockpits", query=(FORMAT, PAGE))
     takes_forms = True
@@ -292,7 +292,7 @@ class CockpitContainer(ContainerResource):
         return MemberColumns(("title",), {url: (name,) for url, name in cockpit_tabs(self.documents)})
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Return a cockpit, or the copy of one that a form asks for."""
+        """Create a cockpit, or the copy that a form requests."""
         return await (self._copy(exchange) if exchange.essence == JSON else super().post(exchange))
 
     async def _copy(self, exchange: Exchange) -> Answer:
@@ -319,7 +319,7 @@ class CockpitContainer(ContainerResource):
         return CreatedAnswer(made.url, made, state_of(documents, record))
 
     async def _source(self, url: str, permissions: Permissions) -> Cockpit:
-        """Return the cockpit at a URL, with the panels that the agent may know of. Raises a 404 Problem."""
+        """Return the cockpit at a URL, with the panels that the agent may read. Raises a 404 Problem."""
         space = self.space
         if url == space.cockpit(DEFAULT) and permissions.may_read(url):
             found = await DefaultCockpit(self._sources).cockpit()
@@ -333,7 +333,7 @@ class CockpitContainer(ContainerResource):
 
 
 def cockpit_route(sources: CockpitSources, location: Location) -> Resource:
-    """`/cockpit/` and below."""
+    """Return the resource at `/cockpit/` or below."""
     if location.segments == (DEFAULT,) and not location.is_container:
         return DefaultCockpit(sources)
     found = stored_route(sources.documents, location)

@@ -1,6 +1,6 @@
 """The graph store `/graphs` (SPARQL 1.1 Graph Store HTTP Protocol): graphs by their names, URLs of this server.
 
-`?graph=URL` means the resource at that URL, with its own verbs and answers; the request goes on there, in this process.
+`?graph=URL` stands for the resource at that URL; the request is redirected internally to its methods.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ _LONGEST_CACHED = 4096
 
 
 class GraphSelection(NamedTuple):
-    """What a query string names: a graph by its absolute URI, the default graph, all graphs (`?all`), or nothing.
+    """Graph selected by a query string: one by its absolute URI, the default graph, all graphs (`?all`), or none.
 
-    `others` are the parameters that are not the protocol's, percent-encoded.
+    `other_parameters` are the percent-encoded parameters outside the protocol.
     """
 
     graph: str | None
@@ -64,9 +64,9 @@ class GraphSelection(NamedTuple):
 
 
 def parse_graph_selection(query_string: bytes, base: str) -> GraphSelection:
-    """The graph that a request names (Graph Store Protocol 4.2); relative IRIs are resolved against `base` (4.1).
+    """Return the selected graph (Graph Store Protocol 4.2); relative IRIs are resolved against `base` (4.1).
 
-    Raises a 400 Problem for several of them at once, and for what is no IRI.
+    Raises a 400 Problem for more than one graph, and for an invalid IRI.
     """
     return _remembered(query_string, base) if len(query_string) <= _LONGEST_CACHED else _parse_query(query_string, base)
 
@@ -110,7 +110,7 @@ _GRAPH_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*{**FORMATS, 
 
 
 class GraphStore(Resource):
-    """The graph store: it has no state but that of its graphs."""
+    """The graph store, whose only state is that of its graphs."""
 
     kind = "Graph store"
     shape = "Dataset"
@@ -158,7 +158,7 @@ class GraphStore(Resource):
         return self._states.get_or_make(self.url, 0, lambda: State(self.document))
 
     def document(self) -> Document:
-        """What it says of itself."""
+        """Return the description of the graph store."""
         return Document(self.url, self._description())
 
     def _description(self) -> tuple[Triple, ...]:
@@ -180,9 +180,9 @@ class GraphStore(Resource):
         )
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the graph that the query string names, as the resource at its own URL.
+        """Return the resource whose graph the query string selects.
 
-        Raises a 400 Problem for a write that names none (SPARQL 1.1 Graph Store Protocol 4.2).
+        Raises a 400 Problem for a write without a graph (SPARQL 1.1 Graph Store Protocol 4.2).
         """
         asked = parse_graph_selection(exchange.request.scope["query_string"], self.url)
         if asked.default and (exchange.method in READ or self._settings.read_only):
@@ -194,7 +194,7 @@ class GraphStore(Resource):
             return self._all
         if asked.graph is not None:
             return await self._graph(exchange, asked.graph, asked.other_parameters)
-        if exchange.method == "POST":  # the server is to find a name (Graph Store Protocol 5.5)
+        if exchange.method == "POST":  # the server chooses a name (Graph Store Protocol 5.5)
             return await self._graph(exchange, self.space.container("data"), asked.other_parameters)
         if exchange.method in READ:
             return self
@@ -211,14 +211,14 @@ class GraphStore(Resource):
         resource = self._resolve(exchange.request.scope)
         if resource is self:
             raise Problem(400, f"<{graph[:200]}> is the graph store itself, not one of its graphs.")
-        if resource.url.partition("?")[0] != graph.partition("?")[0]:  # two IRIs that are one URL are two graphs
+        if resource.url.partition("?")[0] != graph.partition("?")[0]:  # different IRIs name different graphs
             raise Problem(403, f"The graph <{graph[:200]}> must be named <{resource.url[:200]}>.")
         if exchange.method in ("PUT", "POST"):
             await _prepare(exchange, resource)
         return await resource.select_variant(exchange)
 
     def _scope(self, exchange: Exchange, graph: str, others: str) -> Scope:
-        """The request as it would be at the graph's own URL. Raises Problems for graphs of other places."""
+        """Return the scope of the request at the graph's own URL. Raises Problems for graphs elsewhere."""
         space = self.space
         if "#" in graph or not graph.startswith(space.base):
             raise self._elsewhere(exchange.method, graph)
@@ -246,7 +246,7 @@ def _address(below: str, root: str, others: str) -> Scope:
 
 
 async def _prepare(exchange: Exchange, resource: Resource) -> None:
-    """See to it that a write means what the protocol says: a graph is merged or made, and nothing else happens."""
+    """Restrict a write to the semantics of the protocol: merging or creating a graph."""
     if exchange.method == "POST" and not isinstance(resource, StoredResource):
         await resource.prepare()
         raise Problem(
@@ -287,7 +287,7 @@ class _Whole(Resource):
 
 
 class DefaultGraphResource(_Whole):
-    """The default graph: all graphs together, as a query has it. What is written to it goes to one document."""
+    """The default graph: the union of all graphs, as in queries. Writes go to the default document."""
 
     kind = "Default graph"
     form = "CONSTRUCT"
@@ -302,7 +302,7 @@ class DefaultGraphResource(_Whole):
 
 
 class DatasetResource(_Whole):
-    """The dataset: all graphs with their names. PUT and POST write those of its graphs that clients keep."""
+    """The dataset: all graphs with their names. PUT and POST write its stored graphs."""
 
     kind = "Dataset"
     form = results.QUADS
@@ -318,11 +318,11 @@ class DatasetResource(_Whole):
         return READ if self._updates is None else READ | {"PUT", "POST"}
 
     async def put(self, exchange: Exchange) -> Answer:
-        """Return each graph that the body names, and that clients keep, says what it says there; all others stay."""
+        """Replace each stored graph that the body names; all other graphs are unchanged."""
         return await self._take(exchange, replaces=True)
 
     async def post(self, exchange: Exchange) -> Answer:
-        """What the body says is merged into the graphs that it names, as far as clients keep them."""
+        """Merge the body into the stored graphs that it names."""
         return await self._take(exchange, replaces=False)
 
     async def _take(self, exchange: Exchange, *, replaces: bool) -> Answer:

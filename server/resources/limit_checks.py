@@ -50,9 +50,9 @@ STRICTNESS = (
 
 
 def is_strict(exchange: Exchange) -> bool:
-    """Whether a message in JSON must have all its fields: `?strict=true`, or `?defaults=false`, as it was once called.
+    """Whether a message in JSON must have all its fields: `?strict=true`, or `?defaults=false`, its former name.
 
-    Raises a 400 Problem where the two contradict each other.
+    Raises a 400 Problem if the two contradict each other.
     """
     strict = exchange.query_flag("strict")
     if "defaults" not in exchange.query:
@@ -63,7 +63,7 @@ def is_strict(exchange: Exchange) -> bool:
 
 
 NODES: Mapping[Kind, str] = {Kind.TOPIC: "#message", Kind.SERVICE: "#request", Kind.ACTION: "#goal"}
-"""Fragments of the nodes in RDF bodies that are the message to a topic, a service or an action."""
+"""Fragments of the message nodes in RDF bodies sent to a topic, a service or an action."""
 _LINKS = {Kind.TOPIC: ros.latest, Kind.SERVICE: ros.request, Kind.ACTION: ros.goalMessage}
 
 
@@ -73,7 +73,7 @@ def target_url(space: Space, kind: Kind, name: str) -> str:
 
 
 class LimitChecks:
-    """Checks what is written against the limits in force, by the resources and the types that they are about."""
+    """Checks of writes against the current limits on resources and types."""
 
     def __init__(self, session: Session, affordances: AffordanceService[State], active: ActiveLimits) -> None:
         self.session = session
@@ -83,11 +83,11 @@ class LimitChecks:
 
     @property
     def limits(self) -> Limits:
-        """The limits in force now."""
+        """The current limits."""
         return self._active.current
 
     async def require_message(self, kind: Kind, name: str, schema: MessageSchema, message: Message) -> None:
-        """Raise LoweringError where a message breaks a limit; it is about to be sent to what is called `name`."""
+        """Raise LoweringError if a message to the topic, service or action `name` violates a limit."""
         try:
             require_finite_message(schema, message, any_number_hint(name))
         except LoweringError:
@@ -114,13 +114,13 @@ class LimitChecks:
             raise LoweringError(*broken)
 
     async def require_text(self, kind: Kind, name: str, schema: MessageSchema, body: RdfBody) -> None:
-        """Raise LoweringError where a body writes a text that limits are about as octets."""
+        """Raise LoweringError if a body writes a limited text as octets."""
         if not any(each.datatype in BINARIES for each in body.literals()) or not self.limits:
             return
         require_no_octets(body, limited_texts(await self.message_demand(kind, name, schema), schema, self._space))
 
     async def message_demand(self, kind: Kind, name: str, schema: MessageSchema) -> Demand:
-        """Return the demand of all limits on a message that is sent to `name`, at a URL."""
+        """Return the combined demand of all limits on a message sent to `name`."""
         limits = self.limits
         demand = Demand(largest=largest_number(schema) if self._takes_finite(kind, name, schema.ref.name) else None)
         if not limits:
@@ -140,7 +140,7 @@ class LimitChecks:
         return demand
 
     async def parameter_demand(self, name: str, descriptor: Descriptor) -> Demand:
-        """Return the demand of its node and all limits on a parameter that is declared as a scalar."""
+        """Return the combined demand of the node and all limits on a parameter that is declared as a scalar."""
         limits, demand = self.limits, declared_demand(descriptor)
         demand = replace(demand, largest=LARGEST_NUMBER if self._takes_finite(Kind.PARAMETER, name) else None)
         if not limits:
@@ -168,7 +168,7 @@ class LimitChecks:
         return merge_bounds(*found)
 
     async def require_parameter(self, name: str, value: ParameterValue) -> None:
-        """Raise LoweringError where the value of a parameter, or of one in a tree, breaks limits or its declaration."""
+        """Raise LoweringError if a parameter, or one in a tree, violates limits or its declaration."""
         self._require_finite_parameter(name, value)
         broken = self._declaration_violations(name, value)
         if self.limits and not broken:
@@ -180,7 +180,7 @@ class LimitChecks:
         return takes_finite_numbers(self.session.graph, self.session.settings.allow_non_finite, kind, name, type)
 
     def _require_finite_parameter(self, name: str, value: ParameterValue, path: Path = None) -> None:
-        """Raise LoweringError where a float of a parameter, or of one in a tree, is not finite or too large."""
+        """Raise LoweringError if a float in a parameter or tree is not finite or too large."""
         if isinstance(value, dict):
             for key, each in value.items():
                 self._require_finite_parameter(f"{name.rstrip('/')}/{key}", each, (path, key))
@@ -188,7 +188,7 @@ class LimitChecks:
             require_finite_parameter(value, path, any_number_hint(name))
 
     def _declaration_violations(self, name: str, value: ParameterValue) -> list[Violation]:
-        """Return the violations by a value, or one in a tree, of declarations of nodes."""
+        """Return the violations of nodes' declarations by a value or by the values in a tree."""
         parameter = self.session.graph.parameters.get(name)
         if parameter is not None:
             return list(violations(parameter.descriptor or Descriptor(), name, self._space.parameter(name), value))
@@ -221,7 +221,7 @@ class LimitChecks:
         return broken
 
     async def _property_names(self, kind: Kind, name: str) -> Sequence[tuple[str, str | None]]:
-        """Return the URLs of the properties that a topic, service or parameter writes, each with its field."""
+        """Return the URL and field of each property that a topic, service or parameter writes."""
         tree = await self.affordances.tree()
         catalogue = tree.catalogue
         ways = {
@@ -233,7 +233,7 @@ class LimitChecks:
         if found is None or (
             kind is Kind.SERVICE and all(way.name != name for way in catalogue.properties[found].writers)
         ):
-            return ()  # what a getter is asked with is no value
+            return ()  # the request of a getter is not a value
         return [(url_of(shown, self._space), field) for shown, field in tree.names_of(found)]
 
     def _triples(self, url: str, predicate: NamedNode, value: Value, field: str | None = None) -> list[Triple]:
@@ -241,7 +241,7 @@ class LimitChecks:
 
 
 def require_no_octets(body: RdfBody, texts: Set[NamedNode]) -> None:
-    """Raise LoweringError where the value of one of these properties is octets."""
+    """Raise LoweringError if a value of one of these properties is octets."""
     for subject, properties in body.subjects.items() if texts else ():
         for text in texts & properties.keys():
             for each in properties[text]:
@@ -250,7 +250,7 @@ def require_no_octets(body: RdfBody, texts: Set[NamedNode]) -> None:
 
 
 def octets_error(path: str, value: Literal, subject: Term) -> LoweringError:
-    """Return the sentence about a limited text that was written as octets."""
+    """Return the error for a limited text that was written as octets."""
     focus = subject if isinstance(subject, NamedNode | BlankNode) else None
     words = "has a limit, which looks at characters: write it as text, not as octets"
     return LoweringError(

@@ -1,4 +1,4 @@
-"""Triggers of recordings: a condition on the value of a resource, or one of a mapping, followed as streams are."""
+"""Triggers of recordings: a condition on the value of a resource, or one of a mapping, followed like a stream."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ NOTHING_IS_RECORDED = "Nothing is recorded here: this server is read-only, or se
 
 
 class MappedCondition(Resource):
-    """A condition of a mapping as something that changes: its plain JSON is whether it holds."""
+    """A condition of a mapping as a resource; its plain JSON is true or false."""
 
     kind = "Condition"
 
@@ -58,10 +58,10 @@ class MappedCondition(Resource):
 
 
 class FollowedCondition:
-    """The trigger of a recording: the resource, and whether its condition holds as the agent may see it."""
+    """The trigger of a recording: a resource, and a condition on its state redacted for the agent."""
 
     def __init__(self, resource: Resource, expression: str, permissions: Permissions) -> None:
-        """Raise a 400 Problem for what is no condition."""
+        """Raise a 400 Problem for an invalid condition."""
         self.resource = resource
         self.permissions = permissions
         self.until = Until(expression, self._view)
@@ -71,9 +71,9 @@ class FollowedCondition:
 
 
 class RecordingTriggers:
-    """Follows what recordings wait for, and judges who ordered them: when they do, at the start, and as it comes true.
+    """Follower of triggers; checks the agent's permissions when a recording is ordered, resumed and triggered.
 
-    `find` gives the resource at a path below the base. Without an `authenticator` everybody may do everything.
+    `find` returns the resource at a path below the base. Without an `authenticator`, every agent may do everything.
     """
 
     def __init__(
@@ -116,9 +116,9 @@ class RecordingTriggers:
         return followed
 
     async def occurrences(self, one: ArmedRecording) -> AsyncGenerator[MayRecord, None]:
-        """Yield whenever the condition comes to hold, with what its agent may record then.
+        """Yield whenever the condition becomes true, with a function for the topics that the agent may record.
 
-        That it holds at the beginning counts as well. While it cannot be waited for, the recording says why.
+        Also yields if the condition is true at the beginning. While it cannot be followed, the recording shows why.
         """
         waiter = Waiter()
         while True:
@@ -134,13 +134,13 @@ class RecordingTriggers:
                     yield partial(may_read_topic, self._session.space, followed.permissions)
 
     async def _changes(self, one: ArmedRecording, followed: FollowedCondition) -> AsyncGenerator[None, None]:
-        """Yield whenever the condition comes to hold; end once it could not be ordered any more."""
+        """Yield whenever the condition becomes true; end when the order would no longer be accepted."""
         broadcaster, waiter, held = Broadcaster(followed.resource, self._session.changes), Waiter(), False
         watch = None if self._authenticator is None else self._authenticator.changed.watch(broadcaster.wake_all)
         broadcaster.start()
         try:
             while True:
-                # Before the state is read, so that a change that comes meanwhile is not waited for.
+                # Read the version before the state, so that no change in between is missed.
                 version = broadcaster.version
                 state = (await broadcaster.observe()).state
                 holds, problem = _judge(followed.until, state)
@@ -162,13 +162,13 @@ class RecordingTriggers:
                 watch.close()
 
     def _is_defined_so(self, resource: Resource) -> bool:
-        """Whether a condition is still the one that its mapping has. Raises a 422 Problem where none has it."""
+        """Whether a condition is unchanged in its mapping. Raises a 422 Problem if no mapping has it any more."""
         if not isinstance(resource, MappedCondition):
             return True
         return _condition(self._mappings, resource.condition.iri) == resource.condition
 
     def _permissions(self, one: ArmedRecording) -> Permissions | None:
-        """Return the current permissions of the order's agent; None if it is no longer known."""
+        """Return the current permissions of the order's agent, or None if the agent is no longer known."""
         return ALLOW_ALL if self._authenticator is None else self._authenticator.current_permissions(one.agent)
 
     def _require(self, one: ArmedRecording) -> Permissions:
@@ -203,36 +203,36 @@ class RecordingTriggers:
 
 
 def can_record(settings: Settings, capabilities: Capabilities) -> bool:
-    """Whether clients may have anything recorded here."""
+    """Whether clients may order recordings on this server."""
     return not settings.read_only and capabilities.system != "recording"
 
 
 def may_read_topic(space: Space, permissions: Permissions, topic: str) -> bool:
-    """Whether a topic may be read."""
+    """Whether the agent may read a topic."""
     return permissions.may_read(space.topic(topic))
 
 
 def named_topics(order: RecordingOrder) -> Sequence[str]:
-    """Return the topics that an order names; a glob takes those that may be read."""
+    """Return the topics that an order names, without globs, which match only readable topics."""
     return [topic for topic in order.topics if not set(topic) & set("*?[")]
 
 
 def urls_of(order: RecordingOrder, space: Space) -> Sequence[str]:
-    """Return the URLs of the topics that an order names, globs as if they were names, and of what it waits for."""
+    """Return the URLs of the topics of an order (globs are treated as names) and of its trigger."""
     trigger = () if order.trigger is None else (order.trigger.resource or order.trigger.condition,)
     topics = (space.topic(each if each.startswith("/") else f"/{each}") for each in order.topics)
     return (*topics, *(urljoin(space.base, each) for each in trigger))
 
 
 def require_topics(order: RecordingOrder, permissions: Permissions, space: Space) -> None:
-    """Raise a 403 Problem where an order names a topic that must not be read."""
+    """Raise a 403 Problem if an order names a topic that the agent may not read."""
     for topic in named_topics(order):
         if not may_read_topic(space, permissions, topic):
             raise Problem(403, f"You may not read {topic}, so you may not record it.")
 
 
 def _judge(until: Until, state: State | Problem) -> tuple[bool, str | None]:
-    """Return whether the condition holds for a state, and why that is unknown, if so."""
+    """Return whether the condition holds for a state, and the reason if it cannot be evaluated."""
     try:
         if isinstance(state, Problem):
             raise state

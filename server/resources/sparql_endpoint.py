@@ -1,4 +1,4 @@
-"""The SPARQL endpoint `/sparql`: queries by GET and POST, a page for people, a description of itself for machines."""
+"""The SPARQL endpoint `/sparql`: queries by GET and POST, a page, and a service description."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ from rosld.server.sparql.ros_functions import functions
 from rosld.server.sparql.update.base import UpdateRunner
 
 ROWS = 500
-"""Rows of a result that a page shows."""
+"""Maximum number of result rows on a page."""
 
 FORMATS: Mapping[str, str] = {
     "html": HTML,
@@ -72,15 +72,15 @@ FORMATS: Mapping[str, str] = {
     "nq": "application/n-quads",
     "trig": "application/trig",
 }
-"""What `?format=` stands for; results and graphs have different names for JSON and XML."""
+"""Accept values by `?format=`; results and graphs have different media types for JSON and XML."""
 _ALSO: Mapping[str, str] = {"turtle": "ttl", "json-ld": "jsonld", "rdf+xml": "rdf", "rdf xml": "rdf", "ntriples": "nt"}
-"""Names of formats that clients of other endpoints send on their own (SPARQLWrapper does, with every query)."""
+"""Aliases of formats that some clients send by default (SPARQLWrapper does, with every query)."""
 OFFERS = (*SOLUTIONS, *(media_type for media_type in GRAPHS if media_type not in SOLUTIONS), HTML)
 
 GRAPH_FORMS = ("CONSTRUCT", "DESCRIBE")
 """The forms of queries whose results are graphs."""
 _PROTOCOL = frozenset({"query", "update", "default-graph-uri", "named-graph-uri"})
-"""The parameters that make a GET a query, or an attempt at one."""
+"""Query parameters that make a GET a (possibly invalid) query."""
 
 
 def available_formats(form: str | None) -> Mapping[str, str]:
@@ -94,7 +94,7 @@ _OF_GRAPHS = frozenset({"graph", "default", "all"})
 
 
 def accept_of(exchange: Exchange, formats: Collection[str] = FORMATS.keys()) -> str | None:
-    """The Accept field of a request, which `?format=` replaces; a 406 Problem for one that is not of these formats."""
+    """Return the Accept field, or its replacement by `?format=`. Raises a 406 Problem for a format not in `formats`."""
     wanted = exchange.query.get("format")
     if not wanted:
         return exchange.accept
@@ -105,7 +105,7 @@ def accept_of(exchange: Exchange, formats: Collection[str] = FORMATS.keys()) -> 
 
 
 def prefers_page(accept: str | None) -> bool:
-    """Whether HTML is preferred to every machine-readable form of results."""
+    """Whether HTML is preferred to all other formats of results."""
     return choose_offer(accept, OFFERS) == HTML
 
 
@@ -116,7 +116,7 @@ async def answer_query(
     disconnected: Disconnected | None = None,
     permissions: Permissions = ALLOW_ALL,
 ) -> Response:
-    """Return the response with the results of a query: where XML cannot carry them, in what else the client takes."""
+    """Return the response with the results of a query, in another accepted format if XML cannot represent them."""
     try:
         answer = await service.answer(request, accept, disconnected, permissions)
     except Problem as problem:
@@ -128,7 +128,7 @@ async def answer_query(
 
 
 def results_response(answer: QueryAnswer) -> Response:
-    """Return the response with the results of a query; streamed ones break off where they cannot be finished.
+    """Return the response with the results of a query; a stream is aborted if it cannot be completed.
 
     The field `Unread-Graphs` of a partial answer lists the documents that could not be read (RFC 9651 3.1).
     """
@@ -147,7 +147,7 @@ def results_response(answer: QueryAnswer) -> Response:
 
 _FIXED_HEADERS: tuple[tuple[bytes, bytes], ...] = ((b"vary", b"Accept"), (b"cache-control", b"no-cache"))
 _MAX_UNREAD = 100
-"""Documents that the header of a partial answer names."""
+"""Maximum number of documents in the header of a partial answer."""
 
 
 async def page_results(
@@ -176,7 +176,7 @@ _FORMATS: Mapping[str, str] = {
     "application/n-quads": "N-Quads",
     "application/trig": "TriG",
 }
-"""What W3C calls the formats (https://www.w3.org/ns/formats/)."""
+"""W3C names of formats (https://www.w3.org/ns/formats/)."""
 
 
 def _formats(media_types: Iterable[str]) -> list[NamedNode]:
@@ -185,7 +185,7 @@ def _formats(media_types: Iterable[str]) -> list[NamedNode]:
 
 
 def _dataset(service: NamedNode) -> Iterable[Triple]:
-    """Every resource is a named graph under its URL, and the default graph is their union."""
+    """Return the description of the dataset: a named graph per resource, and their union as the default graph."""
     dataset, default = (NamedNode(f"{service.value}#{name}") for name in ("dataset", "default"))
     return (
         *triples_about(service, (sd.feature, sd.UnionDefaultGraph), (sd.defaultDataset, dataset)),
@@ -232,7 +232,7 @@ class SparqlResource(Resource):
     kind = "SPARQL"
     shape = "SparqlEndpoint"
     takes_forms = False
-    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # clients send some of other endpoints
+    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # clients send parameters of other endpoints
 
     def __init__(
         self,
@@ -276,11 +276,11 @@ class SparqlResource(Resource):
         return self.states.get_or_make(self.url, 0, lambda: State(self.document))
 
     def document(self) -> Document:
-        """What it says of itself."""
+        """Return the service description."""
         return Document(self.url, self._description())
 
     def _description(self) -> tuple[Triple, ...]:
-        """SPARQL 1.1 Service Description: what this endpoint speaks, and what a query may take."""
+        """Return the SPARQL 1.1 Service Description: languages, formats and limits of queries."""
         service = NamedNode(self.url)
         return (
             *self._languages(service),
@@ -293,7 +293,7 @@ class SparqlResource(Resource):
         )
 
     def _mirror(self) -> NamedNode | None:
-        """Return a link to the state of replication to another store, if there is one (`--store`)."""
+        """Return the URL of the state of replication to another store, or None without one (`--store`)."""
         return NamedNode(f"{self.space.base}mirror") if self.settings.store_endpoints else None
 
     def _languages(self, service: NamedNode) -> Iterable[Triple]:
@@ -330,7 +330,7 @@ class SparqlResource(Resource):
         return await self._answer(request, accept, exchange)
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Answer a query, or carry out an update (SPARQL 1.1 Protocol 2.1.2, 2.1.3, 2.2)."""
+        """Answer a query or carry out an update (SPARQL 1.1 Protocol 2.1.2, 2.1.3, 2.2)."""
         body = await exchange.raw_body()
         query_string = exchange.request.scope["query_string"]
         asked = posted_request(query_string, exchange.header("content-type"), body)

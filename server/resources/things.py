@@ -1,4 +1,4 @@
-"""Thing Descriptions (WoT TD 1.1); those of many affordances in parts, each with a link to the next."""
+"""Thing Descriptions (WoT TD 1.1); large ones are split into parts, each with a link to the next."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from rosld.server.robot.software_stop import SoftwareStop
 _Affordance: TypeAlias = "Mapping[str, object]"
 _KINDS = ("properties", "actions")
 _FRAME = 600
-"""Bytes for links to the whole and to the next part."""
+"""Bytes reserved for links to the whole and to the next part."""
 
 
 _NOTHING: Mapping[str, int] = {}
@@ -62,7 +62,7 @@ def add_part_link(data: bytes, url: str) -> bytes:
 def thing_parts(data: bytes, base: str, url: str, below: str) -> tuple[bytes, ...]:
     """Return the parts of the description at `url` with the affordances at paths below `base` that begin with `below`.
 
-    None where there are none.
+    Empty if there are no such affordances.
     """
     thing = orjson.loads(data)
     affordances = [
@@ -115,12 +115,12 @@ def wants_thing(exchange: Exchange) -> bool:
 
 
 class ThingDescriptions:
-    """Writes the Thing Descriptions of complex resources and of the whole robot, and answers with them."""
+    """Generator of the Thing Descriptions of complex resources and of the whole robot, and of responses with them."""
 
     def __init__(
         self, session: Session, affordances: AffordanceService[State], software_stop: SoftwareStop, instance_id: str
     ) -> None:
-        """`instance_id` is part of the entity tags: another one for each run of the server."""
+        """`instance_id` is part of the entity tags and differs between runs of the server."""
         self._session = session
         self._affordances = affordances
         self._software_stop = software_stop
@@ -129,7 +129,7 @@ class ThingDescriptions:
     def response(self, exchange: Exchange, url: str, own: str, data: bytes) -> Response:
         """Return the response with a Thing Description, or a part of it, redacted, in the requested syntax.
 
-        `url` is that of the resource that answers, `own` that of the description.
+        `url` is the URL of the responding resource, `own` that of the description.
         """
         if exchange.auth is not UNRESTRICTED:
             data = redact_thing_description(data, exchange.permissions)
@@ -166,9 +166,8 @@ class ThingDescriptions:
     def of_robot(self, tree: ResourceTree, permissions: Permissions = ALLOW_ALL) -> bytes:
         """Return the Thing Description of the robot: the affordances of all complex resources, named by path.
 
-        Actions are there that no complex resource lists, too.
-
-        Of a complex resource that the agent may not read, its properties are there as their own URLs have them.
+        Includes actions that no complex resource lists. For a complex resource that the agent may not read, it includes
+        the properties under their own URLs.
         """
         properties: list[PropertyAffordance] = []
         actions: list[ActionAffordance] = []
@@ -203,14 +202,14 @@ class ThingDescriptions:
         return properties, tuple(map(offers.action_affordance, plan.actions))
 
     def _unlisted_actions(self, tree: ResourceTree, listed: Container[str]) -> Iterator[ActionAffordance]:
-        """Yield the actions that no complex resource lists, because a mapping leaves them out: they have own URLs."""
+        """Yield the actions that no complex resource lists because a mapping omits them."""
         for name in sorted(tree.actions):
             plan = tree.action(name)
             if plan is not None and (affordance := self._affordances.action_affordance(plan)).url not in listed:
                 yield replace(affordance, name=name[1:])
 
     def _by_themselves(self, tree: ResourceTree, plan: ComplexPlan) -> Iterator[PropertyAffordance]:
-        """Return the members of a complex resource as at their own URLs."""
+        """Yield the members of a complex resource as described at their own URLs."""
         for name in (member.url_name for member in plan.members if member.url_name is not None):
             own = tree.property(name)
             if own is not None:
@@ -223,7 +222,7 @@ def _choose_syntax(exchange: Exchange) -> str:
 
 
 class RobotThing(Resource):
-    """`/.well-known/wot`: where WoT clients look for the Thing Description of a host (WoT Discovery 6.3)."""
+    """`/.well-known/wot`: well-known URL of the Thing Description of a host (WoT Discovery 6.3)."""
 
     kind = "Thing Description"
     item = PathItem(

@@ -32,16 +32,16 @@ from rosld.shapes.limit_parts import Demand, Place, ResourcePlace, ValuePlace, i
 from rosld.shapes.message import SHACL_SHACL
 
 _LINK = "shape"
-"""The query that asks for it."""
+"""Query parameter that requests the shape."""
 
 
 def shape_query(url: str) -> str:
-    """Return the URL of the shape of what may be written to a URL."""
+    """Return the URL of the shape of the content that may be written to a URL."""
     return f"{url}?{_LINK}"
 
 
 class AcceptedShape(Resource):
-    """The shape of what may be written to a resource."""
+    """The shape of the content that may be written to a resource."""
 
     kind = "Shape"
     shape = SHACL_SHACL
@@ -55,7 +55,7 @@ class AcceptedShape(Resource):
 
     async def state(self) -> State:
         if await self._of.current_methods() == ABSENT:
-            await self._of.state()  # raises what the resource answers
+            await self._of.state()  # raises the error of the resource, if any
         document = await self._describe(self.url)
         if document is None:
             raise Problem(404, f"No shape describes what can be written to {self._of.url}.")
@@ -77,7 +77,7 @@ def _path(shape: str, space: Space) -> str:
 
 
 def has_parameter_shape(graph: Graph, name: str) -> bool:
-    """Whether there is such a parameter, which is no tree of others."""
+    """Whether the parameter exists and is not a tree."""
     return name in graph.parameters
 
 
@@ -118,7 +118,7 @@ def has_property_shape(session: Session, plan: PropertyPlan) -> bool:
 async def require_property_text(
     limit_checks: LimitChecks, plan: PropertyPlan, body: RdfBody, subject: NamedNode, predicate: NamedNode
 ) -> None:
-    """Raise LoweringError where a body writes a text of a property that limits are about as octets."""
+    """Raise LoweringError if a body writes a limited text of a property as octets."""
     octets = [each for each in body.literals() if each.datatype in BINARIES] if limit_checks.limits else []
     session = limit_checks.session
     writer = property_writer(session, plan.source) if octets else None
@@ -194,7 +194,7 @@ WRITES = frozenset({"PUT", "POST", "PATCH", "DELETE"})
 
 
 class CommandResource(Resource):
-    """Base of the resources whose writes command the robot: none is offered while it is stopped."""
+    """Base class of resources whose writes command the robot; none is offered while the robot is stopped."""
 
     session: Session
 
@@ -203,11 +203,11 @@ class CommandResource(Resource):
         return WRITES if self.session.is_stopped else frozenset()
 
     async def accepted(self, url: str) -> Document | None:
-        """Return the shape of the RDF that the resource accepts, as the shapes graph at `url`; None without one."""
+        """Return the shape of the RDF that the resource accepts, as the shapes graph at `url`, or None."""
         return None
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the shape of what may be written, where `?shape` asks for that."""
+        """Return the shape of the accepted content if `?shape` requests it."""
         query: bytes = exchange.request.scope["query_string"]
         if b"shape" in query and exchange.method in ("GET", "HEAD") and "shape" in exchange.query:
             return AcceptedShape(self, self.accepted)
@@ -215,7 +215,7 @@ class CommandResource(Resource):
 
 
 async def load_limited_types(limit_checks: LimitChecks) -> None:
-    """Get the definitions of what limits are about, as far as the robot has them."""
+    """Load the available definitions of the types that limits concern."""
     session = limit_checks.session
     await limit_checks.affordances.tree()
     refs = [TypeRef(name) for name in map(session.space.type_of, limit_checks.limits.by_class) if name is not None]
@@ -226,12 +226,12 @@ async def load_limited_types(limit_checks: LimitChecks) -> None:
 
 
 def datatypes_of_limits(limit_checks: LimitChecks) -> tuple[Triple, ...]:
-    """Return the datatypes of the fields that limits are about."""
+    """Return the datatypes of limited fields."""
     return limit_datatypes(limit_checks.limits, tuple(_places(limit_checks)), limit_checks.session.space.types)
 
 
 def _places(limit_checks: LimitChecks) -> Iterator[tuple[str, Place]]:
-    """Yield each target of a limit, and what it is."""
+    """Yield each target of a limit with its place."""
     session = limit_checks.session
     for iri in limit_checks.limits.by_class:
         name = session.space.type_of(iri)

@@ -31,7 +31,7 @@ _MODES = {mode: term for term, mode in MODES.items()}
 
 
 class AclResource(Resource):
-    """The rules: written in their file, read here."""
+    """The rules, read-only over HTTP: they are edited in their file."""
 
     kind = "Rights"
     shape = "Authorization"
@@ -121,7 +121,7 @@ class AboutResources(Struct, frozen=True):
             return None
 
     def _of_file(self, space: Space, name: str) -> Sequence[str]:
-        """Return the recording and all of its topics: its file holds their messages."""
+        """Return the recording and all of its topics, because the file contains their messages."""
         recording = self.recordings.find(name)
         return () if recording is None else (space.bag(name), *map(space.topic, recording.topics))
 
@@ -137,16 +137,16 @@ class AboutResources(Struct, frozen=True):
 
 
 _KINDS: Mapping[type, Kind] = {TopicSource: Kind.TOPIC, GoalSource: Kind.ACTION}
-"""What a value is read from or written to; all else is a service."""
+"""Kinds of sources and targets of values; all others are services."""
 
 
 def types_at(session: Session, affordances: AffordanceService[State], location: Location) -> Types:
-    """Return the names of the types of what is at a location; none where it is of no type, or is not there."""
+    """Return the names of the types of the resource at a location; none if it is missing or has no type."""
     if not location.segments:
         return UNTYPED
     try:
         return frozenset(ref.name for ref in _refs(session, affordances, location))
-    except ValueError:  # no name of ROS is spelt so
+    except ValueError:  # not a valid ROS name
         return UNTYPED
 
 
@@ -171,7 +171,7 @@ def _refs(session: Session, affordances: AffordanceService[State], location: Loc
 
 
 def types_of(graph: Graph, kind: Kind, name: str) -> tuple[TypeRef, ...]:
-    """Return the types of a topic, a service or an action, as far as they are known."""
+    """Return the known types of a topic, a service or an action."""
     if kind is Kind.TOPIC:
         topic = graph.topics.get(name)
         return () if topic is None else tuple(topic.types)
@@ -187,7 +187,7 @@ def _of_action(graph: Graph, name: str) -> tuple[TypeRef, ...]:
 
 
 def _of_member(graph: Graph, affordances: AffordanceService[State], name: str) -> Iterable[TypeRef]:
-    """Return the topics and services that a property uses, or an action invokes."""
+    """Return the topics and services used by a property or an action."""
     tree = affordances.cached_tree() or affordances.last_tree
     if tree is None:
         return

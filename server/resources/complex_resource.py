@@ -1,6 +1,6 @@
 """Complex resources.
 
-`/resources/NS/`, which join the values of their members and offer what may be done now (paper, section 4.3; Listing 3).
+`/resources/NS/` joins the values of its members and offers what may be done now (paper, section 4.3; Listing 3).
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ from rosld.server.rest.resource import (
 from rosld.server.rest.state import State
 
 _MANY_MEMBERS = 40
-"""Members from which messages among them are described at their own URLs alone: hundreds of them are megabytes."""
+"""Number of members from which messages are described only at their own URLs: hundreds of them take megabytes."""
 _FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS, TD]})
 
 
 class ComplexResource(TimeGate):
-    """A complex resource: a namespace, or what a mapping says of a path."""
+    """A complex resource: a namespace, or a path described by a mapping."""
 
     kind = "Complex resource"
     shape = "ComplexResource"
@@ -116,7 +116,7 @@ class ComplexResource(TimeGate):
         return READ | {"PATCH"} if any(self.affordances.is_writable(one.source) for one in plan.members) else READ
 
     async def current_methods(self) -> frozenset[str]:
-        """Nothing where it does not exist now: then it is 404, read or written."""
+        """Return the current methods; none for a missing resource, where reads and writes are 404."""
         tree, plan = await self._plan()
         (exists,) = await self.affordances.conditions_hold(tree, plan.reads, plan.exists_when)
         return self.methods() if exists else ABSENT
@@ -135,14 +135,14 @@ class ComplexResource(TimeGate):
         )
 
     def outline(self, tree: ResourceTree) -> State | None:
-        """Return the state without the members' values; None where what is on offer depends on values."""
+        """Return the state without the members' values, or None if the affordances depend on values."""
         plan = tree.complex(self.name)
         if plan is None or plan.is_conditional:
             return None
         return self._state_of(plan, self.affordances.unread(tree, plan.reads))
 
     async def state_with(self, names: frozenset[str]) -> State:
-        """Return the state with the values of some members alone, by the names of their properties."""
+        """Return the state with the values of only some members, by the names of their properties."""
         tree, plan = await self._plan()
         reads = [one for one in plan.reads if one.name in names]
         unread = self.affordances.unread(tree, plan.reads)
@@ -211,7 +211,7 @@ class ComplexResource(TimeGate):
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if not wants_thing(exchange):
             return None
-        _, plan = await self._plan()  # it tells what there ever is, also while the resource is not there
+        _, plan = await self._plan()  # it describes all affordances, even while the resource does not exist
         data = self.things.of_complex(plan)
         return self.things.response(exchange, self.url, f"{self.url}?format={TD}", data)
 
@@ -225,7 +225,7 @@ class ComplexResource(TimeGate):
         return () if view is None else forms_of(view)
 
     async def patch(self, exchange: Exchange) -> Answer:
-        """Several members at once: planned whole, carried out one after the other, reported member by member."""
+        """Write several members: plan all of them, carry them out one by one, and report each outcome."""
         tree, plan = await self._plan()
         data = await exchange.body()
         named = tuple(member.source.name for member in plan.members)
@@ -237,7 +237,7 @@ class ComplexResource(TimeGate):
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Plan the writes of the properties that a graph changes; the caller holds the lock of `affected_names`.
 
-        Raises a 403 Problem where it cannot be written, or would be dropped (`triples` None).
+        Raises a 403 Problem if the resource is not writable or would be deleted (`triples` None).
         """
         (tree, plan) = await self._plan()
         if "PATCH" not in self.methods() or triples is None:
@@ -256,7 +256,7 @@ class ComplexResource(TimeGate):
         return RobotWrite(f"write {', '.join(name for name, _ in writes) or 'nothing'} of {self.name}", carried_out_all)
 
     def affected_names(self, tree: ResourceTree) -> tuple[str, ...]:
-        """Return the names that a write through its graph concerns."""
+        """Return the names affected by a write of the resource's graph."""
         plan = tree.complex(self.name)
         return (self.name, *(member.source.name for member in plan.members)) if plan is not None else (self.name,)
 

@@ -47,7 +47,7 @@ _RESOURCES = "What the robot is like now, and what it can do: values to read and
 
 
 def _count_readable(names: Collection[str], url: Callable[[str], str], site: Site) -> int:
-    """Return the number of these that the reader may read."""
+    """Return the number of names whose URLs are readable."""
     return sum(site.may("GET", url(name)) for name in names) if site.is_restricted else len(names)
 
 
@@ -112,7 +112,7 @@ class EntryResource(Resource):
         return render_entry(EntryPage(site, state.document, shown, self._example(whole, site), (*troubles, *notices)))
 
     def _example(self, graph: Graph, site: Site) -> str | None:
-        """Return the URL of a topic worth trying: a small one that somebody publishes."""
+        """Return the URL of an example topic: a published one with small messages."""
         topics = [topic for topic in graph.topics.values() if topic.publishers and topic.type is not None]
         topics = [topic for topic in topics if site.may("GET", self.space.topic(topic.name))]
         topics.sort(key=lambda topic: (topic.name in RESERVED, len(topic.name), topic.name))
@@ -132,7 +132,7 @@ MEDIA_TYPE = "text/plain"
 
 
 class GuideResource(Resource):
-    """The guide for language models, which is the same for as long as the server runs."""
+    """The guide for language models, constant while the server runs."""
 
     kind = "Guide"
     item = PathItem("What a language model needs to know", (MEDIA_TYPE,), OBJECT, (), streams=False)
@@ -152,7 +152,7 @@ class GuideResource(Resource):
 
 
 def guide_text(name: str, space: Space, *, read_only: bool) -> str:
-    """Return the guide in Markdown: a title, a summary, what to know, links."""
+    """Return the guide in Markdown: title, summary, notes and links."""
     base = space.base
     writing = "This server is read-only." if read_only else _WRITING
     return f"""# {" ".join(name.split()) or "rosld"}
@@ -283,10 +283,10 @@ _SCRIPT, _STYLE, _ICON = "text/javascript; charset=utf-8", "text/css; charset=ut
 
 
 class FileResource(Resource):
-    """A file that never changes in one version of rosld."""
+    """A file that is constant within a version of rosld."""
 
     kind = "File"
-    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # browsers add some to bypass caches
+    passes_unknown_parameters = frozenset({"GET", "HEAD"})  # browsers add parameters to bypass caches
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
     def __init__(self, space: Space, name: str, data: bytes, media_type: str, summary: str) -> None:
@@ -337,13 +337,13 @@ _FILES: Mapping[str, tuple[str, str]] = {
     "icon.svg": (_ICON, "The icon of pages"),
     "favicon.ico": (_ICON, "The icon of pages, where browsers look for it"),
 }
-"""Of each file, by its name below the base: its media type, and what it is."""
+"""Media type and description of each file, by name below the base."""
 
 
 def _file_resource(name: str, space: Space) -> FileResource:
-    """Return the file of a name in `FILES`."""
+    """Return the file with this name in `FILES`."""
     return FileResource(space, name, ASSETS["icon.svg" if name == "favicon.ico" else name], *_FILES[name])
 
 
 FILES: Mapping[str, Callable[[Space], FileResource]] = {name: partial(_file_resource, name) for name in _FILES}
-"""What makes each, by its name."""
+"""Factories of resources by name."""

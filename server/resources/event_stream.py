@@ -1,6 +1,6 @@
 """`/bags/B/ldes`: the messages of a recording as a Linked Data Event Stream, in pages of a search tree (TREE).
 
-A page is of a hundred messages, or of a hundred pages, by their numbers: it never changes once all of them are there.
+A page has a hundred messages, or links to a hundred pages, by number; a full page never changes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
 
 MEMBERS = 100
-"""Messages on a page, and links to pages on a page of links."""
+"""Number of messages, or of links to pages, on a page."""
 _YEAR = 365 * 24 * 3600
 _SHORT = 2
 _NAME = re.compile(r"[0-9a-f]+-[0-9]{1,2}-[0-9]{1,15}", re.ASCII)
@@ -38,33 +38,33 @@ PROFILE = QueryParameter(
 
 
 class PageNumber(NamedTuple):
-    """The page `number` of a level: of messages on level 0, of pages of the level below on the others."""
+    """The page `number` of a level: of messages on level 0, of links to pages of the level below on the others."""
 
     level: int
     number: int
 
     @property
     def size(self) -> int:
-        """The number of messages below a page of its level."""
+        """The number of messages below a full page of this level."""
         return int(MEMBERS ** (self.level + 1))
 
     @property
     def start(self) -> int:
-        """The first message of it."""
+        """The number of the first message."""
         return self.number * self.size
 
     @property
     def end(self) -> int:
-        """The message after its last."""
+        """The number after the last message."""
         return self.start + self.size
 
     def within(self, first: int, beyond: int) -> Iterator[PageNumber]:
-        """The pages of the level below on it that have messages from `first` and below `beyond`."""
+        """Yield the pages of the level below with messages from `first` to `beyond` (exclusive)."""
         return pages_between(self.level - 1, max(self.start, first), min(self.end, beyond))
 
 
 def pages_between(level: int, first: int, beyond: int) -> Iterator[PageNumber]:
-    """The pages of a level that have messages from `first` and below `beyond`."""
+    """Yield the pages of a level with messages from `first` to `beyond` (exclusive)."""
     size = MEMBERS ** (level + 1)
     return (PageNumber(level, number) for number in range(first // size, -(-beyond // size)))
 
@@ -78,7 +78,7 @@ def top_level(first: int, beyond: int) -> int:
 
 
 class EventStreamResource(BagBase):
-    """An event stream (`page` is None), or a page of it."""
+    """An event stream (`page` is None), or one of its pages."""
 
     kind = "Event stream"
     _profile = StreamProfile.RECORD
@@ -97,9 +97,9 @@ class EventStreamResource(BagBase):
         return self._profile
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """The stream in the profile that the request prefers; one named in the query is in the URLs of all pages.
+        """Return the stream in the preferred profile; a profile in the query is part of the URLs of all pages.
 
-        Raises a 406 Problem for a profile that there is not.
+        Raises a 406 Problem for an unknown profile.
         """
         asked = exchange.query.get(PROFILE_QUERY)
         found = choose_profile(_PROFILES, exchange.header("accept-profile"), exchange.prefer, asked)
@@ -155,7 +155,7 @@ class EventStreamResource(BagBase):
         return StreamLink(url) if times is None else StreamLink(url, *times)
 
     async def _members(self, page: PageNumber) -> Sequence[Document]:
-        """Return all messages of a page: those of many bytes are read and lifted some at a time."""
+        """Return all messages of a page; large ones are read and lifted in batches."""
         found: list[Document] = []
         start: int | None = page.start
         while start is not None:

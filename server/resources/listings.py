@@ -52,7 +52,7 @@ from rosld.server.settings import Settings
 from rosld.server.sparql.receipt_graphs import TITLE
 
 _OUTCOMES = {CallState.UNKNOWN: "outcome unknown", CallState.NOT_SENT: "not sent"}
-"""Words for states of calls whose terms are no words."""
+"""Readable names of call states whose terms are not words."""
 _FAILED_GOALS = frozenset({GoalStatus.ABORTED, GoalStatus.REJECTED, GoalStatus.LOST})
 
 
@@ -67,7 +67,7 @@ class ListedMember(Struct, frozen=True):
 
 
 class ListingResource(Resource):
-    """`/NAME/`: a container of current members, the newest first; `changes` announces others."""
+    """`/NAME/`: a container of current members, newest first; `changes` announces changes of members."""
 
     shape = "Container"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
@@ -98,12 +98,12 @@ class ListingResource(Resource):
         return self._states.get_or_make(self.url, token, lambda: State(lambda: self._document(members), token=token))
 
     def outline(self) -> tuple[Hashable, Callable[[], Document]]:
-        """Return the description, after a token that changes with it."""
+        """Return a token that changes with the description, and a function for the description."""
         members = tuple(self._members())
         return members, lambda: self._document(members)
 
     def _document(self, members: Sequence[ListedMember]) -> Document:
-        """Return the members, and in brief what became of each."""
+        """Return the members with the outcome of each."""
         document = container_document(self.url, (member.url for member in members), self.kind)
         outlines = (triple for member in members for triple in member.outline)
         return replace(document, triples=(*document.triples, *outlines))
@@ -122,7 +122,7 @@ class ListingResource(Resource):
 
 
 def calls_listing(space: Space, calls: Calls, states: VersionCache[State]) -> ListingResource:
-    """`/calls/`: the calls made through rosld and kept."""
+    """`/calls/`: the retained calls made through rosld."""
 
     def listed(call: Call) -> ListedMember:
         outcome = _OUTCOMES.get(call.state, call.state.value.lower())
@@ -146,7 +146,7 @@ def calls_listing(space: Space, calls: Calls, states: VersionCache[State]) -> Li
 
 
 def goals_listing(space: Space, goals: Goals, states: VersionCache[State]) -> ListingResource:
-    """`/goals/`: the goals known and kept, ours and others'."""
+    """`/goals/`: the known goals of rosld and of other clients."""
 
     def listed(goal: Goal) -> ListedMember:
         cells = (goal.status.value, time_cell(goal.created_ns), time_cell(goal.ended_ns), goal.words or "")
@@ -168,7 +168,7 @@ def goals_listing(space: Space, goals: Goals, states: VersionCache[State]) -> Li
 
 
 def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> ListingResource:
-    """`/holds/`: the holds that there are, and what became of those of a rosld that was killed."""
+    """`/holds/`: the current holds, and the outcome of holds of a rosld process that was killed."""
 
     def member(view: HoldOutline, cells: tuple[Cell, ...]) -> ListedMember:
         url = space.hold(view.id)
@@ -199,12 +199,12 @@ def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> Li
 
 
 def time_cell(nanoseconds: int | None) -> Cell:
-    """Return a time in a table, nothing where there is none."""
+    """Return a time for a table, empty for None."""
     return date_time_literal(nanoseconds) or ""
 
 
 _NEWEST = 10**15
-"""The keys of pages rise: that of a receipt is this minus its number, so that the newest is on the first page."""
+"""Minuend for page keys, which ascend: the key of a receipt is this minus its number, so the newest comes first."""
 
 
 class ActivityResource(Resource):
@@ -239,7 +239,7 @@ class ActivityResource(Resource):
 
 
 class ActivityContainer(PagedContainer):
-    """`/activity/`: the receipts that are kept, in pages where there are many."""
+    """`/activity/`: the stored receipts; paged if there are many."""
 
     kind = "Activity"
     shape = "Container"
@@ -252,7 +252,7 @@ class ActivityContainer(PagedContainer):
         self.receipts = receipts
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the page that `?page=` asks for, the first of many pages (303); as a stream, the newest receipt."""
+        """Return the page `?page=`, or the newest receipt for a stream; redirect to the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
         if query_params.stream_is_preferred(exchange.accept, OFFERS):
@@ -280,7 +280,7 @@ class ActivityContainer(PagedContainer):
         return container_document(self.url, (self.space.activity(entry.id) for entry in entries), TITLE)
 
     def _page(self, place: PagePosition) -> tuple[LdpPage, list[JournalEntry]]:
-        """Return a page, and its receipts."""
+        """Return a page and its receipts."""
         entries = list(self.receipts.newest_first())
         keys = [_NEWEST - entry.number for entry in entries]
         after = place.after if isinstance(place.after, int) else 0
@@ -313,9 +313,9 @@ class ActivityContainer(PagedContainer):
 
 
 class NewestReceipt(Resource):
-    """`/activity/` as a stream: each write when it comes, as far as an agent may read its receipt.
+    """`/activity/` as a stream: each new write whose receipt the agent may read.
 
-    Those that come faster than is read are left out.
+    Writes that occur faster than the client reads are omitted.
     """
 
     kind = "Activity"
@@ -344,7 +344,7 @@ def _receipt_state(space: Space, entry: JournalEntry) -> State:
 
 
 def _json(receipt: Receipt) -> bytes:
-    """Return a receipt as plain JSON, without what it does not have."""
+    """Return a receipt as plain JSON without missing values."""
     told = receipt._asdict()
     times = {"started": date_time(0, receipt.started_ns), "ended": date_time(0, receipt.ended_ns)}
     kept = {

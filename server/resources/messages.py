@@ -1,4 +1,4 @@
-"""Messages in resources: decoded, lifted, a single field of one, and pictures and files of points."""
+"""Messages in resources: decoding, lifting, single fields, pictures and files of points."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from rosld.server.space.point_cloud import DEFAULT_POINTS, MAX_POINTS, POINT_CLO
 
 
 class DecodedSample(Struct, frozen=True, eq=False):
-    """A sample with its message, or with the reason why it cannot be read."""
+    """A sample with its message, or with the reason why it is unreadable."""
 
     sample: Sample
     schema: MessageSchema | None
@@ -50,7 +50,7 @@ class DecodedSample(Struct, frozen=True, eq=False):
 
 
 async def decode(schemas: Schemas, sample: Sample) -> DecodedSample:
-    """Return a sample's message, or why it cannot be read."""
+    """Return a sample's message, or the reason why it is unreadable."""
     try:
         schema = await schemas.message(sample.schema)
         return DecodedSample(sample, schema, schema.codec.decode(sample.data, sample.encoding))
@@ -68,7 +68,7 @@ def lift_sample(space: Space, lifting: LiftSettings, one: DecodedSample) -> Lift
 
 
 async def field_response(schemas: Schemas, sample: Sample, path: str) -> Response:
-    """Return the bytes of one field of a message; a 404 Problem where it has none of that path."""
+    """Return the bytes of one field of a message. Raises a 404 Problem if there is no field at the path."""
     decoded = await decode(schemas, sample)
     if decoded.schema is None or decoded.message is None:
         raise Problem(406, f"The message cannot be read: {decoded.reason}.")
@@ -81,7 +81,7 @@ async def field_response(schemas: Schemas, sample: Sample, path: str) -> Respons
 
 MOTION = "multipart/x-mixed-replace"
 PICTURES = (JPEG, PNG, MOTION)
-"""What a topic of images is read as besides, the default first."""
+"""Additional media types of topics with images, default first."""
 PICTURE_FORMATS = {"jpeg": JPEG, "png": PNG, "mjpeg": MOTION}
 MAX_WIDTH = 8192
 _MAX_NAME = 20
@@ -102,9 +102,9 @@ _NAMES = {JPEG: "jpeg", PNG: "png"}
 
 
 def picture_type(exchange: Exchange, *, is_picture: bool) -> str | None:
-    """Return the media type of the picture that a request prefers to all else; None for what is no picture.
+    """Return the media type of the picture that a request prefers, or None if it prefers another format.
 
-    Raises a 406 Problem where none that is offered is acceptable, images included.
+    Raises a 406 Problem if no offered format is acceptable, images included.
     """
     if not is_picture:
         return explicit_picture_type(exchange)
@@ -120,7 +120,7 @@ def picture_type(exchange: Exchange, *, is_picture: bool) -> str | None:
 
 
 def explicit_picture_type(exchange: Exchange) -> str | None:
-    """Return the media type of a picture that nothing but a picture satisfies."""
+    """Return the media type of a picture if the request accepts only pictures, else None."""
     if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
         return PICTURE_FORMATS.get(exchange.query["format"])
     accept = exchange.accept
@@ -130,7 +130,7 @@ def explicit_picture_type(exchange: Exchange) -> str | None:
 
 
 def require_picture(name: str, types: Sequence[TypeRef]) -> None:
-    """Raise a 406 Problem where messages of these types are not drawn."""
+    """Raise a 406 Problem if messages of these types are not drawable."""
     if not any(can_draw(ref.name) for ref in types):
         said = ", ".join(ref.name for ref in types) or "an unknown type"
         words = f"{name} has messages of {said}: only {', '.join(DRAWN_TYPES)} are drawn as pictures."
@@ -146,7 +146,7 @@ async def picture_response(
     exchange: Exchange,
     media_type: str,
 ) -> Response:
-    """Return the picture of a sample, 304 where it is known. Raises Problems."""
+    """Return the picture of a sample, or 304 if the client has it. Raises Problems."""
     if media_type not in _NAMES:
         raise Problem(406, "This picture does not move: ask for image/jpeg or image/png.")
     form = _form(exchange, media_type)
@@ -165,7 +165,7 @@ async def picture_response(
 async def picture_motion(
     session: Session, pictures: PictureCache, name: str, first: Sample | None, exchange: Exchange
 ) -> Motion:
-    """Return the pictures of a topic from now on; the first is drawn at once, for what it refuses. Raises Problems."""
+    """Return a stream of a topic's pictures; the first is drawn at once to detect errors. Raises Problems."""
     form = _form(exchange, JPEG)
     if first is not None:
         await _draw(pictures, name, await _schema(session.schemas, first), first, form)
@@ -181,7 +181,7 @@ async def picture_motion(
         try:
             return await _draw(pictures, name, await _schema(session.schemas, sample), sample, form)
         except Problem:
-            return None  # the next one may be drawn again
+            return None  # the next picture may be drawable again
 
     async def watch(wake: Callable[[], None]) -> Watch:
         return await session.topics.watch(name, wake)
@@ -280,7 +280,7 @@ def cloud_is_preferred(exchange: Exchange, *, is_cloud: bool) -> bool:
 
 
 def require_cloud(name: str, types: Sequence[TypeRef]) -> None:
-    """Raise a 406 Problem where messages of these types are no point clouds."""
+    """Raise a 406 Problem if messages of these types are not point clouds."""
     if not any(is_cloud(ref.name) for ref in types):
         said = ", ".join(ref.name for ref in types) or "an unknown type"
         words = f"{name} has messages of {said}: only {POINT_CLOUD} is read as a file of points."
@@ -290,7 +290,7 @@ def require_cloud(name: str, types: Sequence[TypeRef]) -> None:
 async def cloud_response(
     resource: Resource, schemas: Schemas, files: PictureCache, name: str, sample: Sample, exchange: Exchange
 ) -> Response:
-    """Return the file of a sample's points, 304 where it is known. Raises Problems."""
+    """Return the file of a sample's points, or 304 if the client has it. Raises Problems."""
     require_cloud(name, (sample.schema,))
     most = _points(exchange.query.get("points"))
     etag = ETag(f"{files.instance_id}-{sample_identity(sample)}", f"ply-{most}")

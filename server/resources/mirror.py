@@ -1,4 +1,4 @@
-"""The mirror of the dataset in another store (`--store`), with the values of topics that are always followed."""
+"""The mirror of the dataset in another store (`--store`), with the values of permanently followed topics."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import DumpGraphs, ListGraphs, Work
 
 ROUTE = "mirror"
-"""Where a robot tells of its mirror, and the graph that its store has of it."""
+"""Path of the mirror's resource, and of its graph in the store."""
 _PARAMETERS_EVERY = 10.0
-"""Seconds between two readings of all parameters: each may be a question to the robot."""
+"""Seconds between reads of all parameters, each of which may be a request to the robot."""
 _LONGEST_READING = 5.0
-"""Seconds that the robot has to say what it is like, before the store is told without."""
+"""Seconds to wait for the robot's values before updating the store without them."""
 _log = logging.getLogger("rosld.store")
 
 
@@ -48,7 +48,7 @@ def create_mirror(
 ) -> Mirror | None:
     """Return the mirror of the settings, or None. `routes` are the first segments of all paths of this server.
 
-    Raises ValueError where the credentials cannot be used, OSError where they cannot be read.
+    Raises ValueError for invalid credentials, OSError for unreadable ones.
     """
     settings = session.settings
     endpoints = settings.store_endpoints
@@ -70,7 +70,7 @@ def create_mirror(
 def authorization(file: Path) -> str:
     """Return the Authorization header from a file. Raises ValueError, OSError.
 
-    `USER:PASSWORD` is Basic (RFC 7617, in UTF-8); what begins with `Bearer` or `Basic` is sent as it is.
+    `USER:PASSWORD` is Basic (RFC 7617, in UTF-8); a value that begins with `Bearer` or `Basic` is sent unchanged.
     """
     try:
         text = file.read_text("utf-8").strip()
@@ -92,7 +92,7 @@ def _warn(settings: Settings, endpoints: tuple[str, str]) -> None:
 
 
 class _Dataset:
-    """The dataset of the query process, as read by a mirror."""
+    """The dataset of the query process, read by a mirror."""
 
     def __init__(self, process: QueryProcess, materializer: Materializer) -> None:
         self._process = process
@@ -103,7 +103,7 @@ class _Dataset:
         self._process.on_start(restarted)
 
     def graphs(self) -> Collection[str]:
-        names: list[str] = pickle.loads(self._result(ListGraphs()))  # from our own process
+        names: list[str] = pickle.loads(self._result(ListGraphs()))  # from this process
         return names
 
     def ntriples(self, graph: str) -> str | None:
@@ -120,7 +120,7 @@ class _Dataset:
 
 
 class _Graphs:
-    """The graphs of this server in a store that others use too: those in its routes. A base may begin with another."""
+    """The graphs of this server in a shared store: those in its routes, as its base may be a prefix of another base."""
 
     def __init__(self, base: str, routes: Collection[str], materializer: Materializer) -> None:
         self.base = base
@@ -138,7 +138,7 @@ class _Graphs:
 
 
 class _Reading:
-    """Brings the dataset to now: descriptions, what clients keep, followed topics, and parameters now and then."""
+    """Refresher of the dataset: descriptions, stored documents, followed topics, and periodically parameters."""
 
     def __init__(self, session: Session, materializer: Materializer) -> None:
         self._session = session
@@ -182,7 +182,7 @@ class ReplicationResource(Resource):
 
 
 def replication_document(url: str, status: ReplicationStatus) -> Document:
-    """Return the document of a mirror. It is stale, with the reason, while its store is unreachable."""
+    """Return the document of a mirror, marked stale with the reason while its store is unreachable."""
     return Document(
         url,
         tuple(

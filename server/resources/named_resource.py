@@ -1,4 +1,4 @@
-"""Bases of what the computation graph has by a ROS name, and of what is kept for a while by an identifier."""
+"""Base classes of resources with a ROS name in the computation graph, and of temporary ones with an identifier."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 class NamedResource(CommandResource, Generic[T]):
-    """Base of nodes, topics, services, actions and parameters."""
+    """Base class of nodes, topics, services, actions and parameters."""
 
     ros_kind: Kind
     url_of: ClassVar[Callable[[Space, str], str]]
@@ -65,7 +65,7 @@ class NamedResource(CommandResource, Generic[T]):
 
     @property
     def closed_reason(self) -> str | None:
-        """Why this server lets nothing be written here, in a sentence, or None."""
+        """A sentence why this server allows no writes here, or None."""
         if self.session.settings.read_only:
             return READ_ONLY
         return resources_only_reason(self.name) if self.session.is_resources_only(self.name) else None
@@ -76,7 +76,7 @@ class NamedResource(CommandResource, Generic[T]):
 
 
 class KeptResource(Resource, Generic[T]):
-    """Base of calls, goals and holds: `find` raises KeyError for an unknown one, another LookupError for a former."""
+    """Base class of calls, goals and holds: `find` raises KeyError for unknown ones, LookupError for removed ones."""
 
     def __init__(self, session: Session, states: VersionCache[State], url: str, id: str) -> None:
         super().__init__(session.space, url)
@@ -99,7 +99,7 @@ class KeptResource(Resource, Generic[T]):
             raise Problem(410, f"The {what} {self.gone_words(error)}.") from error
 
     def gone_words(self, error: LookupError) -> str:
-        """Say why it is gone, after its name."""
+        """Return the reason for the removal, to follow the name in a sentence."""
         return "was deleted or is too old"
 
     @property

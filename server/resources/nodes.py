@@ -1,4 +1,4 @@
-"""Nodes: what each takes part in, and the lifecycle of a managed one: POST has it make a transition."""
+"""Nodes: their topics, services and actions, and the lifecycles of managed nodes; POST requests a transition."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from rosld.server.runtime.dry_run import expect_status
 from rosld.server.runtime.tasks import loop_time
 
 TRANSITION = "transition"
-"""The member of a JSON body, and the field of a form, that names a transition."""
+"""The member of a JSON body, and field of a form, for the name of a transition."""
 
 
 class NodeResource(NamedResource[Node]):
@@ -47,7 +47,7 @@ class NodeResource(NamedResource[Node]):
         return self.with_offers(node_views(graph)[self.name])
 
     def with_offers(self, found: NodeView) -> NodeView:
-        """The view of this node with what is on offer here now."""
+        """Return the view of this node with its current offers."""
         lifecycle = found.node.lifecycle
         return found if lifecycle is None else replace(found, offers=self._offers(lifecycle))
 
@@ -84,7 +84,7 @@ class NodeResource(NamedResource[Node]):
         return READ if self._closed(lifecycle) else READ | {"POST"}
 
     def _closed(self, lifecycle: Lifecycle) -> str | None:
-        """The name by which its lifecycle belongs to what is written under /resources/ only."""
+        """Return the name that makes the lifecycle writable only under /resources/, or None."""
         return next((name for name in (self.name, lifecycle.service) if self.session.is_resources_only(name)), None)
 
     def deny_reason(self, method: str) -> str:
@@ -113,9 +113,9 @@ class NodeResource(NamedResource[Node]):
         return (ChoiceForm(TRANSITION, labels, "Change the state"),)
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Have a managed node make the transition that the body names (`lifecycle_msgs/srv/ChangeState`).
+        """Request the transition named in the body from a managed node (`lifecycle_msgs/srv/ChangeState`).
 
-        Raises a 409 Problem, with the transitions that there are, where the node refuses it.
+        Raises a 409 Problem with the legal transitions if the node refuses it.
         """
         label = await _label_in(exchange, self.url)
         graph = self.session.graph
@@ -135,7 +135,7 @@ class NodeResource(NamedResource[Node]):
         return Response(status_code=204)
 
     async def _require(self, graph: Graph, transition: Transition, service: str) -> None:
-        """Raise LoweringError where the transition breaks a limit: on this node, or on the service that makes it."""
+        """Raise LoweringError if the transition violates a limit on this node or on its lifecycle service."""
         shape = self.limit_checks.limits.resource(self.url)
         if shape is not None:
             subject = NamedNode(self.url)
@@ -151,9 +151,9 @@ class NodeResource(NamedResource[Node]):
             await self.limit_checks.require_message(Kind.SERVICE, service, schema.request, message)
 
     def _refusal(self, error: Refused) -> Problem:
-        """409 with the state of the node, and the transitions that are legal in it."""
+        """Return a 409 Problem with the state of the node and the legal transitions."""
         problem = problem_of(error)
-        lifecycle = self.lifecycle  # of now: the node may have made another transition meanwhile, and says so
+        lifecycle = self.lifecycle  # read again: the node may have made another transition meanwhile
         problem.status, problem.title = 409, "Not done"
         if lifecycle is not None:
             problem.extra |= {
@@ -164,7 +164,7 @@ class NodeResource(NamedResource[Node]):
 
 
 async def _label_in(exchange: Exchange, url: str) -> str:
-    """Return the transition that a body asks for. Raises BodyError, LoweringError."""
+    """Return the transition named in a body. Raises BodyError, LoweringError."""
     data = await exchange.body()
     found: Sequence[object]
     if exchange.media_type == JSON:

@@ -45,14 +45,14 @@ _MAX_REFERENCE = 1000
 
 
 class NumberReference(NamedTuple):
-    """A number that is plotted: the topic's name, the path of the field."""
+    """Reference to a plotted number: the name of the topic and the path of the field."""
 
     topic: str
     field: str
 
 
 class NumberFinder:
-    """Finds the numbers of a robot that an agent may see."""
+    """Finder of the numbers of a robot that an agent may see."""
 
     def __init__(
         self, session: Session, affordances: AffordanceService[State], history: History, permissions: Permissions
@@ -63,7 +63,7 @@ class NumberFinder:
         self._permissions = permissions
 
     async def locate(self, reference: str) -> NumberReference:
-        """Return the topic and the field that a `y` names. Raises Problems."""
+        """Return the topic and the field named by a `y`. Raises Problems."""
         url, _, path = reference.partition("#")
         space = self._session.space
         if len(reference) > _MAX_REFERENCE:
@@ -84,7 +84,7 @@ class NumberFinder:
         return NumberReference(location.name, path)
 
     async def _of_property(self, name: str, url: str, path: str) -> NumberReference:
-        """Return the field of the topic that a property is read from."""
+        """Return the field of the topic that provides a property."""
         plan = (await self._affordances.tree()).property(name)
         if plan is None:
             raise Problem(404, f"There is no property {name}.")
@@ -113,7 +113,7 @@ class NumberFinder:
 
 
 MAX_NUMBERS = 16
-"""Numbers of one plot."""
+"""Maximum number of curves in a plot."""
 _PARAMETERS = (
     QueryParameter(
         "y",
@@ -129,7 +129,7 @@ _PLAIN: JsonSchema = json_object(
 
 
 class PlotResource(Resource):
-    """The plot of some numbers; without any, a form to choose them."""
+    """The plot of the selected numbers, or a form to select them."""
 
     kind = "Plot"
     shape = "Plot"
@@ -149,7 +149,7 @@ class PlotResource(Resource):
         self._numbers: Sequence[PlottedNumber] = ()
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the plot of what the `y` say, as far as the agent may see it. Raises Problems."""
+        """Return the plot of the numbers named by `y`, with the agent's permissions. Raises Problems."""
         references = exchange.query_values("y")
         if len(references) > MAX_NUMBERS:
             raise Problem(
@@ -169,9 +169,9 @@ class PlotResource(Resource):
         return State(partial(plot_document, self.url, numbers), lambda: plain, digest(plain))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """Return the event stream of the numbers as they come, where one is preferred; else None.
+        """Return the event stream of the numbers if preferred, else None.
 
-        Raises a 400 Problem without numbers, 404 for one that there is not.
+        Raises a 400 Problem without numbers, 404 for a missing one.
         """
         if not stream_is_preferred(exchange.accept, OFFERS):
             return None

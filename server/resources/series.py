@@ -1,4 +1,4 @@
-"""`/topics/NAME?series=FIELD`: one number of a topic over a time, out of the history."""
+"""`/topics/NAME?series=FIELD`: one number of a topic over time, from the history."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ POINTS, MAX_POINTS = 500, 10_000
 _SECONDS_BEFORE = 60.0
 _MAX_FIELD = 500
 _MAX_NAMED = 12
-"""Numbers that are named where a path leads to none."""
+"""Maximum number of fields suggested for a wrong path."""
 PARAMETERS = (
     QueryParameter("series", "The path of a number, such as `pose.position.x`: its values over a time."),
     QueryParameter("from", "Since when: an xsd:dateTime, or seconds before now as `-60`. Default: a minute ago."),
@@ -94,7 +94,7 @@ class SeriesResource(Resource):
 
 
 class FieldValues:
-    """The number at a path of each message; `problem` says why a message had none."""
+    """Reader of the number at a path of each message; `problem` says why a message had none."""
 
     def __init__(self, schema_of: Callable[[TypeRef], object], path: str) -> None:
         self.problem: str | None = None
@@ -105,7 +105,7 @@ class FieldValues:
         """Types that have a number at the path."""
 
     def value_of(self, sample: Sample) -> float | None:
-        """Return the number of a sample; None where it has none, and `problem` says why. In any thread."""
+        """Return the number of a sample, or None if it has none, as `problem` explains. Runs in any thread."""
         schema = self._schema(sample.schema)
         if schema is None:
             return None
@@ -120,7 +120,7 @@ class FieldValues:
         return number if math.isfinite(number) else None
 
     def values_of(self, block: MessageBlock) -> Iterator[tuple[int, float | None]]:
-        """Yield the numbers of many, each with when it was received: of all at once where they are laid out alike."""
+        """Yield the time of reception in ns and the number of each message; decodes uniform blocks at once."""
         if block.rows is not None and len(block.rows.times):
             schema = self._schema(block.channel.type)
             if schema is not None and schema.ref in self._numeric:
@@ -146,7 +146,7 @@ class FieldValues:
 
 
 def _suggestion(schema: MessageSchema, path: str) -> str:
-    """The numbers that might be meant by a path at which there is none, as the end of a sentence."""
+    """Return the end of a sentence that suggests numbers for a wrong path."""
     try:
         return f": name an element, such as {path}.0" if isinstance(number_type(schema, path), Array) else ""
     except ValueError:
@@ -157,7 +157,7 @@ def _suggestion(schema: MessageSchema, path: str) -> str:
 
 
 def columns(series: Series) -> dict[str, list[float | str]]:
-    """Return a series as columns: time and value of each message, or what the intervals come to."""
+    """Return a series as columns: time and value of each message, or aggregates of intervals."""
     points: Sequence[Point] = series.points
     times: list[float | str] = [_utc_text(each.time_ns) for each in points]
     if not series.is_reduced:
@@ -172,7 +172,7 @@ def columns(series: Series) -> dict[str, list[float | str]]:
 
 
 def series_of(space: Space, history: History, topic: str, exchange: Exchange) -> SeriesResource:
-    """Return the series that a request to a topic asks for. Raises Problems."""
+    """Return the requested series of a topic. Raises Problems."""
     require_history(history, topic)
     query, now = exchange.query, time.time_ns()
     field = query["series"]

@@ -1,4 +1,4 @@
-"""`/space`: topics drawn in space, and the destinations of a pose that is chosen on a map."""
+"""`/space`: a spatial view of topics, and the targets of poses chosen on a map."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ _MAX_TARGETS = 20
 class GoalTarget(Struct, frozen=True):
     """An action or a topic that takes a pose, by `method` at `url`.
 
-    `field` is the field of the goal that the pose is in, empty where it is the whole message; `is_stamped` says whether
-    it has a header.
+    `field` is the field of the message that contains the pose, empty for the whole message; `is_stamped` says whether
+    the pose has a header.
     """
 
     url: str
@@ -68,7 +68,7 @@ class GoalTarget(Struct, frozen=True):
 
 
 class GoalTargets:
-    """The targets that an agent may send poses to now; `topic` and `action` give the resources of names."""
+    """The targets that an agent may send poses to now; `topic` and `action` return the resources of names."""
 
     def __init__(self, session: Session, topic: Callable[[str], Resource], action: Callable[[str], Resource]) -> None:
         self._session = session
@@ -78,11 +78,11 @@ class GoalTargets:
 
     @property
     def now(self) -> float | None:
-        """The time for the headers of poses, in seconds; None where it is simulated and not this server's to say."""
+        """The time in seconds for the headers of poses, or None if it is simulated."""
         return None if self._session.graph.simulated_time else time.time()
 
     async def offered(self, permissions: Permissions) -> Sequence[GoalTarget]:
-        """Return the targets on offer, actions first; none while the robot is stopped."""
+        """Return the offered targets, actions first; none while the robot is stopped."""
         graph = self._session.graph
         if self._found is None or self._found[0] is not graph:
             self._found = graph, [each async for each in self._targets(graph)]
@@ -94,7 +94,7 @@ class GoalTargets:
         return target.method in resource.methods() - resource.withheld
 
     async def _targets(self, graph: Graph) -> AsyncIterator[GoalTarget]:
-        """Return all targets that take a pose, whatever the rights of the agent."""
+        """Return all targets that take a pose, regardless of permissions."""
         space, listed = self._session.space, listed_graph(graph, self._session.adapter.capabilities)
         for name, action in sorted(listed.actions.items()):
             if action.type is None:
@@ -116,11 +116,11 @@ class GoalTargets:
 
 
 MAX_SHOWN = 32
-"""Topics of one view."""
+"""Maximum number of topics in a view."""
 _MAX_REFERENCE = 1000
 _MAX_FRAME = 300
 _GRID_WIDTH = 2048
-"""Columns of the picture of a grid at most: of four times as many, a pixel stands for sixteen cells."""
+"""Maximum width of the picture of a grid; for a grid four times as wide, a pixel stands for sixteen cells."""
 _MODEL, _STRING = "/robot_description", "std_msgs/msg/String"
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _VIEWS = ("above", VIEW_3D)
@@ -167,7 +167,7 @@ _PLAIN: JsonSchema = json_object(
 
 
 class SpaceResource(Resource):
-    """A view of the requested topics, or of all that can be drawn, as one agent may see them."""
+    """A view of the requested topics, or of all drawable ones, with the permissions of one agent."""
 
     kind = "View of space"
     shape = "Source"
@@ -193,7 +193,7 @@ class SpaceResource(Resource):
         self._fixed = ""
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the view that `frame` and `show` ask for, as far as the agent may see it. Raises Problems."""
+        """Return the view selected by `frame` and `show`, with the agent's permissions. Raises Problems."""
         references = exchange.query_values("show")
         if len(references) > MAX_SHOWN:
             raise Problem(
@@ -315,7 +315,7 @@ class SpaceResource(Resource):
         return ""
 
     def _all(self, graph: Graph) -> list[str]:
-        """Return the topics that can be drawn and that the agent may read, what is drawn first first."""
+        """Return the drawable topics that the agent may read, in drawing order."""
         space, topics = self.space, listed_graph(graph, self.session.adapter.capabilities).topics
         found = [
             (PLACED_TYPES.index(topic.type.name), name)
@@ -349,7 +349,7 @@ class SpaceResource(Resource):
         return location.name
 
     def _shown_topics(self, graph: Graph, names: Sequence[str]) -> list[ShownTopic]:
-        """Return these topics for the stream, or all that can be drawn, up to the limit."""
+        """Return these topics for the stream, or all drawable ones up to the limit."""
         return [self._shown_topic(graph, name) for name in names or self._all(graph)[:MAX_SHOWN]]
 
     def _shown_topic(self, graph: Graph, name: str) -> ShownTopic:
@@ -388,6 +388,6 @@ def _target_json(target: GoalTarget, reference: str) -> dict[str, object]:
 
 
 def _document(url: str, topics: Sequence[str]) -> Document:
-    """Return the view as RDF: its topics."""
+    """Return the topics of the view as RDF."""
     said = statements(rdfs.seeAlso, (NamedNode(each) for each in topics))
     return Document(url, tuple(triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Space")), *said)))

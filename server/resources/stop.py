@@ -29,7 +29,7 @@ from rosld.server.robot.software_stop import SoftwareStop
 from rosld.server.runtime.version_cache import VersionCache
 
 _MAX_REASON = 500
-"""Characters of a reason."""
+"""Maximum number of characters of a reason."""
 _ABOUT = (
     "It publishes zero on velocity topics, ends every hold, cancels goals, runs the stop actions of "
     "mappings, and refuses all writes but zero."
@@ -46,7 +46,7 @@ class StopResource(Resource):
     shape = "Stop"
     title = "Stop"
     accepts: Mapping[str, Sequence[str]] = {"POST": (JSON,)}
-    passes_unknown_parameters = frozenset({"POST"})  # a typing error must not refuse a stop
+    passes_unknown_parameters = frozenset({"POST"})  # a typing error must not prevent a stop
 
     def __init__(self, space: Space, states: VersionCache[State], software_stop: SoftwareStop) -> None:
         super().__init__(space, space.stop)
@@ -117,7 +117,7 @@ class StopResource(Resource):
         return self._plain_for(ALLOW_ALL)
 
     def _plain_for(self, permissions: Permissions) -> bytes:
-        """Return the stop as JSON, with the steps that the agent may know of."""
+        """Return the stop as JSON, with the steps that the agent may see."""
         stops = self.software_stop
         stop_state = stops.stop_state
         since = None if stop_state is None else date_time_literal(stop_state.since_ns)
@@ -151,18 +151,18 @@ class StopResource(Resource):
         return (DeleteForm("Release the robot", "Release", about, query=(("confirm", stop_state.id),)), stop)
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Stop the robot: 200 with what was done, step by step. The body may state a reason."""
+        """Stop the robot: 200 with the steps taken. The body may state a reason."""
         self._require_usable()
-        reason = _reason(await exchange.raw_body())  # a stop is not refused for its charset
+        reason = _reason(await exchange.raw_body())  # an unknown charset must not prevent a stop
         exchange.audit.add_step("stop the robot", self.url)
         await self.software_stop.stop(exchange.agent, reason)
         return ShownAnswer(self, self.current_state())
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """Release the stop: writes pass again.
+        """Release the stop, which allows writes again.
 
-        Raises a 409 Problem while the robot is still being stopped, and where another stop is confirmed; a 428 Problem
-        where nobody in particular does not confirm it.
+        Raises a 409 Problem while the robot is still being stopped and for the id of another stop, and a 428 Problem
+        for an anonymous request without confirmation.
         """
         self._require_usable()
         self._require_confirmed(exchange)
@@ -174,9 +174,9 @@ class StopResource(Resource):
         return Response(status_code=204)
 
     def _require_confirmed(self, exchange: Exchange) -> None:
-        """Raise a 428 or 409 Problem unless a person releases the stop that there is now.
+        """Raise a 428 or 409 Problem unless a person releases the current stop.
 
-        Who may release it by the rules of --auth has said so with their token; others show that they read its page.
+        Agents authenticated by --auth need no confirmation; anonymous ones send the id shown on the page of the stop.
         """
         stop_state, confirmed = self.software_stop.stop_state, exchange.query.get("confirm")
         if stop_state is None or confirmed == stop_state.id:
@@ -189,7 +189,7 @@ class StopResource(Resource):
             )
 
     def _require_usable(self) -> None:
-        """Raise a 403 Problem where the robot cannot be stopped and released from here."""
+        """Raise a 403 Problem if the robot cannot be stopped and released by this server."""
         if (reason := self.software_stop.unusable_reason) is not None:
             raise Problem(403, reason)
 
@@ -200,7 +200,7 @@ def _still_being_stopped() -> Problem:
 
 
 def _reason(body: bytes) -> str | None:
-    """Why the robot is stopped, as a body says; None where it says nothing. Raises a 422 Problem for anything else."""
+    """Return the reason in a body, or None for an empty body. Raises a 422 Problem for an invalid body."""
     if not body.strip():
         return None
     match parse_json(body):

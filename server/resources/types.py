@@ -1,6 +1,6 @@
 """Types, their shapes, and the ontology: `/types/PKG/msg/NAME` and `/shapes/PKG/msg/NAME`, within containers.
 
-Beside the packages of `/shapes/` lie `/shapes/mapping` and the like, and the limits that clients keep.
+`/shapes/` also contains `/shapes/mapping` and other fixed shapes graphs, and the limits stored by clients.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ SHAPES_GRAPHS = tuple(_SUMMARIES)
 
 
 class TypeResource(Resource):
-    """One message, service or action type; `?hash=` asks for one of several definitions."""
+    """One message, service or action type; `?hash=` selects one of several definitions."""
 
     kind = "Type"
     is_found_by_state = True
@@ -108,7 +108,7 @@ class ShapeResource(Resource):
 
 
 class ShapesGraphResource(Resource):
-    """`/shapes/data`, `/shapes/documents`, `/shapes/limits`, ...: a shapes graph by itself."""
+    """`/shapes/data`, `/shapes/documents`, `/shapes/limits`, ...: a fixed shapes graph."""
 
     kind = "Shape"
     shape = SHACL_SHACL
@@ -185,7 +185,7 @@ _HALVES = {"/srv/": ("Request", "Response"), "/action/": ("Goal", "Result", "Fee
 
 
 def known_types(adapter: AuditedAdapter) -> Sequence[TypeRef]:
-    """Return the types in use or met so far, each name and hash once."""
+    """Return the types that are or were in use, each name and hash once."""
     return list(dict.fromkeys([*adapter.known_types(), *used_types(adapter.graph)]))
 
 
@@ -197,7 +197,7 @@ def child_names(listed: Sequence[str], route: str, namespace: tuple[str, ...]) -
 
 
 def type_route(session: Session, states: VersionCache[State], location: Location) -> Resource:
-    """`/types/` and below."""
+    """Return the resource at `/types/` or below."""
     if location.is_container or len(location.segments) < 3:
         return _container(session, states, "types", location)
     return TypeResource(session, states, "/".join(location.segments))
@@ -222,7 +222,7 @@ def shape_route(limit_checks: LimitChecks, documents: Documents, location: Locat
 
 
 class PackageRedirect(Resource):
-    """`/shapes/PKG`: the shapes of a package are at the URL that ends in a slash, and nothing else has its name."""
+    """`/shapes/PKG`: redirect to the shapes of a package, at the URL with a final slash."""
 
     kind = "Shape"
     is_cacheable = False
@@ -241,7 +241,7 @@ class PackageRedirect(Resource):
 
 
 class LimitsContainer(ContainerResource):
-    """`/shapes/`: the packages with the shapes of their types, and the limits that clients keep."""
+    """`/shapes/`: the packages with the shapes of their types, and the limits stored by clients."""
 
     item = PathItem("Shapes", query=(FORMAT, PAGE))
 
@@ -331,12 +331,12 @@ class OntologyResource(Resource):
         return self.states.get_or_make(self.url, 0, lambda: State(self.document))
 
     def document(self) -> Document:
-        """Return the module; it says nothing of its URL here, so that it is the same ontology everywhere."""
+        """Return the module without triples about its local URL, so that it is the same on every server."""
         return Document(self.url, served_triples(self.name))
 
 
 def ontology_route(space: Space, states: VersionCache[State], location: Location) -> Resource:
-    """Return the module of the vocabulary at `/ontology` or below. Raises a 404 Problem where there is none."""
+    """Return the module of the vocabulary at `/ontology` or below. Raises a 404 Problem if there is none."""
     if location.is_container:
         raise permanent_redirect(space.url("ontology", location.segments))
     name = "/".join(location.segments)

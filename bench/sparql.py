@@ -36,6 +36,7 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.schema import MessageSchema
 from rosld.ontology.document import Envelope
 from rosld.ontology.lift import TYPES, lifter
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import PREFIXES, rdf, ros
 from rosld.server.auth.permissions import Permissions
 from rosld.server.rest.resource import Resource
@@ -277,7 +278,7 @@ class Robot:
         self._lifter = lifter(schema)
         fields = (f"{TYPES}{kind.name}#{field.name}" for kind in schema.types.values() for field in kind.fields)
         self._told = StatedTerms(frozenset({*fields, ros.latest.value, rdf.type.value}), frozenset())
-        self._resource = Resource(BASE)
+        self._resource = Resource(Space(BASE), BASE)
         vector = schema.codec.build("geometry_msgs/msg/Vector3", {"x": 1.5, "y": -0.25, "z": 3.0})
         message = schema.codec.build(schema.ref.name, {"linear": vector, "angular": vector})
         self._message = schema.codec.decode(schema.codec.encode(message, Encoding.ROS1), Encoding.ROS1)

@@ -50,7 +50,7 @@ from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 
 PAGE = 100
-"""Messages on one page of `/bags/B/messages/`."""
+"""Number of messages on one page of `/bags/B/messages/`."""
 
 _PAGE = QueryParameter("page", "The page of messages, counted from 0.", {"type": "integer", "minimum": 0})
 
@@ -86,7 +86,7 @@ class BagMessages(BagBase):
         return tuple(SequenceLink(rel, f"{base}?page={at}") for rel, at in places.items() if first <= at <= last)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the page that `?page=`, or a filter, asks for; a 404 Problem where there is none."""
+        """Return the page selected by `?page=` or a filter. Raises a 404 Problem if there is none."""
         wanted = exchange.query.get("page")
         if wanted is None:
             return selection_of(self.bags, self.recording, exchange) or self
@@ -121,7 +121,7 @@ class BagMessage(BagBase):
         return tuple(SequenceLink(rel, url) for rel, url in links if rel in there)
 
     async def message(self) -> RecordedMessage:
-        """Return the message, read off the loop; a 404 Problem where there is none."""
+        """Return the message, read off the loop. Raises a 404 Problem if there is none."""
         try:
             message = await asyncio.to_thread(self.recording.message, self.index)
         except NotFound as error:
@@ -147,7 +147,7 @@ class BagMessage(BagBase):
         return self.states.put(self.url, 0, State(describe, plain, shapes=shapes))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """Return `?field=PATH`: the bytes of one field; or its picture or points, where that is preferred."""
+        """Return the bytes of one field (`?field=PATH`), or the message's picture or points if preferred."""
         if cloud_is_preferred(exchange, is_cloud=False):
             sample = (await self.message()).sample
             return await cloud_response(self, self.session.schemas, self.bags.pictures, self.url, sample, exchange)
@@ -192,7 +192,7 @@ class BagMoment(BagSelection):
         return (self.space.document_shape("Moment"), self.space.document_shape("Record"))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """At the time that the query names, of the topics that it names. Raises Problems."""
+        """Return the moment at the time and for the topics in the query. Raises Problems."""
         query = exchange.query
         given = {name: query[name] for name in ("time", "topic") if name in query}
         at_ns = read_time(given["time"], time.time_ns()) if "time" in given else self.recording.end_ns
@@ -227,5 +227,5 @@ class BagMoment(BagSelection):
 
 
 def bag_moment(bags: Bags, recording: Recording) -> BagMoment:
-    """Return the moment at which a recording ended, which requests ask others of."""
+    """Return the moment of a recording's end, whose variants are other moments."""
     return BagMoment(bags, recording, recording.end_ns, sorted(recording.topics), "", Detail.RDF)

@@ -41,7 +41,7 @@ from rosld.server.robot.session import Session
 
 
 class DecodedRecord(Struct, frozen=True, eq=False):
-    """A recorded message, decoded as far as it can be."""
+    """A recorded message, decoded if possible."""
 
     message: RecordedMessage
     decoded: DecodedSample
@@ -75,7 +75,7 @@ def record_document(session: Session, recording: Recording, one: DecodedRecord) 
 
 
 def record_triples(session: Session, recording: Recording, records: Iterable[DecodedRecord]) -> list[Triple]:
-    """Return the triples of recorded messages. It takes a while: for a thread."""
+    """Return the triples of recorded messages. Slow: call it in a thread."""
     return [triple for one in records for triple in record_document(session, recording, one).all_triples()]
 
 
@@ -102,7 +102,7 @@ class Detail(Enum):
 
 
 class BagSelection(BagBase):
-    """A page of the messages of a recording that fit a filter."""
+    """A page of the messages of a recording that match a filter."""
 
     kind = "Messages"
 
@@ -229,7 +229,7 @@ def selection_of(bags: Bags, recording: Recording, exchange: Exchange) -> BagSel
 
 
 def topics_of(recording: Recording, text: str) -> frozenset[str]:
-    """Return the topics of a recording that a name or a glob fits. Raises Problems: 400, 404."""
+    """Return the topics of a recording that match a name or a glob. Raises Problems: 400, 404."""
     if not text.startswith(("/", "*")) or len(text) > _MAX_TOPIC:
         raise Problem(400, f"?topic={text[:60]}: must begin with a slash or a star, such as /odom.")
     names = recording.topics

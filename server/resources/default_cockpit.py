@@ -1,4 +1,4 @@
-"""The cockpit that is made from what the robot has: camera, drive, pose, battery, diagnostics, numbers, actions."""
+"""The cockpit generated for a robot: camera, drive, pose, battery, diagnostics, numbers, actions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _POSES: _Fields = {
     "geometry_msgs/msg/PoseStamped": ("pose.position", "pose.orientation"),
     "turtlesim/msg/Pose": ("x", "y", "theta"),
 }
-"""The fields that say where the robot is."""
+"""Fields with the position of the robot."""
 _SPEEDS: _Fields = {
     _ODOMETRY: ("twist.twist.linear.x", "twist.twist.angular.z"),
     "geometry_msgs/msg/TwistStamped": ("twist.linear.x", "twist.angular.z"),

@@ -44,7 +44,7 @@ from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import call_every, combine_watches
 
 _LOOK_SECONDS = 2.0
-"""How often is looked for what has fallen silent."""
+"""Seconds between checks for parts that stopped reporting."""
 _PAST_NS = 3600 * 1_000_000_000
 _MAX_MESSAGES = 4000
 _MAX_CHANGES = 100
@@ -59,7 +59,7 @@ _PLAIN: JsonSchema = json_object({"states": json_array(_STATE)}, {"changes": jso
 
 
 class DiagnosticsResource(Resource):
-    """The states of all reporting parts, or of those of one name, as one agent may see them."""
+    """The states of all reporting parts, or of those with one name, with the permissions of one agent."""
 
     kind = "Diagnostics"
     shape = "Source"
@@ -87,7 +87,7 @@ class DiagnosticsResource(Resource):
         return self.variant(url=url, name=name, _permissions=permissions)
 
     def _topics(self, graph: Graph) -> Sequence[str]:
-        """The topics of diagnostics that the agent may read."""
+        """Return the topics of diagnostics that the agent may read."""
         permissions = self._permissions
         return sorted(
             name
@@ -96,7 +96,7 @@ class DiagnosticsResource(Resource):
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        """Return each of its topics tells of itself; what falls silent is looked for now and then."""
+        """Return a watch of the topics that also checks periodically for parts that stopped reporting."""
         watches = [await self.session.topics.watch(topic, wake) for topic in self._topics(self.session.graph)]
         return combine_watches(*watches, call_every(_LOOK_SECONDS, wake))
 

@@ -65,7 +65,7 @@ _PLAIN: JsonSchema = json_object(
 
 
 class GraphResource(Resource):
-    """The computation graph as a drawing, or a part of it, as one agent may see it."""
+    """A drawing of the computation graph or a part of it, with the permissions of one agent."""
 
     kind = "Computation graph"
     shape = "Source"
@@ -81,7 +81,7 @@ class GraphResource(Resource):
         self.instance_id = instance_id
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        """Return the part that the query asks for, as the agent may see it. Raises a 400 Problem."""
+        """Return the part selected by the query, with the agent's permissions. Raises a 400 Problem."""
         below = exchange.query.get("below", "")
         if below and (not below.startswith("/") or len(below) > _MAX_NAME):
             raise Problem(400, f"?below={below[:40]} must be a name of the robot, such as /camera.")
@@ -102,7 +102,7 @@ class GraphResource(Resource):
         return State(lambda: self._describe(graph, diagram), lambda: plain, digest(plain))
 
     def document(self) -> Document:
-        """Return the edges of now, and what is wrong with them."""
+        """Return the current edges and their problems."""
         graph = self._graph()
         return self._describe(graph, self._diagram(graph))
 
@@ -112,7 +112,7 @@ class GraphResource(Resource):
         return edges_document(self.url, views, self.space, urls, problems)
 
     def _graph(self) -> Graph:
-        """Return the graph of now, as it is listed."""
+        """Return the current graph as listed."""
         return listed_graph(self.session.graph, self.session.adapter.capabilities)
 
     def _diagram(self, graph: Graph) -> Diagram:
@@ -140,7 +140,7 @@ class GraphResource(Resource):
         return f"went silent: no message since {since}, {view.rate:.2g} per second before"
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """Return the drawing as SVG, folded where it is large, or whole as DOT, where that is preferred."""
+        """Return the drawing as SVG (folded if large) or DOT (whole) if preferred."""
         wanted = exchange.query.get("format")
         media_type = (
             choose_offer(exchange.accept, (*OFFERS, *_DRAWINGS.values())) if wanted is None else _DRAWINGS.get(wanted)

@@ -44,7 +44,7 @@ def _schema() -> MessageSchema:
 
 
 def recording_form(topics: Mapping[str, str]) -> ValueForm:
-    """Return the form; `topics` are those that there are, with their URLs."""
+    """Return the form; `topics` maps the current topics to their URLs."""
     schema = _schema()
     return ValueForm(
         MessageShape(schema, schema.type.fields),
@@ -59,7 +59,7 @@ def recording_form(topics: Mapping[str, str]) -> ValueForm:
 
 
 def order_of_form(said: Mapping[str, object]) -> dict[str, object]:
-    """Return the order in a form; empty inputs are left out."""
+    """Return the order in a form; empty inputs are omitted."""
     found = {key: said[key] for key in ("name", "before", "duration") if said.get(key)}
     found["topics"] = str(said.get("topics", "")).split() or ["*"]
     if said.get("trigger_condition") or said.get("trigger_resource"):
@@ -116,7 +116,7 @@ def read_order(data: bytes, media_type: str, url: str, *, is_form: bool = False)
 
 
 def order_of(said: Mapping[str, object]) -> RecordingOrder:
-    """Return the order that these members are. Raises a 422 Problem that names what is wrong."""
+    """Return the order with these members. Raises a 422 Problem that names the invalid member."""
     unknown = said.keys() - {"name", "topics", "before", "duration", "trigger"}
     if unknown:
         known = "name, topics, before, duration, trigger"

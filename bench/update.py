@@ -66,7 +66,7 @@ class Way(NamedTuple):
     body: Callable[[str], str]
 
     def script(self, folder: Path) -> Path:
-        """Return a script for wrk, each body of which publishes a different text."""
+        """Return a script for wrk that publishes a different text with each request."""
         path = folder / f"{self.method.lower()}.lua"
         path.write_text(SCRIPT.format(method=self.method, media_type=self.media_type, body=self.body("WORDS")))
         return path

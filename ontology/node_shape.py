@@ -55,9 +55,9 @@ def many(
 class NodeShape(Generic[T]):
     """Table of the properties of a class.
 
-    `types` are those of each node, the first of which is the target of the shape unless `target` defines another in
-    Turtle; `more` are other constraints. `is_listed`: lists describe nodes too, with fewer properties. `required` are
-    the properties that documents have, and lists omit.
+    `types` are those of each node; the first is the target of the shape unless `target` defines another in Turtle.
+    `more` are other constraints. `is_listed`: lists describe nodes too, with fewer properties. `required` are the
+    properties that documents have, and lists omit.
     """
 
     properties: tuple[Property[T], ...] = ()
@@ -98,12 +98,8 @@ class NodeShape(Generic[T]):
         triples = [Triple(node, rdf.type, kind) for kind in self._types]
         for predicate, get, term, url_of, is_many in self._rows:
             found = get(thing)
-            if is_many:
-                for each in found:
-                    value = term(each) if term else NamedNode(url_of(space, each) if url_of else node.value + each)
-                    triples.append(Triple(node, predicate, value))
-            elif found is not None:
-                value = term(found) if term else NamedNode(url_of(space, found) if url_of else node.value + found)
+            for each in found if is_many else () if found is None else (found,):
+                value = term(each) if term else NamedNode(url_of(space, each) if url_of else node.value + each)
                 triples.append(Triple(node, predicate, value))
         for predicate, value in more:
             if value is not None:

@@ -276,7 +276,7 @@ class Participant:
         return self._of(self._hidden.get_service_names_and_types_by_node, node)
 
     def clients_of(self, node: str) -> Names:
-        """Return the services of which a node has clients."""
+        """Return the services that a node has clients of."""
         return self._of(self._hidden.get_client_names_and_types_by_node, node)
 
     def counts(self, topic: str) -> tuple[int, int]:

@@ -28,8 +28,8 @@ class LiveRecorder:
     ) -> None:
         """Record the topics for which `selects` is true to a sink from now on.
 
-        `begin` is called first, on the recorder's thread; it returns the topics of which it gave the sink earlier
-        messages. For all other topics the sink receives the earlier latched messages.
+        `begin` is called first, on the recorder's thread; it passes earlier messages to the sink and returns their
+        topics. For all other topics the sink receives the earlier latched messages.
         """
         self._selectors[sink] = selects
         self._feed.assign()

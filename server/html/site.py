@@ -62,7 +62,7 @@ class Site:
     stop_token: str = ""
     """CSRF token of the form that stops the robot; empty if the reader cannot stop it."""
     stopped: str = ""
-    """Who stopped the robot, when and why, as a sentence; empty if it is not stopped."""
+    """Sentence that says who stopped the robot, when and why; empty if it is not stopped."""
     stop_warning: str = ""
     """Why the robot may still move although it is stopped, as a sentence, or empty."""
     may: Callable[[str, str], bool] = field(default=_anything, compare=False)

@@ -25,7 +25,7 @@ _BEGIN_SECONDS = 0.05
 _log = logging.getLogger("rosld")
 
 
-class HoldNote(Struct, frozen=True):
+class HoldNote(Struct, frozen=True, forbid_unknown_fields=True):
     """An active hold. `node` is the ROS name of the rosld that publishes it; `type` the message type.
 
     `data` is the final message, encoded for the robot's system, None for none; `then` is the final message as

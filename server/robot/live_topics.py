@@ -116,11 +116,6 @@ class LiveTopics:
         """Return the currently subscribed topics."""
         return list(self._live)
 
-    def recently_read(self) -> Sequence[str]:
-        """Return the subscribed topics, except recorded ones that were not read lately."""
-        horizon = loop_time() - self._settings.idle
-        return [topic for topic, live in self._live.items() if live.eager or live.watches or live.read_at >= horizon]
-
     def always_subscribed(self) -> Sequence[str]:
         """Return the topics that stay subscribed to without being read, as far as they have a value."""
         there = self._adapter.graph.topics

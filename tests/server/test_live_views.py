@@ -19,6 +19,7 @@ from rosld.ontology.document import Document
 from rosld.server.resources import topics as topic_resources
 from rosld.server.robot.live_topics import LiveTopics
 from tests.server.robots.made_up import MadeUp, Serving
+from tests.waiting import once_started
 
 pytestmark = pytest.mark.slow
 
@@ -28,11 +29,8 @@ PREFIX = f"PREFIX v: <{VECTOR}#> "
 
 
 def rows(http: httpx.Client, query: str) -> list[list[str]]:
-    """Return the rows of a SELECT, again while a large robot is still being read (503)."""
-    answers = (
-        http.get("/sparql", params={"query": PREFIX + query}, headers={"Accept": "text/csv"}) for _ in range(1000)
-    )
-    answer = next(answer for answer in answers if answer.status_code != 503)
+    """Return the rows of a SELECT."""
+    answer = once_started(lambda: http.get("/sparql", params={"query": PREFIX + query}, headers={"Accept": "text/csv"}))
     assert answer.status_code == 200, answer.text
     return list(csv.reader(io.StringIO(answer.text)))[1:]
 

@@ -304,13 +304,13 @@ async def follow_action(session: Session, action: str) -> None:
 def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> JsonSchema:
     """Return the JSON schema of a goal's state."""
     parts = {} if schema is None else {"goal": schema.goal, "feedback": schema.feedback, "result": schema.result}
-    told = {name: nullable(schemas.read(part)) for name, part in parts.items()}
+    messages = {name: nullable(schemas.read(part)) for name, part in parts.items()}
     status: JsonSchema = {"type": "string", "enum": [status.value for status in GoalStatus]}
     words: JsonSchema = {
         "id": TEXT, "url": URI, "action": TEXT, "sentBy": nullable(TEXT), "ended": nullable(TEXT), "status": status,
         "words": nullable(TEXT),
     }  # fmt: skip
-    return json_object(optional={**words, **told})
+    return json_object(optional={**words, **messages})
 
 
 def _failure(space: Space, action: str, sending: GoalSubmission) -> Problem | None:

@@ -268,12 +268,14 @@ class ActivityContainer(PagedContainer):
         if self._place is None:
             entries = list(self.receipts.newest_first())
             return self.states.get_or_make(self.url, version, lambda: State(lambda: self._document(entries)))
-        page, told = self._page(self._place)
+        page, entries = self._page(self._place)
 
         return self.states.get_or_make(
             page.url,
             version,
-            lambda: State(lambda: page.add_to(self._document(told)), part=page.part, headers=page.headers(self.links)),
+            lambda: State(
+                lambda: page.add_to(self._document(entries)), part=page.part, headers=page.headers(self.links)
+            ),
         )
 
     def _document(self, entries: list[JournalEntry]) -> Document:
@@ -299,13 +301,13 @@ class ActivityContainer(PagedContainer):
         space = self.space
         receipts = self.receipts
         entries = islice(receipts.newest_first(), 1000) if self._place is None else self._page(self._place)[1]
-        told = {space.activity(entry.id): entry.receipt for entry in entries}
+        by_url = {space.activity(entry.id): entry.receipt for entry in entries}
         return MemberColumns(
             ("when", "who", "answer", "words"),
-            {url: _cells(receipt) for url, receipt in told.items()},
+            {url: _cells(receipt) for url, receipt in by_url.items()},
             len(receipts),
-            {url: f"{receipt.method} {receipt.url.removeprefix(space.base[:-1])}" for url, receipt in told.items()},
-            frozenset(url for url, receipt in told.items() if receipt.status >= 400),
+            {url: f"{receipt.method} {receipt.url.removeprefix(space.base[:-1])}" for url, receipt in by_url.items()},
+            frozenset(url for url, receipt in by_url.items() if receipt.status >= 400),
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
@@ -345,11 +347,11 @@ def _receipt_state(space: Space, entry: JournalEntry) -> State:
 
 def _json(receipt: Receipt) -> bytes:
     """Return a receipt as plain JSON without missing values."""
-    told = receipt._asdict()
+    members = receipt._asdict()
     times = {"started": date_time(0, receipt.started_ns), "ended": date_time(0, receipt.ended_ns)}
     kept = {
         name: value
-        for name, value in told.items()
+        for name, value in members.items()
         if name not in ("number", "started_ns", "ended_ns") and value not in (None, (), "", False)
     }
     return orjson.dumps({**kept, **times, "seconds": receipt.seconds})

@@ -311,13 +311,13 @@ class NamespaceContainer(NamespaceBase):
     async def state(self) -> State:
         now = self._listed()
         members = self._members(now)
-        page, told = (None, members) if self._place is None else self._page(self._place, members)
-        outlines = self._outlines(now, told, self.latest_values.of_topic)
+        page, part = (None, members) if self._place is None else self._page(self._place, members)
+        outlines = self._outlines(now, part, self.latest_values.of_topic)
         values = self._values_below()
         version = (members, now.is_name, outlines, values, now.graph.revision)
 
         def make() -> State:
-            document = self._document(now, told, outlines)
+            document = self._document(now, part, outlines)
             if page is None:
                 return State(lambda: document, token=token)
             headers = page.headers(self.links)
@@ -334,12 +334,12 @@ class NamespaceContainer(NamespaceBase):
         return (members, now.is_name, now.leaves_out, outlines), lambda: self._document(now, members, outlines)
 
     def _outlines(
-        self, now: ListedNamespace, told: Members, latest_of: Callable[[str], LatestValue | None]
+        self, now: ListedNamespace, part: Members, latest_of: Callable[[str], LatestValue | None]
     ) -> tuple[MemberOutline, ...]:
         """Return outlines of these members: names, types, latest values of topics."""
         things, space = things_of(now.graph, self.route), self.space
-        leaves = ((*self.namespace, leaf) for leaf in told.leaves)
-        below = ((*self.namespace, inner) for inner in told.namespaces)
+        leaves = ((*self.namespace, leaf) for leaf in part.leaves)
+        below = ((*self.namespace, inner) for inner in part.namespaces)
         return (
             *(_outline(latest_of, things, names.join(path), space.url(self.route, path)) for path in leaves),
             *(MemberOutline(space.container(self.route, path), None, names.join(path)) for path in below),
@@ -356,8 +356,8 @@ class NamespaceContainer(NamespaceBase):
     def _document(self, now: ListedNamespace, members: Members, outlines: Sequence[MemberOutline]) -> Document:
         """Return the document of the namespace with outlines of its members."""
         document = now.document(self.space, members)
-        told = (triple for outline in outlines for triple in member_triples(outline, self.space))
-        return replace(document, triples=(*document.triples, *told))
+        outlined = (triple for outline in outlines for triple in member_triples(outline, self.space))
+        return replace(document, triples=(*document.triples, *outlined))
 
     def _members(self, now: ListedNamespace) -> Members:
         """Return the members. Raises a Problem if there is no such namespace."""
@@ -368,8 +368,8 @@ class NamespaceContainer(NamespaceBase):
 
     def _page(self, place: PagePosition, members: Members) -> tuple[LdpPage, Members]:
         """Return a page and its members."""
-        page, told = page_of_names(self._sequence, place, member_keys(members))
-        return page, members_from_keys(told)
+        page, page_keys = page_of_names(self._sequence, place, member_keys(members))
+        return page, members_from_keys(page_keys)
 
     def listing(self) -> MemberColumns | None:
         """Return everything below on this page, with types and endpoints."""
@@ -377,8 +377,8 @@ class NamespaceContainer(NamespaceBase):
         now, space = self._listed(), self.space
         graph, members = now.graph if whole else listed_graph(now.graph, now.capabilities), now.members
         if self.route == "topics":
-            told, total = self._below(graph.topics, members)
-            topics = {name: graph.topics[name] for name in told}
+            found, total = self._below(graph.topics, members)
+            topics = {name: graph.topics[name] for name in found}
             latest = {name: self.latest_values.of_topic(name) for name in topics}
             return MemberColumns(
                 ("type", "latest value", "rate", "publishers", "subscribers"),
@@ -387,16 +387,16 @@ class NamespaceContainer(NamespaceBase):
                 note=_VALUES_NOTE if None in latest.values() else "",
             )
         if self.route == "services":
-            told, total = self._below(graph.services, members)
-            services = {name: graph.services[name] for name in told}
+            found, total = self._below(graph.services, members)
+            services = {name: graph.services[name] for name in found}
             return MemberColumns(
                 ("type", "provider"),
                 {space.service(name): service_cells(service, space) for name, service in services.items()},
                 total,
             )
         if self.route == "actions":
-            told, total = self._below(graph.actions, members)
-            actions = {name: graph.actions[name] for name in told}
+            found, total = self._below(graph.actions, members)
+            actions = {name: graph.actions[name] for name in found}
             return MemberColumns(
                 ("type", "server"),
                 {space.action(name): action_cells(action, space) for name, action in actions.items()},
@@ -410,8 +410,8 @@ class NamespaceContainer(NamespaceBase):
         below = sorted(name for name in known if name.startswith(prefix))
         total = len(below)
         if self._place is not None and members is not None:
-            told = self._page(self._place, members)[1]
-            leaves, inner = set(told.leaves), set(told.namespaces)
+            part = self._page(self._place, members)[1]
+            leaves, inner = set(part.leaves), set(part.namespaces)
             rests = ((name, name[len(prefix) :].partition("/")) for name in below)
             below = [name for name, (part, slash, _) in rests if part in (inner if slash else leaves)]
         return below[:MAX_ROWS], total

@@ -117,8 +117,8 @@ class ParameterBase(NamedResource[Parameter]):
             raise Problem(406, f"{self.name} cannot be shown: {error}.") from error
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        told = self.session.parameter_changes.watch(wake, lambda name: overlaps(name, self.name))
-        return combine_watches(told, call_every(_LOOK_AGAIN_SECONDS, wake))
+        changes = self.session.parameter_changes.watch(wake, lambda name: overlaps(name, self.name))
+        return combine_watches(changes, call_every(_LOOK_AGAIN_SECONDS, wake))
 
     async def _require_settable(self, values: Mapping[str, ParameterValue]) -> None:
         """Raise a Problem or a LoweringError if a value must not be set."""
@@ -276,8 +276,8 @@ class ParameterContainer(NamespaceBase, ParameterBase):
     ) -> tuple[LdpPage, dict[str, ParameterValue]]:
         """Return a page, and its part of the tree."""
         keys = {encode_segment(key) + ("/" if isinstance(tree[key], dict) else ""): key for key in tree}
-        page, told = page_of_names(self._sequence, place, sorted(keys))
-        return page, {keys[end]: tree[keys[end]] for end in told}
+        page, names = page_of_names(self._sequence, place, sorted(keys))
+        return page, {keys[end]: tree[keys[end]] for end in names}
 
     def listing(self) -> MemberColumns | None:
         members = self._listed().members

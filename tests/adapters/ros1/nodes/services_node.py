@@ -15,7 +15,7 @@ def refuses(_):
 
 
 def hangs(_):
-    print("hanging", flush=True)
+    print("hanging\n", end="", flush=True)
     threading.Event().wait(60)
 
 

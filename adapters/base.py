@@ -64,7 +64,6 @@ class Watch(Protocol):
 
     def close(self) -> None:
         """Stop waking. Idempotent."""
-        ...
 
 
 class Subscription(Protocol):
@@ -75,15 +74,12 @@ class Subscription(Protocol):
 
         Cheap: returns the identical sequence object until a new sample arrives.
         """
-        ...
 
     def watch(self, wake: Callable[[], None]) -> Watch:
         """Call `wake` without arguments on the server's loop after new samples arrive; calls are coalesced."""
-        ...
 
     def close(self) -> None:
         """Release this reference to the subscription. Idempotent."""
-        ...
 
 
 class Sink(Protocol):
@@ -91,15 +87,12 @@ class Sink(Protocol):
 
     def graph_changed(self, graph: Graph) -> None:
         """Receive the new computation graph; one call may cover several changes."""
-        ...
 
     def goal_changed(self, goal: GoalId, event: GoalEvent) -> None:
         """Receive an update about a goal of rosld or of another client. Frequent feedback may be dropped."""
-        ...
 
     def parameter_changed(self, name: str) -> None:
         """Receive a hint that the value of this parameter (or of one below it) should be read again."""
-        ...
 
 
 class NullSink:
@@ -173,59 +166,47 @@ class Recording(Protocol):
     @property
     def name(self) -> str:
         """The name in URLs."""
-        ...
 
     @property
     def path(self) -> Path:
         """The path of the file or folder."""
-        ...
 
     @property
     def format(self) -> str:
         """The human-readable name of the file format."""
-        ...
 
     @property
     def first(self) -> int:
         """The index of the first stored message: 0 unless the oldest messages were removed."""
-        ...
 
     @property
     def count(self) -> int:
         """The number of stored messages."""
-        ...
 
     @property
     def start_ns(self) -> int:
         """The time of the first message in ns; 0 if there is none."""
-        ...
 
     @property
     def end_ns(self) -> int:
         """The time of the last message in ns; 0 if there is none."""
-        ...
 
     @property
     def topics(self) -> Mapping[str, RecordedTopic]:
         """The topics by name."""
-        ...
 
     @property
     def silent(self) -> Sequence[str]:
         """The names and globs of chosen topics without a message in this recording."""
-        ...
 
     def message(self, index: int) -> RecordedMessage:
         """Return message `index`; raises NotFound outside first to first+count-1. Fast, but reads the disk."""
-        ...
 
     def topic_of(self, index: int) -> str | None:
         """Return the topic of message `index`, or None if there is no such message. Fast: reads no message."""
-        ...
 
     def messages(self) -> Iterator[RecordedMessage]:
         """Return all messages in recorded order, including those that cannot be decoded."""
-        ...
 
     @property
     def identity(self) -> str:
@@ -233,28 +214,22 @@ class Recording(Protocol):
 
         Message indexes are stable as long as the identifier is.
         """
-        ...
 
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
         """Return bounds in ns on the times of the messages from `start` to `end` (exclusive), or None."""
-        ...
 
     @property
     def settled(self) -> int:
         """The index below which no message will be added."""
-        ...
 
     def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
         """Return the newest message of a topic at a time, or None if there was none. Raises Unreachable."""
-        ...
 
     def select(self, criteria: MessageFilter, limit: int) -> MessagePage:
         """Return at most `limit` messages of about `PAGE_BYTES` in total, reading no others."""
-        ...
 
     def schema(self, ref: TypeRef) -> Schema:
         """Return the schema of a type of this recording; raises UnknownType."""
-        ...
 
 
 class Adapter(Protocol):
@@ -263,28 +238,23 @@ class Adapter(Protocol):
     @property
     def capabilities(self) -> Capabilities:
         """The capabilities of this kind of system; constant."""
-        ...
 
     @property
     def graph(self) -> Graph:
         """The computation graph as last known; immutable."""
-        ...
 
     @property
     def recordings(self) -> Mapping[str, Recording]:
         """The recordings of this source by name; empty for most sources."""
-        ...
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
         """Connect and load the graph. If the robot is off, the graph is Stale and the adapter keeps trying to connect.
 
         Raises Unreachable for permanent failures (a middleware that does not start), NotFound for a missing file.
         """
-        ...
 
     async def close(self) -> None:
         """Disconnect and unregister everything within two seconds. Idempotent."""
-        ...
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
         """Return the operations that ROS allows on a thing now: a pure function of the graph.
@@ -292,26 +262,21 @@ class Adapter(Protocol):
         Unknown things allow nothing, except that a missing topic allows PUBLISH if `creates_topics` and a missing
         parameter allows SET_PARAMETER. A node allows CHANGE_STATE while a transition of its lifecycle is legal.
         """
-        ...
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
         """Return the schema of a type; without a hash, the one in use. Raises UnknownType."""
-        ...
 
     def known_types(self) -> Sequence[TypeRef]:
         """Return the types that are or were in use (listed at `/types/`). Cheap."""
-        ...
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
         """Subscribe to a topic, which may not have a publisher yet. Reference-counted; returns at once."""
-        ...
 
     def age_ns(self, sample: Sample) -> int:
         """Return the nanoseconds since a sample was received, by the wall clock or the playback clock of a recording.
 
         Never negative, cheap and thread-safe.
         """
-        ...
 
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
@@ -320,7 +285,6 @@ class Adapter(Protocol):
 
         Without a subscriber by then, the message is still published and `matched` is 0. Raises Refused, Unreachable.
         """
-        ...
 
     async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
         """Advertise a topic without publishing, so that subscribers are connected before the first message.
@@ -328,15 +292,12 @@ class Adapter(Protocol):
         Waits for a subscriber until `deadline`; having none is no error. An existing advertisement is adapted to the
         current subscribers. Raises Refused, Unreachable, UnknownType.
         """
-        ...
 
     async def unadvertise(self, topic: str) -> None:
         """Stop advertising a topic. Raises NotFound if rosld does not advertise it."""
-        ...
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """Call a service. Raises Refused with the node's message, TimedOut, Unreachable, NotFound."""
-        ...
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         """Send a goal and return its id once it is accepted; the sink receives later updates.
@@ -344,18 +305,15 @@ class Adapter(Protocol):
         `goal` is a goal message of the action type. Raises Refused (with the server's message) if it is rejected,
         TimedOut, Unreachable, NotFound.
         """
-        ...
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
         """Request the cancellation of a goal of any sender; the sink reports the outcome. Raises Refused, NotFound."""
-        ...
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
         """Request the cancellation of all goals of an action, regardless of sender; there may be none.
 
         Raises Refused, TimedOut, Unreachable, NotFound.
         """
-        ...
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """Report all goals of an action, of any sender, to the sink until the watch is closed. Reference-counted.
@@ -363,7 +321,6 @@ class Adapter(Protocol):
         Returns once the sink has received the current goals, at the latest at the deadline. Goals that rosld sent are
         reported until they end even without this watch. Raises NotFound.
         """
-        ...
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """Request a lifecycle transition of a managed node by its label.
@@ -372,19 +329,15 @@ class Adapter(Protocol):
         transition is not legal now (`sent` is NO), if the node did not make it (YES) or if the node has no lifecycle;
         TimedOut, Unreachable, NotFound.
         """
-        ...
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """Return the values of existing names; a namespace has a dict as its value, and `/` holds all parameters."""
-        ...
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """Set parameters, atomically where ROS supports that. Raises Refused naming the parameter."""
-        ...
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
         """Delete parameters and whole namespaces. Raises NotFound."""
-        ...
 
 
 MESSAGE_LIMIT = 256 * 1024 * 1024

@@ -131,11 +131,9 @@ class LiveSystem(Protocol):
     @property
     def graph(self) -> Graph:
         """The computation graph as last known; any thread may read it."""
-        ...
 
     async def close(self) -> None:
         """Leave the system."""
-        ...
 
 
 _S = TypeVar("_S", bound=LiveSystem)

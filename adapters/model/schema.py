@@ -138,15 +138,12 @@ class Codec(Protocol):
 
     def decode(self, data: bytes, encoding: Encoding) -> Message:
         """Return the message in `data`. Raises ValueError if it is not a message of this type."""
-        ...
 
     def encode(self, message: Message, encoding: Encoding) -> bytes:
         """Return the bytes of `message`. Raises ValueError with the name of a field that does not fit."""
-        ...
 
     def build(self, type_name: str, values: Mapping[str, object]) -> Message:
         """Return a message of a type of this schema with these attributes, which must be complete and valid."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

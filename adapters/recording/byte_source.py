@@ -34,11 +34,9 @@ class ByteSource(Protocol):
     @property
     def size(self) -> int:
         """Number of bytes."""
-        ...
 
     def read_up_to(self, at: int, size: int) -> bytes:
         """Return up to `size` bytes from `at`; fewer at the end."""
-        ...
 
 
 def read_exactly(source: ByteSource, at: int, size: int) -> bytes:

@@ -113,45 +113,36 @@ class Storage(Protocol):
     @property
     def format(self) -> str:
         """Name of the format, for people."""
-        ...
 
     @property
     def ros_version(self) -> RosVersion:
         """Version of ROS that wrote the file, which determines the kind of type hashes."""
-        ...
 
     @property
     def connections(self) -> Sequence[RecordedConnection]:
         """Connections; the table refers to them by index."""
-        ...
 
     @property
     def messages(self) -> MessageTable:
         """All messages, in any order."""
-        ...
 
     @property
     def places(self) -> int:
         """The number of places, including the file itself."""
-        ...
 
     @property
     def silent(self) -> Sequence[str]:
         """Selected topics without a message."""
-        ...
 
     @property
     def notes(self) -> Sequence[str]:
         """Defects of the file."""
-        ...
 
     def read(self, place: int, offset: int) -> bytes:
         """Return the bytes of a message. Raises Damaged."""
-        ...
 
     def close(self) -> None:
         """Close the file. Idempotent."""
-        ...
 
 
 class Contents(Struct, frozen=True):

@@ -30,11 +30,9 @@ class PublishedTopics(Protocol):
     @property
     def port(self) -> int:
         """Port of the TCPROS server."""
-        ...
 
     def topics(self) -> Sequence[tuple[str, str]]:
         """Return the published topics, with the ROS names of their types."""
-        ...
 
 
 class SlaveApi:

@@ -19,13 +19,28 @@ Rules, each verified by a contract test:
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeAlias
 
 from msgspec import Struct, field
 
-from rosld.adapters.model import Encoding, GoalEvent, GoalId, Graph, Operation, Qos, Ref, Sample, Schema, TypeRef
+from rosld.adapters.model import (
+    Encoding,
+    GoalEvent,
+    GoalId,
+    Graph,
+    NotFound,
+    Operation,
+    Qos,
+    Ref,
+    Refused,
+    Sample,
+    Schema,
+    TypeRef,
+    without_lifecycle,
+)
 from rosld.adapters.model import ParameterValue as ParameterValue
 
 
@@ -233,7 +248,10 @@ class Recording(Protocol):
 
 
 class Adapter(Protocol):
-    """One ROS system, live, embedded or recorded."""
+    """One ROS system, live, embedded or recorded.
+
+    The methods with a body are those of a system without services, actions and parameters, to which nothing is written.
+    """
 
     @property
     def capabilities(self) -> Capabilities:
@@ -246,6 +264,7 @@ class Adapter(Protocol):
     @property
     def recordings(self) -> Mapping[str, Recording]:
         """The recordings of this source by name; empty for most sources."""
+        return {}
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
         """Connect and load the graph. If the robot is off, the graph is Stale and the adapter keeps trying to connect.
@@ -277,6 +296,7 @@ class Adapter(Protocol):
 
         Never negative, cheap and thread-safe.
         """
+        return max(0, time.time_ns() - sample.received_ns)
 
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
@@ -285,6 +305,7 @@ class Adapter(Protocol):
 
         Without a subscriber by then, the message is still published and `matched` is 0. Raises Refused, Unreachable.
         """
+        raise _refusal(self)
 
     async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
         """Advertise a topic without publishing, so that subscribers are connected before the first message.
@@ -292,12 +313,15 @@ class Adapter(Protocol):
         Waits for a subscriber until `deadline`; having none is no error. An existing advertisement is adapted to the
         current subscribers. Raises Refused, Unreachable, UnknownType.
         """
+        raise _refusal(self)
 
     async def unadvertise(self, topic: str) -> None:
         """Stop advertising a topic. Raises NotFound if rosld does not advertise it."""
+        raise NotFound(f"rosld does not advertise {topic}")
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """Call a service. Raises Refused with the node's message, TimedOut, Unreachable, NotFound."""
+        raise _missing(self, "service", service)
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         """Send a goal and return its id once it is accepted; the sink receives later updates.
@@ -305,15 +329,18 @@ class Adapter(Protocol):
         `goal` is a goal message of the action type. Raises Refused (with the server's message) if it is rejected,
         TimedOut, Unreachable, NotFound.
         """
+        raise _missing(self, "action", action)
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
         """Request the cancellation of a goal of any sender; the sink reports the outcome. Raises Refused, NotFound."""
+        raise _missing(self, "action", goal.action)
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
         """Request the cancellation of all goals of an action, regardless of sender; there may be none.
 
         Raises Refused, TimedOut, Unreachable, NotFound.
         """
+        raise _missing(self, "action", action)
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """Report all goals of an action, of any sender, to the sink until the watch is closed. Reference-counted.
@@ -321,6 +348,7 @@ class Adapter(Protocol):
         Returns once the sink has received the current goals, at the latest at the deadline. Goals that rosld sent are
         reported until they end even without this watch. Raises NotFound.
         """
+        raise _missing(self, "action", action)
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """Request a lifecycle transition of a managed node by its label.
@@ -329,15 +357,27 @@ class Adapter(Protocol):
         transition is not legal now (`sent` is NO), if the node did not make it (YES) or if the node has no lifecycle;
         TimedOut, Unreachable, NotFound.
         """
+        raise without_lifecycle(self.graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """Return the values of existing names; a namespace has a dict as its value, and `/` holds all parameters."""
+        return {}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """Set parameters, atomically where ROS supports that. Raises Refused naming the parameter."""
+        raise _refusal(self)
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
         """Delete parameters and whole namespaces. Raises NotFound."""
+        raise _missing(self, "parameter", ", ".join(names))
+
+
+def _refusal(adapter: Adapter) -> Refused:
+    return Refused(f"a {adapter.capabilities.system} cannot be written to")
+
+
+def _missing(adapter: Adapter, kind: str, name: str) -> NotFound:
+    return NotFound(f"there is no {kind} {name}: a {adapter.capabilities.system} has none")
 
 
 MESSAGE_LIMIT = 256 * 1024 * 1024

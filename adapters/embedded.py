@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import asyncio
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from types import MappingProxyType
 from typing import NamedTuple
 
-from rosld.adapters.base import AdapterOptions, Capabilities, Published, Recording, Sink, Subscription, Watch
+from rosld.adapters.base import Adapter, AdapterOptions, Capabilities, Published, Sink, Subscription, Watch
 from rosld.adapters.local_topics import LocalTopics
 from rosld.adapters.model import (
     Action,
@@ -33,7 +34,6 @@ from rosld.adapters.model import (
     Parameter,
     Ref,
     Refused,
-    Sample,
     Schema,
     Service,
     ServiceSchema,
@@ -42,10 +42,8 @@ from rosld.adapters.model import (
     TypeRef,
     Unreachable,
     freeze,
-    without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
-from rosld.adapters.model.parameter import ParameterValue
 
 ROSLD = "/rosld"
 """The node that rosld appears as while it advertises a topic."""
@@ -59,15 +57,8 @@ class Interface(NamedTuple):
     latched: bool = False
 
 
-class NoWatch:
-    """A watch without effect, for changes that are announced in any case."""
-
-    def close(self) -> None:
-        """Do nothing."""
-
-
-class EmbeddedRobot(ABC):
-    """The part of an `Adapter` that is the same for all embedded robots.
+class EmbeddedRobot(Adapter):
+    """Base class of embedded robots.
 
     A subclass says what the robot publishes, subscribes to and serves, by name, and overrides what it can do; by
     default it has no parameters and pursues no goals.
@@ -109,11 +100,6 @@ class EmbeddedRobot(ABC):
         """The robot, and rosld while it advertises something."""
         return self._graph
 
-    @property
-    def recordings(self) -> Mapping[str, Recording]:
-        """None."""
-        return MappingProxyType({})
-
     async def open(self, sink: Sink, *, deadline: float) -> None:
         """Start the robot. Idempotent."""
         if self._sink is None:
@@ -150,10 +136,6 @@ class EmbeddedRobot(ABC):
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
         """Subscribe to a topic, whether or not it exists yet."""
         return self._topics.subscribe(topic, depth)
-
-    def age_ns(self, sample: Sample) -> int:
-        """Return the time since a sample was received."""
-        return max(0, time.time_ns() - sample.received_ns)
 
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
@@ -203,26 +185,7 @@ class EmbeddedRobot(ABC):
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """Return a watch without effect: all goals are announced in any case."""
         self._action(action)
-        return NoWatch()
-
-    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the values of those names that exist."""
-        self._require_reachable(deadline)
-        return {}
-
-    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Set all of them or, when one is refused, none."""
-        self._require_reachable(deadline)
-        raise Refused(f"the {self._capabilities.system} has no parameters")
-
-    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """Delete all of them or, when one is not there, none."""
-        self._require_reachable(deadline)
-        raise Refused(f"the {self._capabilities.system} has no parameters")
-
-    async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """Raise Refused: the nodes have no lifecycles; NotFound for an unknown node."""
-        raise without_lifecycle(self._graph.nodes, node)
+        return ExitStack()
 
     @abstractmethod
     def _start(self) -> None:

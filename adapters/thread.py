@@ -10,11 +10,11 @@ import asyncio
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
-from rosld.adapters.base import Recording
-from rosld.adapters.model import Graph, Refused, RosError, Sample, Schema, TimedOut, TypeRef, Unreachable
+from rosld.adapters.base import Adapter
+from rosld.adapters.model import Graph, Refused, RosError, Schema, TimedOut, TypeRef, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 
 _T = TypeVar("_T")
@@ -139,8 +139,8 @@ class LiveSystem(Protocol):
 _S = TypeVar("_S", bound=LiveSystem)
 
 
-class ThreadAdapter(Generic[_S]):
-    """The part of an `Adapter` that is the same for all systems reached from a thread of their own."""
+class ThreadAdapter(Adapter, Generic[_S]):
+    """Base class of adapters of systems that are reached from a thread of their own."""
 
     def __init__(self, library: TypeLibrary, own_node: str) -> None:
         self._library = library
@@ -153,11 +153,6 @@ class ThreadAdapter(Generic[_S]):
     def graph(self) -> Graph:
         """The computation graph as last known."""
         return self._system.graph if self._system else self._graph
-
-    @property
-    def recordings(self) -> Mapping[str, Recording]:
-        """None: this is a live system."""
-        return {}
 
     async def close(self) -> None:
         """Leave the system within two seconds, even if it hangs. Idempotent."""
@@ -177,10 +172,6 @@ class ThreadAdapter(Generic[_S]):
         typed += [action.type for action in graph.actions.values() if action.type is not None]
         types.update(dict.fromkeys(ref for ref in typed if ref.hash or ref.name not in named))
         return list(types)
-
-    def age_ns(self, sample: Sample) -> int:
-        """Return the time since a sample was received, simulated time or not."""
-        return max(0, time.time_ns() - sample.received_ns)
 
     def _running(self) -> tuple[IoThread, _S]:
         if self._thread is None or self._system is None or self._closing is not None:
@@ -210,20 +201,6 @@ class ThreadAdapter(Generic[_S]):
             except (asyncio.TimeoutError, RosError):
                 pass
         await thread.stop(max(0.2, _CLOSE_SECONDS - (time.monotonic() - began)))
-
-
-class GoalWatch:
-    """A watch of the goals of an action; `stop` runs on the thread."""
-
-    def __init__(self, thread: IoThread, stop: Callable[[], None]) -> None:
-        self._thread = thread
-        self._stop: Callable[[], None] | None = stop
-
-    def close(self) -> None:
-        """Stop following the goals. Idempotent."""
-        stop, self._stop = self._stop, None
-        if stop is not None:
-            self._thread.post(stop)
 
 
 def thread_time(deadline: float) -> float:

@@ -4,32 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import NamedTuple, Protocol, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias
 
 from rosld.adapters.aircraft.flight import Declined, Flight, set_heading, set_power, set_speed, start, stop
-from rosld.adapters.model import Message
 
 Values: TypeAlias = Mapping[str, object]
 Answer: TypeAlias = "tuple[Flight, Values]"
-
-
-class _Text(Protocol):
-    data: str
-
-
-class _Number(Protocol):
-    data: float
 
 
 class AircraftService(NamedTuple):
     """A service: its type, and its function of a flight, a request and a time."""
 
     type: str
-    answer: Callable[[Flight, Message, int], Answer]
+    answer: Callable[[Flight, Any, int], Answer]
 
 
-def _command(act: Callable[[Flight, Message, int], Flight], done: str) -> Callable[[Flight, Message, int], Answer]:
-    def answer(flight: Flight, request: Message, now_ns: int) -> Answer:
+def _command(act: Callable[[Flight, Any, int], Flight], done: str) -> Callable[[Flight, Any, int], Answer]:
+    def answer(flight: Flight, request: Any, now_ns: int) -> Answer:
         try:
             return act(flight, request, now_ns), {"success": True, "message": done}
         except Declined as words:
@@ -38,15 +29,11 @@ def _command(act: Callable[[Flight, Message, int], Flight], done: str) -> Callab
     return answer
 
 
-def _question(query: Callable[[Flight], object]) -> Callable[[Flight, Message, int], Answer]:
-    def answer(flight: Flight, _request: Message, _now_ns: int) -> Answer:
+def _question(query: Callable[[Flight], object]) -> Callable[[Flight, Any, int], Answer]:
+    def answer(flight: Flight, _request: Any, _now_ns: int) -> Answer:
         return flight, {"data": query(flight)}
 
     return answer
-
-
-def _number(request: Message) -> float:
-    return cast(_Number, request).data
 
 
 SERVICES: Mapping[str, AircraftService] = MappingProxyType(
@@ -59,16 +46,16 @@ SERVICES: Mapping[str, AircraftService] = MappingProxyType(
         ),
         "/aircraft/set_power": AircraftService(
             "rosld_aircraft/srv/SetText",
-            _command(lambda flight, request, now: set_power(flight, cast(_Text, request).data, now), "power set"),
+            _command(lambda flight, request, now: set_power(flight, request.data, now), "power set"),
         ),
         "/aircraft/get_power": AircraftService("rosld_aircraft/srv/GetText", _question(lambda flight: flight.power)),
         "/aircraft/engine/set_speed": AircraftService(
             "rosld_aircraft/srv/SetNumber",
-            _command(lambda flight, request, now: set_speed(flight, _number(request), now), "speed set"),
+            _command(lambda flight, request, now: set_speed(flight, request.data, now), "speed set"),
         ),
         "/aircraft/engine/set_direction": AircraftService(
             "rosld_aircraft/srv/SetNumber",
-            _command(lambda flight, request, now: set_heading(flight, _number(request), now), "direction set"),
+            _command(lambda flight, request, now: set_heading(flight, request.data, now), "direction set"),
         ),
         "/aircraft/engine/get_direction": AircraftService(
             "rosld_aircraft/srv/GetNumber", _question(lambda flight: flight.direction)

@@ -6,7 +6,7 @@ A description has names, types and default values of fields, but neither constan
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
+from typing import Any
 
 from rosld.adapters.model.definition import written_form
 from rosld.adapters.model.library import SEPARATOR
@@ -40,34 +40,11 @@ _PARTS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-class FieldTypeMessage(Protocol):
-    """type_description_interfaces/msg/FieldType."""
-
-    type_id: int
-    capacity: int
-    string_capacity: int
-    nested_type_name: str
-
-
-class FieldMessage(Protocol):
-    """type_description_interfaces/msg/Field."""
-
-    name: str
-    type: FieldTypeMessage
-    default_value: str
-
-
-class IndividualTypeMessage(Protocol):
-    """type_description_interfaces/msg/IndividualTypeDescription."""
-
-    type_name: str
-    fields: Sequence[FieldMessage]
-
-
-def definition_of(name: str, described: Iterable[IndividualTypeMessage]) -> str:
+def definition_of(name: str, described: Iterable[Any]) -> str:
     """Return the definition of a message, service or action, with the messages that it nests appended.
 
-    `described` are the type and all that it refers to. Raises ValueError naming a type that is missing or impossible.
+    `described` are the type and all that it refers to (type_description_interfaces/msg/IndividualTypeDescription).
+    Raises ValueError naming a type that is missing or impossible.
     """
     fields = {each.type_name: each.fields for each in described}
     parts = [f"{name}{end}" for end in _PARTS[written_form(name)]]
@@ -79,7 +56,7 @@ def definition_of(name: str, described: Iterable[IndividualTypeMessage]) -> str:
     return "\n".join([whole, *(f"{SEPARATOR}\nMSG: {_short(each)}\n{_text(fields[each])}" for each in nested)]) + "\n"
 
 
-def _types_within(parts: Sequence[str], fields: Mapping[str, Sequence[FieldMessage]]) -> list[str]:
+def _types_within(parts: Sequence[str], fields: Mapping[str, Sequence[Any]]) -> list[str]:
     """Return these types and all that they nest. Raises ValueError if one is not described."""
     visited: dict[str, None] = {}
     pending = list(parts)
@@ -94,17 +71,18 @@ def _types_within(parts: Sequence[str], fields: Mapping[str, Sequence[FieldMessa
     return list(visited)
 
 
-def _text(fields: Sequence[FieldMessage]) -> str:
+def _text(fields: Sequence[Any]) -> str:
     parts = ((_type(field.type), field.name, _default(field)) for field in fields if field.name != _DUMMY)
     return "\n".join(" ".join(filter(None, each)) for each in parts)
 
 
-def _default(field: FieldMessage) -> str:
+def _default(field: Any) -> str:
     """Return the default value of a field as in a definition, or an empty string. Descriptions use Python's notation.
 
     Strings that a definition cannot contain are omitted: there, a line break or a comment ends the string.
     """
-    text, (block, kind) = field.default_value, divmod(field.type.type_id, _BLOCK)
+    text = str(field.default_value)
+    block, kind = divmod(field.type.type_id, _BLOCK)
     if not text or kind == _NESTED or any(each in text for each in "\n\r#="):
         return ""
     if block:
@@ -112,7 +90,7 @@ def _default(field: FieldMessage) -> str:
     return '"' + text.replace('"', '\\"') + '"' if kind in _STRINGS else text
 
 
-def _type(message: FieldTypeMessage) -> str:
+def _type(message: Any) -> str:
     block, kind = divmod(message.type_id, _BLOCK)
     if block >= len(_SUFFIXES):
         raise ValueError(f"unknown field type id {message.type_id}")

@@ -9,24 +9,23 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, InvalidStateError
+from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
-from typing import NoReturn
 
 from msgspec.structs import replace
 
-from rosld.adapters.base import AdapterOptions, Capabilities, Published, Recording, Sink, Subscription, Watch
+from rosld.adapters.base import Adapter, AdapterOptions, Capabilities, Recording, Sink, Subscription
 from rosld.adapters.model import (
     Encoding,
     Endpoint,
-    GoalId,
     Graph,
     Kind,
     Node,
     NotFound,
     Operation,
     Ref,
-    Refused,
     Sample,
     Schema,
     Topic,
@@ -34,11 +33,9 @@ from rosld.adapters.model import (
     UnknownType,
     Unreachable,
     freeze,
-    without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.mcap import MAGIC
-from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.recording import mcap, rosbag1
 from rosld.adapters.recording.bag import Bag, log
 from rosld.adapters.recording.part import WHOLE, Part
@@ -86,10 +83,9 @@ def recording_name(path: Path) -> str:
 
 _UNFORESEEN = (ArithmeticError, AssertionError, LookupError, MemoryError, RecursionError, TypeError, ValueError)
 """Errors that reading a file may raise: it is untrusted, and may be malformed in unforeseen ways."""
-_READ_ONLY = "a recording cannot be written to"
 
 
-class RecordingAdapter:
+class RecordingAdapter(Adapter):
     """A recording as an `Adapter`. Starts playing when opened, by `clock` (monotonic ns)."""
 
     def __init__(
@@ -146,7 +142,7 @@ class RecordingAdapter:
             return
         span = max(deadline - asyncio.get_running_loop().time(), 0)
         budget = OpenBudget(self._options.recording_index_limit)
-        reading = asyncio.ensure_future(_on_a_thread(lambda: self._open(budget), lambda bag: bag.close()))
+        reading = asyncio.ensure_future(_on_a_thread(lambda: self._open(budget)))
         try:
             previous = -1
             while not (await asyncio.wait({reading}, timeout=span))[0]:
@@ -195,56 +191,6 @@ class RecordingAdapter:
             return 0
         playback = self._playback(self._bag)
         return playback.since(Position(sample.epoch, sample.received_ns - self._bag.start_ns), self._elapsed_ns())
-
-    async def publish(
-        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
-    ) -> Published:
-        """Raise Refused."""
-        _refuse()
-
-    async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
-        """Raise Refused."""
-        _refuse()
-
-    async def unadvertise(self, topic: str) -> None:
-        """Raise NotFound: nothing is advertised here."""
-        raise NotFound(f"rosld does not advertise {topic}")
-
-    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Raise NotFound: recordings have no services."""
-        raise NotFound(f"there is no service {service}: a recording has none")
-
-    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """Raise NotFound: recordings have no actions."""
-        raise NotFound(f"there is no action {action}: a recording has none")
-
-    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """Raise NotFound: recordings have no actions."""
-        raise NotFound(f"there is no action {goal.action}: a recording has none")
-
-    async def cancel_goals(self, action: str, *, deadline: float) -> None:
-        """Raise NotFound: recordings have no actions."""
-        raise NotFound(f"there is no action {action}: a recording has none")
-
-    async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """Raise NotFound: recordings have no actions."""
-        raise NotFound(f"there is no action {action}: a recording has none")
-
-    async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """Raise Refused, because recorded nodes have no lifecycles, or NotFound for a missing node."""
-        raise without_lifecycle(self._graph.nodes, node)
-
-    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return nothing: recordings have no parameters."""
-        return {}
-
-    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Raise Refused."""
-        _refuse()
-
-    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """Raise NotFound: recordings have no parameters."""
-        raise NotFound(f"there is no parameter {', '.join(names)}: a recording has none")
 
     def _open(self, budget: OpenBudget) -> Bag:
         try:
@@ -307,35 +253,21 @@ def _topic(bag: Bag, name: str) -> Topic:
     return Topic(name, tuple(types), tuple(endpoints), unreadable=bag.topics[name].unreadable)
 
 
-async def _on_a_thread(work: Callable[[], Bag], discard: Callable[[Bag], None]) -> Bag:
-    """Run `work` in a daemon thread; if the wait is cancelled, discard its result."""
-    loop = asyncio.get_running_loop()
-    done: asyncio.Future[Bag] = loop.create_future()
-
-    def settle(bag: Bag | None, error: BaseException | None) -> None:
-        if done.cancelled():
-            if bag is not None:
-                discard(bag)
-        elif error is not None:
-            done.set_exception(error)
-        elif bag is not None:
-            done.set_result(bag)
+async def _on_a_thread(work: Callable[[], Bag]) -> Bag:
+    """Run `work` in a daemon thread; if the wait is cancelled, close the bag that it returns."""
+    done: Future[Bag] = Future()
 
     def run() -> None:
-        bag, error = None, None
+        bag = None
         try:
             bag = work()
-        except BaseException as raised:
-            error = raised
-        try:
-            loop.call_soon_threadsafe(settle, bag, error)
-        except RuntimeError:  # the event loop is closed, and nobody waits any more
+            done.set_result(bag)
+        except InvalidStateError:  # nobody waits any more
             if bag is not None:
-                discard(bag)
+                bag.close()
+        except BaseException as error:
+            with suppress(InvalidStateError):
+                done.set_exception(error)
 
     threading.Thread(target=run, name="rosld-recording", daemon=True).start()
-    return await done
-
-
-def _refuse() -> NoReturn:
-    raise Refused(_READ_ONLY)
+    return await asyncio.wrap_future(done)

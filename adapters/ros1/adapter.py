@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from urllib.parse import urlsplit
 
@@ -18,7 +19,6 @@ from rosld.adapters.model import (
     Ref,
     Schema,
     TypeRef,
-    without_lifecycle,
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.parameter import ParameterValue
@@ -27,12 +27,9 @@ from rosld.adapters.ros1.publication import Publication
 from rosld.adapters.ros1.stale_registrations import own_name
 from rosld.adapters.ros1.subscription import Feed, Slot, TopicSubscription
 from rosld.adapters.ros1.types import definition_folders
-from rosld.adapters.thread import GoalWatch, IoThread, ThreadAdapter, seconds_left, thread_time
+from rosld.adapters.thread import IoThread, ThreadAdapter, seconds_left, thread_time
 
 DEFAULT_MASTER = "http://localhost:11311"
-_CAPABILITIES = Capabilities(
-    "ROS 1", Encoding.ROS1, writes=True, creates_topics=True, parameter_trees=True, parameter_server=True
-)
 _instances = itertools.count()
 
 
@@ -66,7 +63,11 @@ def adapter(source: str, options: AdapterOptions) -> Ros1Adapter:
 
 
 class Ros1Adapter(ThreadAdapter[Client]):
-    """A ROS 1 system, reached through its master. Implements `Adapter`."""
+    """A ROS 1 system, reached through its master."""
+
+    capabilities = Capabilities(
+        "ROS 1", Encoding.ROS1, writes=True, creates_topics=True, parameter_trees=True, parameter_server=True
+    )
 
     def __init__(self, master: tuple[str, int], options: AdapterOptions) -> None:
         super().__init__(TypeLibrary(ros_version=1, folders=definition_folders(options.types)), node_name())
@@ -75,11 +76,6 @@ class Ros1Adapter(ThreadAdapter[Client]):
         self._feeds: dict[str, Feed] = {}
         self._own: dict[str, Slot] = {}
         self._own_epochs = itertools.count()
-
-    @property
-    def capabilities(self) -> Capabilities:
-        """Capabilities for reading and writing everything in ROS 1."""
-        return _CAPABILITIES
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
         """Connect to the master. If it does not respond, the graph is Stale until it does."""
@@ -200,11 +196,9 @@ class Ros1Adapter(ThreadAdapter[Client]):
         """Follow an action's goals until the watch is closed, without registering at the master."""
         thread, client = self._running()
         await thread.run(client.actions.start_following(action, thread_time(deadline)))
-        return GoalWatch(thread, partial(client.actions.stop_following, action))
-
-    async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """Raise Refused, because ROS 1 has no managed nodes, or NotFound for a missing node."""
-        raise without_lifecycle(self.graph.nodes, node)
+        watch = ExitStack()
+        watch.callback(thread.post, partial(client.actions.stop_following, action))
+        return watch
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         """Return the current values of existing parameters, from the master."""

@@ -216,13 +216,7 @@ class Actions:
             await asyncio.sleep(_PAUSE)
 
     def _arm(self, state: _ActionState, reader: Reader, take: Callable[[_ActionState], None]) -> None:
-        self._waiter.arm(reader.handle, "reader", partial(self._ready, state, reader, take))
-
-    def _ready(self, state: _ActionState, reader: Reader, take: Callable[[_ActionState], None]) -> None:
-        try:
-            self._loop.call_soon_threadsafe(self._take_and_rearm, state, reader, take)
-        except RuntimeError:
-            pass  # the thread's event loop has ended
+        self._waiter.arm(reader.handle, "reader", partial(self._take_and_rearm, state, reader, take))
 
     def _take_and_rearm(self, state: _ActionState, reader: Reader, take: Callable[[_ActionState], None]) -> None:
         if self._states.get(state.name) is state:

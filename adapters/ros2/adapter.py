@@ -6,6 +6,7 @@ import itertools
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 
 from msgspec import Struct, field
@@ -32,11 +33,7 @@ from rosld.adapters.ros2.source import Source, read_source, require_rclpy
 from rosld.adapters.ros2.system import System, unique_name
 from rosld.adapters.ros2.types import definition_folders
 from rosld.adapters.ros2.values import operations_on
-from rosld.adapters.thread import GoalWatch, IoThread, ThreadAdapter, thread_time
-
-_CAPABILITIES = Capabilities(
-    "ROS 2", Encoding.CDR, writes=True, creates_topics=True, parameter_trees=False, qos=True, hidden_names=True
-)
+from rosld.adapters.thread import IoThread, ThreadAdapter, thread_time
 
 
 def adapter(source: str, options: AdapterOptions) -> Ros2Adapter:
@@ -59,7 +56,11 @@ class _OwnMessages(Struct):
 
 
 class Ros2Adapter(ThreadAdapter[System]):
-    """A ROS 2 system, reached through rclpy. Implements `Adapter`."""
+    """A ROS 2 system, reached through rclpy."""
+
+    capabilities = Capabilities(
+        "ROS 2", Encoding.CDR, writes=True, creates_topics=True, parameter_trees=False, qos=True, hidden_names=True
+    )
 
     def __init__(self, source: Source, options: AdapterOptions) -> None:
         library = TypeLibrary(ros_version=2, folders=definition_folders(options.types))
@@ -70,11 +71,6 @@ class Ros2Adapter(ThreadAdapter[System]):
         self._epochs: dict[str, int] = {}
         self._own: dict[str, _OwnMessages] = {}
         self._own_epochs = itertools.count()
-
-    @property
-    def capabilities(self) -> Capabilities:
-        """Capabilities for reading and writing everything in ROS 2."""
-        return _CAPABILITIES
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
         """Join the domain and discover the system. Raises Unreachable if the middleware cannot be started."""
@@ -208,7 +204,9 @@ class Ros2Adapter(ThreadAdapter[System]):
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
         """Report all goals of an action to the sink. Raises NotFound."""
         thread, system = self._running()
-        return GoalWatch(thread, await thread.run(system.follow_goals(action, thread_time(deadline))))
+        watch = ExitStack()
+        watch.callback(thread.post, await thread.run(system.follow_goals(action, thread_time(deadline))))
+        return watch
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """Request a transition of a managed node. Raises Refused, TimedOut, Unreachable, NotFound."""

@@ -135,13 +135,7 @@ class Calls:
             entry.pending.pop(number, None)
 
     def _arm(self, entry: _ServiceClient) -> None:
-        self._waiter.arm(entry.client.handle, "client", partial(self._ready, entry))
-
-    def _ready(self, entry: _ServiceClient) -> None:
-        try:
-            self._loop.call_soon_threadsafe(self._take, entry)
-        except RuntimeError:
-            pass  # the thread's event loop has ended
+        self._waiter.arm(entry.client.handle, "client", partial(self._take, entry))
 
     def _take(self, entry: _ServiceClient) -> None:
         while (reply := entry.client.take()) is not None:

@@ -10,6 +10,7 @@ import asyncio
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 
 from msgspec import Struct, field
 
@@ -218,7 +219,8 @@ class Feed:
         before, self._reader = self._reader, reader
         if before is not None:
             self._waiter.disarm(before.handle)
-        self._soon(self._rearm)
+        with suppress(RuntimeError):  # the server's event loop has ended
+            self._server.call_soon_threadsafe(self._rearm)
         return before
 
     def add_own_sample(self, sample: Sample) -> None:
@@ -285,10 +287,7 @@ class Feed:
         """Request notification of the next message, if there are watches."""
         reader = self._reader
         if reader is not None and len(self.watches):
-            self._waiter.arm(reader.handle, "reader", self._ready)
-
-    def _ready(self) -> None:
-        self._soon(self._on_message)
+            self._waiter.arm(reader.handle, "reader", self._on_message)
 
     def _on_message(self) -> None:
         if not len(self.watches):
@@ -296,12 +295,6 @@ class Feed:
         if self._drain():
             self.watches.notify()
         self._rearm()
-
-    def _soon(self, action: Callable[[], None]) -> None:
-        try:
-            self._server.call_soon_threadsafe(action)
-        except RuntimeError:
-            pass  # the server's event loop has ended
 
 
 class TopicSubscription:

@@ -154,13 +154,7 @@ class Lifecycles(Struct):
 
     def _arm(self, node: str, entry: _ManagedNode) -> None:
         if entry.reader is not None:
-            self.waiter.arm(entry.reader.handle, "reader", partial(self._ready, node, entry))
-
-    def _ready(self, node: str, entry: _ManagedNode) -> None:
-        try:
-            self._loop.call_soon_threadsafe(self._take, node, entry)
-        except RuntimeError:
-            pass  # the thread's event loop has ended
+            self.waiter.arm(entry.reader.handle, "reader", partial(self._take, node, entry))
 
     def _take(self, node: str, entry: _ManagedNode) -> None:
         """Process events. A transition is shown at once, because the node may not respond during it."""

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, cast
 
 from rosld.adapters.model import UnknownType
-
-_classes: dict[str, Any] = {}
-"""Classes that were found, by type name; others are not cached because they may be installed later."""
 
 
 def class_problem(type: str) -> str | None:
@@ -49,10 +47,9 @@ def _deserialize(kind: Any, data: bytes) -> object:
         raise ValueError(f"cannot decode {len(data)} bytes as {kind.__name__}: {error}") from error
 
 
+@cache
 def message_class(type: str) -> Any:
     """Return the Python class of a type, with its type support. Raises UnknownType with the missing part."""
-    if (cached := _classes.get(type)) is not None:
-        return cached
     package, _, rest = type.partition("/")
     kind, _, name = rest.partition("/")
     if not (package.isidentifier() and kind in ("msg", "srv", "action") and name.isidentifier()):
@@ -60,6 +57,7 @@ def message_class(type: str) -> Any:
     try:
         found = _within(importlib.import_module(f"{package}.{kind}"), kind, name)
         importlib.import_module("rclpy.type_support").check_for_type_support(found)
+        return found
     except ModuleNotFoundError as error:
         raise UnknownType(
             f"unknown type {type}: its package {package} is not installed; source the workspace that contains it "
@@ -69,8 +67,6 @@ def message_class(type: str) -> Any:
         raise UnknownType(f"unknown type {type}: the installed package {package} does not contain it") from error
     except Exception as error:
         raise UnknownType(f"the type {type} cannot be used: {error}") from error
-    _classes[type] = found
-    return found
 
 
 _DERIVED = {

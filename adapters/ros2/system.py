@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import re
 import socket
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from rosld.adapters.base import AdapterOptions, Sink
 from rosld.adapters.model import Action, GoalId, Graph, NotFound, Refused, TypeRef
@@ -20,7 +20,7 @@ from rosld.adapters.ros2.feeds import Feed
 from rosld.adapters.ros2.graph import GraphInputs, foreign_nodes, of_action
 from rosld.adapters.ros2.lifecycle import Lifecycles
 from rosld.adapters.ros2.message_classes import request_of, serialize
-from rosld.adapters.ros2.middleware import ParameterChange, Participant
+from rosld.adapters.ros2.middleware import ParameterEvents, Participant
 from rosld.adapters.ros2.parameters import Parameters
 from rosld.adapters.ros2.publications import Publications
 from rosld.adapters.ros2.readers import Readers
@@ -65,7 +65,7 @@ class System:
     async def open(self, until: float) -> None:
         """Poll until discovery is complete, which no event reports."""
         self.waiter.start()
-        watch_parameter_events(self._participant, self.waiter, self._parameter_event)
+        self._take_parameter_events(self._participant.parameter_events())
         loop = asyncio.get_running_loop()
         changed = loop.time()
         until = min(until, changed + _DISCOVERY)
@@ -234,32 +234,12 @@ class System:
         for name in names:
             self._sink.parameter_changed(name)
 
-    def _parameter_event(self, change: ParameterChange) -> None:
-        if change.node not in self._ours():
-            self.parameters.event(change)
-        self._discovery.poll_soon()  # a new node reports its parameters, so poll soon
-
-
-def watch_parameter_events(
-    participant: Participant, waiter: Waiter, on_event: Callable[[ParameterChange], None]
-) -> None:
-    """Call `on_event` on the current event loop with each change of any node's parameters, until the waiter stops."""
-    events = participant.parameter_events()
-    loop = asyncio.get_running_loop()
-
-    def arm() -> None:
-        waiter.arm(events.handle, "reader", ready)
-
-    def ready() -> None:
-        with contextlib.suppress(RuntimeError):  # the thread's event loop has ended
-            loop.call_soon_threadsafe(take)
-
-    def take() -> None:
+    def _take_parameter_events(self, events: ParameterEvents) -> None:
         while (change := events.take()) is not None:
-            on_event(change)
-        arm()
-
-    arm()
+            if change.node not in self._ours():
+                self.parameters.event(change)
+            self._discovery.poll_soon()  # a new node reports its parameters, so poll soon
+        self.waiter.arm(events.handle, "reader", partial(self._take_parameter_events, events))
 
 
 def hidden_name() -> str:

@@ -8,11 +8,11 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Any, cast
 
 from rosld.adapters.model import RosError, Schema, TypeRef, UnknownType
 from rosld.adapters.model.definition import written_form
-from rosld.adapters.model.description import IndividualTypeMessage, definition_of
+from rosld.adapters.model.description import definition_of
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.message_classes import class_problem, make_message
@@ -36,29 +36,6 @@ def definition_folders(
         if (share / "ament_index").is_dir() or share.parent != Path(prefix):
             candidates += [folder for kind in _KINDS for folder in sorted(share.glob(f"*/{kind}"))]
     return [folder for folder in candidates if folder.is_dir()]
-
-
-class SourceMessage(Protocol):
-    """type_description_interfaces/msg/TypeSource."""
-
-    type_name: str
-    encoding: str
-    raw_file_contents: str
-
-
-class WholeMessage(Protocol):
-    """type_description_interfaces/msg/TypeDescription."""
-
-    type_description: IndividualTypeMessage
-    referenced_type_descriptions: Sequence[IndividualTypeMessage]
-
-
-class DescriptionMessage(Protocol):
-    """The response of type_description_interfaces/srv/GetTypeDescription."""
-
-    successful: bool
-    type_description: WholeMessage
-    type_sources: Sequence[SourceMessage]
 
 
 class Types:
@@ -122,14 +99,14 @@ class Types:
         service = f"{node}/get_type_description"
         try:
             request = make_message(_DESCRIPTION, fields, "Request")
-            answer = cast(DescriptionMessage, await self._calls.call(service, _DESCRIPTION, request, until))
+            answer = cast(Any, await self._calls.call(service, _DESCRIPTION, request, until))
             if not answer.successful:
                 return None
             return await asyncio.get_running_loop().run_in_executor(None, self._learn, ref, answer)
         except (RosError, ValueError):
             return None
 
-    def _learn(self, ref: TypeRef, answer: DescriptionMessage) -> Schema:
+    def _learn(self, ref: TypeRef, answer: Any) -> Schema:
         """Return the schema in a node's response: from sources, which have constants and comments, else as described.
 
         Raises ValueError if neither can be read or has the right hash.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from typing import Protocol
+from typing import Any
 
 from rosld.adapters.model import Descriptor, Operation, ParameterType, Range, Refused
 from rosld.adapters.model.parameter import ParameterValue
@@ -44,14 +44,8 @@ _SCALARS: Mapping[type, Tag] = {
 }
 
 
-class ValueMessage(Protocol):
-    """rcl_interfaces/msg/ParameterValue."""
-
-    type: int
-
-
-def from_message(message: ValueMessage) -> ParameterValue | None:
-    """Return the value, or None if the parameter is declared but not set."""
+def from_message(message: Any) -> ParameterValue | None:
+    """Return the value of a rcl_interfaces/ParameterValue, or None if the parameter is declared but not set."""
     try:
         tag = Tag(message.type)
     except ValueError:
@@ -140,28 +134,8 @@ def operations_on(descriptor: Descriptor | None) -> frozenset[Operation]:
     return _WRITE if descriptor is not None and descriptor.type is not None else _WRITE | {Operation.DELETE_PARAMETER}
 
 
-class RangeMessage(Protocol):
-    """rcl_interfaces/msg/IntegerRange or FloatingPointRange."""
-
-    from_value: float
-    to_value: float
-    step: float
-
-
-class DescriptorMessage(Protocol):
-    """rcl_interfaces/msg/ParameterDescriptor."""
-
-    type: int
-    description: str
-    additional_constraints: str
-    read_only: bool
-    dynamic_typing: bool
-    integer_range: Sequence[RangeMessage]
-    floating_point_range: Sequence[RangeMessage]
-
-
-def descriptor_of(message: DescriptorMessage) -> Descriptor | None:
-    """Return the declaration in a message, or None for an undeclared parameter."""
+def descriptor_of(message: Any) -> Descriptor | None:
+    """Return the declaration in a rcl_interfaces/ParameterDescriptor, or None for an undeclared parameter."""
     dynamic = bool(message.dynamic_typing)
     type = None if dynamic else _TYPES.get(message.type)
     descriptor = Descriptor(
@@ -180,7 +154,7 @@ def _text(text: str) -> str:
     return short.encode("utf-8", "replace").decode()
 
 
-def _range(type: ParameterType | None, message: DescriptorMessage) -> Range | None:
+def _range(type: ParameterType | None, message: Any) -> Range | None:
     """Return the range for values of the type; the ends may be in any order, the step may have any sign."""
     if type is ParameterType.INTEGER:
         ranges = message.integer_range

@@ -5,9 +5,11 @@ A handle is armed for a single notification, so that many messages cost one wake
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from functools import partial
 from typing import Literal
 
 from rosld.adapters.ros2.middleware import Handle, Participant
@@ -30,9 +32,9 @@ class Waiter:
         self._thread.start()
 
     def arm(self, handle: Handle, kind: Literal["reader", "client"], ready: Callable[[], None]) -> None:
-        """Call `ready` once, on the waiting thread, when something can be taken; it must be fast."""
+        """Call `ready` once, on the running event loop, when something can be taken."""
         with self._lock:
-            self._armed[id(handle)] = handle, kind, ready
+            self._armed[id(handle)] = handle, kind, partial(_call_soon, asyncio.get_running_loop(), ready)
         self._wakeup.trigger()
 
     def disarm(self, handle: Handle) -> None:
@@ -86,3 +88,8 @@ class Waiter:
                 return False
             del self._armed[key]
             return True
+
+
+def _call_soon(loop: asyncio.AbstractEventLoop, ready: Callable[[], None]) -> None:
+    with suppress(RuntimeError):  # the loop has ended
+        loop.call_soon_threadsafe(ready)

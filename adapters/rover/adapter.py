@@ -11,6 +11,7 @@ import secrets
 import time
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 from rosld.adapters.base import AdapterOptions, Capabilities, Published, Subscription
 from rosld.adapters.embedded import EmbeddedRobot, Interface
@@ -44,7 +45,7 @@ from rosld.adapters.rover.graph import (
     with_values,
 )
 from rosld.adapters.rover.messages import ENCODING, View, encode, log, navigation_feedback, navigation_result
-from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome, goal_of, switch_of, velocity_of
+from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome, goal_of, velocity_of
 from rosld.adapters.rover.settings import DEFAULTS, NODE
 from rosld.adapters.rover.simulation import Simulation, Start
 
@@ -147,11 +148,11 @@ class Rover(EmbeddedRobot):
         self._require_reachable(deadline)
         refuse_deletion(names)
 
-    def _answer(self, service: str, request: Message) -> Mapping[str, object]:
+    def _answer(self, service: str, request: Any) -> Mapping[str, object]:
         now = time.monotonic()
         if service != SET_LIGHTS:
             return self._simulation.dock(now)._asdict()
-        answer = self._simulation.switch_lights(switch_of(request), now)
+        answer = self._simulation.switch_lights(request.data, now)
         self._publish_current(LIGHTS)
         return answer._asdict()
 

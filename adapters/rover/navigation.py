@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Protocol, cast
+from typing import Any
 
-from rosld.adapters.model import Message
 from rosld.adapters.rover.drive import RADIUS, Limits, Motion, Velocity, is_blocked_ahead, wrap_angle
 from rosld.adapters.rover.planner import Point, find_path, grid_of, path_length
 from rosld.adapters.rover.world import World
@@ -150,77 +149,13 @@ def _turn(angle: float, limits: Limits) -> float:
     return max(-limits.turn_rate, min(limits.turn_rate, 3.0 * angle))
 
 
-class Vector(Protocol):
-    """geometry_msgs/Vector3, or Point."""
-
-    x: float
-    y: float
-    z: float
-
-
-class Twist(Protocol):
-    """geometry_msgs/Twist."""
-
-    linear: Vector
-    angular: Vector
-
-
-class Quaternion(Vector, Protocol):
-    """geometry_msgs/Quaternion."""
-
-    w: float
-
-
-class PoseMessage(Protocol):
-    """geometry_msgs/Pose."""
-
-    position: Vector
-    orientation: Quaternion
-
-
-class Header(Protocol):
-    """std_msgs/Header."""
-
-    frame_id: str
-
-
-class PoseStamped(Protocol):
-    """geometry_msgs/PoseStamped."""
-
-    header: Header
-    pose: PoseMessage
-
-
-class NavigateToGoal(Protocol):
-    """rosld_rover/NavigateTo's goal."""
-
-    pose: PoseStamped
-
-
-class SetBoolRequest(Protocol):
-    """std_srvs/SetBool's request."""
-
-    data: bool
-
-
-def velocity_of(message: Message | Twist) -> Velocity:
+def velocity_of(twist: Any) -> Velocity:
     """Return the part of a geometry_msgs/Twist that a differential drive can follow."""
-    twist = cast(Twist, message)
     return Velocity(twist.linear.x, twist.angular.z)
 
 
-def goal_of(message: Message | NavigateToGoal) -> Pose:
-    """Return the pose of a goal. Raises Declined for an invalid one."""
-    stamped = cast(NavigateToGoal, message).pose
-    position, orientation = stamped.pose.position, stamped.pose.orientation
-    return check_goal(
-        stamped.header.frame_id,
-        position.x,
-        position.y,
-        heading_of(orientation.x, orientation.y, orientation.z, orientation.w),
-    )
-
-
-def switch_of(message: Message | SetBoolRequest) -> bool:
-    """Return the value in a std_srvs/SetBool request."""
-    return cast(SetBoolRequest, message).data
+def goal_of(message: Any) -> Pose:
+    """Return the pose in a goal of rosld_rover/NavigateTo. Raises Declined for an invalid one."""
+    stamped = message.pose
+    at, facing = stamped.pose.position, stamped.pose.orientation
+    return check_goal(stamped.header.frame_id, at.x, at.y, heading_of(facing.x, facing.y, facing.z, facing.w))

@@ -14,7 +14,6 @@ import httpx
 import pytest
 
 from rosld.adapters.base import Watch
-from rosld.adapters.embedded import NoWatch
 from rosld.adapters.model import Action, GoalEvent, GoalId, GoalStatus, TypeRef
 from tests.server.conftest import Served
 from tests.server.robots.made_up import ROBOT, MadeUp, Serving, served
@@ -149,7 +148,7 @@ class Mover(MadeUp):
         return GoalId(action, "1")
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        return NoWatch()
+        return ExitStack()
 
     def tell(self, event: GoalEvent) -> None:
         """Report an event of the goal."""

@@ -43,7 +43,7 @@ from rosld.adapters.rover.graph import (
     Periodic,
 )
 from rosld.adapters.rover.messages import View, navigation_feedback, navigation_result
-from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome, goal_of, switch_of, velocity_of
+from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome, goal_of, velocity_of
 from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS, Declaration, problem_of
 from rosld.adapters.rover.simulation import LogLine, Severity, Simulation, Start, read_source
 
@@ -141,7 +141,7 @@ class Rover(Node):
         self.simulation.command(velocity_of(twist), time.monotonic())
 
     def switch_lights(self, request: Any, response: Any) -> Any:
-        answer = self.simulation.switch_lights(switch_of(request), time.monotonic())
+        answer = self.simulation.switch_lights(request.data, time.monotonic())
         self.say(LIGHTS, LATCHED[LIGHTS])
         return fill(response, answer._asdict())
 

@@ -34,7 +34,7 @@ from rosld.adapters.rover.graph import (
     SET_LIGHTS,
 )
 from rosld.adapters.rover.messages import View, navigation_feedback, navigation_result
-from rosld.adapters.rover.navigation import Declined, Outcome, goal_of, switch_of, velocity_of
+from rosld.adapters.rover.navigation import Declined, Outcome, goal_of, velocity_of
 from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS
 from rosld.adapters.rover.simulation import Severity, Simulation, read_source
 
@@ -175,7 +175,7 @@ class Rover:
 
     def switch_lights(self, request):
         with self.lock:
-            answer = self.simulation.switch_lights(switch_of(request), time.monotonic())
+            answer = self.simulation.switch_lights(request.data, time.monotonic())
             self.say(LIGHTS, LATCHED[LIGHTS])
         return SetBoolResponse(*answer)
 

@@ -17,6 +17,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Iterable, Mapping, Sequence, Set
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,6 @@ import pytest
 from mcap.reader import NonSeekingReader
 
 from rosld.adapters.base import Capabilities, Sink, Watch
-from rosld.adapters.embedded import NoWatch
 from rosld.adapters.model import (
     Action,
     ActionSchema,
@@ -245,7 +245,7 @@ class Secretive(MadeUp):
         pass
 
     async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        return NoWatch()
+        return ExitStack()
 
     def _tell(self, id: GoalId, event: GoalEvent) -> None:
         if self.sink is not None:

@@ -223,16 +223,13 @@ async def fill_with_garbage(process: QueryProcess) -> None:
     assert await graphs(process) == [graph]
 
 
-def test_a_query_process_full_of_garbage_is_replaced() -> None:
-    async def run() -> None:
-        process = QueryProcess(2, 4)
-        await process.start()
-        try:
-            await asyncio.wait_for(fill_with_garbage(process), PATIENCE)
-        finally:
-            await process.close()
-
-    asyncio.run(run())
+async def test_a_query_process_full_of_garbage_is_replaced() -> None:
+    process = QueryProcess(2, 4)
+    await process.start()
+    try:
+        await asyncio.wait_for(fill_with_garbage(process), PATIENCE)
+    finally:
+        await process.close()
 
 
 def test_a_need_beyond_the_available_memory_is_refused_with_both_sizes() -> None:

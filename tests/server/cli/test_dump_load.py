@@ -137,116 +137,107 @@ def test_what_is_there_gives_way_and_what_was_deleted_since_comes_back(folder: P
     assert len(list((folder / "blobs").iterdir())) == 1
 
 
-def test_a_running_server_is_dumped_as_it_was_at_one_moment(tmp_path: Path) -> None:
-    async def serve() -> None:
-        folder = tmp_path / "data"
-        bind_base(folder, BASE)
+async def test_a_running_server_is_dumped_as_it_was_at_one_moment(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    bind_base(folder, BASE)
+    records = open_records(folder)
+    await put_file(records, "data/file", b"0")
+    stop = asyncio.Event()
+
+    async def write() -> int:
+        count = 0
+        while not stop.is_set():
+            count += 1
+            number = b"%d" % count
+            blob = await records.receive(sent(number * 1000), "text/plain", limit=10**6)
+            await records.write(
+                Put("data/file", Model.NON_RDF_SOURCE, blob=blob),
+                Put("data/a", Model.RDF_SOURCE, b'<http://a/b> <http://a/b> "%s" .\n' % number),
+            )
+        return count
+
+    writing = asyncio.create_task(write())
+    for number in range(3):
+        archive = tmp_path / f"{number}.tar.gz"
+        await asyncio.to_thread(done, "dump", folder, "-o", archive)
+        await asyncio.to_thread(done, "load", archive, tmp_path / f"copy{number}")
+    stop.set()
+    assert await writing > 3
+    await records.close()
+    assert len(list((folder / "blobs").iterdir())) == 1  # no blobs of the dumps are left
+    for number in range(3):
+        copy = open_records(tmp_path / f"copy{number}")
+        file, triples = copy.get("data/file"), copy.get("data/a")
+        assert file is not None
+        assert file.blob is not None
+        if triples is not None:
+            word = triples.triples.split(b'"')[1]
+            assert copy.file(file.blob).read_bytes() == word * 1000
+        await copy.close()
+
+
+async def test_a_running_server_goes_on_with_what_is_loaded(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    bind_base(folder, BASE)
+    with lock(folder):
         records = open_records(folder)
-        await put_file(records, "data/file", b"0")
-        stop = asyncio.Event()
-
-        async def write() -> int:
-            count = 0
-            while not stop.is_set():
-                count += 1
-                number = b"%d" % count
-                blob = await records.receive(sent(number * 1000), "text/plain", limit=10**6)
-                await records.write(
-                    Put("data/file", Model.NON_RDF_SOURCE, blob=blob),
-                    Put("data/a", Model.RDF_SOURCE, b'<http://a/b> <http://a/b> "%s" .\n' % number),
-                )
-            return count
-
-        writing = asyncio.create_task(write())
-        for number in range(3):
-            archive = tmp_path / f"{number}.tar.gz"
-            await asyncio.to_thread(done, "dump", folder, "-o", archive)
-            await asyncio.to_thread(done, "load", archive, tmp_path / f"copy{number}")
-        stop.set()
-        assert await writing > 3
-        await records.close()
-        assert len(list((folder / "blobs").iterdir())) == 1  # no blobs of the dumps are left
-        for number in range(3):
-            copy = open_records(tmp_path / f"copy{number}")
-            file, triples = copy.get("data/file"), copy.get("data/a")
-            assert file is not None
-            assert file.blob is not None
-            if triples is not None:
-                word = triples.triples.split(b'"')[1]
-                assert copy.file(file.blob).read_bytes() == word * 1000
-            await copy.close()
-
-    asyncio.run(serve())
-
-
-def test_a_running_server_goes_on_with_what_is_loaded(tmp_path: Path) -> None:
-    async def serve() -> None:
-        folder = tmp_path / "data"
-        bind_base(folder, BASE)
-        with lock(folder):
-            records = open_records(folder)
-            await fill(records)
-            before = told(records)
-            await asyncio.to_thread(done, "dump", folder, "-o", tmp_path / "d.tar.gz")
-            await records.write(Remove("data/a"), Put("data/later", Model.RDF_SOURCE))
-            old = await put_file(records, "data/c/file", b"new")
-            version, changes, noticed = records.version, list[RecordChange](), asyncio.Event()
-
-            def wake(changed: object) -> None:
-                changes.extend(changed)  # type: ignore[arg-type]
-                noticed.set()
-
-            records.watch(wake)
-            loading = asyncio.create_task(asyncio.to_thread(done, "load", tmp_path / "d.tar.gz", folder))
-            await asyncio.wait_for(noticed.wait(), 60)
-            assert records.file(old).read_bytes() == b"new"  # for a client that has just started reading
-            assert told(records) == before | {"data/later": ()}
-            assert not records.is_tombstone("data/a")
-            assert {one.path: one.is_removed for one in changes} | {"data/old": True} == {
-                path: not before.get(path) for path in told(records)
-            }
-            assert min(one.version for one in changes) > version
-            loaded = max(one.version for one in changes)
-            await loading
-            with pytest.raises(FileNotFoundError):
-                records.file(old)
-            (record,) = await records.write(Put("data/a", Model.RDF_SOURCE))
-            assert record is not None
-            assert record.version > loaded
-            assert records.is_tombstone("data/later")
-            await records.close()
-
-    asyncio.run(serve())
-
-
-def test_a_load_at_full_speed_loses_no_acknowledged_write_after_it(tmp_path: Path) -> None:
-    async def serve() -> None:
-        folder = tmp_path / "data"
-        bind_base(folder, BASE)
-        records = open_records(folder)
-        for batch in range(20):
-            await records.write(*(Put(f"data/{batch}-{n}", Model.RDF_SOURCE, TRIPLES) for n in range(100)))
+        await fill(records)
+        before = told(records)
         await asyncio.to_thread(done, "dump", folder, "-o", tmp_path / "d.tar.gz")
-        acknowledged: list[tuple[int, int]] = []
+        await records.write(Remove("data/a"), Put("data/later", Model.RDF_SOURCE))
+        old = await put_file(records, "data/c/file", b"new")
+        version, changes, noticed = records.version, list[RecordChange](), asyncio.Event()
+
+        def wake(changed: object) -> None:
+            changes.extend(changed)  # type: ignore[arg-type]
+            noticed.set()
+
+        records.watch(wake)
         loading = asyncio.create_task(asyncio.to_thread(done, "load", tmp_path / "d.tar.gz", folder))
-        number = 0
-        while not loading.done() or number < 20:
-            number += 1
-            (record,) = await records.write(Put("data/0-0", Model.RDF_SOURCE, b"%d" % number))
-            assert record is not None
-            acknowledged.append((record.version, number))
-        assert [version for version, _ in acknowledged] == sorted(version for version, _ in acknowledged)
-        found = records.get("data/0-0")
-        assert found is not None
-        assert found.version == acknowledged[-1][0]
-        container = records.get("data/")
-        assert container is not None
-        assert container.count == 2000
-        records.clear_cache()
-        assert records.get("data/") == container
+        await asyncio.wait_for(noticed.wait(), 60)
+        assert records.file(old).read_bytes() == b"new"  # for a client that has just started reading
+        assert told(records) == before | {"data/later": ()}
+        assert not records.is_tombstone("data/a")
+        assert {one.path: one.is_removed for one in changes} | {"data/old": True} == {
+            path: not before.get(path) for path in told(records)
+        }
+        assert min(one.version for one in changes) > version
+        loaded = max(one.version for one in changes)
+        await loading
+        with pytest.raises(FileNotFoundError):
+            records.file(old)
+        (record,) = await records.write(Put("data/a", Model.RDF_SOURCE))
+        assert record is not None
+        assert record.version > loaded
+        assert records.is_tombstone("data/later")
         await records.close()
 
-    asyncio.run(serve())
+
+async def test_a_load_at_full_speed_loses_no_acknowledged_write_after_it(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    bind_base(folder, BASE)
+    records = open_records(folder)
+    for batch in range(20):
+        await records.write(*(Put(f"data/{batch}-{n}", Model.RDF_SOURCE, TRIPLES) for n in range(100)))
+    await asyncio.to_thread(done, "dump", folder, "-o", tmp_path / "d.tar.gz")
+    acknowledged: list[tuple[int, int]] = []
+    loading = asyncio.create_task(asyncio.to_thread(done, "load", tmp_path / "d.tar.gz", folder))
+    number = 0
+    while not loading.done() or number < 20:
+        number += 1
+        (record,) = await records.write(Put("data/0-0", Model.RDF_SOURCE, b"%d" % number))
+        assert record is not None
+        acknowledged.append((record.version, number))
+    assert [version for version, _ in acknowledged] == sorted(version for version, _ in acknowledged)
+    found = records.get("data/0-0")
+    assert found is not None
+    assert found.version == acknowledged[-1][0]
+    container = records.get("data/")
+    assert container is not None
+    assert container.count == 2000
+    records.clear_cache()
+    assert records.get("data/") == container
+    await records.close()
 
 
 def test_a_dump_of_another_base_is_refused_or_rewritten(folder: Path, tmp_path: Path) -> None:

@@ -109,117 +109,99 @@ class Set:
             await asyncio.wait({task})
 
 
-def test_changes_are_told_by_what_happened() -> None:
-    async def run() -> None:
-        one, told = Set(), Told()
-        channel = await one.open()
-        async with one.delivering(channel, told):
-            one.things.become("a")
-            await told.until(1)
-            one.things.become("a", "b")
-            await told.until(2)
-            one.things.become("a")
-            await told.until(3)
-            one.things.become("x", "y", "z")
-            await told.until(4)
-            one.things.become(problem=Problem(404, "gone"))
-            await told.until(5)
-            one.things.become("x")
-            came = await told.until(6)
-            one.things.become(problem=Problem(503, "no robot"))
-            looks = one.things.looks
-            await soon(lambda: one.things.looks > looks)
-            one.things.become("x", "y")
-            assert (await told.until(7))[6]["type"] == "Add", "what cannot be read for a while is no news"
-        assert [activity["type"] for activity in came] == ["Add", "Add", "Remove", "Update", "Delete", "Create"]
-        assert [activity["object"] for activity in came] == [f"{URL}a", f"{URL}b", f"{URL}b", URL, URL, URL]
-        assert [activity.get("target") for activity in came] == [URL, URL, URL, None, None, None]
-        assert "state" not in came[4]
-        assert came[0]["state"] == came[2]["state"] != came[1]["state"]
-        assert len({activity["id"] for activity in came}) == 6
-
-    asyncio.run(run())
-
-
-def test_the_channel_of_a_resource_that_is_gone_for_good_ends() -> None:
-    async def run() -> None:
-        one, told = Set(), Told()
-        channel = await one.open()
-        async with one.delivering(channel, told) as task:
-            one.things.become(problem=Problem(410, "gone"))
-            (last,) = await told.until(1)
-            await asyncio.wait_for(task, 60)
-        assert last["type"] == "Delete"
-        assert not one.channels.has(channel)
-
-    asyncio.run(run())
-
-
-def test_a_receiver_that_stands_still_gets_the_latest_and_nothing_piles_up() -> None:
-    async def run() -> None:
-        one, told = Set(), Told()
-        channel = await one.open()
-        told.takes.clear()
-        async with one.delivering(channel, told):
-            for number in range(200):
-                one.things.become(str(number))
-                await asyncio.sleep(0)
-            looked = one.things.looks
-            told.takes.set()
-            came = await told.until(2)
-            state = one.channels.state_name(await one.things.state())
-        assert looked < 20
-        assert came[-1]["state"] == state
-        assert len(came) == 2
-
-    asyncio.run(run())
-
-
-def test_nothing_is_told_before_the_start() -> None:
-    async def run() -> None:
-        one, told = Set(), Told()
-        began = time.time_ns()
-        channel = await one.open(ChannelRequest(URL, interval=0.01, start_at=began + 300_000_000, state="other"))
-        task = asyncio.create_task(Delivery(one.channels, one.broadcasters, channel, told.send, None).run())
+async def test_changes_are_told_by_what_happened() -> None:
+    one, told = Set(), Told()
+    channel = await one.open()
+    async with one.delivering(channel, told):
+        one.things.become("a")
         await told.until(1)
-        assert time.time_ns() - began >= 290_000_000
-        task.cancel()
-        await asyncio.wait({task})
-
-    asyncio.run(run())
-
-
-def test_channels_without_a_receiver_are_forgotten() -> None:
-    async def run() -> None:
-        one = Set()
-        channel = await one.open()
-        assert one.channels.find(channel.token) is channel
-        channel.since -= notification_channels.IDLE_SECONDS
-        with pytest.raises(Problem, match="subscribe again"):
-            one.channels.find(channel.token)
-        over = await one.open()
-        over.terms = replace(over.terms, end_at=time.time_ns() - 1)
-        with pytest.raises(Problem, match="404"):
-            one.channels.find(over.token)
-        assert len(one.channels) == 0
-        tokens = {(await one.open()).token for _ in range(100)}
-        assert (len(tokens), min(map(len, tokens)) >= 32) == (100, True), "tokens cannot be guessed"
-
-    asyncio.run(run())
+        one.things.become("a", "b")
+        await told.until(2)
+        one.things.become("a")
+        await told.until(3)
+        one.things.become("x", "y", "z")
+        await told.until(4)
+        one.things.become(problem=Problem(404, "gone"))
+        await told.until(5)
+        one.things.become("x")
+        came = await told.until(6)
+        one.things.become(problem=Problem(503, "no robot"))
+        looks = one.things.looks
+        await soon(lambda: one.things.looks > looks)
+        one.things.become("x", "y")
+        assert (await told.until(7))[6]["type"] == "Add", "what cannot be read for a while is no news"
+    assert [activity["type"] for activity in came] == ["Add", "Add", "Remove", "Update", "Delete", "Create"]
+    assert [activity["object"] for activity in came] == [f"{URL}a", f"{URL}b", f"{URL}b", URL, URL, URL]
+    assert [activity.get("target") for activity in came] == [URL, URL, URL, None, None, None]
+    assert "state" not in came[4]
+    assert came[0]["state"] == came[2]["state"] != came[1]["state"]
+    assert len({activity["id"] for activity in came}) == 6
 
 
-def test_when_all_places_are_taken_the_longest_idle_gives_way() -> None:
-    async def run() -> None:
-        one = Set()
-        one.channels = Channels("boot", limit=3)
-        first, second, third = [await one.open() for _ in range(3)]
-        async with one.delivering(first, Told()):
-            fourth = await one.open()
-            assert [one.channels.has(each) for each in (first, second, third, fourth)] == [True, False, True, True]
-            async with one.delivering(third, Told()), one.delivering(fourth, Told()):
-                with pytest.raises(Problem) as caught:
-                    await one.open()
-                assert caught.value.status == 503
-                assert "Retry-After" in caught.value.headers
+async def test_the_channel_of_a_resource_that_is_gone_for_good_ends() -> None:
+    one, told = Set(), Told()
+    channel = await one.open()
+    async with one.delivering(channel, told) as task:
+        one.things.become(problem=Problem(410, "gone"))
+        (last,) = await told.until(1)
+        await asyncio.wait_for(task, 60)
+    assert last["type"] == "Delete"
+    assert not one.channels.has(channel)
 
-    asyncio.run(run())
+
+async def test_a_receiver_that_stands_still_gets_the_latest_and_nothing_piles_up() -> None:
+    one, told = Set(), Told()
+    channel = await one.open()
+    told.takes.clear()
+    async with one.delivering(channel, told):
+        for number in range(200):
+            one.things.become(str(number))
+            await asyncio.sleep(0)
+        looked = one.things.looks
+        told.takes.set()
+        came = await told.until(2)
+        state = one.channels.state_name(await one.things.state())
+    assert looked < 20
+    assert came[-1]["state"] == state
+    assert len(came) == 2
+
+
+async def test_nothing_is_told_before_the_start() -> None:
+    one, told = Set(), Told()
+    began = time.time_ns()
+    channel = await one.open(ChannelRequest(URL, interval=0.01, start_at=began + 300_000_000, state="other"))
+    task = asyncio.create_task(Delivery(one.channels, one.broadcasters, channel, told.send, None).run())
+    await told.until(1)
+    assert time.time_ns() - began >= 290_000_000
+    task.cancel()
+    await asyncio.wait({task})
+
+
+async def test_channels_without_a_receiver_are_forgotten() -> None:
+    one = Set()
+    channel = await one.open()
+    assert one.channels.find(channel.token) is channel
+    channel.since -= notification_channels.IDLE_SECONDS
+    with pytest.raises(Problem, match="subscribe again"):
+        one.channels.find(channel.token)
+    over = await one.open()
+    over.terms = replace(over.terms, end_at=time.time_ns() - 1)
+    with pytest.raises(Problem, match="404"):
+        one.channels.find(over.token)
+    assert len(one.channels) == 0
+    tokens = {(await one.open()).token for _ in range(100)}
+    assert (len(tokens), min(map(len, tokens)) >= 32) == (100, True), "tokens cannot be guessed"
+
+
+async def test_when_all_places_are_taken_the_longest_idle_gives_way() -> None:
+    one = Set()
+    one.channels = Channels("boot", limit=3)
+    first, second, third = [await one.open() for _ in range(3)]
+    async with one.delivering(first, Told()):
+        fourth = await one.open()
+        assert [one.channels.has(each) for each in (first, second, third, fourth)] == [True, False, True, True]
+        async with one.delivering(third, Told()), one.delivering(fourth, Told()):
+            with pytest.raises(Problem) as caught:
+                await one.open()
+            assert caught.value.status == 503
+            assert "Retry-After" in caught.value.headers

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Iterator
 
 from rosld.adapters.base import Subscription
@@ -39,23 +38,17 @@ async def looked(source: Source, feed: TopicFeed, counts: list[int], max_bytes: 
     return feed.depth
 
 
-def test_what_a_busy_moment_deepened_is_made_shallower_once_it_is_over() -> None:
-    async def stall_and_calm() -> None:
-        source = Source()
-        feed = TopicFeed("/imu", source.slot.subscribe(32), 32)
-        stalled = await looked(source, feed, [32, 100, 400, 1500], 32 * MEBIBYTE)
-        assert (stalled, feed.dropped) == (4096, 0)
-        calm = await looked(source, feed, [5] * 1500, 32 * MEBIBYTE)
-        assert (calm, feed.dropped, len(source.slot.latest(4096))) == (64, 0, 64)
-
-    asyncio.run(stall_and_calm())
+async def test_what_a_busy_moment_deepened_is_made_shallower_once_it_is_over() -> None:
+    source = Source()
+    feed = TopicFeed("/imu", source.slot.subscribe(32), 32)
+    stalled = await looked(source, feed, [32, 100, 400, 1500], 32 * MEBIBYTE)
+    assert (stalled, feed.dropped) == (4096, 0)
+    calm = await looked(source, feed, [5] * 1500, 32 * MEBIBYTE)
+    assert (calm, feed.dropped, len(source.slot.latest(4096))) == (64, 0, 64)
 
 
-def test_a_subscription_keeps_no_more_than_its_share_of_memory() -> None:
-    async def stall() -> None:
-        source = Source()
-        feed = TopicFeed("/imu", source.slot.subscribe(32), 32)
-        depth = await looked(source, feed, [400, 400, 400, 400], MEBIBYTE // 4)
-        assert depth * 1024 <= MEBIBYTE // 4
-
-    asyncio.run(stall())
+async def test_a_subscription_keeps_no_more_than_its_share_of_memory() -> None:
+    source = Source()
+    feed = TopicFeed("/imu", source.slot.subscribe(32), 32)
+    depth = await looked(source, feed, [400, 400, 400, 400], MEBIBYTE // 4)
+    assert depth * 1024 <= MEBIBYTE // 4

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 import dataclasses
 import math
-from collections.abc import Awaitable, Iterable
-from typing import Any, TypeVar, cast
+from collections.abc import Iterable
+from typing import Any, cast
 
 import pytest
 from msgspec.structs import replace
@@ -53,12 +52,6 @@ from rosld.server.robot.calls import UnreadableResponse
 from rosld.server.robot.session import Session
 from rosld.server.settings import Settings
 from rosld.shapes.value import OpenShape, ScalarShape, value_shape
-
-T = TypeVar("T")
-
-
-def run(main: Awaitable[T]) -> T:
-    return asyncio.run(main)  # type: ignore[arg-type]
 
 
 def writer_of(robot: Session, own: Property) -> Writer | None:
@@ -161,43 +154,37 @@ def test_why_nothing_writes_is_told_of_every_writer() -> None:
     assert reason_of(robot()[0], Property(X, OpenShape())) == ("/robot/x has no writable setter, parameter or topic.")
 
 
-def test_the_answer_of_a_setter_is_the_outcome_of_the_write() -> None:
-    async def main() -> None:
-        own, fake = robot()
-        written: list[tuple[Kind, str]] = []
-        own.add_write_listener(lambda kind, name: written.append((kind, name)))
-        for answer in (b"\x01\x00\x00\x00\x00", b"\x01\x04\x00\x00\x00done"):
-            fake.answer = answer
-            assert await carry_out(own, plan_write(own, writable(), 1)) is WriteOutcome.DONE
-        for answer, words in ((b"\x00\x08\x00\x00\x00too fast", "too fast"), (b"\x00\x00\x00\x00\x00", None)):
-            fake.answer = answer
-            with pytest.raises(Refused) as refused:
-                await carry_out(own, plan_write(own, writable(), 1))
-            assert (refused.value.words, refused.value.sent) == (words, Sent.YES)
-        fake.answer = b"\x00"
-        with pytest.raises(UnreadableResponse) as unreadable:
+async def test_the_answer_of_a_setter_is_the_outcome_of_the_write() -> None:
+    own, fake = robot()
+    written: list[tuple[Kind, str]] = []
+    own.add_write_listener(lambda kind, name: written.append((kind, name)))
+    for answer in (b"\x01\x00\x00\x00\x00", b"\x01\x04\x00\x00\x00done"):
+        fake.answer = answer
+        assert await carry_out(own, plan_write(own, writable(), 1)) is WriteOutcome.DONE
+    for answer, words in ((b"\x00\x08\x00\x00\x00too fast", "too fast"), (b"\x00\x00\x00\x00\x00", None)):
+        fake.answer = answer
+        with pytest.raises(Refused) as refused:
             await carry_out(own, plan_write(own, writable(), 1))
-        assert unreadable.value.sent is Sent.YES
-        fake.answer = TimedOut("no answer", sent=Sent.MAYBE)
-        with pytest.raises(TimedOut) as late:
-            await carry_out(own, plan_write(own, writable(), 1))
-        assert late.value is fake.answer
-        assert written == [(Kind.SERVICE, "/robot/set_x")] * len(fake.sent)
-        with pytest.raises(LoweringError, match="beyond its range"):
-            plan_write(own, writable(), 1e300)
+        assert (refused.value.words, refused.value.sent) == (words, Sent.YES)
+    fake.answer = b"\x00"
+    with pytest.raises(UnreadableResponse) as unreadable:
+        await carry_out(own, plan_write(own, writable(), 1))
+    assert unreadable.value.sent is Sent.YES
+    fake.answer = TimedOut("no answer", sent=Sent.MAYBE)
+    with pytest.raises(TimedOut) as late:
+        await carry_out(own, plan_write(own, writable(), 1))
+    assert late.value is fake.answer
+    assert written == [(Kind.SERVICE, "/robot/set_x")] * len(fake.sent)
+    with pytest.raises(LoweringError, match="beyond its range"):
+        plan_write(own, writable(), 1e300)
 
-    run(main())
 
-
-def test_a_message_that_nobody_heard_is_told() -> None:
-    async def main() -> None:
-        own, fake = robot()
-        fake.matched = 0
-        assert await carry_out(own, plan_write(own, writable(TOPIC), 1)) is WriteOutcome.UNHEARD
-        fake.matched = 1
-        assert await carry_out(own, plan_write(own, writable(TOPIC), 1)) is WriteOutcome.DONE
-
-    run(main())
+async def test_a_message_that_nobody_heard_is_told() -> None:
+    own, fake = robot()
+    fake.matched = 0
+    assert await carry_out(own, plan_write(own, writable(TOPIC), 1)) is WriteOutcome.UNHEARD
+    fake.matched = 1
+    assert await carry_out(own, plan_write(own, writable(TOPIC), 1)) is WriteOutcome.DONE
 
 
 def test_a_parameter_beside_something_typed_keeps_to_that_type() -> None:

@@ -9,7 +9,8 @@ import re
 import struct
 import threading
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
@@ -34,20 +35,16 @@ class Robot:
         encoding = Encoding.ROS1
 
 
-def keeping(
-    scenario: Callable[[Goals], Awaitable[None]], *, limit: int = 100, age: float = 3600.0, schema: Schema = FLY
-) -> None:
-    async def run() -> None:
-        assert isinstance(schema, ActionSchema)
-        robot: Any = Robot()
-        goals = Goals(robot, lambda _: schema, limit=limit, age=age, idle=60.0)
-        goals.start()
-        try:
-            await scenario(goals)
-        finally:
-            await goals.stop()
-
-    asyncio.run(asyncio.wait_for(run(), 60))
+@asynccontextmanager
+async def keeping(schema: Schema = FLY) -> AsyncIterator[Goals]:
+    assert isinstance(schema, ActionSchema)
+    robot: Any = Robot()
+    goals = Goals(robot, lambda _: schema, limit=100, age=3600.0, idle=60.0)
+    goals.start()
+    try:
+        yield goals
+    finally:
+        await goals.stop()
 
 
 async def hear(goals: Goals, id: str, *events: GoalEvent, action: str = "/fly") -> Goal:
@@ -66,8 +63,8 @@ def flown(distance: float) -> bytes:
     return struct.pack("<d", distance)
 
 
-def test_no_state_comes_after_one_that_is_final_but_a_lost_goal_may_still_have_ended() -> None:
-    async def scenario(goals: Goals) -> None:
+async def test_no_state_comes_after_one_that_is_final_but_a_lost_goal_may_still_have_ended() -> None:
+    async with keeping() as goals:
         goal = await hear(goals, "a", status(GoalStatus.EXECUTING), status(GoalStatus.ACCEPTED))
         assert goal.status is GoalStatus.EXECUTING
         goal = await hear(goals, "a", status(GoalStatus.LOST, words="gone"), status(GoalStatus.EXECUTING))
@@ -75,11 +72,9 @@ def test_no_state_comes_after_one_that_is_final_but_a_lost_goal_may_still_have_e
         goal = await hear(goals, "a", status(GoalStatus.SUCCEEDED, words=""), status(GoalStatus.ABORTED))
         assert (goal.status, goal.words) == (GoalStatus.SUCCEEDED, None)
 
-    keeping(scenario)
 
-
-def test_feedback_faster_than_the_loop_is_told_as_one_and_counted() -> None:
-    async def scenario(goals: Goals) -> None:
+async def test_feedback_faster_than_the_loop_is_told_as_one_and_counted() -> None:
+    async with keeping() as goals:
         woken: list[None] = []
         goals.changes.watch(lambda: woken.append(None), lambda about: about == "a")
 
@@ -98,11 +93,9 @@ def test_feedback_faster_than_the_loop_is_told_as_one_and_counted() -> None:
         assert goal.feedback.count == 1000
         assert len(woken) == 1
 
-    keeping(scenario)
 
-
-def test_feedback_with_arrays_is_told_again_and_again_and_wakes_only_for_what_is_new() -> None:
-    async def scenario(goals: Goals) -> None:
+async def test_feedback_with_arrays_is_told_again_and_again_and_wakes_only_for_what_is_new() -> None:
+    async with keeping(COUNT) as goals:
         woken: list[None] = []
         goals.changes.watch(lambda: woken.append(None), lambda about: about == "a")
         for number in range(1, 4):
@@ -115,11 +108,11 @@ def test_feedback_with_arrays_is_told_again_and_again_and_wakes_only_for_what_is
             await hear(goals, "a", status(GoalStatus.EXECUTING, words=words))
         assert len(woken) == 3
 
-    keeping(scenario, schema=COUNT)
 
-
-def test_what_fails_to_be_taken_of_one_goal_keeps_nothing_of_the_others_back(caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario(goals: Goals) -> None:
+async def test_what_fails_to_be_taken_of_one_goal_keeps_nothing_of_the_others_back(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with keeping() as goals:
         hostile: Any = object()
         goals.on_event(GoalId("/fly", "bad"), status(hostile))
         goals.on_event(GoalId("/fly", "good"), status(GoalStatus.EXECUTING))
@@ -127,8 +120,6 @@ def test_what_fails_to_be_taken_of_one_goal_keeps_nothing_of_the_others_back(cap
         await asyncio.sleep(0)
         assert goals.find("good").status is GoalStatus.EXECUTING
         assert "bad" in caplog.text
-
-    keeping(scenario)
 
 
 @pytest.mark.slow
@@ -149,8 +140,8 @@ def _holds_message(found: object) -> bool:
     return any(re.search(r"\bMessage\b", str(type)) for type in found.__annotations__.values())
 
 
-def test_ids_are_safe_in_urls_and_no_two_goals_share_one() -> None:
-    async def scenario(goals: Goals) -> None:
+async def test_ids_are_safe_in_urls_and_no_two_goals_share_one() -> None:
+    async with keeping() as goals:
         hostile = ["/node-1-2.5", "../..", "a" * 100_000, "", "\udcff", "ä?#%2F", "x", "x\0"]
         for action in ("/fly", "/swim"):
             for id in hostile:
@@ -159,5 +150,3 @@ def test_ids_are_safe_in_urls_and_no_two_goals_share_one() -> None:
         assert len(set(ids)) == len(ids) == 2 * len(hostile)
         assert all(len(id) < 100 and locate(f"/goals/{id}").segments == (id,) for id in ids)
         assert "x" in ids
-
-    keeping(scenario)

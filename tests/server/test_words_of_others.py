@@ -15,7 +15,6 @@ import pytest
 from rosld.adapters.model import GoalStatus, Refused
 from rosld.ontology.vocab import ros
 from rosld.server.http.problem import one_line
-from rosld.server.robot.goals import Goals
 from tests.server.robots.made_up import MadeUp, served
 from tests.server.test_goals import hear, keeping, status
 
@@ -149,12 +148,10 @@ def test_words_of_the_robot_are_on_one_line_and_cut_wherever_they_are_kept(http:
         assert not re.search("[\x00-\x1f\u202e]", words)
 
 
-def test_words_of_a_goal_are_on_one_line_and_cut() -> None:
-    async def scenario(goals: Goals) -> None:
+async def test_words_of_a_goal_are_on_one_line_and_cut() -> None:
+    async with keeping() as goals:
         goal = await hear(goals, "1", status(GoalStatus.ACCEPTED), status(GoalStatus.ABORTED, words=HOSTILE))
         assert goal.words == one_line(HOSTILE)
-
-    keeping(scenario)
 
 
 class Elsewhere(BaseHTTPRequestHandler):

@@ -5,21 +5,18 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-from collections.abc import Awaitable, Callable
-from typing import TypeVar
+from collections.abc import Callable
 
 import pytest
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
 from rosld.server.http.body import read_body
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.serving.connection import ConnectionBounds
-from rosld.server.serving.http_server import Server, bind
-
-_V = TypeVar("_V")
+from tests.server.http.listening import exchange, listening
 
 
 async def echo(scope: Scope, receive: Receive, send: Send) -> None:
@@ -31,40 +28,14 @@ async def echo(scope: Scope, receive: Receive, send: Send) -> None:
     await response(scope, receive, send)
 
 
-def with_server(
-    work: Callable[[int], Awaitable[_V]], bounds: ConnectionBounds | None = None, app: ASGIApp = echo
-) -> _V:
-    """Return the result of `work` on the port of a server, which has ended afterwards."""
-
-    async def main() -> _V:
-        listens = asyncio.Event()
-        server = Server(app, listens.set, bounds)
-        sock = bind("127.0.0.1", 0)
-        serving = asyncio.create_task(server.serve(sockets=[sock]))
-        try:
-            await asyncio.wait_for(listens.wait(), 60)
-            return await asyncio.wait_for(work(sock.getsockname()[1]), 60)
-        finally:
-            server.should_exit = True
-            await serving
-
-    return asyncio.run(main())
-
-
 def answer(*chunks: bytes, bounds: ConnectionBounds | None = None) -> tuple[int, bytes, bytes]:
     """Return status, head and body of the response to these bytes, read until the server closes the connection."""
 
-    async def talk(port: int) -> bytes:
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        for chunk in chunks:
-            writer.write(chunk)
-            await writer.drain()
-        try:
-            return await reader.read()
-        finally:
-            writer.close()
+    async def talk() -> bytes:
+        async with listening(echo, bounds) as port:
+            return await exchange(port, *chunks)
 
-    head, _, body = with_server(talk, bounds).partition(b"\r\n\r\n")
+    head, _, body = asyncio.run(talk()).partition(b"\r\n\r\n")
     return int(head.split()[1]), head.lower(), body
 
 
@@ -124,18 +95,14 @@ def test_trailers_and_chunk_extensions_without_end_are_431() -> None:
         assert answer(CHUNK + more, *[b"x" * 10_000] * 50)[0] == 431
 
 
-def test_a_trailer_is_no_header() -> None:
+async def test_a_trailer_is_no_header() -> None:
     async def headers(scope: Scope, receive: Receive, send: Send) -> None:
         request = Request(scope, receive)
         await request.body()
         await Response(repr(dict(request.headers)))(scope, receive, send)
 
-    async def talk(port: int) -> bytes:
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        writer.write(CHUNK + b"0\r\nAuthorization: Bearer x\r\n\r\n" + CLOSE)
-        return await reader.read()
-
-    assert b"authorization" not in with_server(talk, app=headers)
+    async with listening(headers) as port:
+        assert b"authorization" not in await exchange(port, CHUNK + b"0\r\nAuthorization: Bearer x\r\n\r\n" + CLOSE)
 
 
 CLOSE = b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"
@@ -183,10 +150,9 @@ class Bodies:
 
 
 @pytest.mark.parametrize("broken", BROKEN.values(), ids=BROKEN)
-def test_a_body_with_a_broken_chunk_is_400_with_words_and_reaches_nobody(broken: bytes) -> None:
+async def test_a_body_with_a_broken_chunk_is_400_with_words_and_reaches_nobody(broken: bytes) -> None:
     app = Bodies()
-
-    async def talk(port: int) -> bytes:
+    async with listening(app) as port:
         for sent_before in (b"", b"1\r\na\r\n", b"20000\r\n" + b"x" * 0x20000 + b"\r\n"):
             for pieces in ([broken], [broken[at : at + 1] for at in range(len(broken))]):
                 reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -199,29 +165,22 @@ def test_a_body_with_a_broken_chunk_is_400_with_words_and_reaches_nobody(broken:
                 assert head.startswith(b"HTTP/1.1 400 ")
                 assert b"connection: close" in head.lower()
                 assert "chunked encoding" in json.loads(body)["detail"]
-        return b""
-
-    with_server(talk, app=app)
     assert app.bodies == []
     assert app.unfinished <= 6
 
 
-def test_requests_before_a_broken_chunk_are_answered_first_and_what_follows_it_is_not_done() -> None:
+async def test_requests_before_a_broken_chunk_are_answered_first_and_what_follows_it_is_not_done() -> None:
     app = Bodies()
-
-    async def talk(port: int) -> bytes:
-        app.gate.clear()
+    app.gate.clear()
+    async with listening(app) as port:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         first, second = (CHUNKED % number + b"1\r\n%d\r\n0\r\n\r\n" % number for number in (1, 2))
         writer.write(first + second + CHUNKED % 3 + b"1\r\nc\r\nno chunk\r\n" + CHUNKED % 4 + b"0\r\n\r\n")
         await writer.drain()
         await app.has_begun.wait()
         app.gate.set()
-        answer = await reader.read()
+        answers = (await reader.read()).split(b"HTTP/1.1 ")[1:]
         writer.close()
-        return answer
-
-    answers = with_server(talk, app=app).split(b"HTTP/1.1 ")[1:]
     assert [each[:3] for each in answers] == [b"200", b"200", b"400"]
     assert [each[-1:] for each in answers[:2]] == [b"1", b"2"]
     assert app.bodies == [b"1", b"2"]
@@ -242,8 +201,8 @@ async def endless(scope: Scope, receive: Receive, send: Send) -> None:
         await send({"type": "http.response.body", "body": b"x" * 65536, "more_body": True})
 
 
-def test_a_client_that_reads_nothing_is_cut_off() -> None:
-    async def ask(port: int) -> bytes:
+async def test_a_client_that_reads_nothing_is_cut_off() -> None:
+    async with listening(endless, ConnectionBounds(read_seconds=0.1)) as port:
         reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1)
         writer.write(b"GET / HTTP/1.1\r\nHost: a\r\n\r\n")
         await reader.readexactly(1)
@@ -253,12 +212,10 @@ def test_a_client_that_reads_nothing_is_cut_off() -> None:
             while chunk := await reader.read(1 << 20):
                 told += len(chunk)
         writer.close()
-        return b"all" if told >= 1000 * 65536 else b"cut off"
-
-    assert with_server(ask, ConnectionBounds(read_seconds=0.1), endless) == b"cut off"
+    assert told < 1000 * 65536
 
 
-def test_a_client_that_may_not_connect_is_told_why_and_its_end_is_noted() -> None:
+async def test_a_client_that_may_not_connect_is_told_why_and_its_end_is_noted() -> None:
     ended: list[str | None] = []
 
     def connect(address: str | None) -> Callable[[], None]:
@@ -266,32 +223,20 @@ def test_a_client_that_may_not_connect_is_told_why_and_its_end_is_noted() -> Non
             raise Problem(429, "One is enough.", headers={"Retry-After": "5"})
         return lambda: ended.append(address)
 
-    async def talk(port: int) -> bytes:
-        one = b"PUT / HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Length: 1\r\n\r\n1"
-        said = b""
-        for _ in range(2):
-            reader, writer = await asyncio.open_connection("127.0.0.1", port)
-            writer.write(one)
-            said += await reader.read()
-            writer.close()
-        return said
-
-    said = with_server(talk, ConnectionBounds(connect=connect))
-    assert said.startswith(b"HTTP/1.1 200")
-    assert b"HTTP/1.1 429" in said
+    one = b"PUT / HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Length: 1\r\n\r\n1"
+    async with listening(echo, ConnectionBounds(connect=connect)) as port:
+        assert (await exchange(port, one)).startswith(b"HTTP/1.1 200")
+        said = await exchange(port, one)
+    assert said.startswith(b"HTTP/1.1 429")
     assert b"retry-after: 5" in said
     assert ended == ["127.0.0.1"]
 
 
-def test_a_second_head_that_never_ends_is_408() -> None:
-    async def talk(port: int) -> bytes:
+async def test_a_second_head_that_never_ends_is_408() -> None:
+    async with listening(echo, SOON) as port:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(b"PUT / HTTP/1.1\r\nHost: a\r\nContent-Length: 3\r\n\r\nabc")
         await reader.readuntil(b"abc")
         writer.write(b"GET / HTTP/1.1\r\nHo")
-        try:
-            return await reader.read()
-        finally:
-            writer.close()
-
-    assert with_server(talk, SOON).startswith(b"HTTP/1.1 408")
+        assert (await reader.read()).startswith(b"HTTP/1.1 408")
+        writer.close()

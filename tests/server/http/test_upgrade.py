@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import ssl
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TypeAlias
 
@@ -14,8 +15,8 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from rosld.server.serving.connection import ConnectionBounds
-from rosld.server.serving.http_server import Server, bind, configure_tls
 from tests.server.auth.test_files import certificate
+from tests.server.http.listening import listening
 
 Seen: TypeAlias = list[tuple[str, str, bytes]]
 """Method, target and body of the requests that reached the application."""
@@ -59,24 +60,17 @@ class Application:
 Talk: TypeAlias = Callable[..., Awaitable[tuple[Seen, bytes]]]
 
 
-def with_listener(work: Callable[[Talk], Awaitable[None]], tls_files: tuple[Path, Path] | None = None) -> None:
-    """Call `work` with a function that sends pieces on a new connection; return the requests and the response."""
+@asynccontextmanager
+async def listener(tls_files: tuple[Path, Path] | None = None) -> AsyncIterator[Talk]:
+    """Yield a function that sends pieces on a new connection; it returns the requests and the response."""
     app = Application()
-
-    async def main() -> None:
-        listens = asyncio.Event()
-        server = Server(app, listens.set, ConnectionBounds())
-        context = None
-        if tls_files is not None:
-            configure_tls(server.config, *tls_files)
-            context = ssl.create_default_context(cafile=str(tls_files[0]))
-        sock = bind("127.0.0.1", 0)
-        serving = asyncio.create_task(server.serve(sockets=[sock]))
+    context = None if tls_files is None else ssl.create_default_context(cafile=str(tls_files[0]))
+    async with listening(app, ConnectionBounds(), tls_files) as port:
 
         async def talk(*pieces: bytes) -> tuple[Seen, bytes]:
             app.seen = []
             reader, writer = await asyncio.open_connection(
-                "127.0.0.1", sock.getsockname()[1], ssl=context, server_hostname=context and "localhost"
+                "127.0.0.1", port, ssl=context, server_hostname=context and "localhost"
             )
             for piece in pieces:
                 writer.write(piece)
@@ -86,14 +80,7 @@ def with_listener(work: Callable[[Talk], Awaitable[None]], tls_files: tuple[Path
             writer.close()
             return app.seen, answers
 
-        try:
-            await asyncio.wait_for(listens.wait(), 10)
-            await asyncio.wait_for(work(talk), 60)
-        finally:
-            server.should_exit = True
-            await serving
-
-    asyncio.run(main())
+        yield talk
 
 
 PUT = ("PUT", "/data/a", DELETE)
@@ -127,33 +114,29 @@ MESSAGES: dict[str, tuple[bytes, Seen]] = {
 }  # fmt: skip
 
 
-def test_an_upgrade_over_tls_is_ignored(tmp_path: Path) -> None:
-    async def work(talk: Talk) -> None:
+async def test_an_upgrade_over_tls_is_ignored(tmp_path: Path) -> None:
+    async with listener(certificate(tmp_path)) as talk:
         for name in ("a body of known length", "a body in chunks", "a WebSocket with chunks"):
             message, expected = MESSAGES[name]
             for cut in (0, 1, message.index(b"\r\n\r\n") + 4, len(message) - 20, len(message)):
                 seen, answers = await talk(message[:cut], message[cut:] + NEXT)
                 assert seen == [*expected, LAST], (cut, answers)
 
-    with_listener(work, certificate(tmp_path))
 
-
-def test_a_client_that_upgrades_is_told_to_continue() -> None:
+async def test_a_client_that_upgrades_is_told_to_continue() -> None:
     head = b"PUT /data/a HTTP/1.1\r\nHost: a\r\nExpect: 100-continue\r\n" + H2C
 
-    async def work(talk: Talk) -> None:
+    async with listener() as talk:
         seen, answers = await talk(head + b"Content-Length: 3\r\n\r\n", b"abc" + NEXT)
         assert seen == [("PUT", "/data/a", b"abc"), LAST]
         assert answers.startswith(b"HTTP/1.1 100 Continue\r\n\r\nHTTP/1.1 200 OK")
 
-    with_listener(work)
-
 
 @pytest.mark.parametrize("length", [b"", b"Content-Length: 0\r\n"], ids=["no length", "length 0"])
-def test_bytes_behind_a_websocket_s_handshake_are_no_request(length: bytes) -> None:
+async def test_bytes_behind_a_websocket_s_handshake_are_no_request(length: bytes) -> None:
     handshake = b"GET /channel HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + length + b"\r\n"
 
-    async def work(talk: Talk) -> None:
+    async with listener() as talk:
         for cut in (*range(0, len(handshake), 3), len(handshake)):
             whole = handshake + DELETE
             seen, answers = await talk(whole[:cut], whole[cut:])
@@ -161,25 +144,19 @@ def test_bytes_behind_a_websocket_s_handshake_are_no_request(length: bytes) -> N
             assert answers.startswith((b"HTTP/1.1 400", b"HTTP/1.1 101")), cut
         assert answers.startswith(b"HTTP/1.1 101"), "the handshake, by itself, is taken"
 
-    with_listener(work)
 
-
-def test_a_websocket_is_not_opened_while_an_answer_is_under_way() -> None:
+async def test_a_websocket_is_not_opened_while_an_answer_is_under_way() -> None:
     first = b"GET /first HTTP/1.1\r\nHost: a\r\n\r\n"
     handshake = b"GET /channel HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + b"\r\n"
 
-    async def work(talk: Talk) -> None:
+    async with listener() as talk:
         seen, answers = await talk(first + handshake + NEXT)
         assert seen == [("GET", "/first", b""), ("GET", "/channel", b""), LAST]
         assert answers.count(b"HTTP/1.1 200 OK") == 3
 
-    with_listener(work)
 
-
-def test_connect_is_refused_and_what_follows_is_no_request() -> None:
-    async def work(talk: Talk) -> None:
+async def test_connect_is_refused_and_what_follows_is_no_request() -> None:
+    async with listener() as talk:
         for target in (b"a:80", b"/"):
             seen, answers = await talk(b"CONNECT %b HTTP/1.1\r\nHost: a\r\n\r\n" % target, DELETE)
             assert (seen, answers[:12]) == ([], b"HTTP/1.1 501")
-
-    with_listener(work)

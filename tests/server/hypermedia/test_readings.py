@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
 from typing import cast
 
 import pytest
@@ -97,22 +97,20 @@ class Bench:
         return (await self.readings.read([self.property], deadline=deadline, refresh=refresh))["/robot/x"]
 
 
-def benched(test: Callable[[Bench], Awaitable[None]]) -> None:
-    """Run a test, and check that it leaves nothing running."""
-
-    async def main() -> None:
-        bench = Bench()
-        await test(bench)
-        await bench.readings.stop()
-        await bench.topics.stop()
-        await turns()
-        assert len(asyncio.all_tasks()) == 1, "something is left running"
-
-    asyncio.run(main())
+@asynccontextmanager
+async def benched() -> AsyncIterator[Bench]:
+    """Yield readings of a robot, and check that nothing is left running afterwards."""
+    bench = Bench()
+    tasks = len(asyncio.all_tasks())
+    yield bench
+    await bench.readings.stop()
+    await bench.topics.stop()
+    await turns()
+    assert len(asyncio.all_tasks()) == tasks, "something is left running"
 
 
-def test_a_reader_that_is_cancelled_takes_the_call_from_nobody() -> None:
-    async def main(bench: Bench) -> None:
+async def test_a_reader_that_is_cancelled_takes_the_call_from_nobody() -> None:
+    async with benched() as bench:
         bench.fake.hangs = True
         impatient, patient = (asyncio.ensure_future(bench.read()) for _ in range(2))
         await bench.fake.begun.wait()
@@ -123,11 +121,9 @@ def test_a_reader_that_is_cancelled_takes_the_call_from_nobody() -> None:
         assert plain(await patient) == "1.0"
         assert len(bench.fake.calls) == 1
 
-    benched(main)
 
-
-def test_a_call_goes_on_when_all_its_readers_have_gone_and_its_answer_is_kept() -> None:
-    async def main(bench: Bench) -> None:
+async def test_a_call_goes_on_when_all_its_readers_have_gone_and_its_answer_is_kept() -> None:
+    async with benched() as bench:
         bench.fake.hangs = True
         reader = asyncio.ensure_future(bench.read())
         await bench.fake.begun.wait()
@@ -137,11 +133,9 @@ def test_a_call_goes_on_when_all_its_readers_have_gone_and_its_answer_is_kept() 
         assert plain(await bench.read()) == "1.0"
         assert len(bench.fake.calls) == 1
 
-    benched(main)
 
-
-def test_a_reading_anew_shares_only_calls_that_began_after_it() -> None:
-    async def main(bench: Bench) -> None:
+async def test_a_reading_anew_shares_only_calls_that_began_after_it() -> None:
+    async with benched() as bench:
         bench.fake.hangs = True
         before = asyncio.ensure_future(bench.read())
         await turns()
@@ -156,11 +150,9 @@ def test_a_reading_anew_shares_only_calls_that_began_after_it() -> None:
         assert [plain(each) for each in await asyncio.gather(*anew, after)] == ["2.0"] * 4
         assert plain(await bench.read()) == "2.0", "the older answer does not replace the newer"
 
-    benched(main)
 
-
-def test_readings_anew_of_a_getter_that_hangs_do_not_pile_up() -> None:
-    async def main(bench: Bench) -> None:
+async def test_readings_anew_of_a_getter_that_hangs_do_not_pile_up() -> None:
+    async with benched() as bench:
         bench.fake.hangs = True
         readers = []
         for _ in range(30):
@@ -172,14 +164,11 @@ def test_readings_anew_of_a_getter_that_hangs_do_not_pile_up() -> None:
         assert found == ["1.0", "2.0", *["3.0"] * 28]
         assert bench.fake.max_running == 2
 
-    benched(main)
-
 
 @pytest.mark.parametrize("steps", [0, 1, 2, 3, 4, 6])
-def test_whenever_freshness_ends_what_was_asked_before_is_never_known_after(steps: int) -> None:
+async def test_whenever_freshness_ends_what_was_asked_before_is_never_known_after(steps: int) -> None:
     """This tests every iteration of the loop between the answer and the reader that receives it."""
-
-    async def main(bench: Bench) -> None:
+    async with benched() as bench:
         bench.fake.hangs = True
         before = asyncio.ensure_future(bench.read())
         await turns()
@@ -193,16 +182,12 @@ def test_whenever_freshness_ends_what_was_asked_before_is_never_known_after(step
         assert known is not None
         assert plain(known) == "2.0"
 
-    benched(main)
 
-
-def test_stopping_cancels_what_runs_and_tells_who_waits() -> None:
-    async def main(bench: Bench) -> None:
+async def test_stopping_cancels_what_runs_and_tells_who_waits() -> None:
+    async with benched() as bench:
         bench.fake.hangs = True
         reader = asyncio.ensure_future(bench.read())
         await bench.fake.begun.wait()
         await bench.readings.stop()
         assert bench.fake.running == 0
         assert (await reader).value is None
-
-    benched(main)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import pytest
 from starlette.requests import Request
@@ -17,9 +17,8 @@ from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.rest import responses
 from rosld.server.rest.responses import CHUNK, UNKNOWN, exact_media_type, file_response
-from rosld.server.serving.http_server import Server, bind
+from tests.server.http.listening import exchange, listening
 
-_V = TypeVar("_V")
 TAG = '"kept-7.any"'
 LARGE = bytes(range(256)) * 1024 * 5  # 10 chunks
 HUGE = 64 * 1024 * 1024
@@ -46,39 +45,17 @@ def app(path: Path, size: int, media_type: str = "image/png", name: str | None =
     return answer
 
 
-def with_server(served: ASGIApp, work: Callable[[int], Awaitable[_V]]) -> _V:
-    """Return the result of `work` on the port of a server, which has ended afterwards."""
-
-    async def main() -> _V:
-        listens = asyncio.Event()
-        server = Server(served, listens.set)
-        sock = bind("127.0.0.1", 0)
-        serving = asyncio.create_task(server.serve(sockets=[sock]))
-        try:
-            await asyncio.wait_for(listens.wait(), 60)
-            return await asyncio.wait_for(work(sock.getsockname()[1]), 30)
-        finally:
-            server.should_exit = True
-            await serving
-
-    return asyncio.run(main())
-
-
 def asked(method: str, headers: Mapping[str, str]) -> bytes:
     lines = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
     return f"{method} / HTTP/1.1\r\nHost: h\r\nConnection: close\r\n{lines}\r\n".encode()
 
 
 def read(served: ASGIApp, method: str = "GET", **headers: str) -> Answer:
-    async def talk(port: int) -> bytes:
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        writer.write(asked(method, {name.replace("_", "-"): value for name, value in headers.items()}))
-        try:
-            return await reader.read()
-        finally:
-            writer.close()
+    async def talk() -> bytes:
+        async with listening(served) as port:
+            return await exchange(port, asked(method, {name.replace("_", "-"): each for name, each in headers.items()}))
 
-    head, _, body = with_server(served, talk).partition(b"\r\n\r\n")
+    head, _, body = asyncio.run(talk()).partition(b"\r\n\r\n")
     first, *lines = head.decode("latin-1").split("\r\n")
     pairs = (line.partition(": ") for line in lines)
     return Answer(int(first.split()[1]), {name.lower(): value for name, _, value in pairs}, body)
@@ -177,8 +154,8 @@ async def until(condition: Callable[[], bool]) -> None:
         await asyncio.sleep(0.01)
 
 
-def test_a_reader_who_leaves_closes_the_file(huge: Path) -> None:
-    async def leave(port: int) -> None:
+async def test_a_reader_who_leaves_closes_the_file(huge: Path) -> None:
+    async with listening(app(huge, HUGE)) as port:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(asked("GET", {}))
         await reader.readexactly(100_000)
@@ -186,25 +163,20 @@ def test_a_reader_who_leaves_closes_the_file(huge: Path) -> None:
         writer.close()
         await until(lambda: open_files(huge) == 0)
 
-    with_server(app(huge, HUGE), leave)
 
-
-def test_a_reader_who_takes_nothing_more_is_taken_for_gone(huge: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_reader_who_takes_nothing_more_is_taken_for_gone(huge: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(responses, "READ_TIMEOUT", 0.2)
-
-    async def stop_reading(port: int) -> None:
+    async with listening(app(huge, HUGE)) as port:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(asked("GET", {}))
         await reader.readexactly(1000)
         await until(lambda: open_files(huge) == 0)
         writer.transport.abort()
 
-    with_server(app(huge, HUGE), stop_reading)
-
 
 @pytest.mark.slow
-def test_what_is_removed_while_it_is_read_is_still_sent_whole(huge: Path) -> None:
-    async def remove(port: int) -> int:
+async def test_what_is_removed_while_it_is_read_is_still_sent_whole(huge: Path) -> None:
+    async with listening(app(huge, HUGE)) as port:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(asked("GET", {}))
         await reader.readuntil(b"\r\n\r\n")
@@ -213,17 +185,15 @@ def test_what_is_removed_while_it_is_read_is_still_sent_whole(huge: Path) -> Non
         while chunk := await reader.read(1 << 20):
             size += len(chunk)
         writer.close()
-        return size
-
-    assert with_server(app(huge, HUGE), remove) == HUGE
+    assert size == HUGE
 
 
 @pytest.mark.slow
-def test_many_readers_of_a_large_file_take_little_memory(huge: Path) -> None:
+async def test_many_readers_of_a_large_file_take_little_memory(huge: Path) -> None:
     def resident() -> int:
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
-    async def stand(port: int) -> int:
+    async with listening(app(huge, HUGE)) as port:
         before = resident()
         readers = [await asyncio.open_connection("127.0.0.1", port, limit=4096) for _ in range(40)]
         for _, writer in readers:
@@ -231,12 +201,9 @@ def test_many_readers_of_a_large_file_take_little_memory(huge: Path) -> None:
         for reader, _ in readers:
             await reader.readexactly(4096)
         await until(lambda: open_files(huge) == 40)
-        grown = resident() - before
+        assert resident() - before < 40 * 1024 * 1024
         for _, writer in readers:
             writer.transport.abort()
-        return grown
-
-    assert with_server(app(huge, HUGE), stand) < 40 * 1024 * 1024
 
 
 def test_a_file_that_is_not_there_is_told_before_anything_is_sent(tmp_path: Path) -> None:

@@ -142,7 +142,7 @@ class _Module:
         """Whether a field, or anything within it, is needed."""
         if self.is_wanted(kind.property(field.name)):
             return True
-        return not self._is_linked and self._is_type_wanted(_nested_type(field))
+        return not self._is_linked and self._is_type_wanted(field.nested)
 
     def _is_type_wanted(self, name: str | None) -> bool:
         if name is None or self._only is None:
@@ -280,12 +280,6 @@ class _Function:
         elided = f"elide(f'{node}', len({value}), e, s)"
         self._lines.append(f"o{number}, a{number} = {elided} if {too_large} else ({inline})")
         return f"{{o{number}}}", f"{{a{number}}}"
-
-
-def _nested_type(field: Field) -> str | None:
-    """Return the type of the messages in a field, None if it has none."""
-    kind = field.type.element if isinstance(field.type, Array) else field.type
-    return kind.name if isinstance(kind, Nested) else None
 
 
 def _attribute(field: Field) -> str:

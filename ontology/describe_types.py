@@ -120,7 +120,7 @@ class _FieldView(NamedTuple):
 
     @property
     def nested(self) -> TypeRef | None:
-        name = _nested_type(self.field.type)
+        name = self.field.nested
         return None if name is None else TypeRef(name)
 
 
@@ -185,11 +185,6 @@ def constant_value(constant: Constant) -> Literal | None:
         return boolean(value)
     datatype = NamedNode(xsd.iri + DATATYPES.get(constant.type, "integer" if isinstance(value, int) else "double"))
     return Literal(double(value).value if isinstance(value, float) else str(value), datatype=datatype)
-
-
-def _nested_type(kind: FieldType) -> str | None:
-    element = kind.element if isinstance(kind, Array) else kind
-    return element.name if isinstance(element, Nested) else None
 
 
 def definition_text(kind: FieldType) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, cast
@@ -49,6 +50,22 @@ def type_at(schema: MessageSchema, path: str) -> FieldType:
         except LookupError as error:
             raise ValueError(f"{schema.ref.name} has no field {'.'.join(walked)!r}") from error
     return kind
+
+
+def fields_along(schema: MessageSchema, path: str) -> Sequence[tuple[str, Field]]:
+    """Return the fields along a dotted path through messages and arrays of them, each with the name of its type.
+
+    Empty if there is no such field.
+    """
+    name: str | None = schema.ref.name
+    found: list[tuple[str, Field]] = []
+    for step in path.split("."):
+        try:
+            found.append((name or "", _field(schema, name or "", step)))
+        except LookupError:
+            return ()
+        name = found[-1][1].nested
+    return found
 
 
 def number_type(schema: MessageSchema, path: str) -> Primitive | Array:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Set
 from functools import lru_cache
-from typing import TypeAlias, cast
+from typing import TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.adapters.model import Array, FieldType, MessageSchema, MessageType, Nested, ParameterType, Primitive
 from rosld.ontology.compile import TIME
 from rosld.ontology.document import Document
+from rosld.ontology.fields import fields_along
 from rosld.ontology.lower_graph import IGNORED
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, integer, statements, text
 from rosld.ontology.urls import Space
@@ -225,20 +226,15 @@ class AcceptedShapes(MessageShapes):
 
     def _way(self, path: str) -> tuple[Value, Primitive] | None:
         """Return the property path to a scalar, and its type; None if the message has none there."""
-        writer, kind, steps = self._writer, cast(FieldType, Nested(self._schema.ref.name)), list[Value]()
-        for step in path.split("."):
-            if not isinstance(kind, Nested):
-                return None
-            field = next((one for one in self._schema.types[kind.name].fields if one.name == step), None)
-            if field is None:
-                return None
-            steps.append(NamedNode(self._space.property_of(kind.name, step)))
-            kind = field.type
-            if isinstance(kind, Array) and isinstance(kind.element, Nested):
-                steps += [writer.blank((sh.zeroOrMorePath, rdf.rest)), rdf.first]
-                kind = kind.element
+        fields = fields_along(self._schema, path)
+        kind = fields[-1][1].type if fields else None
         if not isinstance(kind, Primitive):
             return None
+        writer, steps = self._writer, list[Value]()
+        for name, field in fields:
+            steps.append(NamedNode(self._space.property_of(name, field.name)))
+            if isinstance(field.type, Array):
+                steps += [writer.blank((sh.zeroOrMorePath, rdf.rest)), rdf.first]
         return (steps[0] if len(steps) == 1 else writer.list_of(steps)), kind
 
 

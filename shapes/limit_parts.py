@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TypeAlias
 
 from msgspec import Struct
 from msgspec.structs import replace
 from pyoxigraph import BlankNode, Literal, NamedNode
 
-from rosld.adapters.model import Array, FieldType, MessageSchema, Nested, ParameterType, Primitive
+from rosld.adapters.model import Array, MessageSchema, Nested, ParameterType, Primitive
 from rosld.ontology.body import Term
+from rosld.ontology.fields import fields_along, type_at
 from rosld.ontology.literals import DATATYPES, STRINGS
 from rosld.ontology.triples import Statement, Value, text
 from rosld.ontology.urls import Space
@@ -35,6 +36,14 @@ class ValuePlace(Struct, frozen=True):
         """Return a message of a schema, or one of the types nested in it."""
         return cls(Nested(name or schema.ref.name), schema)
 
+    @classmethod
+    def of_field(cls, schema: MessageSchema, path: str | None) -> ValuePlace | None:
+        """Return the field at a dotted path, or for None the message."""
+        try:
+            return cls(Nested(schema.ref.name) if path is None else type_at(schema, path), schema)
+        except ValueError:
+            return None
+
     @property
     def primitive(self) -> Primitive | None:
         """The type of a scalar; None for other values."""
@@ -49,20 +58,11 @@ class ValuePlace(Struct, frozen=True):
 
     def follow(self, predicate: NamedNode, space: Space) -> ValuePlace | None:
         """Return the field of a predicate; None if the type has no such field."""
-        name = self.kind.name if isinstance(self.kind, Nested) else ""
-        return self._field(lambda field: space.property_of(name, field) == predicate.value)
-
-    def field(self, path: str) -> ValuePlace | None:
-        """Return the field at a dotted path."""
-        name, _, rest = path.partition(".")
-        found = self._field(lambda field: field == name)
-        return found.field(rest) if found is not None and rest else found
-
-    def _field(self, is_it: Callable[[str], bool]) -> ValuePlace | None:
         if self.schema is None or not isinstance(self.kind, Nested):
             return None
-        fields = (each for each in self.schema.types[self.kind.name].fields if is_it(each.name))
-        return next((ValuePlace(each.type, self.schema) for each in fields), None)
+        name, fields = self.kind.name, self.schema.types[self.kind.name].fields
+        found = (each.type for each in fields if space.property_of(name, each.name) == predicate.value)
+        return next((ValuePlace(each, self.schema) for each in found), None)
 
 
 class ResourcePlace(Struct, frozen=True):
@@ -307,15 +307,7 @@ def _texts(part: LimitPart, above: NamedNode | None = None) -> Iterator[NamedNod
 
 def _property_at(schema: MessageSchema, path: str, space: Space) -> NamedNode | None:
     """Return the last property of a dotted path, if that leads to a text."""
-    kind: FieldType = Nested(schema.ref.name)
-    found = None
-    for step in path.split("."):
-        kind = kind.element if isinstance(kind, Array) else kind
-        if not isinstance(kind, Nested):
-            return None
-        name = kind.name
-        field = next((each for each in schema.types[name].fields if each.name == step), None)
-        if field is None:
-            return None
-        found, kind = NamedNode(space.property_of(name, step)), field.type
-    return found if isinstance(kind, Primitive) and kind.name in STRINGS else None
+    for name, field in fields_along(schema, path)[-1:]:
+        if isinstance(field.type, Primitive) and field.type.name in STRINGS:
+            return NamedNode(space.property_of(name, field.name))
+    return None

@@ -173,8 +173,7 @@ class Limits(Struct, frozen=True, eq=False):
         demand = Demand(tuple(bounds.items()))
         if shape.is_bounds and len(about) == len(bounds):
             return demand
-        whole = ValuePlace.message(schema)
-        place = whole if scalar is None else whole.field(scalar)
+        place = ValuePlace.of_field(schema, scalar)
         return demand & _of_parts(shape, predicate, place, self.types, scalar or "")
 
     def demand_of_scalar(self, url: str, predicate: NamedNode, place: ValuePlace | None = None) -> Demand:
@@ -312,7 +311,7 @@ class _MessageCheck:
         while more := {
             name
             for name, kind in types.items()
-            if name not in found and any(_nested_type(each.type) in {*found, *self._shapes} for each in kind.fields)
+            if name not in found and any(each.nested in {*found, *self._shapes} for each in kind.fields)
         }:
             found |= more
         return found
@@ -320,15 +319,10 @@ class _MessageCheck:
     def _inner(self, name: str, wanted: Set[str]) -> tuple[tuple[str, str, str, bool], ...]:
         """Return the fields with nested limited types: attribute, name, type, whether it is an array."""
         return tuple(
-            (each.attribute, each.name, nested, isinstance(each.type, Array))
+            (each.attribute, each.name, each.nested, isinstance(each.type, Array))
             for each in self._schema.types[name].fields
-            if (nested := _nested_type(each.type)) is not None and nested in wanted
+            if each.nested is not None and each.nested in wanted
         )
-
-
-def _nested_type(kind: object) -> str | None:
-    element = kind.element if isinstance(kind, Array) else kind
-    return element.name if isinstance(element, Nested) else None
 
 
 def _below(place: str, violation: Violation) -> Violation:
@@ -432,9 +426,9 @@ def _bounds_of(limits: Limits, schema: MessageSchema, name: str, space: Space) -
             if path is not None:
                 own[path] = bounds
     inner = (
-        {f"{each.name}.{path}": bounds for path, bounds in _bounds_of(limits, schema, nested, space).items()}
+        {f"{each.name}.{path}": bounds for path, bounds in _bounds_of(limits, schema, each.nested, space).items()}
         for each in schema.types[name].fields
-        if (nested := _nested_type(each.type)) is not None
+        if each.nested is not None
     )
     return merge_bounds(own, *inner)
 

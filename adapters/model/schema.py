@@ -104,6 +104,12 @@ class Field:
     attribute: str
     default: Default | None = None
 
+    @property
+    def nested(self) -> str | None:
+        """The type of the message, or of the messages of the array, if it holds messages."""
+        element = self.type.element if isinstance(self.type, Array) else self.type
+        return element.name if isinstance(element, Nested) else None
+
 
 @dataclass(frozen=True, slots=True)
 class Constant:

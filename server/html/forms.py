@@ -32,7 +32,7 @@ from rosld.server.html.inputs import (
 )
 from rosld.server.html.labels import NameGroup, group_names
 from rosld.server.html.view import escape_controls
-from rosld.shapes.value import MessageShape, OpenShape, ScalarShape, ValueShape
+from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
 
 METHOD_FIELD = "method"
 CHOICE_FIELD = "?choice"
@@ -135,9 +135,10 @@ def message_form(
     *,
     value: Json = None,
     about: str = "",
+    bounds: Mapping[str, Bounds] | None = None,
 ) -> ValueForm:
     """Return the form that publishes a message or calls a service with it."""
-    return ValueForm(MessageShape(schema, schema.type.fields), method, title, button, value, about=about)
+    return ValueForm(MessageShape(schema, schema.type.fields, bounds or {}), method, title, button, value, about=about)
 
 
 class HoldTerms(Struct, frozen=True):

@@ -37,6 +37,8 @@ from rosld.shapes.terms import number
 from rosld.shapes.value import UNBOUNDED, Bounds, MessageShape, ScalarShape, ValueShape
 
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
+_T = TypeVar("_T")
+
 JsonSchema: TypeAlias = dict[str, Json]
 
 ANYTHING: JsonSchema = {}
@@ -162,10 +164,10 @@ class _Schemas:
     def _array(self, kind: Array, path: tuple[str, ...]) -> JsonSchema:
         least, most = kind.length, kind.most
         if is_octets(kind):
-            lengths = _without_none(minLength=base64_length(least), maxLength=base64_length(most))
+            lengths = without_none(minLength=base64_length(least), maxLength=base64_length(most))
             found: JsonSchema = {"type": "string", "contentEncoding": "base64", **lengths}
         else:
-            lengths = _without_none(minItems=least, maxItems=most)
+            lengths = without_none(minItems=least, maxItems=most)
             found = {"type": "array", "items": self._element(kind.element, path), **lengths}
         return {"oneOf": [found, _ELIDED]} if self._read and self._may_be_elided(kind) else found
 
@@ -195,7 +197,7 @@ def _scalar(kind: Primitive | None, bounds: Bounds, *, is_finite: bool = False) 
         longest = [count for count in (bounds.max_length, kind.bound) if count is not None]
         return {
             "type": "string",
-            **_without_none(
+            **without_none(
                 minLength=bounds.min_length,
                 maxLength=min(longest, default=None),
                 pattern=None if bounds.pattern is None else _ecma(bounds.pattern),
@@ -219,7 +221,7 @@ def _parameter_schema(kind: Primitive, bounds: Bounds) -> JsonSchema:
     ends = (limits.get("minimum"), limits.get("maximum"))
     even = isinstance(step, int) and all(isinstance(each, int) and each % step == 0 for each in ends)
     type = "integer" if kind.name in RANGES else "number"
-    return {"type": type, **limits, **_without_none(multipleOf=step if even else None)}
+    return {"type": type, **limits, **without_none(multipleOf=step if even else None)}
 
 
 def _type(kind: Primitive | None) -> JsonSchema:
@@ -242,7 +244,7 @@ def _integer(kind: Primitive, limits: JsonSchema) -> JsonSchema:
 
 
 def _limits(bounds: Bounds) -> JsonSchema:
-    return _without_none(
+    return without_none(
         minimum=_number(bounds.minimum),
         maximum=_number(bounds.maximum),
         exclusiveMinimum=_number(bounds.exclusive_minimum),
@@ -267,7 +269,8 @@ def _choice(literal: Literal) -> bool | int | float | str:
     return float(value) if math.isfinite(value) else special_float(float(value))
 
 
-def _without_none(**keywords: int | float | str | None) -> JsonSchema:
+def without_none(**keywords: _T | None) -> dict[str, _T]:
+    """Return the keywords that have a value."""
     return {name: value for name, value in keywords.items() if value is not None}
 
 

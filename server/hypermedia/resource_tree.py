@@ -220,11 +220,6 @@ class ResourceTree:
         """Return the action with a name, or None."""
         return _get_or_make(self._actions, name, self._action)
 
-    def replacement(self, service: str) -> str | None:
-        """Return the action that replaces a service according to a mapping, or None."""
-        found = self._claimed.get(service)
-        return found[0][0].path + found[0][1].name if found else None
-
     def exists_when(self, path: str) -> tuple[Condition, ...]:
         """Return the conditions for the existence of the resource at a path and everything below it."""
         return _once(each for resource in mapped_above(self.mapping_set, path) for each in resource.exists_when)
@@ -375,11 +370,13 @@ class ResourceTree:
         properties = resource.properties if resource is not None else ()
         return next((one for one in properties if one.member == name and one.field is None), None)
 
-    def remapped_property(self, name: str) -> str | None:
-        """Return the property elsewhere that a mapping gives this name within its complex resource."""
+    def redirect_target(self, name: str) -> str | None:
+        """Return the resource that a missing one is known as: with a final slash, or by the name in a mapping."""
+        actions = (home.path + action.name for home, action in self._claimed.get(name, ()))
         home = self.mapping_set.resources.get(parent_of_name(name))
-        called = () if home is None else (one for one in home.properties if home.path + one.name == name)
-        return next((one.member for one in called if one.member != name and one.member in self.properties), None)
+        called = () if home is None else (one.member for one in home.properties if home.path + one.name == name)
+        found = (one for one in (*actions, f"{name}/", *called) if one != name)
+        return next((one for one in found if one in self.paths or self.property(one) or self.action(one)), None)
 
     def names_of(self, name: str) -> Iterator[tuple[str, str | None]]:
         """Yield the names of the resources of a property, each with the field shown there (None for all of it)."""

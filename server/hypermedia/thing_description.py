@@ -17,7 +17,15 @@ from pyoxigraph import NamedNode
 from rosld.ontology.describe_holds import CONFIRM, CONFIRM_PARAMETER, HOLD, MAX_LEASE, MAX_RATE, MEANINGS, PARAMETERS
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.vocab import mapping, qudt, ros
-from rosld.server.hypermedia.json_schema import OBJECT, TEXT, JsonSchema, json_object, message_schema, value_schema
+from rosld.server.hypermedia.json_schema import (
+    OBJECT,
+    TEXT,
+    JsonSchema,
+    json_object,
+    message_schema,
+    value_schema,
+    without_none,
+)
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 
 MEDIA_TYPE = "application/td+json"
@@ -76,7 +84,7 @@ def thing_description(
         "@type": "Thing",
         "id": url,
         "title": title,
-        **_without_none(description=description),
+        **without_none(description=description),
         "securityDefinitions": _SECURITY,
         "security": list(_SECURITY),
         "properties": {one.name: _property(one, lifting) for one in properties if one.read or one.write},
@@ -104,7 +112,7 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
     ]
     return _fragment(
         {
-            **_without_none(title=one.title, description=one.description),
+            **without_none(title=one.title, description=one.description),
             **value_schema(one.shape, lifting, read=one.read, sent=one.write),
             "readOnly": not one.write,
             "writeOnly": not one.read,
@@ -129,7 +137,7 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
     schema = message_schema(one.request, lifting, read=False, sent=True) if has_input else None
     forms = [_form(one.url, "invokeaction", "POST"), *_goal_forms(one)]
     members = _action_members(schema, forms, synchronous=one.goals is None)
-    return _fragment({**_without_none(title=one.title), **members, **_led_to("map:relation", one.relation)})
+    return _fragment({**without_none(title=one.title), **members, **_led_to("map:relation", one.relation)})
 
 
 def _action_members(
@@ -137,7 +145,7 @@ def _action_members(
 ) -> Members:
     """Return the members of an action with the input `schema`, or without input."""
     return {
-        **_without_none(input=schema),
+        **without_none(input=schema),
         "output": OBJECT,
         "safe": False,
         "idempotent": idempotent,
@@ -181,16 +189,12 @@ def _form(url: str, operation: str | Sequence[str], method: str, **more: str) ->
 
 def _link(link: ThingLink) -> Members:
     """Return a link (5.3.4.1)."""
-    return {"rel": link.relation, "href": link.target, **_without_none(type=link.media_type)}
+    return {"rel": link.relation, "href": link.target, **without_none(type=link.media_type)}
 
 
 def _led_to(term: str, value: NamedNode | None) -> Members:
     """Return a member with a term of a vocabulary of the context as an IRI; empty for None."""
     return {} if value is None else {term: {"@id": value.value}}
-
-
-def _without_none(**members: object) -> Members:
-    return {name: value for name, value in members.items() if value is not None}
 
 
 def _fragment(members: Members) -> orjson.Fragment:

@@ -290,7 +290,5 @@ def _value_of_property(limit_checks: LimitChecks, name: str) -> ValuePlace | Non
             schema = known
         case _:
             return None
-    whole, scalar = ValuePlace.message(schema), scalar_field(schema.type.fields)
-    if plan is not None and plan.member.field is not None:
-        return whole.field(plan.member.field)
-    return whole if scalar is None else whole.field(scalar.name)
+    scalar, field = scalar_field(schema.type.fields), plan.member.field if plan is not None else None
+    return ValuePlace.of_field(schema, field if field is not None or scalar is None else scalar.name)

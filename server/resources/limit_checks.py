@@ -133,7 +133,7 @@ class LimitChecks:
             if field is None:
                 demand &= limits.demand_of_value(shown, rdf.value, schema, None if scalar is None else scalar.name)
             else:
-                own = limits.demand_of_scalar(shown, rdf.value, ValuePlace.message(schema).field(field))
+                own = limits.demand_of_scalar(shown, rdf.value, ValuePlace.of_field(schema, field))
                 is_all = own.is_all and not any(step.isdecimal() for step in field.split("."))
                 parts = tuple((field, part) for _, part in own.value_parts)
                 demand &= Demand(tuple((field, bounds) for _, bounds in own.bounds), is_all, parts)
@@ -151,21 +151,10 @@ class LimitChecks:
             demand &= limits.demand_of_scalar(shown, rdf.value, place)
         return demand
 
-    async def topic_bounds(self, name: str, schema: MessageSchema) -> Mapping[str, Bounds]:
-        """Return the bounds of single fields of a message published on a topic, by path."""
-        limits = self.limits
-        if not limits:
-            return {}
-        found = [
-            limits.bounds_of_message(schema),
-            limits.bounds_of_value(self._space.topic(name), _LINKS[Kind.TOPIC], schema),
-        ]
-        tree = await self.affordances.tree()
-        own = tree.catalogue.by_topic.get(name)
-        for shown, field in () if own is None else tree.names_of(own):
-            if field is None:
-                found.append(limits.bounds_of_value(url_of(shown, self._space), rdf.value, schema))
-        return merge_bounds(*found)
+    async def message_bounds(self, kind: Kind, name: str, schema: MessageSchema) -> Mapping[str, Bounds]:
+        """Return the bounds of single fields of a message sent to `name`, by path."""
+        demand = await self.message_demand(kind, name, schema)
+        return merge_bounds(*({path: bounds} for path, bounds in demand.bounds))
 
     async def require_parameter(self, name: str, value: ParameterValue) -> None:
         """Raise LoweringError if a parameter, or one in a tree, violates limits or its declaration."""

@@ -255,16 +255,10 @@ class MemberResource(TimeGate):
         return State(lambda: action_document(view, self.space, self.session.lifting), view=view, headers=self._headers)
 
     def _missing(self, tree: ResourceTree) -> Problem:
-        """Return a 308 redirect to the complex or remapped resource of this name, else a 404 Problem."""
-        instead = tree.replacement(self.name)
-        if instead is not None:
-            return Problem(404, f"{self.name} is offered as {url_of(instead, self.space)}")
-        path = f"{self.name}/"
-        if path in tree.paths:
-            return permanent_redirect(url_of(path, self.space))
-        elsewhere = tree.remapped_property(self.name)
-        if elsewhere is not None:
-            return permanent_redirect(url_of(elsewhere, self.space))
+        """Return a 308 redirect to the resource that a mapping names otherwise, else a 404 Problem."""
+        found = tree.redirect_target(self.name)
+        if found is not None:
+            return permanent_redirect(url_of(found, self.space))
         return Problem(404, f"There is no resource {self.name}.")
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:

@@ -109,7 +109,9 @@ class InvocableResource(NamedResource[Thing], Generic[Thing, Schema]):
         if "POST" not in self.methods():
             return ()
         try:
-            return (message_form(self.part(await self.schema()), "POST", *self.form),)
+            schema = self.part(await self.schema())
+            bounds = await self.limit_checks.message_bounds(self.ros_kind, self.name, schema)
+            return (message_form(schema, "POST", *self.form, bounds=bounds),)
         except (Problem, RosError):
             return ()
 

@@ -324,10 +324,9 @@ class TopicResource(PublishingResource):
                 message_form(schema, title="Publish zero", about="The robot is stopped: everything else is refused."),
             )
         latest = await self._latest_json()
-        hold = hold_form(
-            self.session, self.name, schema, latest, await self.limit_checks.topic_bounds(self.name, schema)
-        )
-        publish = message_form(schema, value=latest)
+        bounds = await self.limit_checks.message_bounds(Kind.TOPIC, self.name, schema)
+        hold = hold_form(self.session, self.name, schema, latest, bounds)
+        publish = message_form(schema, value=latest, bounds=bounds)
         return (publish, hold) if hold.pad is None else (hold, publish)
 
     async def _latest_json(self) -> Json:

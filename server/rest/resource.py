@@ -161,7 +161,7 @@ class Resource:
 
     def deny_reason(self, method: str) -> str:
         """Return why a method is not allowed, in a sentence for a 405."""
-        return f"{self.kind} resources do not support {method}."
+        return f"{self.url} does not support {method}."
 
     @property
     def deny_about(self) -> Sequence[str]:

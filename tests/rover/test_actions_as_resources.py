@@ -176,7 +176,8 @@ def test_a_mapping_offers_it_on_conditions_about_its_goal(start_rover: StartRove
     assert put.status_code == 201, put.text
     assert "warnings" not in put.text
     go = "/resources/errand/go"
-    assert rover.http.get(ACTION).status_code == 404, "it is offered as the mapping has it"
+    moved = rover.http.get(ACTION)
+    assert (moved.status_code, moved.headers["location"]) == (308, f"{rover.http.base_url}resources/errand/go")
     offered = graph(rover.http, "/resources/errand/")
     assert str(next(offered.objects(None, rdflib.URIRef("http://example.org/go")))).endswith(go)
     assert sent(rover, 4.4, 3.0, to=go).status_code == 201

@@ -151,7 +151,10 @@ def test_limits_are_in_every_description_before_anything_is_sent(http: httpx.Cli
     assert properties["mode"]["enum"] == ["manual", "automatic"]
     assert properties["level"]["exclusiveMaximum"] == 1.5
     assert "sh:maxInclusive 100" in http.get("/resources/arm/grip").text
-    assert 'max="100"' in http.get("/resources/arm/grip", headers={"Accept": "text/html"}).text
+    html = {"Accept": "text/html"}
+    for path in ("resources/arm/grip", "services/arm/set_grip"):
+        assert 'max="100"' in http.get(path, headers=html).text, path
+    assert http.get("/topics/arm/level", headers=html).text.count("less than 1.5") == 2, "to publish, and to hold"
 
 
 def test_limits_that_cannot_be_used_end_the_start(serving: Serving, limits: Path) -> None:

@@ -243,19 +243,15 @@ async def write_together(documents: Documents, writes: Sequence[Write]) -> Seque
         record_step(
             f"{'store' if isinstance(write, Put) else 'delete'} /{write.path}", documents.space.base + write.path
         )
-    judges = [
-        (write, permissions) for write in writes if (permissions := documents.validator_of(write.path)) is not None
-    ]
-    if not judges:
-        return await documents.records.write(*writes)
-    turns = {permissions.shape: permissions.lock for _, permissions in judges}
-    async with contextlib.AsyncExitStack() as held:
-        for shape in sorted(turns):
-            await held.enter_async_context(turns[shape])
-        sequels = [await permissions.validate(write) for write, permissions in judges]
+    validated = [(write, one) for write in writes if (one := documents.validator_of(write.path)) is not None]
+    locks = {validator.shape: validator.lock for _, validator in validated}
+    async with contextlib.AsyncExitStack() as stack:
+        for shape in sorted(locks):
+            await stack.enter_async_context(locks[shape])
+        callbacks = [await validator.validate(write) for write, validator in validated]
         records = await documents.records.write(*writes)
-        for sequel in sequels:
-            sequel()
+        for callback in callbacks:
+            callback()
         return records
 
 
@@ -307,8 +303,8 @@ class StoredResource(Resource):
     @property
     def accepted_media_types(self) -> Sequence[str]:
         """The media types that may be created here: those of the validator, if there is one."""
-        permissions = self.documents.validator_of(self.path + "?")
-        return (*RDF_BODIES, ANYTHING) if permissions is None else permissions.media_types
+        validator = self.documents.validator_of(self.path + "?")
+        return (*RDF_BODIES, ANYTHING) if validator is None else validator.media_types
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         return PathItem(self.kind, writes={"DELETE": DELETES})
@@ -319,12 +315,12 @@ class StoredResource(Resource):
     def deny_reason(self, method: str) -> str:
         if self.documents.settings.read_only:
             return "This server is read-only."
-        return f"{self.kind} resources do not answer {method}."
+        return super().deny_reason(method)
 
     @property
     def constrained_by(self) -> str | None:
-        permissions = self.documents.validator_of(self.path)
-        return self.space.shape("data" if permissions is None else permissions.shape)
+        validator = self.documents.validator_of(self.path)
+        return self.space.shape("data" if validator is None else validator.shape)
 
     def require_record(self) -> Record:
         """Return the record. Raises a 404 or 410 Problem, or a 308 redirect, if there is none."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
@@ -328,20 +327,17 @@ def test_queries_survive_a_restart(tmp_path: Path) -> None:
         assert [f"{client.base_url}queries/mine"] in ask(client, "SELECT ?q { ?q a ros:Query }")
 
 
-def test_a_query_that_is_none_any_more_is_listed_and_says_why(tmp_path: Path) -> None:
+async def test_a_query_that_is_none_any_more_is_listed_and_says_why(tmp_path: Path) -> None:
     bad = b"# It was good once.\nSELECT * { ?s ?p }"
 
-    async def keep() -> None:
-        async def chunks() -> AsyncIterator[bytes]:
-            yield bad
+    async def chunks() -> AsyncIterator[bytes]:
+        yield bad
 
-        records = open_records(tmp_path, roots=("queries/",))
-        for name in ("old", "inventory"):
-            blob = await records.receive(chunks(), "application/sparql-query", limit=1000)
-            await records.write(Put(f"queries/{name}", Model.NON_RDF_SOURCE, blob=blob))
-        await records.close()
-
-    asyncio.run(keep())
+    records = open_records(tmp_path, roots=("queries/",))
+    for name in ("old", "inventory"):
+        blob = await records.receive(chunks(), "application/sparql-query", limit=1000)
+        await records.write(Put(f"queries/{name}", Model.NON_RDF_SOURCE, blob=blob))
+    await records.close()
     with running(tmp_path, 0) as client:
         assert "old" in contained(client)
         answer = client.get("/queries/old", headers=CSV)

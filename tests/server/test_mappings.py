@@ -143,6 +143,21 @@ def test_two_mappings_never_have_one_path(stored: httpx.Client) -> None:
     assert stored.put("/mappings/other", content=COCKPIT, headers=TURTLE).status_code == 201
 
 
+def test_a_condition_is_described_by_one_mapping(stored: httpx.Client) -> None:
+    shape = '<http://x/c> a sh:NodeShape ; map:about "/z/" ; sh:property [ sh:path av:p ; sh:minCount 1 ] .'
+
+    def put(name: str, when: str) -> httpx.Response:
+        text = f'{PREFIXES} <#r> a map:ComplexResource ; map:path "/{name}/" {when} .'
+        return stored.put(f"/mappings/{name}", content=text, headers=TURTLE)
+
+    described = f"; map:existsWhen <http://x/c> . {shape[:-1]}"
+    assert put("a", described).status_code == 201
+    answer = put("b", described)
+    assert (answer.status_code, "http://x/c" in answer.json()["detail"]) == (422, True)
+    assert put("a", "").status_code == 204
+    assert put("b", described).status_code == 201
+
+
 def test_what_is_no_mapping_is_refused(http: httpx.Client) -> None:
     before = http.get("/mappings/").headers["etag"]
     bodies: tuple[tuple[dict[str, str], bytes, int], ...] = (

@@ -138,7 +138,7 @@ async def test_each_publisher_of_a_topic_has_its_newest_shown_in_order_of_play(
         assert texts(deep.latest()) == ["3", "4", "5", "6"]
 
 
-def test_a_watch_wakes_for_each_message_and_into_the_next_loop(recorder: ModuleType, tmp_path: Path) -> None:
+async def test_a_watch_wakes_for_each_message_and_into_the_next_loop(recorder: ModuleType, tmp_path: Path) -> None:
     path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=4, every=0.05))
     seen: list[tuple[int, str]] = []
 
@@ -147,23 +147,20 @@ def test_a_watch_wakes_for_each_message_and_into_the_next_loop(recorder: ModuleT
 
         def parameter_changed(self, name: str) -> None: ...
 
-    async def scenario() -> None:
-        playing = RecordingAdapter(path, AdapterOptions())
-        await playing.open(Sink(), deadline=asyncio.get_running_loop().time() + 5)
-        subscription = await playing.subscribe("/chatter")
-        enough = asyncio.Event()
+    playing = RecordingAdapter(path, AdapterOptions())
+    await playing.open(Sink(), deadline=asyncio.get_running_loop().time() + 5)
+    subscription = await playing.subscribe("/chatter")
+    enough = asyncio.Event()
 
-        def wake() -> None:
-            (sample,) = subscription.latest()
-            seen.append((sample.epoch, *texts([sample])))
-            if sample.epoch == 2:
-                enough.set()
+    def wake() -> None:
+        (sample,) = subscription.latest()
+        seen.append((sample.epoch, *texts([sample])))
+        if sample.epoch == 2:
+            enough.set()
 
-        subscription.watch(wake)
-        await asyncio.wait_for(enough.wait(), 60)
-        await playing.close()
-
-    asyncio.run(scenario())
+    subscription.watch(wake)
+    await asyncio.wait_for(enough.wait(), 60)
+    await playing.close()
     assert seen == sorted(seen)
     assert len(set(seen)) >= 6
 

@@ -166,27 +166,24 @@ async def test_what_changes_unseen_is_not_read(opened: Any, reader: Any, monkeyp
         await slow.leave()
 
 
-def test_a_failure_nobody_foresaw_is_told_and_logged(
+async def test_a_failure_nobody_foresaw_is_told_and_logged(
     opened: Any, reader: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def main() -> None:
-        async with opened() as app:
-            one = reader(app, DISPLAY)
-            await one.until(lambda one: bool(one.events))
+    async with opened() as app:
+        one = reader(app, DISPLAY)
+        await one.until(lambda one: bool(one.events))
 
-            def broken(topic: str) -> None:
-                raise RuntimeError("the inside")
+        def broken(topic: str) -> None:
+            raise RuntimeError("the inside")
 
-            with monkeypatch.context() as patched:
-                patched.setattr(app.session.topics, "find_view", broken)
-                await show(app, "unseen")
-                await one.until(lambda one: b"event: problem" in one.events[-1])
-            assert b"the inside" not in one.events[-1]
-            await show(app, "seen")
-            await one.until(lambda one: b'"seen"' in one.events[-1])
-            await one.leave()
-
-    asyncio.run(main())
+        with monkeypatch.context() as patched:
+            patched.setattr(app.session.topics, "find_view", broken)
+            await show(app, "unseen")
+            await one.until(lambda one: b"event: problem" in one.events[-1])
+        assert b"the inside" not in one.events[-1]
+        await show(app, "seen")
+        await one.until(lambda one: b'"seen"' in one.events[-1])
+        await one.leave()
     assert "the inside" in caplog.text
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -54,13 +54,6 @@ def receipt(*requests: AuditEntry, excerpt: int = 500) -> Receipt:
     return asyncio.run(noted())
 
 
-def run(work: Callable[[], Awaitable[None]]) -> None:
-    async def main() -> None:
-        await work()
-
-    asyncio.run(main())
-
-
 # Content of a receipt
 
 
@@ -80,76 +73,60 @@ def test_of_a_body_that_looks_like_credentials_nothing_is_told() -> None:
 # Retention
 
 
-def test_the_oldest_go_first_and_refusals_push_out_nothing_that_was_done() -> None:
-    async def work() -> None:
-        kept = journal(limit=10)
-        done = [kept.add(asked()) for _ in range(12)]
-        refused = [kept.add(asked(status=422)) for _ in range(50)]
-        assert [entry.id for entry in kept.newest_first()] == [*refused[:-3:-1], *done[:1:-1]]
-        with pytest.raises(NoSuchReceipt):
-            kept.find(done[0])
-
-    run(work)
+async def test_the_oldest_go_first_and_refusals_push_out_nothing_that_was_done() -> None:
+    kept = journal(limit=10)
+    done = [kept.add(asked()) for _ in range(12)]
+    refused = [kept.add(asked(status=422)) for _ in range(50)]
+    assert [entry.id for entry in kept.newest_first()] == [*refused[:-3:-1], *done[:1:-1]]
+    with pytest.raises(NoSuchReceipt):
+        kept.find(done[0])
 
 
-def test_what_is_too_old_goes() -> None:
-    async def work() -> None:
-        kept = journal(age=60.0)
-        old = kept.add(asked(ended_ns=time.time_ns() - 61_000_000_000))
-        new = kept.add(asked())
-        kept.start()
-        assert [entry.id for entry in kept.newest_first()] == [new]
-        with pytest.raises(NoSuchReceipt):
-            kept.find(old)
-        await kept.close()
-
-    run(work)
+async def test_what_is_too_old_goes() -> None:
+    kept = journal(age=60.0)
+    old = kept.add(asked(ended_ns=time.time_ns() - 61_000_000_000))
+    new = kept.add(asked())
+    kept.start()
+    assert [entry.id for entry in kept.newest_first()] == [new]
+    with pytest.raises(NoSuchReceipt):
+        kept.find(old)
+    await kept.close()
 
 
 # The disk
 
 
-def test_what_was_noted_is_on_the_disk_soon_and_what_was_forgotten_is_not(tmp_path: Path) -> None:
-    async def work() -> None:
-        kept = journal(tmp_path, limit=5)
-        for _ in range(3):
-            for _ in range(4):
-                kept.add(asked())
-            await until(lambda: numbers(tmp_path) == sorted(entry.number for entry in kept.newest_first()))
-        await kept.close()
-
-    run(work)
+async def test_what_was_noted_is_on_the_disk_soon_and_what_was_forgotten_is_not(tmp_path: Path) -> None:
+    kept = journal(tmp_path, limit=5)
+    for _ in range(3):
+        for _ in range(4):
+            kept.add(asked())
+        await until(lambda: numbers(tmp_path) == sorted(entry.number for entry in kept.newest_first()))
+    await kept.close()
 
 
-def test_secrets_do_not_reach_the_disk(tmp_path: Path) -> None:
-    async def work() -> None:
-        kept = journal(tmp_path)
-        kept.add(asked(b'{"password": "hunter2"}', words="hunter2"))
-        await kept.close()
-
-    run(work)
-    assert not any(b"hunter2" in file.read_bytes() for file in tmp_path.iterdir())
+async def test_secrets_do_not_reach_the_disk(tmp_path: Path) -> None:
+    kept = journal(tmp_path)
+    kept.add(asked(b'{"password": "hunter2"}', words="hunter2"))
+    await kept.close()
+    assert not any(b"hunter2" in file.read_bytes() for file in tmp_path.iterdir())  # noqa: ASYNC240
 
 
-def test_a_disk_that_fails_refuses_no_write_and_is_tried_again(
+async def test_a_disk_that_fails_refuses_no_write_and_is_tried_again(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rosld.server.receipts.journal._RETRY_SECONDS", 0.01)
     monkeypatch.setattr("rosld.server.receipts.sqlite_log._OPEN_SECONDS", 0.01)
-
-    async def work() -> None:
-        kept = journal(tmp_path)
-        other = sqlite3.connect(tmp_path / DATABASE, isolation_level=None)
-        other.execute("BEGIN IMMEDIATE")
-        first = kept.add(asked())
-        await until(lambda: "kept in memory" in caplog.text)
-        assert kept.find(first).receipt.agent == "ann"
-        other.execute("ROLLBACK")
-        other.close()
-        await until(lambda: len(numbers(tmp_path)) == 1)
-        await kept.close()
-
-    run(work)
+    kept = journal(tmp_path)
+    other = sqlite3.connect(tmp_path / DATABASE, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    first = kept.add(asked())
+    await until(lambda: "kept in memory" in caplog.text)
+    assert kept.find(first).receipt.agent == "ann"
+    other.execute("ROLLBACK")
+    other.close()
+    await until(lambda: len(numbers(tmp_path)) == 1)
+    await kept.close()
 
 
 def test_a_file_that_is_no_database_of_receipts_is_refused(tmp_path: Path) -> None:
@@ -177,34 +154,31 @@ async def until(holds: Callable[[], bool]) -> None:
 # The dataset
 
 
-def test_the_dataset_is_told_what_came_and_what_went() -> None:
-    async def work() -> None:
-        kept = journal(limit=3)
-        graphs = ReceiptGraphs(kept, Space(BASE))
-        held: dict[str, str] = {}
-        version = 0
+async def test_the_dataset_is_told_what_came_and_what_went() -> None:
+    kept = journal(limit=3)
+    graphs = ReceiptGraphs(kept, Space(BASE))
+    held: dict[str, str] = {}
+    version = 0
 
-        def catch_up() -> None:
-            nonlocal version
-            for part in graphs.changes(version):
-                for iri, render in part.graphs.items():
-                    if render is None:
-                        held.pop(iri, None)
-                    else:
-                        held[iri] = render()
-                for edit in part.edits:
-                    lines = set(held.get(edit.graph, "").splitlines()) - set(edit.removed.splitlines())
-                    held[edit.graph] = "\n".join(sorted(lines | set(edit.added.splitlines())))
-            version = graphs.version
+    def catch_up() -> None:
+        nonlocal version
+        for part in graphs.changes(version):
+            for iri, render in part.graphs.items():
+                if render is None:
+                    held.pop(iri, None)
+                else:
+                    held[iri] = render()
+            for edit in part.edits:
+                lines = set(held.get(edit.graph, "").splitlines()) - set(edit.removed.splitlines())
+                held[edit.graph] = "\n".join(sorted(lines | set(edit.added.splitlines())))
+        version = graphs.version
 
-        container = f"{BASE}activity/"
-        for count in (0, 2, 1, 7, 1):
-            for _ in range(count):
-                kept.add(asked())
-            catch_up()
-            urls = {f"{BASE}activity/{entry.id}" for entry in kept.newest_first()}
-            assert held.keys() == {container, *urls}
-            assert held[container].count("ldp#contains") == len(urls)
-            assert all(url in held[container] for url in urls)
-
-    run(work)
+    container = f"{BASE}activity/"
+    for count in (0, 2, 1, 7, 1):
+        for _ in range(count):
+            kept.add(asked())
+        catch_up()
+        urls = {f"{BASE}activity/{entry.id}" for entry in kept.newest_first()}
+        assert held.keys() == {container, *urls}
+        assert held[container].count("ldp#contains") == len(urls)
+        assert all(url in held[container] for url in urls)

@@ -49,7 +49,7 @@ def topic_document(
     nodes = [NamedNode(url + message.node) for message in named]
     several = len(nodes) > 1 or len(topic.publishers) > 1
     triples = [
-        *_description(topic, space, is_namespace(topic.name, graph.topics)),
+        *_description(topic, space, is_namespace(topic.name, graph.topics), holdable),
         *triples_about(
             subject,
             (ros.unreadable, text(unreadable or topic.unreadable)),
@@ -58,16 +58,8 @@ def topic_document(
             (ros.heldBy, NamedNode(space.hold(hold)) if hold else None),
             *(statements(ros.latestFrom, nodes) if several else ()),
         ),
-        *(_described_hold(topic, space) if holdable else ()),
     ]
     return Document(url, tuple(triples), named, graph.simulated_time)
-
-
-def _described_hold(topic: Topic, space: Space) -> tuple[Triple, ...]:
-    """Return the affordance of holding the topic."""
-    name = None if topic.type is None else topic.type.name
-    shape = None if name is None else space.shape(name)
-    return tuple(holdable_at(space.topic(topic.name), shape, commands_velocity=name in COMMANDS))
 
 
 def _with_fragments(messages: Sequence[LiftedMessage], space: Space) -> tuple[LiftedMessage, ...]:
@@ -139,7 +131,7 @@ _MISMATCH = NodeShape[Mismatch]("QosMismatch", "a mismatch of quality of service
 
 
 @lru_cache(maxsize=4096)
-def _description(topic: Topic, space: Space, is_namespace: bool) -> tuple[Triple, ...]:
+def _description(topic: Topic, space: Space, is_namespace: bool, holdable: bool) -> tuple[Triple, ...]:
     """Return the part of the document that does not change with messages."""
     url = space.topic(topic.name)
     endpoints = dict(
@@ -167,6 +159,10 @@ def _description(topic: Topic, space: Space, is_namespace: bool) -> tuple[Triple
         triples += _MISMATCH.triples(node, pair, space)
     for ref in topic.types:
         triples += type_url(ref, space)
+    if holdable:
+        name = None if topic.type is None else topic.type.name
+        shape = None if name is None else space.shape(name)
+        triples += holdable_at(url, shape, commands_velocity=name in COMMANDS)
     return tuple(triples)
 
 

@@ -115,7 +115,7 @@ class LimitChecks:
 
     async def require_text(self, kind: Kind, name: str, schema: MessageSchema, body: RdfBody) -> None:
         """Raise LoweringError if a body writes a limited text as octets."""
-        if not any(each.datatype in BINARIES for each in body.literals()) or not self.limits:
+        if not self.limits or not any(each.datatype in BINARIES for each in body.literals()):
             return
         require_no_octets(body, limited_texts(await self.message_demand(kind, name, schema), schema, self._space))
 

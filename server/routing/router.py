@@ -289,7 +289,7 @@ class Router:
             **{name: single_route(partial(make, space)) for name, make in FILES.items()},
         }
         self._base = space.path.rstrip("/")
-        self._cache: dict[bytes, Resource] = {}
+        self._cache: dict[str, Resource] = {}
 
     def add(self, routes: Mapping[str, Route]) -> None:
         """Add routes, replacing those of the same names."""
@@ -306,38 +306,34 @@ class Router:
         Raises Problem 400 for malformed paths, 404 for unknown ones, and 308 for a read with another spelling of the
         resource's URL (`a:b` for `a%3Ab`), so that each resource has one URL. Writes are accepted with any spelling.
         """
-        raw: bytes = scope["raw_path"]
-        resource = self._cache.get(raw)
-        if resource is None:
-            resource = self._find(raw)
-            is_spelt = self._is_spelt(resource, raw)
-            if not is_spelt and scope["method"] in ("GET", "HEAD"):
-                query = scope["query_string"].decode("latin-1")
-                raise permanent_redirect(f"{resource.url}?{query}" if query else resource.url)
-            if not resource.is_cacheable or not is_spelt:
-                return resource
-            if len(self._cache) >= _MAX_CACHED:
-                self._cache.pop(next(iter(self._cache)))
-            self._cache[raw] = resource
-        return resource
-
-    def _is_spelt(self, resource: Resource, raw: bytes) -> bool:
-        """Whether a path is spelled as in the URL of the resource."""
-        own = resource.url.partition("?")[0]
-        return own[len(self._space.base) - 1 :] == raw.decode("ascii").removeprefix(self._base)
-
-    def _find(self, raw: bytes) -> Resource:
         try:
-            return self.at(raw.decode("ascii").removeprefix(self._base))
+            path = scope["raw_path"].decode("ascii").removeprefix(self._base)
+            resource = self._cache.get(path) or self.at(path)
         except UnicodeDecodeError as error:
             raise Problem(400, "The path is not ASCII: percent-encode it.") from error
         except ValueError as error:
             raise Problem(400, f"{error}.") from error
+        if path not in self._cache and scope["method"] in ("GET", "HEAD") and not self._is_spelt(resource, path):
+            query = scope["query_string"].decode("latin-1")
+            raise permanent_redirect(f"{resource.url}?{query}" if query else resource.url)
+        return resource
+
+    def _is_spelt(self, resource: Resource, path: str) -> bool:
+        """Whether a path is spelled as in the URL of the resource."""
+        return resource.url.partition("?")[0][len(self._space.base) - 1 :] == path
 
     def at(self, path: str) -> Resource:
         """Return the resource at a path below the base. Raises Problems (404, 308), ValueError if it is malformed."""
+        resource = self._cache.get(path)
+        if resource is not None:
+            return resource
         location = _located(path) if len(path) <= _SHORT else locate(path)
         route = self.routes.get(location.kind)
         if route is None:
             raise Problem(404, f"There is nothing at {path}; begin at {self._space.base}")
-        return route(location)
+        resource = route(location)
+        if resource.is_cacheable and self._is_spelt(resource, path):
+            if len(self._cache) >= _MAX_CACHED:
+                self._cache.pop(next(iter(self._cache)))
+            self._cache[path] = resource
+        return resource

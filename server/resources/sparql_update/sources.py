@@ -19,19 +19,20 @@ from rosld.server.resources.sparql_update.report import RefusedGraphs
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State, require_memory
-from rosld.server.sparql.update.evaluate import GraphChange, Row, StagingDataset, evaluate
-from rosld.server.sparql.update.operations import ChangeData, Load, ManageGraph, Operation, Where
+from rosld.server.sparql.update.evaluate import GraphChange, StagingDataset, TooManySteps, evaluate, matched_graphs
+from rosld.server.sparql.update.operations import ChangeData, Load, ManageGraph, Operation
 
 _INLINE = 1000
 """Maximum number of quads of an update that is evaluated on the loop."""
 
 
 class ResourceGraphs(Struct, frozen=True):
-    """Snapshot of the graphs of resources: the states of existing resources by graph name.
+    """Snapshot of the graphs of resources: the resources, and the states of existing ones, by graph name.
 
     `tokens` are the tags of graphs that are not stored, `documents` the names of the stored ones.
     """
 
+    resources: Mapping[str, Resource]
     states: Mapping[str, State]
     tokens: Mapping[str, Hashable]
     documents: frozenset[str]
@@ -42,10 +43,16 @@ class ResourceGraphs(Struct, frozen=True):
         return None if state is None else state.document.all_triples()
 
     async def changes(self, operations: Sequence[Operation], *, by_change: bool) -> tuple[GraphChange, ...]:
-        """Return the changes that operations without WHERE make. Raises Problems like `evaluate`.
+        """Return the changes that operations make. Raises Problems like `evaluate`, and TooManySteps like `match`.
 
         `by_change`: report only the difference for documents, reading the rest only if necessary.
         """
+        if any(
+            state.is_large or state.is_long
+            for graph in matched_graphs(operations) or ()
+            if (state := self.states.get(graph))
+        ):
+            raise TooManySteps
         changed = self.documents if by_change else frozenset()
         quads = sum(len(each.inserts) + len(each.deletes) for each in operations if isinstance(each, ChangeData))
         is_long = quads > _INLINE
@@ -56,7 +63,7 @@ class ResourceGraphs(Struct, frozen=True):
 
         def evaluated() -> tuple[GraphChange, ...]:
             staging = StagingDataset(self, is_large=changed.__contains__)
-            evaluate(operations, staging, _refuse)
+            evaluate(operations, staging, staging.match)
             return staging.changes()
 
         return await asyncio.to_thread(evaluated) if is_long else evaluated()
@@ -64,12 +71,14 @@ class ResourceGraphs(Struct, frozen=True):
 
 async def read_graphs(graphs: Iterable[str], find: Callable[[str], Resource | None]) -> ResourceGraphs:
     """Return the graphs of these names from the resources that `find` returns. Raises Problems of unreadable graphs."""
+    resources: dict[str, Resource] = {}
     states: dict[str, State] = {}
     tokens: dict[str, Hashable] = {}
     for graph in graphs:
         resource = find(graph)
         if resource is None:
             continue
+        resources[graph] = resource
         try:
             await resource.prepare()
             state = await resource.state()
@@ -81,11 +90,7 @@ async def read_graphs(graphs: Iterable[str], find: Callable[[str], Resource | No
         states[graph] = state
         if not isinstance(resource, StoredResource):
             tokens[graph] = state.tag
-    return ResourceGraphs(states, tokens, frozenset(states.keys() - tokens.keys()))
-
-
-def _refuse(where: Where) -> Iterable[Row]:
-    raise ValueError(f"a query worker answers a WHERE: {where.query}")
+    return ResourceGraphs(resources, states, tokens, frozenset(states.keys() - tokens.keys()))
 
 
 async def load_documents(

@@ -42,9 +42,10 @@ Term: TypeAlias = Iri | Variable | Value
 
 
 class Pattern(NamedTuple):
-    """A triple pattern. `predicates` are those that may match, None for any.
+    """A triple pattern. `predicates` are those that may match, None for any; `verb` is a variable predicate.
 
-    `repeated`: it may match along several consecutive triples, or in either direction; `empty`: along none at all.
+    `repeated`: it may match along several consecutive triples, in either direction, or in several ways; `empty`: along
+    none at all.
     """
 
     subject: Term
@@ -52,6 +53,7 @@ class Pattern(NamedTuple):
     object: Term
     repeated: bool = False
     empty: bool = False
+    verb: Variable | None = None
 
 
 class Group(Struct, eq=False):

@@ -263,9 +263,9 @@ class TripleParser(Cursor):
     def add_path(self, group: Group, subject: Term, path: Verb, object: Term) -> None:
         """Add the patterns of `subject path object` to a group: one per step of a chain, joined by fresh variables."""
         if isinstance(path, Variable):
-            self._add(group, path, Pattern(subject, None, object))
+            self._add(group, Pattern(subject, None, object, verb=path))
         elif isinstance(path, PathStep):
-            self._add(group, None, Pattern(subject, frozenset({path.iri}), object))
+            self._add(group, Pattern(subject, frozenset({path.iri}), object))
         elif isinstance(path, Inverse):
             self.add_path(group, object, path.path, subject)
         elif isinstance(path, Chain):
@@ -273,16 +273,18 @@ class TripleParser(Cursor):
             for at, part in enumerate(path.parts):
                 self.add_path(group, ends[at], part, ends[at + 1])
         else:
+            predicates = path_predicates(path)
             is_simple = (
-                isinstance(path, Choice) and bool(path.parts) and all(isinstance(part, PathStep) for part in path.parts)
+                isinstance(path, Choice)
+                and all(isinstance(part, PathStep) for part in path.parts)
+                and len(predicates or ()) == len(path.parts) > 0
             )
-            pattern = Pattern(subject, path_predicates(path), object, not is_simple, may_be_empty(path))
-            self._add(group, None, pattern)
+            self._add(group, Pattern(subject, predicates, object, not is_simple, may_be_empty(path)))
 
-    def _add(self, group: Group, verb: Variable | None, pattern: Pattern) -> None:
+    def _add(self, group: Group, pattern: Pattern) -> None:
         self.count_join()
         group.patterns.append(pattern)
-        for term in (pattern.subject, verb, pattern.object):
+        for term in (pattern.subject, pattern.verb, pattern.object):
             if isinstance(term, Variable) and not term.is_blank:
                 group.visible.add(term.name)
 

@@ -28,10 +28,16 @@ from rosld.server.sparql.update.operations import (
 
 MAX_ROWS = 100_000
 """Maximum number of solutions of a WHERE."""
+_MAX_STEPS = 5_000
+"""Maximum number of comparisons with triples in `StagingDataset.match`: some three milliseconds."""
 
 Row: TypeAlias = "tuple[Term | None, ...]"
 WhereEvaluator: TypeAlias = Callable[[Where], Iterable[Row]]
 """Function that returns the solutions of a WHERE; without variables, one empty row if it holds."""
+
+
+class TooManySteps(Exception):
+    """A WHERE that takes too long to evaluate on the loop."""
 
 
 class GraphChange(NamedTuple):
@@ -67,6 +73,11 @@ class _LargeGraph:
     def insert(self, triple: Triple) -> None:
         self.removed.pop(triple, None)
         self.added[triple] = None
+
+    def apply(self, triples: dict[Triple, None]) -> None:
+        for triple in self.removed:
+            triples.pop(triple, None)
+        triples.update(self.added)
 
 
 class ScratchDataset(Protocol):
@@ -129,6 +140,28 @@ class StagingDataset:
         name = NamedNode(graph)
         return [Quad(each.subject, each.predicate, each.object, name) for each in self._triples_of(graph) or ()]
 
+    def match(self, where: Where) -> Iterator[Row]:
+        """Yield the solutions of a WHERE that has `patterns`, after the changes so far. Raises TooManySteps."""
+        steps, rows = 0, list[dict[str, Term]]([{}])
+        for *slots, graph in where.patterns or ():
+            assert isinstance(graph, NamedNode)
+            triples = [*map(tuple, self._current(graph.value))]
+            steps += len(rows) * len(triples)
+            if steps > _MAX_STEPS:
+                raise TooManySteps
+            rows = [found for row in rows for triple in triples if (found := _matched(slots, triple, row)) is not None]
+        return (tuple(map(row.get, where.variables)) for row in rows)
+
+    def _current(self, graph: str) -> Iterable[Triple]:
+        """Return the triples of a graph after the changes so far, without storing it completely."""
+        large = self._large.get(graph)
+        if graph in self._now or (large is None and not self._is_large(graph)):
+            return self._triples_of(graph) or ()
+        found = dict.fromkeys(self._graphs.triples(graph) or ())
+        if large is not None:
+            large.apply(found)
+        return found
+
     def create(self, graph: str) -> dict[Triple, None]:
         """Return the triples of a graph, creating it if missing."""
         triples = self._triples_of(graph)
@@ -169,10 +202,23 @@ class StagingDataset:
             now = self._now[graph] = None if found is None else dict.fromkeys(found)
             large = self._large.pop(graph, None)
             if large is not None and now is not None:
-                for triple in large.removed:
-                    now.pop(triple, None)
-                now.update(large.added)
+                large.apply(now)
         return self._now[graph]
+
+
+def _matched(slots: Sequence[object], triple: Sequence[Term], row: dict[str, Term]) -> dict[str, Term] | None:
+    """Return a solution with the variables that the triple binds, None if it does not match."""
+    found = row
+    for slot, term in zip(slots, triple, strict=True):
+        if isinstance(slot, TemplateVariable):
+            known = found.get(slot.name)
+            if known is None:
+                found = {**found, slot.name: term}
+            elif known != term:
+                return None
+        elif slot != term:
+            return None
+    return found
 
 
 def _encode_object(quad: Quad) -> Quad:
@@ -213,6 +259,21 @@ def has_dependent_where(operations: Sequence[Operation]) -> bool:
 def has_where(operations: Sequence[Operation]) -> bool:
     """Whether an operation has a WHERE."""
     return any(isinstance(each, Modify) for each in operations)
+
+
+def matched_graphs(operations: Sequence[Operation]) -> frozenset[str] | None:
+    """Return the names of the graphs that `StagingDataset.match` needs; None if it cannot evaluate every WHERE."""
+    found: set[str] = set()
+    for operation in operations:
+        if isinstance(operation, Modify):
+            where, templates = operation.where, (*operation.deletes, *operation.inserts)
+            if where.patterns is None or where.default_graphs or where.named_graphs:
+                return None
+            for quad in (*where.patterns, *templates):
+                if not isinstance(quad.graph, NamedNode):
+                    return None
+            found.update(quad.graph.value for quad in where.patterns if isinstance(quad.graph, NamedNode))
+    return frozenset(found)
 
 
 def named_graphs(operations: Sequence[Operation]) -> frozenset[str]:

@@ -8,6 +8,7 @@ from functools import reduce
 from typing import NamedTuple
 
 from rosld.server.http.problem import Problem
+from rosld.server.rest.resource import Resource
 from rosld.server.sparql.analysis import Analyser, Analysis
 from rosld.server.sparql.materializer import DatasetVersions
 from rosld.server.sparql.needs import Needs, needs_of_documents
@@ -26,13 +27,15 @@ class Delta(NamedTuple):
     """The changes that operations make.
 
     They are valid while the graphs with live values have these `tokens`, and the stored content of the changed
-    graphs is not newer than version `stored`. `named` are the graphs that the operations name.
+    graphs is not newer than version `stored`. `named` are the graphs that the operations name, `resources` those that
+    were read.
     """
 
     changes: tuple[GraphChange, ...]
     tokens: Mapping[str, Hashable]
     stored: int
     named: frozenset[str]
+    resources: Mapping[str, Resource] = {}
 
 
 class _PlannedWhere(NamedTuple):

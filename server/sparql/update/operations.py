@@ -50,6 +50,7 @@ class Where(Struct, frozen=True):
 
     `default_graphs` and `named_graphs` are its dataset (USING); without either it is complete. With WITH the query
     names the graph (GRAPH), and so has no solutions if the graph does not exist: then `with_graph` is evaluated.
+    `patterns` are all that it consists of, if that is triple patterns of graphs that it names, else None.
     """
 
     query: str
@@ -57,6 +58,7 @@ class Where(Struct, frozen=True):
     default_graphs: tuple[str, ...] = ()
     named_graphs: tuple[str, ...] = ()
     with_graph: WithGraph | None = None
+    patterns: tuple[QuadTemplate, ...] | None = None
 
 
 class ChangeData(Struct, frozen=True):

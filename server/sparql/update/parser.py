@@ -17,7 +17,7 @@ from rosld.server.sparql.rewriting import rewrite
 from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS, CheckedText, QueryBounds, check_text, line_and_column
 from rosld.server.sparql.syntax.query import QueryParser
 from rosld.server.sparql.syntax.token import Kind
-from rosld.server.sparql.syntax.tree import Iri, PathStep, Term, Value, Variable
+from rosld.server.sparql.syntax.tree import Group, Iri, PathStep, Term, Value, Variable
 from rosld.server.sparql.syntax.triples import Verb as Predicate
 from rosld.server.sparql.update.operations import (
     ChangeData,
@@ -136,6 +136,33 @@ def _read(checked: CheckedText, base: str) -> tuple[UpdateParser, tuple[Operatio
         raise Problem(400, "The update is nested too deeply: split it.") from error
 
 
+def _patterns(group: Group, graph: str | None) -> tuple[QuadTemplate, ...] | None:
+    """Return the patterns of a group whose default graph is `graph`, None if it has others or anything else."""
+    found: list[QuadTemplate] = []
+    if group.filters or group.tests or group.bindings or group.data:
+        return None
+    for pattern in group.patterns:
+        home = Iri(graph) if group.graph is None and graph else group.graph
+        verbs = [pattern.verb] if pattern.verb else [Iri(each) for each in pattern.predicates or ()]
+        if not isinstance(home, Iri) or len(verbs) != 1 or pattern.repeated:
+            return None
+        found.append(
+            QuadTemplate(_slot(pattern.subject), _slot(verbs[0]), _slot(pattern.object), NamedNode(home.value))
+        )
+    for child in group.children:
+        inner = _patterns(child, graph)
+        if inner is None or not child.joined or child.alternative or (child.graph is not group.graph and not inner):
+            return None
+        found += inner
+    return tuple(found)
+
+
+def _slot(term: Term) -> TemplateTerm:
+    if isinstance(term, Iri):
+        return NamedNode(term.value)
+    return TemplateVariable(term.name) if isinstance(term, Variable) else term.literal
+
+
 class UpdateParser(QueryParser):
     """Parser of a complete update."""
 
@@ -190,18 +217,23 @@ class UpdateParser(QueryParser):
         if graph is None and keyword == "DELETE" and self.take("WHERE"):
             begin = self.token.start
             deletes = self._deletes(None)
-            return Modify(deletes, (), self._where(self.text[begin : self.token.start], deletes, None))
+            where = self._where(self.text[begin : self.token.start], deletes, None)
+            # Outside of GRAPH the pattern matches in all graphs, and the deletion concerns one document.
+            is_local = all(isinstance(each.graph, NamedNode) and each.graph.value != self._default for each in deletes)
+            return Modify(deletes, (), replace(where, patterns=deletes) if is_local else where)
         deletes = self._deletes(graph) if keyword == "DELETE" else ()
         inserts = self._quads(graph) if keyword == "INSERT" or self.take("INSERT") else ()
         default, named = self._using()
         self.expect("WHERE", "and a group of patterns")
         begin = self.token.start
-        self.group(None)
+        matched = self.group(None)
         using = bool(default or named)
         group = self.text[begin : self.token.start]
         where = self._where(group, (*deletes, *inserts), None if using else graph)
         if using:
             where = replace(where, default_graphs=default, named_graphs=named)
+        else:
+            where = replace(where, patterns=_patterns(matched, graph))
         return Modify(deletes, inserts, where)
 
     def _data(self, keyword: str) -> ChangeData:
@@ -284,12 +316,8 @@ class UpdateParser(QueryParser):
         return NamedNode(predicate.iri)
 
     def _slot(self, term: Term) -> TemplateTerm:
-        if isinstance(term, Iri):
-            return NamedNode(term.value)
-        if not isinstance(term, Variable):
-            return term.literal
-        if not term.is_blank:
-            return TemplateVariable(term.name)
+        if not isinstance(term, Variable) or not term.is_blank:
+            return _slot(term)
         if term.name not in self._blank_nodes:
             self._blank_nodes[term.name] = BlankNode()
         return self._blank_nodes[term.name]

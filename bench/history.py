@@ -28,9 +28,9 @@ from rosld.adapters.model import Encoding, Graph, Sample, Topic, TypeRef, freeze
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.slots import Slot
 from rosld.server.history.history_writer import HistoryWriter
-from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.mcap_writer import MAX_SECONDS
 from rosld.server.history.segments import HistoryLimits, Segments
+from rosld.server.history.topic_feed import LiveRecorder
 
 TOPICS, RATE = 200, 50
 TICK = 0.02

@@ -15,8 +15,8 @@ from pathlib import Path
 from history import IMU, RATE, TOPICS, Messages, Source, learn, resident
 
 from rosld.server.history.history_writer import HistoryWriter
-from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.segments import HistoryLimits, Segments
+from rosld.server.history.topic_feed import LiveRecorder
 
 MINUTE = 60.0
 DAY, GIBIBYTE = 86400.0, 1 << 30

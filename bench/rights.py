@@ -12,10 +12,8 @@ import time
 from collections.abc import Callable
 
 from rosld.ontology.urls import Space
-from rosld.server.auth.agent import Agent
-from rosld.server.auth.globs import Glob
 from rosld.server.auth.permissions import Permissions
-from rosld.server.auth.rules import Mode, Policy, Rule
+from rosld.server.auth.rules import Agent, Glob, Mode, Policy, Rule
 from rosld.server.dataset import MemoryStore
 from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.process.client import QueryProcess

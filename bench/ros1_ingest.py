@@ -26,7 +26,7 @@ from pathlib import Path
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.ros1 import adapter
-from rosld.adapters.ros1.slave import SlaveApi, XmlRpcServer
+from rosld.adapters.ros1.publications import SlaveApi, XmlRpcServer
 from rosld.adapters.ros1.tcpros import decode_header, encode_header
 
 ROSMASTER = "/usr/bin/rosmaster"

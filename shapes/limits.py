@@ -25,7 +25,6 @@ from rosld.ontology.literals import DATATYPES, STRINGS, base64_text, scalar_text
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd
-from rosld.shapes.constraints import MAX_VIOLATIONS, NodeShape, compile_shape, conjunction
 from rosld.shapes.limit_parts import (
     NO_DEMAND,
     Demand,
@@ -36,7 +35,7 @@ from rosld.shapes.limit_parts import (
     ValuePlace,
     limit_part,
 )
-from rosld.shapes.shapes_graph import ShapesGraph
+from rosld.shapes.shapes_graph import MAX_VIOLATIONS, NodeShape, ShapesGraph, compile_shape, conjunction
 from rosld.shapes.terms import TripleView
 from rosld.shapes.value import UNBOUNDED, Bounds, merge_bounds
 

@@ -15,11 +15,10 @@ from rosld.ontology.triples import boolean, double, integer, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
-from rosld.shapes.accepted_values import PARAMETER_ARRAYS, PARAMETERS
+from rosld.shapes.accepted_values import PARAMETER_ARRAYS, PARAMETERS, parameter_array_pattern
 from rosld.shapes.affordance import value_shape_triples
 from rosld.shapes.compiled_shape import component
 from rosld.shapes.components import list_terms, phrase
-from rosld.shapes.lexical_patterns import parameter_array_pattern
 from rosld.shapes.limit_parts import Demand
 from rosld.shapes.value import NO_MEASURE, Bounds, Measure, OpenShape, ScalarShape
 from rosld.shapes.writer import within

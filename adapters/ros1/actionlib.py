@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from rosld.adapters.model import Action, GoalStatus, TypeRef
-from rosld.adapters.ros1.wire_reader import WireReader
+from rosld.adapters.ros1.tcpros import WireReader
 
 _TIME = struct.Struct("<II")
 _LENGTH = struct.Struct("<I")

@@ -23,8 +23,8 @@ from rosld.adapters.model import (
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.client import Client
+from rosld.adapters.ros1.master import own_name
 from rosld.adapters.ros1.publication import Publication
-from rosld.adapters.ros1.stale_registrations import own_name
 from rosld.adapters.ros1.subscription import Feed, Slot, TopicSubscription
 from rosld.adapters.ros1.types import definition_folders
 from rosld.adapters.thread import IoThread, ThreadAdapter, seconds_left, thread_time

@@ -12,14 +12,12 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.actions import Actions
 from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
-from rosld.adapters.ros1.hosts import Hosts
-from rosld.adapters.ros1.master import MasterApi, MasterSnapshot
+from rosld.adapters.ros1.master import Hosts, MasterApi, MasterSnapshot, StaleRegistrations
 from rosld.adapters.ros1.parameters import Parameters, parts_of, with_parts
 from rosld.adapters.ros1.publications import Publications, addresses
 from rosld.adapters.ros1.reconfigurable import Reconfigurables
 from rosld.adapters.ros1.services import Services
 from rosld.adapters.ros1.sources import Nodes, TopicReader
-from rosld.adapters.ros1.stale_registrations import StaleRegistrations
 from rosld.adapters.ros1.subscription import Feed
 from rosld.adapters.ros1.types import EndpointFacts, Facts, Types
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient

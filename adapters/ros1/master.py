@@ -1,16 +1,113 @@
-"""The master: its API, each response checked before it is used."""
+"""The master: its API, the hosts that it names, and registrations there that a former rosld left behind."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import asyncio
+import os
+import re
+import socket
+import time
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, TypeVar
+from urllib.parse import urlsplit
 
 from msgspec import Struct
 
-from rosld.adapters.model import NotFound, Refused, RosError, Sent, Unreachable
+from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, Unreachable
 from rosld.adapters.model.names import global_name
 from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.graph import SystemState
 from rosld.adapters.ros1.xmlrpc import Answer, XmlRpcClient, encode_call
+
+_P = TypeVar("_P", bound=asyncio.BaseProtocol)
+_REMEMBER = 30.0
+_RESOLVE = 3.0
+CONNECT = 3.0
+
+
+class Address(NamedTuple):
+    """Address to connect to for a host name; `guessed` is a sentence if the name did not resolve."""
+
+    ip: str
+    guessed: str | None = None
+
+
+def host_and_port(uri: str, *schemes: str) -> tuple[str, int]:
+    """Return host and port of a URI (`http://host:port/`, `rosrpc://host:port`). Raises Unreachable naming it."""
+    try:
+        parts = urlsplit(uri)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+        parts = urlsplit("")
+    if parts.scheme not in schemes or not host or not port:
+        raise Unreachable(f"{uri[:200]!r} is not an address of the form {schemes[0]}://HOST:PORT/")
+    return host, port
+
+
+class Hosts:
+    """Opens connections to hosts by their names in ROS."""
+
+    def __init__(self, host_map: Mapping[str, str], master_host: str) -> None:
+        self._map = host_map
+        self._master_host = master_host
+        self._addresses: dict[str, tuple[float, Address]] = {}
+
+    async def streams(self, host: str, port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        """Return streams connected to `port` of `host`. Raises Unreachable with the addresses tried."""
+        address = await self.resolve(host)
+        try:
+            return await asyncio.wait_for(asyncio.open_connection(address.ip, port), CONNECT)
+        except (OSError, asyncio.TimeoutError) as error:
+            raise Unreachable(_failure_text(host, port, address, error)) from error
+
+    async def connect(self, host: str, port: int, protocol: Callable[[], _P]) -> _P:
+        """Return a protocol connected to `port` of `host`. Raises Unreachable with the addresses tried."""
+        address = await self.resolve(host)
+        loop = asyncio.get_running_loop()
+        try:
+            _, connection = await asyncio.wait_for(loop.create_connection(protocol, address.ip, port), CONNECT)
+        except (OSError, asyncio.TimeoutError) as error:
+            raise Unreachable(_failure_text(host, port, address, error)) from error
+        return connection
+
+    async def resolve(self, host: str) -> Address:
+        """Return the address of a host name, cached for half a minute."""
+        now = time.monotonic()
+        entry = self._addresses.get(host)
+        if entry is None or entry[0] < now:
+            entry = (now + _REMEMBER, await self._look_up(host))
+            self._addresses[host] = entry
+        return entry[1]
+
+    async def _look_up(self, host: str) -> Address:
+        name = self._map.get(host, host)
+        try:
+            return Address(await _first_ip(name))
+        except (OSError, UnicodeError, asyncio.TimeoutError):
+            if host == self._master_host:
+                raise Unreachable(f"the master's host name {host!r} does not resolve") from None
+            guess = await self.resolve(self._master_host)
+            return Address(guess.ip, f"the host name {name!r} does not resolve")
+
+
+async def _first_ip(host: str) -> str:
+    """Return the first address of a host, IPv4 (ROS 1's own) before IPv6."""
+    loop = asyncio.get_running_loop()
+    addresses = await asyncio.wait_for(loop.getaddrinfo(host, None, type=socket.SOCK_STREAM), _RESOLVE)
+    family_first = sorted(addresses, key=lambda each: each[0] != socket.AF_INET)
+    return str(family_first[0][4][0])
+
+
+def _failure_text(host: str, port: int, address: Address, error: BaseException) -> str:
+    words = str(error) or "no answer"
+    if address.guessed:
+        return (
+            f"{address.guessed}, and at the master's host {address.ip} port {port} does not answer either "
+            f"({words}); name its address with --host-map {host}=IP"
+        )
+    return f"{host}:{port} does not answer ({words})"
+
 
 LOOK = 5.0  # seconds without a response to a poll after which the master counts as lost
 
@@ -131,3 +228,98 @@ def _nodes_by_name(value: ParameterValue) -> Mapping[str, tuple[str, ...]]:
 def _types_by_name(value: ParameterValue) -> Mapping[str, str]:
     pairs = (_list(pair) for pair in _list(value))
     return {_name(name): str(type_name) for name, type_name in pairs}
+
+
+_NAME = re.compile(r"/rosld_\w*?_(?P<pid>\d+)(?:_(?P<number>\d+))?", re.ASCII)
+_AGAIN = 10.0  # seconds until an address that responded is checked again
+_PATIENCE = 2.0
+
+
+def host_label() -> str:
+    """Return this machine's name as used in the names of rosld's nodes."""
+    return re.sub(r"\W", "_", socket.gethostname(), flags=re.ASCII)
+
+
+def own_name(number: int) -> str:
+    """Return the name of an adapter in this process: `/rosld_HOST_PID`, with the number from the second one on."""
+    return f"/rosld_{host_label()}_{os.getpid()}" + (f"_{number}" if number else "")
+
+
+def pids(node: str) -> frozenset[int]:
+    """Return the possible process ids in a node's name, two if it ends with two numbers; none for other names."""
+    match = _NAME.fullmatch(node) if node.startswith("/rosld_") else None
+    if match is None:
+        return frozenset()
+    return frozenset(int(each) for each in (match["pid"], match["number"]) if each)
+
+
+class StaleRegistrations:
+    """Finder of dead registrations of rosld. All methods run on the reading thread.
+
+    `own_uri` returns the URI of our own Slave API while it runs.
+    """
+
+    def __init__(self, master: MasterApi, hosts: Hosts, own_node: str, own_uri: Callable[[], str | None]) -> None:
+        self._master = master
+        self._hosts = hosts
+        self._own_node = own_node
+        self._own_uri = own_uri
+        self._checked_at: dict[str, float] = {}
+
+    def nodes_to_check(self, publishers: Mapping[str, tuple[str, ...]]) -> Mapping[str, tuple[str, ...]]:
+        """Return the topics of each node that must be checked now; `publishers` are the nodes by topic."""
+        named = {node for nodes in publishers.values() for node in nodes if pids(node)}
+        if self._own_uri() is not None:
+            named.discard(self._own_node)
+        self._checked_at = {node: at for node, at in self._checked_at.items() if node in named}
+        now = time.monotonic()
+        chosen = [node for node in named if now - self._checked_at.get(node, -_AGAIN) >= _AGAIN]
+        self._checked_at.update(dict.fromkeys(chosen, now))
+        return {node: tuple(topic for topic, nodes in publishers.items() if node in nodes) for node in chosen}
+
+    async def remove(self, node: str, topics: tuple[str, ...]) -> bool:
+        """Unregister a node from these topics if it is dead; return whether it was."""
+        try:
+            uri = await self._master.lookup_node(node, _PATIENCE)
+            if uri == self._own_uri() or not await self._is_dead(node, uri):
+                return False
+            for topic in topics:
+                await self._master.unregister_publisher(topic, uri, _PATIENCE, node=node)
+        except RosError:
+            return False  # unknown, because the master or the address is unreachable
+        return True
+
+    async def _is_dead(self, node: str, uri: str) -> bool:
+        """Whether a node's address is certainly unused, or used by another process. Raises Unreachable."""
+        host, port = host_and_port(uri, "http")
+        address = await self._hosts.resolve(host)
+        is_ours = _is_local(address.ip) or node.startswith(f"/rosld_{host_label()}_")
+        if address.guessed is not None or not is_ours:
+            return False
+        try:
+            _, writer = await asyncio.wait_for(asyncio.open_connection(address.ip, port), _PATIENCE)
+        except ConnectionRefusedError:
+            return True
+        except (OSError, asyncio.TimeoutError):
+            return False
+        writer.close()
+        return await self._is_another(node, uri, host, port)
+
+    async def _is_another(self, node: str, uri: str, host: str, port: int) -> bool:
+        """Whether the process at an address is not one of those in the node's name."""
+        client = XmlRpcClient(uri, "/", lambda: self._hosts.streams(host, port), keep_alive=False)
+        try:
+            answer = await client.call("getPid", self._own_node, timeout=_PATIENCE)
+        except (TimedOut, Refused):
+            return False
+        return isinstance(answer.value, int) and answer.value not in pids(node)
+
+
+def _is_local(ip: str) -> bool:
+    """Whether an address is local: only those can be bound."""
+    try:
+        with socket.socket(socket.AF_INET6 if ":" in ip else socket.AF_INET, socket.SOCK_STREAM) as probe:
+            probe.bind((ip, 0))
+    except OSError:
+        return False
+    return True

@@ -6,8 +6,7 @@ import asyncio
 from collections.abc import Iterable
 
 from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, TypeRef, UnknownType, Unreachable
-from rosld.adapters.ros1.hosts import Hosts, host_and_port
-from rosld.adapters.ros1.master import MasterApi
+from rosld.adapters.ros1.master import Hosts, MasterApi, host_and_port
 from rosld.adapters.ros1.tcpros import MAX_HEADER, BadFrame, Header, decode_header, encode_header, frame, read_frame
 from rosld.adapters.ros1.types import Facts, ServiceFacts, Types, service_type
 

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 
 from rosld.adapters.model import Refused, RosError, TypeRef, Unreachable
-from rosld.adapters.ros1.hosts import Hosts, host_and_port
+from rosld.adapters.ros1.master import Hosts, host_and_port
 from rosld.adapters.ros1.subscription import Feed, Slot
 from rosld.adapters.ros1.tcpros import Deliver, Frame, FrameReceiver, Header, encode_header
 from rosld.adapters.ros1.types import EndpointFacts, Facts, Types, message_type

@@ -7,33 +7,93 @@ numbers is a numpy array. The nodes of `tests/rover` convert them to the message
 from __future__ import annotations
 
 import math
+import struct
+import zlib
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rosld.adapters.model import Encoding, FieldType, Message, MessageSchema, Nested, Primitive
-from rosld.adapters.rover import png
 from rosld.adapters.rover.drive import CAPACITY, CELLS, Motion, wheel_speeds
 from rosld.adapters.rover.navigation import Journey, JourneyEnd, Pose, remaining_length
 from rosld.adapters.rover.planner import RESOLUTION, grid_of
-from rosld.adapters.rover.sensors import (
-    BEAMS,
-    CENTRE,
-    FARTHEST,
-    FIRST,
-    FOCAL_LENGTH,
-    HEIGHT,
-    INCREMENT,
-    MOUNTED_AT,
-    NEAREST,
-    WIDTH,
-    image,
-    scan,
-)
 from rosld.adapters.rover.settings import NODE, Settings
 from rosld.adapters.rover.simulation import LogLine, Severity, State
-from rosld.adapters.rover.world import World
+from rosld.adapters.rover.world import WALL_HEIGHT, World
+
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_TRUECOLOUR = 2
+_QUICK = 1
+"""Compression level: the fastest is enough for large areas of one colour."""
+
+
+def png_file(image: NDArray[np.uint8]) -> bytes:
+    """Return the PNG file of an image with the axes row, column, and colour (red, green, blue)."""
+    rows, columns, _ = image.shape
+    lines = np.zeros((rows, 1 + 3 * columns), dtype=np.uint8)  # each starts with its filter type: 0 is none
+    lines[:, 1:] = image.reshape(rows, -1)
+    header = struct.pack(">IIBBBBB", columns, rows, 8, _TRUECOLOUR, 0, 0, 0)
+    data = zlib.compress(lines.tobytes(), _QUICK)
+    return _SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", data) + _chunk(b"IEND", b"")
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+WIDTH = 160
+HEIGHT = 120
+FOCAL_LENGTH = 140.0
+"""Focal length of both axes in pixels: a horizontal view of 60 degrees."""
+CENTRE = (WIDTH / 2, HEIGHT / 2)
+MOUNTED_AT = 0.3
+"""Height of the camera above the floor, in metres."""
+_NEAREST = 0.05
+_DARK, _LIT = 0.55, 1.0
+_FADING = 0.12
+"""Decrease of brightness per metre."""
+_CEILING = (214, 224, 232)
+_FLOOR = (116, 112, 106)
+_BEARINGS = np.arctan2(CENTRE[0] - 0.5 - np.arange(WIDTH), FOCAL_LENGTH)
+_BELOW = np.arange(HEIGHT)[:, None] + 0.5 - CENTRE[1]
+"""Distance in pixels of the centre of each row below the horizon."""
+
+
+def image(world: World, motion: Motion, lights: bool) -> NDArray[np.uint8]:
+    """Return an image of `HEIGHT` rows, `WIDTH` columns, and red, green and blue."""
+    hits = world.cast(motion.x, motion.y, motion.heading + _BEARINGS)
+    depths = np.maximum(hits.distances * np.cos(_BEARINGS), _NEAREST)
+    top, bottom = FOCAL_LENGTH * (MOUNTED_AT - WALL_HEIGHT) / depths, FOCAL_LENGTH * MOUNTED_AT / depths
+    is_wall = (top <= _BELOW) & (bottom >= _BELOW)
+    floor = FOCAL_LENGTH * MOUNTED_AT / np.maximum(_BELOW, 1.0)
+    pixels = np.where((_BELOW > 0)[:, :, None], _FLOOR * _light(floor, lights)[:, :, None], _CEILING)
+    walls = hits.colours * _light(depths, lights)[:, None]
+    frame: NDArray[np.uint8] = np.where(is_wall[:, :, None], walls[None, :, :], pixels).astype(np.uint8)
+    return frame
+
+
+def _light(distances: NDArray[np.float64], lights: bool) -> NDArray[np.float64]:
+    """Return the brightness at these distances, from 0 to 1."""
+    brightness: NDArray[np.float64] = (_LIT if lights else _DARK) / (1 + _FADING * distances)
+    return brightness
+
+
+BEAMS = 360
+FIRST = -math.pi
+"""Direction of the first beam: straight back."""
+INCREMENT = math.tau / BEAMS
+NEAREST = 0.05
+FARTHEST = 8.0
+_ANGLES: NDArray[np.float64] = FIRST + INCREMENT * np.arange(BEAMS, dtype=np.float64)
+
+
+def scan(world: World, motion: Motion) -> NDArray[np.float32]:
+    """Return the distance that each beam measures; inf if it is out of range (REP 117)."""
+    distances = world.cast(motion.x, motion.y, motion.heading + _ANGLES).distances
+    return np.where(distances <= FARTHEST, distances, np.inf).astype(np.float32)
+
 
 Fields: TypeAlias = "Mapping[str, object]"
 
@@ -146,7 +206,7 @@ def raw_image(view: View) -> Fields:
 
 def compressed_image(view: View) -> Fields:
     """Return a sensor_msgs/CompressedImage."""
-    file = png.encode(image(view.world, view.state.motion, view.state.has_lights))
+    file = png_file(image(view.world, view.state.motion, view.state.has_lights))
     return {"header": _header(view.time_ns, CAMERA), "format": "png", "data": np.frombuffer(file, np.uint8)}
 
 

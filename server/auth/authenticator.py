@@ -13,12 +13,11 @@ from msgspec import Struct
 
 from rosld.ontology.urls import Space
 from rosld.server.auth import config
-from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.config import AuthConfig
 from rosld.server.auth.errors import invalid_token
 from rosld.server.auth.oidc import Claims, InvalidToken, TokenVerifier, issuer_of, require_library
 from rosld.server.auth.permissions import ALLOW_ALL, AboutAt, Permissions, TypesAt
-from rosld.server.auth.rules import AUTHENTICATED
+from rosld.server.auth.rules import ANONYMOUS, AUTHENTICATED, Agent
 from rosld.server.auth.tokens import parse_credentials
 from rosld.server.runtime.tasks import Signal
 

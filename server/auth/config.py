@@ -18,9 +18,7 @@ from msgspec import Struct, field
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, parse
 
 from rosld.ontology.vocab import acl, foaf, rdf, ros
-from rosld.server.auth.agent import ANONYMOUS, Agent
-from rosld.server.auth.globs import Glob
-from rosld.server.auth.rules import AUTHENTICATED, Mode, Policy, Rule
+from rosld.server.auth.rules import ANONYMOUS, AUTHENTICATED, Agent, Glob, Mode, Policy, Rule
 from rosld.server.auth.tokens import DIGEST, TokenTable
 
 if sys.version_info >= (3, 11):

@@ -9,12 +9,10 @@ from typing import Protocol
 from starlette.types import Scope
 
 from rosld.ontology.urls import Location, Space, locate
-from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.errors import forbidden, not_found, not_visible
-from rosld.server.auth.globs import path_at
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction import redact_link_field
-from rosld.server.auth.rules import Mode, mode_of
+from rosld.server.auth.rules import ANONYMOUS, Mode, mode_of, path_at
 from rosld.server.http.fields import Link
 
 Headers = list[tuple[bytes, bytes]]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import cast
 
-from rosld.server.auth.agent import ANONYMOUS, Agent
+from rosld.server.auth.rules import ANONYMOUS, Agent
 from rosld.server.http.problem import Problem
 
 _REALM = 'realm="rosld"'

@@ -8,9 +8,7 @@ from functools import lru_cache
 from typing import TypeAlias
 
 from rosld.ontology.urls import Location, Space
-from rosld.server.auth.agent import ANONYMOUS, Agent
-from rosld.server.auth.globs import path_at
-from rosld.server.auth.rules import UNTYPED, Mode, Rights, Types, allow_all_rules, mode_of
+from rosld.server.auth.rules import ANONYMOUS, UNTYPED, Agent, Mode, Rights, Types, allow_all_rules, mode_of, path_at
 from rosld.server.auth.tokens import token_digest
 
 TypesAt: TypeAlias = Callable[[Location], Types]

@@ -9,7 +9,7 @@ from ipaddress import IPv6Address, ip_address
 
 from msgspec import Struct
 
-from rosld.server.auth.agent import ANONYMOUS, Agent
+from rosld.server.auth.rules import ANONYMOUS, Agent
 from rosld.server.http.problem import Problem
 
 _ROUNDING = 1e-9

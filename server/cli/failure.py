@@ -1,7 +1,8 @@
-"""Failures of commands, reported in one line on stderr."""
+"""Failures of commands, reported in one line on stderr, and signals that end commands."""
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import IO, Any
@@ -39,3 +40,14 @@ def reason(error: OSError) -> str:
     """Return the message of an OSError, after the name of its file if it has one."""
     words = error.strerror or str(error) or type(error).__name__
     return f"{error.filename}: {words}" if error.filename else words
+
+
+_END = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+
+
+def end_signals() -> tuple[signal.Signals, ...]:
+    """Return the signals that end a command in an orderly way.
+
+    SIGHUP is left out if it is already ignored, as with `nohup`.
+    """
+    return tuple(one for one in _END if one != signal.SIGHUP or signal.getsignal(one) is not signal.SIG_IGN)

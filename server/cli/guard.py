@@ -13,12 +13,11 @@ from rosld.adapters.base import Adapter, AdapterOptions
 from rosld.adapters.model import RosError
 from rosld.adapters.registry import adapter_for
 from rosld.server.cli import data_folder
-from rosld.server.cli.failure import user_errors
+from rosld.server.cli.failure import end_signals, user_errors
 from rosld.server.robot.hold_notes import HoldNote, HoldNotes
 from rosld.server.robot.interrupted_holds import end_interrupted
 from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import end_tasks
-from rosld.server.serving.end_signals import end_signals
 from rosld.server.serving.http_server import configure_logging
 from rosld.server.settings import Settings
 from rosld.server.storage.files import FileLock

@@ -20,10 +20,9 @@ from rosld.adapters.base import AdapterOptions
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
-from rosld.server.cli.failure import Failure, user_errors
+from rosld.server.cli.failure import Failure, end_signals, user_errors
 from rosld.server.cli.list_types import open_source
 from rosld.server.cli.rdf_writer import Lifting, writer
-from rosld.server.serving.end_signals import end_signals
 
 SYNTAXES: Mapping[str, Syntax] = {
     ".nq": Syntax.N_QUADS,

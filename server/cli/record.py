@@ -15,15 +15,14 @@ import click
 from rosld.adapters.base import Adapter, AdapterOptions, NullSink
 from rosld.adapters.model import Encoding, Graph, RosError
 from rosld.adapters.registry import adapter_for
-from rosld.server.cli.failure import Failure, user_errors
+from rosld.server.cli.failure import Failure, end_signals, user_errors
 from rosld.server.cli.list_types import open_at_once
 from rosld.server.history.bag_export import BAG, ROSBAG2, CannotExport, export
 from rosld.server.history.history_writer import require_room
-from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.recording_writer import RecordingWriter
 from rosld.server.history.recordings import SUFFIX
+from rosld.server.history.topic_feed import LiveRecorder
 from rosld.server.robot.schemas import Schemas
-from rosld.server.serving.end_signals import end_signals
 from rosld.server.settings import check_topic_glob
 
 _PROGRESS_SECONDS = 1.0

@@ -18,9 +18,8 @@ from rosld.adapters.base import Adapter
 from rosld.adapters.registry import adapter_for
 from rosld.server import settings as settings_module
 from rosld.server.cli import data_folder
-from rosld.server.cli.failure import user_errors
+from rosld.server.cli.failure import end_signals, user_errors
 from rosld.server.serving.connection import ConnectionBounds
-from rosld.server.serving.end_signals import end_signals
 from rosld.server.serving.http_server import Server, bind, configure_logging, configure_tls, require_certificate, run
 from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings

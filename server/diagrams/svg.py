@@ -1,4 +1,4 @@
-"""Diagrams as SVG with links. All text of the robot is escaped. No I/O."""
+"""Diagrams as SVG with links, and as DOT of Graphviz. All text of the robot is escaped. No I/O."""
 
 from __future__ import annotations
 
@@ -112,3 +112,41 @@ def thickness(rate: float) -> float:
 def _text(text: str) -> str:
     """Return escaped text, without characters that are invalid in XML."""
     return escape(_UNPRINTABLE.sub("�", text))
+
+
+DOT_TYPE = "text/vnd.graphviz"
+_DOT_SHAPES = {
+    VertexKind.NODE: 'shape=box, style="rounded,filled", fillcolor="#eef3f1"',
+    VertexKind.TOPIC: "shape=box",
+    VertexKind.SERVICE: "shape=box, style=dotted",
+    VertexKind.ACTION: "shape=box, style=dashed",
+}
+_DOT_BAD, _DOT_UNHEARD = 'color="#93231c", fontcolor="#93231c"', 'color="#cfd3d3", fontcolor="#5c676b"'
+
+
+def write_dot(diagram: Diagram) -> str:
+    """Return the digraph: vertices with kind, name and URL; edges with their problems as labels."""
+    parts = (*map(_dot_vertex, diagram.vertices), *map(_dot_edge, diagram.edges))
+    return "\n".join(["digraph robot {", "  rankdir=LR;", *parts, "}", ""])
+
+
+def _dot_vertex(vertex: Vertex) -> str:
+    line = f"{vertex.name} ({vertex.count} {vertex.kind.value}s)" if vertex.count > 1 else vertex.name
+    text = "\n".join(filter(None, (line, vertex.problem)))
+    state = f", {_DOT_BAD}" if vertex.problem else f", {_DOT_UNHEARD}" if vertex.is_unheard else ""
+    return (
+        f"  {_quote(vertex.key)} [{_DOT_SHAPES[vertex.kind]}, label={_quote(text)}, URL={_quote(vertex.url)}{state}];"
+    )
+
+
+def _dot_edge(edge: Edge) -> str:
+    attributes = [f"penwidth={thickness(edge.rate):.1f}"]
+    if edge.problem:
+        attributes += [f"label={_quote(edge.problem)}", _DOT_BAD]
+    return f"  {_quote(edge.source)} -> {_quote(edge.target)} [{', '.join(attributes)}];"
+
+
+def _quote(text: str) -> str:
+    """Return a quoted string, in which nothing is an escape sequence of DOT."""
+    safe = text.encode("utf-8", "replace").decode().replace("\0", "�")
+    return '"' + safe.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'

@@ -21,7 +21,7 @@ from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Observation
 from rosld.server.events.channel_request import ChannelRequest
 from rosld.server.http.problem import Problem
-from rosld.server.receipts.audit_context import record_step
+from rosld.server.receipts.audit import record_step
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.runtime.dry_run import end_dry_run

@@ -17,8 +17,7 @@ from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventWrit
 from rosld.server.robot.live_topics import LiveTopics
 from rosld.server.robot.scene import Drawings, DrawnSample, LiveFrames
 from rosld.server.space.drawing import pose_json
-from rosld.server.space.frame_buffer import FrameBuffer, NoTransform
-from rosld.server.space.transform import Transform
+from rosld.server.space.transforms import FrameBuffer, NoTransform, Transform
 
 PERIOD = 0.04
 """Minimum seconds between two events: 25 events per second."""

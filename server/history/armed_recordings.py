@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 from msgspec.structs import replace
 
-from rosld.server.auth.agent import Agent
+from rosld.server.auth.rules import Agent
 from rosld.server.history.recording_orders import (
     ARMED,
     RecordingNotes,
@@ -21,7 +21,7 @@ from rosld.server.history.recording_orders import (
     order_from_json,
     order_to_json,
 )
-from rosld.server.receipts.audit_context import record_step
+from rosld.server.receipts.audit import record_step
 from rosld.server.runtime.dry_run import end_dry_run
 from rosld.server.runtime.tasks import end_tasks
 

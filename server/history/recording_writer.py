@@ -10,9 +10,8 @@ from pathlib import Path
 
 from rosld.adapters.model import Encoding, Sample, TypeRef
 from rosld.server.history.channel import channel_of
-from rosld.server.history.mcap_writer import McapWriter, TopicChunk
+from rosld.server.history.mcap_writer import McapWriter, TopicChunk, recover
 from rosld.server.history.segment_file import DiskFile
-from rosld.server.history.segment_scan import recover
 
 log = logging.getLogger("rosld.history")
 ACTIVE = ".active"

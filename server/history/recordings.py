@@ -19,13 +19,12 @@ from typing import NamedTuple
 from rosld.adapters.base import Adapter, AdapterOptions, NullSink, Recording
 from rosld.adapters.model import Encoding, RosError, TypeRef
 from rosld.adapters.registry import adapter_for
-from rosld.server.auth.agent import Agent
+from rosld.server.auth.rules import Agent
 from rosld.server.history.armed_recordings import ArmedRecording, ArmedRecordings, MayRecord, Occurrences
 from rosld.server.history.bag_export import ExportFormat
 from rosld.server.history.history import NAME as HISTORY
 from rosld.server.history.history import History
 from rosld.server.history.history_writer import require_room
-from rosld.server.history.live_recorder import LiveRecorder
 from rosld.server.history.recording_orders import (
     KILLED,
     STOPPED,
@@ -35,6 +34,7 @@ from rosld.server.history.recording_orders import (
     RecordingRefused,
 )
 from rosld.server.history.recording_writer import RecordingWriter, active_recordings, complete_active
+from rosld.server.history.topic_feed import LiveRecorder
 from rosld.server.history.uploads import (
     DRAFT,
     SUFFIXES,
@@ -45,7 +45,7 @@ from rosld.server.history.uploads import (
     remove_drafts,
 )
 from rosld.server.history.uploads import NAME as FILE_NAME
-from rosld.server.receipts.audit_context import record_step
+from rosld.server.receipts.audit import record_step
 from rosld.server.runtime.dry_run import end_dry_run
 from rosld.server.runtime.offload import WorkerPool
 from rosld.server.runtime.tasks import loop_time

@@ -15,8 +15,8 @@ from msgspec import Struct
 from rosld.adapters.model import Sample, TypeRef
 from rosld.server.history.channel import Channel, model_name
 from rosld.server.history.chunk_index import ChunkIndex, ChunkRow, SegmentRow, pack_numbers
+from rosld.server.history.mcap_writer import Scan, opening_messages, recover
 from rosld.server.history.segment_file import ChunkMessage, DiskFile, MemoryFile, SegmentFile, read_chunk, read_records
-from rosld.server.history.segment_scan import Scan, opening_messages, recover
 
 log = logging.getLogger("rosld.history")
 _INDEX = "index.sqlite"

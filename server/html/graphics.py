@@ -15,8 +15,7 @@ from rosld.server.html.site import Anchor, Site
 from rosld.server.html.view import View, escape_controls, time_view
 from rosld.server.pictures.form import COMPRESSED_IMAGE, DEFAULT_RANGE, OCCUPANCY_GRID, CannotDraw, can_draw
 from rosld.server.space.drawing import can_place
-from rosld.server.space.frame_buffer import FrameNode
-from rosld.server.space.transform import Transform, heading
+from rosld.server.space.transforms import FrameNode, Transform, heading
 
 
 class PlotRow(Struct, frozen=True):

@@ -17,8 +17,7 @@ from rosld.ontology.violations import Violation
 from rosld.server.html.site import Site
 from rosld.server.hypermedia import views
 from rosld.server.robot.diagnostic_states import DiagnosticState, LevelChange
-from rosld.server.space.frame_buffer import FrameNode
-from rosld.server.space.transform import Transform
+from rosld.server.space.transforms import FrameNode, Transform
 
 if TYPE_CHECKING:
     from rosld.server.html.forms import Form

@@ -21,7 +21,6 @@ from rosld.server.html.description import describe, first_text, group_sections, 
 from rosld.server.html.forms import Form
 from rosld.server.html.frame import is_refreshed, page_frame, render_template
 from rosld.server.html.graphics import PlotRow, SpaceRow, frame_row, plot_config, plot_query, pose_words, space_query
-from rosld.server.html.listing import container_table, parameter_columns, parameters_below
 from rosld.server.html.offer import FormTarget, form_targets, offer_view
 from rosld.server.html.page import (
     ALTERNATES,
@@ -43,7 +42,14 @@ from rosld.server.html.page import (
     SpacePage,
     SparqlPage,
 )
-from rosld.server.html.sections import endpoint_table, message_sections, stop_steps
+from rosld.server.html.sections import (
+    container_table,
+    endpoint_table,
+    message_sections,
+    parameter_columns,
+    parameters_below,
+    stop_steps,
+)
 from rosld.server.html.site import Site, readable_path
 from rosld.server.html.values import brief_text, results_table, thumbnail_view
 from rosld.server.html.view import escape_controls, time_view

@@ -13,7 +13,7 @@ from msgspec import Struct, field
 from pyoxigraph import NamedNode
 
 from rosld.server.robot.software_stop import StopCommand
-from rosld.shapes.constraints import NodeShape
+from rosld.shapes.shapes_graph import NodeShape
 from rosld.shapes.value import NO_MEASURE, Measure
 
 

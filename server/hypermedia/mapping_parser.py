@@ -33,8 +33,7 @@ from rosld.server.hypermedia.mapping import (
     MappedStop,
 )
 from rosld.server.robot.software_stop import StopCommand
-from rosld.shapes.constraints import compile_shape
-from rosld.shapes.shapes_graph import ShapesGraph
+from rosld.shapes.shapes_graph import ShapesGraph, compile_shape
 from rosld.shapes.validation import validate
 from rosld.shapes.value import Measure
 

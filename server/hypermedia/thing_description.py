@@ -1,4 +1,4 @@
-"""Thing Descriptions (WoT TD 1.1) of complex resources, or of the whole robot, for WoT clients. Pure.
+"""Thing Descriptions (WoT TD 1.1) of complex resources, or of the whole robot, as JSON and as RDF. Pure.
 
 Clients store them, so they list all affordances, including those not on offer now; the RDF of the resources has the
 current ones.
@@ -6,17 +6,18 @@ current ones.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import orjson
 from msgspec import Struct
-from pyoxigraph import NamedNode
+from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse
 
 from rosld.ontology.describe_holds import CONFIRM, CONFIRM_PARAMETER, HOLD, MAX_LEASE, MAX_RATE, MEANINGS, PARAMETERS
+from rosld.ontology.document import Document
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.vocab import mapping, qudt, ros
+from rosld.ontology.vocab import hctl, htv, js, mapping, qudt, ros, td, wotsec, xsd
 from rosld.server.hypermedia.json_schema import (
     OBJECT,
     TEXT,
@@ -199,3 +200,91 @@ def _led_to(term: str, value: NamedNode | None) -> Members:
 
 def _fragment(members: Members) -> orjson.Fragment:
     return orjson.Fragment(orjson.dumps(members))
+
+
+_T = TypeVar("_T")
+
+_OPERATIONS = (
+    *("readProperty", "writeProperty", "observeProperty", "unobserveProperty", "readAllProperties"),
+    *("invokeAction", "queryAction", "cancelAction"),
+)
+_TEXT = {"@language": "en"}
+
+
+def _named(predicate: str, name: str, context: Mapping[str, object]) -> dict[str, object]:
+    """Return the term of a member whose value maps names to objects; each gets its name as a property."""
+    return {"@id": predicate, "@container": "@index", "@index": name, "@context": context}
+
+
+_SCHEMA: dict[str, object] = {
+    "@vocab": js.iri,
+    **{name: f"js:{name.capitalize()}Schema" for name in ("object", "array", "boolean", "string", "number", "integer")},
+    "type": "@type",
+    "unit": {"@id": "http://schema.org/unitCode", "@type": "@vocab"},
+    "properties": {"@id": "js:properties", "@container": "@index", "@index": "js:propertyName"},
+}
+_HYPERMEDIA = {
+    **{name.lower(): f"td:{name}" for name in _OPERATIONS},
+    "op": {"@id": "hctl:hasOperationType", "@type": "@vocab"},
+    "href": {"@id": "hctl:hasTarget", "@type": xsd.anyURI.value},
+    "contentType": "hctl:forContentType",
+    "subprotocol": "hctl:forSubProtocol",
+    "rel": "hctl:hasRelationType",
+    "type": "hctl:hintsAtMediaType",
+}
+_RDF_SECURITY = {
+    "@vocab": wotsec.iri,
+    "scheme": "@type",
+    **{name: f"wotsec:{name.capitalize()}SecurityScheme" for name in ("combo", "bearer", "basic")},
+    "nosec": "wotsec:NoSecurityScheme",
+}
+_RDF_CONTEXT: Mapping[str, object] = {
+    "@version": 1.1,
+    "@vocab": td.iri,
+    "td": td.iri,
+    "js": js.iri,
+    "hctl": hctl.iri,
+    "htv": htv.iri,
+    "wotsec": wotsec.iri,
+    "id": "@id",
+    "title": {"@id": "td:title", **_TEXT},
+    "description": {"@id": "td:description", **_TEXT},
+    # The outermost members of a property's value are called by td:name, all others by js:propertyName.
+    "properties": _named(
+        "td:hasPropertyAffordance",
+        "td:name",
+        {**_SCHEMA, "properties": _named("js:properties", "td:name", {"properties": _SCHEMA["properties"]})},
+    ),
+    "actions": _named("td:hasActionAffordance", "td:name", {}),
+    "uriVariables": _named("td:hasUriTemplateSchema", "td:name", {}),
+    "input": {"@id": "td:hasInputSchema", "@context": _SCHEMA},
+    "output": {"@id": "td:hasOutputSchema", "@context": _SCHEMA},
+    "observable": "td:isObservable",
+    "safe": "td:isSafe",
+    "idempotent": "td:isIdempotent",
+    "synchronous": "td:isSynchronous",
+    "forms": {"@id": "td:hasForm", "@context": _HYPERMEDIA},
+    "links": {"@id": "td:hasLink", "@context": _HYPERMEDIA},
+    "security": "td:hasSecurityConfiguration",
+    "securityDefinitions": _named("td:definesSecurityScheme", "td:hasInstanceConfiguration", _RDF_SECURITY),
+    "td:hasInstanceConfiguration": {"@type": "@id"},
+}
+
+
+def thing_document(data: bytes, url: str) -> Document:
+    """Return a Thing Description, which is JSON, as the document at its URL."""
+    thing = orjson.loads(data)
+    thing["@context"] = [each if isinstance(each, dict) else _RDF_CONTEXT for each in thing["@context"]]
+    quads = parse(orjson.dumps(thing), RdfFormat.JSON_LD, base_iri=url)
+    return Document(url, tuple(dict.fromkeys(_numbered(quad.triple for quad in quads))))
+
+
+def _numbered(triples: Iterable[Triple]) -> Iterable[Triple]:
+    """Yield triples whose blank nodes have numbers, so that a description is written the same each time."""
+    known: dict[object, BlankNode] = {}
+
+    def rename(term: _T) -> _T | BlankNode:
+        return known.setdefault(term, BlankNode(f"n{len(known) + 1}")) if isinstance(term, BlankNode) else term
+
+    for triple in triples:
+        yield Triple(rename(triple.subject), triple.predicate, rename(triple.object))

@@ -11,9 +11,9 @@ from starlette.types import Scope
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import prov
 from rosld.server.auth import enforcement
-from rosld.server.auth.agent import ANONYMOUS
+from rosld.server.auth.rules import ANONYMOUS
 from rosld.server.middleware import Handler
-from rosld.server.receipts.audit_entry import AuditEntry, excerpt
+from rosld.server.receipts.audit import AuditEntry, excerpt
 from rosld.server.receipts.journal import Journal
 from rosld.server.rest.exchange import Exchange
 

@@ -15,9 +15,9 @@ from rosld.ontology.body import BodyError
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError
 from rosld.server.auth import enforcement
-from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.rate_limit import RETRY_SECONDS, RateLimitExceeded
 from rosld.server.auth.redaction import redact_problem
+from rosld.server.auth.rules import ANONYMOUS
 from rosld.server.events.delivery import check_request, reject_handshake
 from rosld.server.http.origin import OriginPolicy
 from rosld.server.http.problem import Problem

@@ -8,8 +8,8 @@ from collections.abc import Awaitable
 
 from starlette.responses import Response
 
-from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.rate_limit import ClientLimiter, RateLimitExceeded
+from rosld.server.auth.rules import ANONYMOUS
 from rosld.server.middleware import Handler
 from rosld.server.rest.exchange import Exchange
 

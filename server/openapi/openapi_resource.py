@@ -23,8 +23,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.json_schema import OBJECT, JsonSchema, MessageSchemas
 from rosld.server.hypermedia.mappings import Mappings
-from rosld.server.openapi.description import description
-from rosld.server.openapi.description_parts import add_security, description_parts, permitted_paths
+from rosld.server.openapi.description import add_security, description, description_parts, permitted_paths
 from rosld.server.openapi.path_collector import DescribedPath, PathCollector
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.namespaces import LISTING_PARAMETERS, listed_graph

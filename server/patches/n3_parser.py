@@ -18,7 +18,7 @@ from rdflib.plugins.parsers.notation3 import BadSyntax, RDFSink, SinkParser
 
 from rosld.ontology.body import BodyError, check_turtle_depth, expanded_body_error, expansion_limit
 from rosld.ontology.vocab import rdf, xsd
-from rosld.server.patches.n3 import Formula, Node, RefusedSyntax, Statement, Variable
+from rosld.server.patches.n3patch import Formula, Node, RefusedSyntax, Statement, Variable
 
 
 def read_n3(data: bytes, base: str) -> Formula:

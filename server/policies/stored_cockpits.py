@@ -12,8 +12,7 @@ from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.storage.record_documents import unpack_triples
 from rosld.server.storage.sqlite import Records
-from rosld.shapes.documents import MAX_PANELS
-from rosld.shapes.validation import ValidationResult, validate
+from rosld.shapes.validation import MAX_PANELS, ValidationResult, validate
 
 ROUTE = "cockpit/"
 DEFAULT = "default"

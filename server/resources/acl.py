@@ -12,10 +12,9 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import boolean, statements, text, triples_about
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import acl, foaf, rdf, ros
-from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.config import MODES
-from rosld.server.auth.rules import ACL, AUTHENTICATED, UNTYPED, Policy, Rule, Types
+from rosld.server.auth.rules import ACL, ANONYMOUS, AUTHENTICATED, UNTYPED, Agent, Policy, Rule, Types
 from rosld.server.events.notification_channels import Channels
 from rosld.server.history.recordings import Recordings
 from rosld.server.hypermedia.affordance_service import AffordanceService

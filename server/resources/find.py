@@ -56,8 +56,17 @@ from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey
-from rosld.server.search.catalog import catalog_of
-from rosld.server.search.index import Catalog, Entry, EntryKind, Hit, Match, SearchIndex, SearchResults, terms_of
+from rosld.server.search.index import (
+    Catalog,
+    Entry,
+    EntryKind,
+    Hit,
+    Match,
+    SearchIndex,
+    SearchResults,
+    catalog_of,
+    terms_of,
+)
 from rosld.server.search.near_names import NearNames
 from rosld.server.storage.record import Record
 from rosld.server.storage.record_documents import unpack_prefix

@@ -35,7 +35,7 @@ from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.scene import Scene
 from rosld.server.runtime.tasks import call_every
 from rosld.server.space.drawing import pose_json
-from rosld.server.space.frame_buffer import TOPICS, FrameNode, frame_tree
+from rosld.server.space.transforms import TOPICS, FrameNode, frame_tree
 
 _LOOK_SECONDS = 1.0
 _NUMBERS: JsonSchema = {"anyOf": [json_array(NUMBER), {"type": "null"}]}

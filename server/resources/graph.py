@@ -13,7 +13,7 @@ from rosld.adapters.model import Graph, Topic
 from rosld.ontology.describe_graph import edges_document, node_views
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
-from rosld.server.diagrams import dot, svg
+from rosld.server.diagrams import svg
 from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, draw_graph, fold, namespaces_of
 from rosld.server.html.forms import Form
 from rosld.server.html.page import Csrf, GraphPage, Notice
@@ -36,7 +36,7 @@ from rosld.server.robot.topic_view import EMPTY_VIEW, TopicView
 from rosld.server.robot.velocity import OCCASIONAL_TYPES
 from rosld.server.runtime.tasks import call_every
 
-_DRAWINGS = {"svg": svg.MEDIA_TYPE, "dot": dot.MEDIA_TYPE}
+_DRAWINGS = {"svg": svg.MEDIA_TYPE, "dot": svg.DOT_TYPE}
 _MAX_NAME = 300
 _MAX_PROBLEMS = 200
 _LOOK_SECONDS = 2.0
@@ -153,7 +153,7 @@ class GraphResource(Resource):
             headers["content-security-policy"] = _POLICY
             text = self._svg(fold(diagram, f"{self.space.base}graph"), Site(self.space.base, "").href, alone=True)
         else:
-            text = dot.write_dot(diagram)
+            text = svg.write_dot(diagram)
         data, name = text.encode("utf-8", "replace"), "svg" if media_type == svg.MEDIA_TYPE else "dot"
         etag = ETag(f"{self.instance_id}-{digest(data)}", name)
         return bytes_response(exchange, data, f"{media_type}; charset=utf-8", etag, headers.items())

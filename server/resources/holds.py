@@ -34,8 +34,7 @@ from rosld.ontology.neutral_message import COMMANDS, TWISTS, with_zeros
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError
 from rosld.server.auth.errors import not_found
-from rosld.server.html.drive_pad import drive_pad
-from rosld.server.html.forms import DeleteForm, Form, HoldForm, HoldTerms
+from rosld.server.html.forms import DeleteForm, Form, HoldForm, HoldTerms, drive_pad
 from rosld.server.html.inputs import Json
 from rosld.server.http.fields import parse_decimal
 from rosld.server.http.problem import Problem

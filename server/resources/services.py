@@ -36,7 +36,7 @@ from rosld.server.html.forms import DeleteForm, Form, message_form
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, json_object, nullable
 from rosld.server.hypermedia.value import refusal_text
-from rosld.server.receipts.audit_context import Sender
+from rosld.server.receipts.audit import Sender
 from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.limit_checks import NODES, STRICTNESS, is_strict
 from rosld.server.resources.named_resource import KeptResource, NamedResource

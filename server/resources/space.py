@@ -45,8 +45,8 @@ from rosld.server.robot.scene import Scene
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import subscribers_of
 from rosld.server.space.drawing import PLACED_TYPES, can_place, kind_label, pose_json
-from rosld.server.space.frame_buffer import TOPICS, FrameBuffer
 from rosld.server.space.point_cloud import POINT_CLOUD
+from rosld.server.space.transforms import TOPICS, FrameBuffer
 
 _POSE, _STAMPED = "geometry_msgs/msg/Pose", "geometry_msgs/msg/PoseStamped"
 _MAX_TARGETS = 20

@@ -14,8 +14,8 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
-from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.auth.rules import ANONYMOUS
 from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens

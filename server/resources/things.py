@@ -22,8 +22,7 @@ from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.hypermedia.resource_tree import ComplexPlan, ResourceTree
-from rosld.server.hypermedia.thing_description import MEDIA_TYPE, ThingLink, thing_description
-from rosld.server.hypermedia.thing_graph import thing_document
+from rosld.server.hypermedia.thing_description import MEDIA_TYPE, ThingLink, thing_description, thing_document
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES, VARIANTS

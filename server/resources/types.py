@@ -39,8 +39,8 @@ from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 from rosld.server.settings import Settings
 from rosld.server.storage.record import Put, Record
 from rosld.server.storage.record_documents import record_document
-from rosld.shapes.documents import shapes_file
 from rosld.shapes.message import SHACL_SHACL, shape_document
+from rosld.shapes.validation import shapes_file
 
 LIMITS = "limits"
 _HASH = QueryParameter("hash", "Which of several definitions of one name.")

@@ -11,15 +11,15 @@ from starlette.requests import Request
 from starlette.types import Receive, Scope
 
 from rosld.ontology.charsets import UTF_8
-from rosld.server.auth.agent import Agent
 from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.enforcement import Protected
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.rate_limit import Client
+from rosld.server.auth.rules import Agent
 from rosld.server.http.body import TIMEOUT, codec_for, read_body, read_chunks, to_utf8
 from rosld.server.http.negotiation import MediaType, Preferences, parse_media_type, parse_prefer
 from rosld.server.http.problem import Problem
-from rosld.server.receipts.audit_context import AuditContext
+from rosld.server.receipts.audit import AuditContext
 from rosld.server.runtime.process_memory import PER_BYTE, PROCESS_MEMORY
 
 _NOTHING: Mapping[str, str] = MappingProxyType({})

@@ -15,8 +15,8 @@ from starlette.responses import Response
 from rosld.adapters.model import Stale
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError
-from rosld.server.auth.agent import ANONYMOUS
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.auth.rules import ANONYMOUS
 from rosld.server.html.cockpit_form import CopyForm, EditForm, parse_copy, parse_edit
 from rosld.server.html.form_parser import (
     parse_choice,

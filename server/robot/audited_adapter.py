@@ -10,7 +10,7 @@ from functools import lru_cache
 from rosld.adapters.base import Adapter, Capabilities, Published, Recording, Sink, Subscription, Watch
 from rosld.adapters.model import GoalId, Graph, Operation, ParameterValue, Ref, RosError, Sample, Schema, TypeRef
 from rosld.ontology.urls import Space
-from rosld.server.receipts.audit_context import current_audit, record_step
+from rosld.server.receipts.audit import current_audit, record_step
 from rosld.server.robot.interlock import Stopped, WriteInterlock
 from rosld.server.runtime.dry_run import is_dry_run
 

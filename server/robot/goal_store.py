@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from msgspec import Struct
 
 from rosld.adapters.model import ActionSchema, GoalId, GoalStatus, Message
-from rosld.server.receipts.audit_context import Sender
+from rosld.server.receipts.audit import Sender
 from rosld.server.robot.calls import Gone
 from rosld.server.runtime.tasks import Signal
 

@@ -27,7 +27,7 @@ from rosld.adapters.model import (
     RosError,
 )
 from rosld.server.http.problem import one_line
-from rosld.server.receipts.audit_context import Sender, record_step
+from rosld.server.receipts.audit import Sender, record_step
 from rosld.server.robot.calls import IdempotencyKeyReused
 from rosld.server.robot.goal_store import MAX_REMEMBERED, Feedback, Goal, GoalStore
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run

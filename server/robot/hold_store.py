@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from rosld.adapters.model import Encoding, Kind, Message, MessageSchema, RosError
 from rosld.ontology.neutral_message import is_unstamped, with_stamp
-from rosld.server.auth.agent import Agent
+from rosld.server.auth.rules import Agent
 from rosld.server.http.problem import Problem, one_line
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.hold_notes import HoldNote, HoldNotes

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from rosld.adapters.model import Graph, Kind, Live, RosError, Topic
 from rosld.ontology.neutral_message import COMMANDS
-from rosld.server.auth.agent import Agent
-from rosld.server.receipts.audit_entry import AuditEntry
+from rosld.server.auth.rules import Agent
+from rosld.server.receipts.audit import AuditEntry
 from rosld.server.robot.hold_notes import HoldNote
 from rosld.server.robot.hold_store import Holds, held_message
 from rosld.server.robot.interlock import Holder

@@ -8,7 +8,7 @@ from rosld.adapters.base import Published
 from rosld.adapters.model import Kind, Message, MessageSchema, TypeRef
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
-from rosld.server.receipts.audit_context import record_step
+from rosld.server.receipts.audit import record_step
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import goes_on, passes_stop
 from rosld.server.robot.write_policy import PublishLimiter

@@ -18,7 +18,7 @@ from rosld.server.robot.session import Session
 from rosld.server.robot.topic_view import QUEUE_DEPTH
 from rosld.server.runtime.tasks import Signal, end_tasks, loop_time
 from rosld.server.space.drawing import Drawing, drawing_json, place_sample
-from rosld.server.space.frame_buffer import STATIC_TOPIC, TOPICS, TYPES, FrameBuffer
+from rosld.server.space.transforms import STATIC_TOPIC, TOPICS, TYPES, FrameBuffer
 
 _LARGE = 64 * 1024
 """Minimum number of bytes of a message that is drawn in a thread."""

@@ -16,9 +16,9 @@ from rosld.adapters.model import Action, Graph, Kind, Message, MessageSchema, Ro
 from rosld.ontology.body import parse_json
 from rosld.ontology.lower import lowerer
 from rosld.ontology.violations import LoweringError
-from rosld.server.auth.agent import Agent
+from rosld.server.auth.rules import Agent
 from rosld.server.http.problem import one_line
-from rosld.server.receipts.audit_context import record_step
+from rosld.server.receipts.audit import record_step
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.hold_store import Hold, Holds
 from rosld.server.robot.interlock import StopState

@@ -14,7 +14,7 @@ from msgspec import Struct
 from rosld.adapters.model import MessageSchema, Sample
 from rosld.server.pictures.form import CannotDraw
 from rosld.server.space.point_cloud import POINT_CLOUD, read_cloud
-from rosld.server.space.transform import (
+from rosld.server.space.transforms import (
     Fields,
     Transform,
     frame_name,

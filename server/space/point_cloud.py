@@ -13,7 +13,7 @@ from msgspec import Struct
 from rosld.adapters.model import MessageSchema, Sample
 from rosld.server.pictures.form import CannotDraw
 from rosld.server.runtime.process_memory import PROCESS_MEMORY
-from rosld.server.space.transform import MAX_COORDINATE, Fields, frame_name, read_stamp
+from rosld.server.space.transforms import MAX_COORDINATE, Fields, frame_name, read_stamp
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 DEFAULT_POINTS = 20_000

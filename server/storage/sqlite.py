@@ -25,13 +25,15 @@ from rosld.server.storage.record import (
     Conflict,
     Member,
     Put,
+    RecentWrites,
     Record,
+    RecordCache,
     RecordChange,
+    RecordWrite,
     StorageError,
     Write,
     check_write,
 )
-from rosld.server.storage.record_cache import RecentWrites, RecordCache, RecordWrite
 from rosld.server.storage.record_table import RecordTable
 from rosld.server.storage.tables import FormerVersion, keep_versions, prepare_tables
 from rosld.server.storage.transactions import Effects, GroupCommit, WriteBatch, with_list

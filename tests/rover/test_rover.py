@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rosld.adapters.rover.graph import CMD_VEL, DOCK, LATCHED, PERIODIC
-from rosld.adapters.rover.sensors import BEAMS, HEIGHT, WIDTH
+from rosld.adapters.rover.messages import BEAMS, HEIGHT, WIDTH
 from tests.rover.conftest import StartRover
 from tests.rover.rovers import Rover
 from tests.waiting import until

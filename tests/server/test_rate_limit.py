@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.server.auth import rate_limit
-from rosld.server.auth.agent import ANONYMOUS, Agent
 from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits, TokenBucket, client_name
+from rosld.server.auth.rules import ANONYMOUS, Agent
 from rosld.server.events.event_stream import BURST
 from rosld.server.http.problem import Problem
 from rosld.server.robot.write_policy import PublishLimiter

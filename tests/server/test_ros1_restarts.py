@@ -15,9 +15,7 @@ from typing import Any
 import httpx
 import pytest
 
-from rosld.adapters.ros1.hosts import Hosts
-from rosld.adapters.ros1.master import MasterApi
-from rosld.adapters.ros1.stale_registrations import StaleRegistrations, own_name, pids
+from rosld.adapters.ros1.master import Hosts, MasterApi, StaleRegistrations, own_name, pids
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 from tests.adapters.ros1.system import RosSystem, free_port, running
 from tests.waiting import until

@@ -16,7 +16,7 @@ from rdflib.namespace import SH, XSD
 
 from rosld.server.auth.permissions import ALLOW_ALL
 from rosld.server.auth.redaction import redact_thing_description
-from rosld.server.hypermedia.thing_graph import thing_document
+from rosld.server.hypermedia.thing_description import thing_document
 
 pytestmark = pytest.mark.slow
 

@@ -17,9 +17,8 @@ from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import qudt, rdf, sh, xsd
 from rosld.shapes.affordance import value_shape_triples
-from rosld.shapes.constraints import compile_shape
 from rosld.shapes.message import shape_document
-from rosld.shapes.shapes_graph import ShapesGraph
+from rosld.shapes.shapes_graph import ShapesGraph, compile_shape
 from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
 from tests.shapes.values import graph
 

@@ -14,8 +14,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse, 
 from pyshacl.errors import ReportableRuntimeError
 
 from rosld.ontology.vocab import sh, xsd
-from rosld.shapes.constraints import NodeShape, compile_shape
-from rosld.shapes.shapes_graph import ShapesGraph
+from rosld.shapes.shapes_graph import NodeShape, ShapesGraph, compile_shape
 
 SHAPE = NamedNode("http://h/mapping#shape")
 FOCUS = NamedNode("http://h/resources/engine/")

@@ -31,7 +31,7 @@ from rosld.server.policies.stored_mappings import ROUTE, stored_mapping
 from rosld.server.policies.stored_mappings import ROUTE as MAPPINGS
 from rosld.server.policies.stored_queries import ROUTE as QUERIES
 from rosld.server.policies.stored_queries import StoredQueries
-from rosld.server.receipts.audit_context import record_step
+from rosld.server.receipts.audit import record_step
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import RDF_BODIES
 from rosld.server.rest.path_item import PathItem, QueryParameter, WriteMethod

@@ -61,6 +61,7 @@ from rosld.server.rest.resource import Answer, Resource, StorageWrite
 from rosld.server.rest.responses import file_response, no_content, resource_headers
 from rosld.server.rest.state import State, require_memory
 from rosld.server.runtime.offload import Work
+from rosld.server.storage.record import MAX_BYTES as DIFFERENT
 from rosld.server.storage.record import (
     NO_MEMBER,
     Blob,
@@ -74,7 +75,6 @@ from rosld.server.storage.record import (
     Write,
     container_of,
 )
-from rosld.server.storage.record_cache import MAX_BYTES as DIFFERENT
 from rosld.server.storage.record_documents import META, client_times, is_large, to_ntriples, unpack_triples
 
 __all__ = ["N3_PATCH", "DescriptionResource", "RdfSourceResource"]

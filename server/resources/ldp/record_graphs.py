@@ -20,8 +20,7 @@ from rosld.server.dataset import Edit
 from rosld.server.rest.interaction import member_derived_uris, membership_declaration
 from rosld.server.sparql.needs import Needs
 from rosld.server.sparql.stored_sync import Changes
-from rosld.server.storage.record import Member, Membership, Model, Record, RecordChange, container_of
-from rosld.server.storage.record_cache import RecordWrite
+from rosld.server.storage.record import Member, Membership, Model, Record, RecordChange, RecordWrite, container_of
 from rosld.server.storage.record_documents import (
     META,
     client_ntriples,

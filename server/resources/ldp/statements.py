@@ -20,8 +20,8 @@ from rosld.server.http.problem import Problem
 from rosld.server.patches.n3patch import apply_patch, find_changes, missing_deletion, read_patch
 from rosld.server.patches.patch import apply_update, ground_changes, updated_lines
 from rosld.server.rest.interaction import member_derived_uri
+from rosld.server.storage.record import MAX_BYTES as DIFFERENT
 from rosld.server.storage.record import Difference, Membership, Model, Record
-from rosld.server.storage.record_cache import MAX_BYTES as DIFFERENT
 from rosld.server.storage.record_documents import (
     client_ntriples,
     is_managed,

@@ -18,7 +18,7 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset.base import TripleChanges
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
-from rosld.server.receipts.audit_context import record_step
+from rosld.server.receipts.audit import record_step
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.ldp.base import Documents, StoredResource, conflict_problem, write_together
 from rosld.server.resources.property_action import MemberResource

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from rosld.adapters.model import Choice, Descriptor, Kind, Operation, ParameterType, Range, Ref, TypeRef
-from rosld.adapters.ros1.reconfiguration import read_config, read_descriptors, request_of
+from rosld.adapters.ros1.reconfigurable import read_config, read_descriptors, request_of
 from tests.adapters.ros1.conftest import Opening
 from tests.adapters.ros1.system import RosSystem, require
 from tests.adapters.session import Session

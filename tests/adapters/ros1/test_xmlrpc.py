@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from rosld.adapters.model import Refused, Sent, TimedOut, Unreachable
 from rosld.adapters.model.parameter import ParameterValue
-from rosld.adapters.ros1.slave import XmlRpcServer
+from rosld.adapters.ros1.publications import XmlRpcServer
 from rosld.adapters.ros1.xmlrpc import (
     Answer,
     Malformed,

@@ -28,9 +28,8 @@ from rosld.adapters.model import (
 )
 from rosld.adapters.rover import rover_adapter
 from rosld.adapters.rover.graph import CMD_VEL, LATCHED, PERIODIC
-from rosld.adapters.rover.messages import encode, pose_stamped
+from rosld.adapters.rover.messages import HEIGHT, WIDTH, encode, pose_stamped
 from rosld.adapters.rover.navigation import Pose
-from rosld.adapters.rover.sensors import HEIGHT, WIDTH
 from rosld.adapters.rover.simulation import read_source
 from tests.adapters.session import Session, Told
 

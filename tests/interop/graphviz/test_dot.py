@@ -11,7 +11,7 @@ import pytest
 from rosld.adapters.model import Endpoint, Graph, Node, Topic
 from rosld.ontology.urls import Space
 from rosld.server.diagrams.diagram import Diagram, Selection, Traffic, draw_graph
-from rosld.server.diagrams.dot import write_dot
+from rosld.server.diagrams.svg import write_dot
 from tests.interop.missing import require
 
 HOSTILE = ('/a"b', "/c\\N", "/d\\", "/<table>", "/e->f;", "/日本", "/g\nh", "/&amp;")

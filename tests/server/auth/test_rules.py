@@ -9,9 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.ontology.urls import encode_segment, locate
-from rosld.server.auth.agent import ANONYMOUS, Agent
-from rosld.server.auth.globs import Glob, path_at, type_matches
-from rosld.server.auth.rules import AUTHENTICATED, Mode, Policy, Rights, Rule, allow_all_rules, mode_of
+from rosld.server.auth.rules import (
+    ANONYMOUS,
+    AUTHENTICATED,
+    Agent,
+    Glob,
+    Mode,
+    Policy,
+    Rights,
+    Rule,
+    allow_all_rules,
+    mode_of,
+    path_at,
+    type_matches,
+)
 
 _segments = st.lists(st.text(st.characters(blacklist_categories=("Cs",)), max_size=5), min_size=1, max_size=5)
 

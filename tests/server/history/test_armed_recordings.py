@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rosld.server.auth.agent import Agent
+from rosld.server.auth.rules import Agent
 from rosld.server.history.armed_recordings import MAX_ARMED, ArmedRecording, ArmedRecordings, MayRecord
 from rosld.server.history.recording_orders import ARMED, RecordingNotes, RecordingOrder, RecordingRefused, Trigger
 

@@ -8,8 +8,8 @@ from random import Random
 from rosld.adapters.model import Encoding, Sample, TypeRef
 from rosld.server.history.history import HistoryRecording
 from rosld.server.history.history_writer import HistoryWriter
-from rosld.server.history.past_reader import PastRange, clip_ranges, count_past, read_past, time_of_end
 from rosld.server.history.segments import HistoryLimits, Segments
+from rosld.server.resources.past_messages import PastRange, clip_ranges, count_past, read_past, time_of_end
 
 TYPE = TypeRef("std_msgs/msg/Empty")
 CHUNK = 20

@@ -14,9 +14,9 @@ from rosld.adapters.model import Encoding, Sample, TypeRef
 from rosld.adapters.registry import adapter_for
 from rosld.server.history import mcap_writer
 from rosld.server.history.history_writer import HistoryWriter
+from rosld.server.history.mcap_writer import recover
 from rosld.server.history.recorder import LatchedMessages
 from rosld.server.history.segment_file import DiskFile
-from rosld.server.history.segment_scan import recover
 from rosld.server.history.segments import HistoryLimits, Segments
 from tests.server.history.mcap_files import read
 

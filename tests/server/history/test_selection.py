@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import pytest
 
 from rosld.adapters.base import FOR_EVER, MessageFilter, RecordedMessage
-from rosld.server.history import selection
+from rosld.server.history import history
 from rosld.server.history.chunk_index import ChunkRow
+from rosld.server.history.history import select_messages
 from rosld.server.history.history_writer import HistoryWriter
-from rosld.server.history.selection import select_messages
 from tests.adapters.recording.recorder import lines, write_rosbag1
 from tests.server.history.test_segments import LIMITS, START, open_writer, sample
 from tests.waiting import until
@@ -104,7 +104,7 @@ def test_a_page_reads_only_the_chunks_that_its_messages_are_in(
         return messages_of(row)
 
     monkeypatch.setattr(writer.segments, "messages_of", counting)
-    page = selection.select_messages(writer, MessageFilter(frozenset({"/a"})), 10)
+    page = history.select_messages(writer, MessageFilter(frozenset({"/a"})), 10)
     assert len(page.messages) == 10
     needed = {one.index for one in page.messages}
     assert {row.topic for row in read} == {"/a"}

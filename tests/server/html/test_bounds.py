@@ -11,7 +11,7 @@ from pyoxigraph import Literal
 
 from rosld.adapters.model import Primitive
 from rosld.ontology.coercion import RANGES
-from rosld.server.html.bounds import browser_pattern, describe_bounds, number_range, option_texts, same_value
+from rosld.server.html.inputs import browser_pattern, describe_bounds, number_range, option_texts, same_value
 from rosld.shapes.value import UNBOUNDED, Bounds
 
 FLOAT, INT8, TEXT = Primitive("float64"), Primitive("int8"), Primitive("string")

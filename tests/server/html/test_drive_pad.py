@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-from rosld.server.html import drive_pad
+from rosld.server.html import forms
 from tests.server.robots.made_up import MadeUp, served
 from tests.stopping import release
 from tests.waiting import until
@@ -64,7 +64,7 @@ class Base(MadeUp):
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set a lease that lasts even on a busy machine."""
-    monkeypatch.setattr(drive_pad, "LEASE", 4.0)
+    monkeypatch.setattr(forms, "LEASE", 4.0)
 
 
 @pytest.fixture

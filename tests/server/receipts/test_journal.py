@@ -12,10 +12,9 @@ import pytest
 
 from rosld.ontology.describe_activities import Receipt
 from rosld.ontology.urls import Space
-from rosld.server.auth.agent import Agent
-from rosld.server.receipts.audit_entry import AuditEntry, excerpt
-from rosld.server.receipts.journal import Journal, NoSuchReceipt
-from rosld.server.receipts.sqlite_log import DATABASE
+from rosld.server.auth.rules import Agent
+from rosld.server.receipts.audit import AuditEntry, excerpt
+from rosld.server.receipts.journal import DATABASE, Journal, NoSuchReceipt
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs
 
 BASE = "http://robot.example/"
@@ -116,7 +115,7 @@ async def test_a_disk_that_fails_refuses_no_write_and_is_tried_again(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rosld.server.receipts.journal._RETRY_SECONDS", 0.01)
-    monkeypatch.setattr("rosld.server.receipts.sqlite_log._OPEN_SECONDS", 0.01)
+    monkeypatch.setattr("rosld.server.receipts.journal._OPEN_SECONDS", 0.01)
     kept = journal(tmp_path)
     other = sqlite3.connect(tmp_path / DATABASE, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")

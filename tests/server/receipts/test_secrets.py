@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from rosld.server.receipts.audit_entry import holds_credentials
+from rosld.server.receipts.audit import holds_credentials
 
 
 def test_credentials_are_found() -> None:

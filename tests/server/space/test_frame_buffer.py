@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from rosld.adapters.model import Encoding, Sample, TypeRef
-from rosld.server.space.frame_buffer import FrameBuffer, NoTransform
-from rosld.server.space.transform import Transform, apply
+from rosld.server.space.transforms import FrameBuffer, NoTransform, Transform, apply
 
 PYTHON = "/usr/bin/python3"
 SECOND = 1_000_000_000

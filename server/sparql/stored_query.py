@@ -180,7 +180,9 @@ def _check(query: StoredQuery, lines: Mapping[str, int]) -> None:
     except Problem as problem:
         found = _PLACE.search(problem.detail)
         where = f"{name}:{found[1]}" if found else name
-        raise ValueError(f"{where}: it is not a valid query with its parameters bound. {problem.detail}") from problem
+        raise ValueError(
+            f"{where}: it is not a valid query with its parameters bound. {problem.detail.removesuffix('.')}"
+        ) from problem
 
 
 def _parse(text: str, nobodys: str) -> None:

@@ -175,10 +175,10 @@ class Lowerer:
         """
         if not self.schema.type.fields and not body.instances(NamedNode(self._type)):
             return self.from_json({})
-        return self.from_graph(body, find_message(body, document, self._type, node), document)
+        return self.from_graph(body, find_message(body, document, self._type, node))
 
-    def from_graph(self, body: RdfBody, root: Term, document: str) -> Message:
-        """Return the message whose node in `body` is `root`; `document` is the URL of the request.
+    def from_graph(self, body: RdfBody, root: Term) -> Message:
+        """Return the message whose node in `body` is `root`.
 
         Raises LoweringError with the violations (at most the first twenty).
         """

@@ -185,7 +185,7 @@ def _by_index(file: RandomFile, header: _Record, budget: OpenBudget) -> _Scan:
 
 def _chunk_by_index(file: RandomFile, info: _Record, scan: _Scan) -> None:
     record = _record_at(file, info.uint64(b"chunk_pos"))
-    place, base = _place(file, record, scan)
+    place, base = _place(record, scan)
     at = record.end
     tables: list[MessageTable] = []
     try:
@@ -221,13 +221,13 @@ def _by_walking(file: RandomFile, at: int, budget: OpenBudget) -> _Scan:
             if record.op == _CONNECTION:
                 scan.add(*_connection(file, record))
             elif record.op == _CHUNK:
-                _walk_chunk(file, record, *_place(file, record, scan), scan)
+                _walk_chunk(file, record, *_place(record, scan), scan)
     except Damaged as damage:
         scan.notes.append(f"it ends early: {damage}")
     return scan
 
 
-def _place(file: RandomFile, record: _Record, scan: _Scan) -> tuple[int, int]:
+def _place(record: _Record, scan: _Scan) -> tuple[int, int]:
     """Return the place of a chunk, and the base of its offsets: of uncompressed messages, offsets are in place 0."""
     if record.op != _CHUNK:
         raise Damaged(f"there is no chunk at the indexed position, at {record.data_at}")

@@ -193,11 +193,6 @@ class OpenBudget:
         """Work units done so far."""
         self._is_cancelled = False
 
-    @property
-    def is_cancelled(self) -> bool:
-        """Whether reading must end."""
-        return self._is_cancelled
-
     def cancel(self) -> None:
         """End reading soon."""
         self._is_cancelled = True

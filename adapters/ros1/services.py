@@ -127,9 +127,9 @@ class Services:
             header = decode_header(await read_frame(reader, MAX_HEADER))
         finally:
             writer.close()
-        return await self._facts_of(service, header)
+        return await self._facts_of(header)
 
-    async def _facts_of(self, service: str, header: Header) -> ServiceFacts:
+    async def _facts_of(self, header: Header) -> ServiceFacts:
         """Return the facts in a service's header, and whether its definition is known."""
         if "error" in header:
             return ServiceFacts(None, f"its node refuses to tell its type: {header['error']}")

@@ -108,21 +108,17 @@ def foreign_nodes(observation: Observation, hidden_node: str) -> tuple[str, ...]
 
 def _topics(observation: Observation, inputs: GraphInputs) -> dict[str, Topic]:
     topics: dict[str, Topic] = {}
-    for name, types in observation.topics.items():
+    for name in observation.topics:
         ours = inputs.ours if name not in inputs.advertised else {inputs.hidden_node}
         publishers = [each for each in observation.publishers.get(name, ()) if each.node not in ours]
         subscribers = [each for each in observation.subscribers.get(name, ()) if each.node not in ours]
         if publishers or subscribers:
-            topics[name] = _topic(name, types, publishers, subscribers, inputs)
+            topics[name] = _topic(name, publishers, subscribers, inputs)
     return topics
 
 
 def _topic(
-    name: str,
-    types: tuple[str, ...],
-    publishers: list[DiscoveredEndpoint],
-    subscribers: list[DiscoveredEndpoint],
-    inputs: GraphInputs,
+    name: str, publishers: list[DiscoveredEndpoint], subscribers: list[DiscoveredEndpoint], inputs: GraphInputs
 ) -> Topic:
     refs = dict.fromkeys(each.type for each in (*publishers, *subscribers))
     hashed = {ref.name for ref in refs if ref.hash is not None}

@@ -67,7 +67,7 @@ Without this file, or with scripts off, there is no pad, and the form beside it 
       this.figures = element("p", { class: "figures", "aria-hidden": "true", ".textContent": this.#figures([0, 0]) });
       const hint = element("p", { class: "hint", id: `drive-hint-${number}`, ".textContent":
         "Press and hold the pad. While it has the focus, arrow keys, W A S D and the left stick of a game pad drive too. "
-        + "The robot stands when you let go, leave the page, or lose the connection." });
+        + "The robot stops when you let go, leave the page, or lose the connection." });
       const reins = element("div", { class: "reins" }, this.speed.row, this.turn.row, this.words, this.figures, hint);
       this.box.replaceChildren(this.pad, reins);
     }
@@ -208,7 +208,7 @@ Without this file, or with scripts off, there is no pad, and the form beside it 
           await this.#pause(told);
         }
       } catch (error) {
-        const lost = "No answer: the robot stands, or does so as soon as its lease is over";
+        const lost = "No answer: the robot has stopped, or stops when its lease expires";
         this.#fail(error instanceof Refused ? error.message : lost);
       } finally {
         this.#isDriving = false;

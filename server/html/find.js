@@ -40,7 +40,7 @@ Without this file, or with scripts off, the box leads to the page of the search.
       last.append(all);
       items.push(last);
     }
-    list.replaceChildren(...(items.length ? items : [element("li", "Nothing has all of these words.", "none")]));
+    list.replaceChildren(...(items.length ? items : [element("li", "No result contains all of these words.", "none")]));
     list.hidden = false;
   };
 

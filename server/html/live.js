@@ -251,7 +251,7 @@ Without this file, or with scripts off, the page is what it was when it was load
 
   function absent({ status, detail }) {
     say("gone");
-    notice(`This is not there any more. What is shown is how it was. ${detail ?? ""}`);
+    notice(`This resource is gone. The page shows its last state. ${detail ?? ""}`);
     if (status === 410) end();
   }
 

@@ -142,7 +142,7 @@ Its endpoint is this server's, and nothing is asked of another. Without this fil
     run.textContent = "Run";
     if (response.name === "AbortError") return;
     element("results").hidden = response.status === 204;
-    if (response.status === 204) return tell("Done: the update is carried out.");
+    if (response.status === 204) return tell("Done: the update was carried out.");
     results.setResponse(response, duration);
     tell(unread(response.headers));
     remember();

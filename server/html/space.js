@@ -95,12 +95,12 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
       try {
         const answer = await fetch(goal.url, { method: goal.method, headers, body: JSON.stringify(this.message()) });
         if (!answer.ok) return this.refuse((await answer.json()).detail);
-        const place = answer.headers.get("location"), said = answer.status === 202 ? "Sent, and nobody heard it: " : "Sent to ";
+        const place = answer.headers.get("location"), said = answer.status === 202 ? "Sent, but nothing received it: " : "Sent to ";
         const link = place ? element("a", { href: new URL(place, location.href).pathname, textContent: goal.name }) : goal.name;
         this.view.readout.replaceChildren(said, link);
         this.dialog.close();
       } catch {
-        this.refuse("There was no answer: it is not known whether the goal arrived.");
+        this.refuse("No answer: it is unknown whether the goal arrived.");
       }
     }
   }
@@ -401,7 +401,7 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
         this.renew();
       });
       image.addEventListener("error", () => {
-        thing.why.textContent = "The picture of the grid cannot be had";
+        thing.why.textContent = "The picture of the grid cannot be loaded";
         done();
       });
       image.src = address;

@@ -104,7 +104,7 @@ class View extends SpaceView {
     try {
       this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true });
     } catch {
-      this.words.textContent = "This browser has no WebGL, which three dimensions need. What is drawn is said below, and seen from above.";
+      this.words.textContent = "This browser has no WebGL, which three dimensions need. The content is listed below and shown from above.";
       this.figure.prepend(this.words);
       return;
     }
@@ -122,7 +122,7 @@ class View extends SpaceView {
     this.legend = element("ul", { className: "legend" });
     this.readout = element("p", { className: "readout" });
     this.absent = element("ul");
-    this.absence = element("details", { hidden: true }, element("summary", { textContent: "Meshes that are not shown" }), this.absent);
+    this.absence = element("details", { hidden: true }, element("summary", { textContent: "Meshes not shown" }), this.absent);
     this.figure.prepend(this.controlsRow, this.canvas, this.readout, this.absence, this.legend);
     this.scene = new Scene();
     this.frameGroup = new Group();
@@ -160,7 +160,7 @@ class View extends SpaceView {
       } else return;
       event.preventDefault();
     });
-    canvas.addEventListener("webglcontextlost", () => this.say("The browser has taken WebGL away"));
+    canvas.addEventListener("webglcontextlost", () => this.say("The browser has closed the WebGL context"));
     new ResizeObserver(() => this.resize()).observe(canvas);
     isDark.addEventListener("change", () => this.paint());
   }
@@ -320,7 +320,7 @@ class View extends SpaceView {
       if (isFirst && !this.isMoved && !this.followed) this.fit();
       this.renew();
     } catch {
-      thing.why.textContent = "The points cannot be had";
+      thing.why.textContent = "The points cannot be loaded";
     }
     thing.isLoading = false;
     if (this.stream && (thing.cloud !== own || this.count.value !== most)) this.load(thing, thing.cloud);
@@ -339,7 +339,7 @@ class View extends SpaceView {
         thing.texture = texture;
         this.draw(thing);
         this.renew();
-      } else thing.why.textContent = "The picture of the grid cannot be had";
+      } else thing.why.textContent = "The picture of the grid cannot be loaded";
       if (thing.wanted !== address) this.loadPicture(thing, thing.wanted);
     };
     new TextureLoader().load(address, done, undefined, () => done(null));

@@ -228,26 +228,10 @@ def preference_applied(*names: str) -> str:
     return require_field_value(", ".join(names))
 
 
-def render_prefer(preferences: Preferences) -> str:
-    """Return the Prefer field of these preferences. Raises ValueError for values that no header can contain."""
-    return ", ".join(_write(name, preference) for name, preference in preferences.named.items())
-
-
 def _preference(member: str) -> tuple[str, Preference]:
     head, *rest = split_members(member, ";")
     name, value = parse_parameter(head)
     return name, Preference(value, tuple(parse_parameter(part) for part in rest))
-
-
-def _write(name: str, preference: Preference) -> str:
-    pairs = [(name, preference.value), *preference.parameters]
-    return "; ".join(_pair(key, value) for key, value in pairs)
-
-
-def _pair(name: str, value: str) -> str:
-    if not is_token(name):
-        raise ValueError(f"{name!r} is not a preference name")
-    return name if not value else f"{name}={value if is_token(value) else quote_string(value)}"
 
 
 PROFILE_QUERY = "_profile"

@@ -300,7 +300,7 @@ def _describe(
         stated = ", ".join(map(str, kinds)) or f"{node} without a type"
         raise LoweringError(Violation("", f"expected {expected}", brief_value(stated)))
     part = select_fields(found.schema, found.fields)
-    message = lowerer(part, lifting).from_graph(body, node, document)
+    message = lowerer(part, lifting).from_graph(body, node)
     return parse_json(plain_json(MessageValue(found.schema, message, found.fields, document), WHOLE))
 
 

@@ -92,7 +92,7 @@ def _property(
 # Actions
 
 
-def action_document(view: ActionView, space: Space, lifting: LiftSettings) -> Document:
+def action_document(view: ActionView, space: Space) -> Document:
     """Return an action: its ROS service or action, how to invoke it, and how to follow its goal."""
     subject = NamedNode(view.affordance.url)
     triples = triples_about(

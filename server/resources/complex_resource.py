@@ -232,7 +232,7 @@ class ComplexResource(TimeGate):
         async with self.affordances.lock(tree, self.name, *named, modified=named):
             snapshot = await read_fresh_state(self.affordances, tree, plan.reads)
             changes = self._changes(exchange.media_type, plan, snapshot, data)
-            return await carry_out_all(self.session, await plan_changes(self.limit_checks, plan, snapshot, changes))
+            return await carry_out_all(self.session, await plan_changes(self.limit_checks, snapshot, changes))
 
     async def plan_graph_write(self, triples: Sequence[Triple] | None) -> Plan:
         """Plan the writes of the properties that a graph changes; the caller holds the lock of `affected_names`.
@@ -246,7 +246,7 @@ class ComplexResource(TimeGate):
         view = self.affordances.complex_view(plan, snapshot)
         body = index_triples(triples)
         writes = await plan_changes(
-            self.limit_checks, plan, snapshot, changes_in_graph(body, plan, view, self.session.lifting)
+            self.limit_checks, snapshot, changes_in_graph(body, plan, view, self.session.lifting)
         )
 
         async def carried_out_all() -> bool:

@@ -405,7 +405,7 @@ async def _message_at(url: str, space: Space, lifting: LiftSettings, schema: Mes
     body = index_triples(state.document.all_triples())
     type_iri = space.class_of(schema.ref.name)
     root = NamedNode(whole) if fragment else find_message(body, document, type_iri)
-    return lowerer(schema, lifting).from_graph(body, root, document)
+    return lowerer(schema, lifting).from_graph(body, root)
 
 
 def _command(session: Session, topic: str, schema: MessageSchema, message: Message, *, restamp: bool) -> HeldMessage:

@@ -252,7 +252,7 @@ class MemberResource(TimeGate):
 
     def _shown_action(self, plan: ActionPlan, snapshot: Snapshot) -> State:
         view = self.affordances.action_view(plan, snapshot)
-        return State(lambda: action_document(view, self.space, self.session.lifting), view=view, headers=self._headers)
+        return State(lambda: action_document(view, self.space), view=view, headers=self._headers)
 
     def _missing(self, tree: ResourceTree) -> Problem:
         """Return a 308 redirect to the resource that a mapping names otherwise, else a 404 Problem."""

@@ -197,7 +197,7 @@ def _present(member: Member) -> object:
 
 
 async def plan_changes(
-    limit_checks: LimitChecks, plan: ComplexPlan, snapshot: Snapshot, changes: Sequence[MemberChange]
+    limit_checks: LimitChecks, snapshot: Snapshot, changes: Sequence[MemberChange]
 ) -> tuple[tuple[str, PlannedWrite], ...]:
     """Return the writes for these changes, with the names of the changed members; sends nothing to the robot.
 

@@ -34,7 +34,7 @@ _FOLDED = frozenset({"topics", "before", "trigger_resource", "trigger_condition"
 _ABOUT = (
     "Topics: those that you tick, all where you tick none. Duration: seconds, 0 for as long as you like. More: globs "
     "of topics with spaces between them, such as /odom /camera/*; seconds out of the history before; a condition, "
-    "such as percentage < 0.2, that begins the recording when it comes to hold of the value at a URL."
+    "such as percentage < 0.2, that begins the recording when it becomes true for the value at a URL."
 )
 
 

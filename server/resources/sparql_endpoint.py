@@ -342,7 +342,7 @@ class SparqlResource(Resource):
     async def _update(self, request: UpdateRequest, exchange: Exchange) -> Response:
         if self._updates is None:
             raise self._no_updates()
-        return await self._updates.answer(request, accept=accept_of(exchange), permissions=exchange.permissions)
+        return await self._updates.answer(request, permissions=exchange.permissions)
 
     async def _answer(self, request: QueryRequest, accept: str | None, exchange: Exchange) -> Response:
         disconnected, permissions = disconnect.disconnection_of(exchange.request.receive), exchange.permissions

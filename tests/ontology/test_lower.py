@@ -46,7 +46,7 @@ def body_of(turtle: str) -> RdfBody:
 def from_turtle(schema: MessageSchema, turtle: str) -> Message:
     body, named = body_of(turtle), NamedNode(f"{D}#message")
     root = named if named in body.subjects else find_message(body, D, TYPES + schema.ref.name)
-    return lowerer(schema).from_graph(body, root, D)
+    return lowerer(schema).from_graph(body, root)
 
 
 def violations_of(schema: MessageSchema, turtle: str) -> dict[str, str]:
@@ -200,7 +200,7 @@ def test_what_the_server_says_about_a_message_means_nothing_when_sent_back() -> 
     envelope = Envelope(7, 8, "http://127.0.0.1:8080/nodes/n")
     nt = lifter(schema).ntriples(message, D, "#message", envelope=envelope).encode()
     body = parse_body(nt, "application/n-triples", D)
-    found = lowerer(schema).from_graph(body, find_message(body, D, TYPES + schema.ref.name), D)
+    found = lowerer(schema).from_graph(body, find_message(body, D, TYPES + schema.ref.name))
     assert vars(vars(found)["t"])["sec"] == 5
 
 

@@ -223,7 +223,7 @@ def comes_back(schema: MessageSchema, version: int, message: Message, media_type
         if text is not None:
             body = parse_body(text, media_type, DOCUMENT)
             root = find_message(body, DOCUMENT, TYPES + name)
-            assert same(message, lower.from_graph(body, root, DOCUMENT)), (name, media_type)
+            assert same(message, lower.from_graph(body, root)), (name, media_type)
     lowered = lower.from_json(parse_json(lift.json(message, DOCUMENT)))
     assert same(message, lowered), name
     encoding = Encoding.ROS1 if version == 1 else Encoding.CDR

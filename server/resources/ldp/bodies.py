@@ -58,7 +58,7 @@ def model_of_request(exchange: Exchange, url: str, *, container: bool) -> Model:
     return requested_model(_links(exchange), url, exchange.essence, container_hint=container)
 
 
-def require_model(exchange: Exchange, model: Model, url: str) -> None:
+def require_model(exchange: Exchange, model: Model) -> None:
     """Raise a 409 Problem if a request would change the interaction model of a resource (LDP 4.2.3, 5.2.3.4)."""
     links = _links(exchange)
     if not links:

@@ -119,7 +119,7 @@ class RdfSourceResource(StoredResource):
     async def put(self, exchange: Exchange) -> Answer:
         """Replace all triples (LDP 4.2.4). Unconditional writes: last one wins."""
         self.require_if_match(exchange)
-        require_model(exchange, self.require_record().model, self.url)
+        require_model(exchange, self.require_record().model)
         triples = await read_statements(self.documents.workers, exchange, self.document_url, self._subject)
 
         async def replaced(record: Record) -> Write:
@@ -346,7 +346,7 @@ class StoredFile(StoredResource):
         """Replace the bytes and their media type (RFC 9110 9.3.4). Raises a 507 Problem if the disk is full."""
         self.require_if_match(exchange)
         before = self.require_record()
-        require_model(exchange, before.model, self.url)
+        require_model(exchange, before.model)
         return await self.replace(exchange, before, await receive_blob(self.documents, exchange))
 
     async def replace(self, exchange: Exchange, before: Record, blob: Blob) -> Answer:

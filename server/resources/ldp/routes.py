@@ -200,7 +200,7 @@ class AbsentResource(StoredResource):
         record = self.require_record()
         there = resource_of(self.documents, self.path, record.model)
         if isinstance(there, StoredFile):
-            require_model(exchange, record.model, self.url)
+            require_model(exchange, record.model)
             return await there.replace(exchange, record, blob or await receive_blob(self.documents, exchange))
         if blob is not None:
             raise Problem(415, f"PUT takes {', '.join(RDF_BODIES)} here, not {blob.media_type}.")

@@ -162,9 +162,7 @@ class UpdateService:
         self._keyed_lock = keyed_lock
         self._update_lock = KeyedLock(_PATIENCE)
 
-    async def answer(
-        self, request: UpdateRequest, *, accept: str | None, permissions: Permissions = ALLOW_ALL
-    ) -> Response:
+    async def answer(self, request: UpdateRequest, *, permissions: Permissions = ALLOW_ALL) -> Response:
         """Carry out an update and return the response. Raises Problems.
 
         If any graph is refused, nothing is done: 403 if it is not writable, 422 if its new content is invalid, 409 on a

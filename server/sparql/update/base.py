@@ -15,10 +15,8 @@ from rosld.server.sparql.update.operations import Operation
 class UpdateRunner(Protocol):
     """Executor of updates."""
 
-    async def answer(
-        self, request: UpdateRequest, *, accept: str | None, permissions: Permissions = ALLOW_ALL
-    ) -> Response:
-        """Execute an update; `accept` is the request's Accept field.
+    async def answer(self, request: UpdateRequest, *, permissions: Permissions = ALLOW_ALL) -> Response:
+        """Execute an update.
 
         Raises Problems; then nothing was changed, unless the problem lists what was.
         """

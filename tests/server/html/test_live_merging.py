@@ -322,7 +322,7 @@ def test_a_resource_that_goes_is_told_and_told_again_when_it_is_back(tab: Any, s
     site.tell(json.dumps({"status": 404, "detail": words}), "gone")
     tab.until("document.querySelector('#live-notice')")
     said = tab.run("document.querySelector('#live-notice').textContent")
-    assert said.startswith("This is not there any more.")
+    assert said.startswith("This resource is gone.")
     assert words in said
     assert tab.run(MARK).startswith("Gone")
     assert tab.run("document.querySelector('main > p').textContent") == "1"

@@ -122,6 +122,8 @@ _SERVICES: Mapping[str, str] = {
     "ontology": "Ontology",
 }
 """Single resources among the routes, by name below the base, with their labels."""
+_GUIDES: Mapping[str, str] = {"?offer": "Offer", "llms.txt": "Guide for language models"}
+"""What tells an agent how to go on, by reference."""
 
 
 _GRAPH = NodeShape[Graph]("Graph", "a computation graph", ros.Graph, *CONTAINER_TYPES).with_properties(
@@ -138,7 +140,7 @@ _GRAPH = NodeShape[Graph]("Graph", "a computation graph", ros.Graph, *CONTAINER_
     many(ldp.contains, kinds.FRAGMENT, lambda graph: [f"{route}/" for route in SECTIONS], minimum=1),
     one(ros.hasStop, kinds.FRAGMENT, lambda graph: "stop"),
     one(ros.hasServerStatus, kinds.FRAGMENT, lambda graph: "status"),
-    many(rdfs.seeAlso, kinds.FRAGMENT, lambda graph: (*_SERVICES, "cockpit/default"), minimum=1),
+    many(rdfs.seeAlso, kinds.FRAGMENT, lambda graph: (*_SERVICES, *_GUIDES, "cockpit/default"), minimum=1),
 )
 _ROBOT = NodeShape[str]("Robot", "the machine", sosa.Platform, cora.Robot).with_properties(
     one(rdfs.label, kinds.TEXT, lambda name: name),
@@ -166,7 +168,7 @@ def entry_document(
     triples += _section_triples(graph, space)
     triples += triples_about(NamedNode(f"{space.base}status"), *problem_statements(problems))
     triples += search_triples(entry, space)
-    for each, label in _SERVICES.items():
+    for each, label in {**_SERVICES, **_GUIDES}.items():
         triples.append(Triple(NamedNode(space.base + each), rdfs.label, Literal(label)))
     return Document(space.base, tuple(triples), simulated_time=graph.simulated_time)
 
@@ -340,7 +342,12 @@ def container_document(url: str, members: Iterable[str], title: str) -> Document
     return Document(
         url,
         tuple(
-            triples_about(NamedNode(url), *CONTAINER, (dcterms.title, text(title)), *statements(ldp.contains, found))
+            triples_about(
+                NamedNode(url),
+                *CONTAINER,
+                (dcterms.title, text(title)),
+                *statements(ldp.contains, found),
+            )
         ),
     )
 

@@ -37,10 +37,10 @@ HOLD = (
 )
 """Explanation of holding a topic."""
 MEANINGS = {
-    "rate": "How many times per second the message is published.",
-    "lease": "The seconds that the hold lasts without renewal.",
-    "for": "Instead of a lease: the seconds after which the hold ends automatically.",
-    "then": "What is published when the hold ends: zero, none, or the URL of a message.",
+    "rate": "Messages per second.",
+    "lease": "Seconds that it lasts without renewal.",
+    "for": "Seconds after which it ends, instead of a lease.",
+    "then": "The last message: zero, none, or the URL of one.",
 }
 _SETTINGS = LiftSettings()
 PARAMETERS = "{?rate,lease,for,then}"

@@ -196,6 +196,7 @@ WRITES = frozenset({"PUT", "POST", "PATCH", "DELETE"})
 class CommandResource(Resource):
     """Base class of resources whose writes command the robot; none is offered while the robot is stopped."""
 
+    links_offer = True
     session: Session
 
     @property

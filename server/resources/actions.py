@@ -39,6 +39,7 @@ from rosld.server.resources.services import InvocableResource, sender_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer
+from rosld.server.rest.responses import offer_url
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import EndedState, State
 from rosld.server.robot.calls import IdempotencyKeyReused
@@ -49,6 +50,11 @@ from rosld.server.robot.write_policy import resources_only_reason
 from rosld.server.runtime.dry_run import DryRunEnded, expect_status
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
+
+GOAL_ENDS = (
+    "201 with the goal's URL (Location). Wait there by ?until=status = 'succeeded'&timeout=60: 409 if it ended "
+    "otherwise. DELETE cancels."
+)
 
 
 class ActionResource(InvocableResource[Action, ActionSchema]):
@@ -75,8 +81,9 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
         type = self.require().type
         schema = schemas.find(type, ActionSchema)
         send = WriteMethod(
-            "Sends a goal; the goal is a resource, created only once per `Idempotency-Key`.",
+            "Sends a goal, once per `Idempotency-Key`.",
             schemas.write(schema.goal if schema else None),
+            GOAL_ENDS,
             is_body_required=False,
             done=(201,),
             shows=_goal_schema(schemas, schema),
@@ -235,6 +242,7 @@ class GoalResource(KeptResource[Goal]):
         told = {
             "id": self.id,
             "url": self.url,
+            "offer": offer_url(self.url),
             "action": goal.action,
             "sentBy": None if goal.sender is None else goal.sender.agent,
             "ended": None if goal.ended_ns is None else date_time(0, goal.ended_ns),
@@ -307,8 +315,8 @@ def _goal_schema(schemas: MessageSchemas, schema: ActionSchema | None) -> JsonSc
     messages = {name: nullable(schemas.read(part)) for name, part in parts.items()}
     status: JsonSchema = {"type": "string", "enum": [status.value for status in GoalStatus]}
     words: JsonSchema = {
-        "id": TEXT, "url": URI, "action": TEXT, "sentBy": nullable(TEXT), "ended": nullable(TEXT), "status": status,
-        "words": nullable(TEXT),
+        "id": TEXT, "url": URI, "offer": URI, "action": TEXT, "sentBy": nullable(TEXT), "ended": nullable(TEXT),
+        "status": status, "words": nullable(TEXT),
     }  # fmt: skip
     return json_object(optional={**words, **messages})
 

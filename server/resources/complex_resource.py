@@ -104,7 +104,7 @@ class ComplexResource(TimeGate):
             (*OFFERS, MEDIA_TYPE),
             {"type": "object", "properties": read},
             (_FORMAT, *PAST, *(replace(one, about=f"Of a Thing Description. {one.about}") for one in PART_QUERY)),
-            {"PATCH": WriteMethod(sends=patch, done=(200, 204))},
+            {"PATCH": WriteMethod("Sets some members.", patch, done=(200, 204))},
             members=members,
         )
 

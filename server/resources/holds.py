@@ -47,6 +47,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Find, Resource
+from rosld.server.rest.responses import offer_url
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.robot.hold_store import HeldMessage, Hold, Holds, held_message, new_hold
@@ -97,7 +98,15 @@ def hold_parameters(longest: float, required: str = "") -> tuple[QueryParameter,
 def hold_schema(schemas: MessageSchemas, schema: MessageSchema | None) -> JsonSchema:
     """Return the JSON schema of a hold's state for messages of a type."""
     number: JsonSchema = {"type": "number"}
-    words: JsonSchema = {"id": TEXT, "url": URI, "topic": TEXT, "holder": TEXT, "rate": number, "lease": number}
+    words: JsonSchema = {
+        "id": TEXT,
+        "url": URI,
+        "offer": URI,
+        "topic": TEXT,
+        "holder": TEXT,
+        "rate": number,
+        "lease": number,
+    }
     message = ANYTHING if schema is None else schemas.read(schema)
     rest: JsonSchema = {"for": nullable(number), "then": TEXT, "kept": {"type": "boolean"}, "trouble": nullable(TEXT)}
     return json_object(optional={**words, **rest, "message": message})
@@ -207,6 +216,7 @@ class HoldResource(KeptResource[Hold]):
         told = {
             "id": hold.id,
             "url": self.url,
+            "offer": offer_url(self.url),
             "topic": hold.topic,
             "holder": hold.holder.name,
             "rate": hold.rate,

@@ -71,6 +71,7 @@ class ListingResource(Resource):
 
     shape = "Container"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+    links_offer = True
 
     def __init__(
         self,

@@ -78,6 +78,8 @@ class NamedResource(CommandResource, Generic[T]):
 class KeptResource(Resource, Generic[T]):
     """Base class of calls, goals and holds: `find` raises KeyError for unknown ones, LookupError for removed ones."""
 
+    links_offer = True
+
     def __init__(self, session: Session, states: VersionCache[State], url: str, id: str) -> None:
         super().__init__(session.space, url)
         self.session = session

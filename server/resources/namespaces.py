@@ -242,6 +242,7 @@ class NamespaceBase(PagedContainer):
     """Base class of the containers of one kind of names, with or without hidden members."""
 
     session: Session
+    links_offer = True
     route: str
     namespace: tuple[str, ...]
     _hidden = False

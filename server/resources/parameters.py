@@ -23,7 +23,7 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens
-from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, JsonSchema, MessageSchemas
+from rosld.server.hypermedia.json_schema import OBJECT, JsonSchema, MessageSchemas
 from rosld.server.patches.patch import apply_update, merge_patch
 from rosld.server.resources.accepted_shape import has_parameter_shape, parameter_shape, shape_query
 from rosld.server.resources.namespaces import LISTING_PARAMETERS, count_members
@@ -92,7 +92,7 @@ class ParameterResource(ParameterBase):
             f"The parameter {self.name}",
             plain={"anyOf": [*_VALUES]},
             writes={
-                "PUT": WriteMethod(sends=_NEW_VALUE, done=(200, 201, 204)),
+                "PUT": WriteMethod("Sets the value.", _NEW_VALUE, "At once.", done=(200, 201, 204)),
                 "PATCH": WriteMethod(sends=_NEW_VALUE, done=(200, 204)),
                 "DELETE": WriteMethod(done=(204,)),
             },
@@ -252,7 +252,7 @@ class ParameterTree(ParameterContainer):
             query=LISTING_PARAMETERS,
             writes={
                 "POST": WriteMethod(
-                    "Creates a parameter, named by `Slug` if that is free.", ANYTHING, done=(200, 201, 204)
+                    "Creates a parameter, named by `Slug` if that is free.", _NEW_VALUE, done=(200, 201, 204)
                 ),
                 "PATCH": WriteMethod(sends=OBJECT, done=(200, 204)),
                 "DELETE": WriteMethod(done=(204,)),

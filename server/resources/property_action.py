@@ -45,7 +45,7 @@ from rosld.server.resources.accepted_shape import (
     require_property_text,
     shape_query,
 )
-from rosld.server.resources.actions import ActionResource
+from rosld.server.resources.actions import GOAL_ENDS, ActionResource
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.limit_checks import STRICTNESS, is_strict
 from rosld.server.resources.memento import PAST, PastReadings, TimeGate
@@ -67,9 +67,9 @@ from rosld.server.robot.calls import CallOutcome
 from rosld.server.runtime.dry_run import expect_status
 
 _INVOKES = "Invokes the action; returns the resource that it belongs to."
-_SENDS_A_GOAL = "Sends a goal and creates its resource; 409 if it is rejected."
-_CANCELS = "Cancels the active goals that were sent from here; 409 if there are none."
-_OTHERS = QueryParameter("others", "Whether to cancel goals that others sent, too.", {"type": "boolean"})
+_SENDS_A_GOAL = "Sends a goal; 409 if it is rejected."
+_CANCELS = "Cancels the goals sent from here."
+_OTHERS = QueryParameter("others", "Those of others too.", {"type": "boolean"})
 
 
 class MemberResource(TimeGate):
@@ -103,6 +103,7 @@ class MemberResource(TimeGate):
         invoke = WriteMethod(
             _SENDS_A_GOAL if sends_goals else _INVOKES,
             schemas.write(action.request if action else None),
+            GOAL_ENDS if sends_goals else "With the answer: 200 and the resource as it is then.",
             is_body_required=False,
             done=(201,) if sends_goals else (200, 204),
             shows=OBJECT,
@@ -115,7 +116,13 @@ class MemberResource(TimeGate):
             (FORMAT, FIELD, *PAST),
             {
                 "DELETE": WriteMethod(_CANCELS, done=(202,), query=(_OTHERS,)),
-                "PUT": WriteMethod(sends=ANYTHING if sent is None else sent, done=(200, 202, 204), query=STRICTNESS),
+                "PUT": WriteMethod(
+                    "Sets the value.",
+                    ANYTHING if sent is None else sent,
+                    "At once: 204 if set, 200 with the value if the robot chose another, 202 if no node received it.",
+                    done=(200, 202, 204),
+                    query=STRICTNESS,
+                ),
                 "PATCH": WriteMethod(sends=ANYTHING if sent is None else patch_schema(sent), done=(200, 202, 204)),
                 "POST": invoke,
             },

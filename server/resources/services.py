@@ -44,6 +44,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer
+from rosld.server.rest.responses import offer_url
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import EndedState, State
 from rosld.server.robot.calls import Call, CallOutcome, CallState, IdempotencyKeyReused
@@ -56,6 +57,7 @@ _CALL: JsonSchema = json_object(
         **dict.fromkeys(("id", "service", "state"), TEXT),
         **{name: nullable(TEXT) for name in ("sentBy", "ended", "words")},
         "url": URI,
+        "offer": URI,
     }
 )
 
@@ -169,8 +171,9 @@ class ServiceResource(InvocableResource[Service, ServiceSchema]):
         type = self.require().type
         schema = schemas.find(type, ServiceSchema)
         call = WriteMethod(
-            "Calls the service; the call is a resource, created only once per `Idempotency-Key`.",
+            "Calls the service, once per `Idempotency-Key`.",
             schemas.write(schema.request if schema else None),
+            "With the answer: 201 and the response.",
             is_body_required=False,
             done=(201,),
             shows=ANYTHING if schema is None else nullable(schemas.read(schema.response)),
@@ -262,6 +265,7 @@ class CallResource(KeptResource[Call]):
         described = {
             "id": call.id,
             "url": self.url,
+            "offer": offer_url(self.url),
             "service": call.service,
             "sentBy": None if call.sender is None else call.sender.agent,
             "ended": None if ended_ns is None else date_time(0, ended_ns),

@@ -45,6 +45,7 @@ class StopResource(Resource):
     kind = "Stop"
     shape = "Stop"
     title = "Stop"
+    links_offer = True
     accepts: Mapping[str, Sequence[str]] = {"POST": (JSON,)}
     passes_unknown_parameters = frozenset({"POST"})  # a typing error must not prevent a stop
 
@@ -65,6 +66,7 @@ class StopResource(Resource):
             "Publishes zero on velocity topics, ends holds, cancels goals, runs the stop actions of mappings, "
             "refuses writes (423).",
             {"type": "object", "properties": {"reason": reason}, "additionalProperties": False},
+            "At once, and lasts until a person releases it.",
             is_body_required=False,
             done=(200, 204),
             shows=plain,

@@ -139,11 +139,13 @@ class TopicResource(PublishingResource):
         if schema is not None:
             patch = patch_schema(message_schema(schema, schemas.lifting, read=False, sent=True))
         hold = hold_parameters(self.session.settings.hold_time, "" if self.commands_velocity else "rate")
-        publishes = "Publishes a message."
+        publishes, ends = "Publishes a message.", "At once: 204 if a node received it, 202 if none."
+        if self.commands_velocity:
+            ends += " A base stops soon after: POST holds."
         if self.found is None:
             publishes = "Creates a topic from RDF that states the type of the message."
         return {
-            "PUT": WriteMethod(publishes, sent, done=(200, 201, 202, 204), query=(*STRICTNESS, _LATCH)),
+            "PUT": WriteMethod(publishes, sent, ends, done=(200, 201, 202, 204), query=(*STRICTNESS, _LATCH)),
             "PATCH": WriteMethod(
                 "Publishes the latest message with changes.",
                 patch,
@@ -151,9 +153,9 @@ class TopicResource(PublishingResource):
                 query=(_LATCH,),
             ),
             "POST": WriteMethod(
-                "Holds the topic: publishes the message `rate` times per second while the lease is renewed, or `for` "
-                "a time.",
+                "Holds the topic: publishes the message `rate` times per second.",
                 sent,
+                "After `for`, or `lease` after the last PATCH of its URL (Location), or by DELETE of that.",
                 done=(201,),
                 shows=hold_schema(schemas, schema),
                 query=(*STRICTNESS, *hold),

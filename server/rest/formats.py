@@ -20,3 +20,5 @@ FORMATS: Mapping[str, str] = {extension: media_type for media_type, extension in
 """Media types by their names in `?format=`."""
 OFFERS = (*RDF_BODIES, JSON, HTML)
 """Media types of every resource, the default first. `application/json` is JSON-LD if there is no ROS value."""
+OFFER_TYPE = "application/vnd.rosld.offer+json"
+"""Media type of offers."""

@@ -52,13 +52,14 @@ _DONE = {"PUT": (200, 201, 204), "POST": (200, 201, 204), "PATCH": (200, 201, 20
 class WriteMethod(Struct, frozen=True):
     """Request and response of a method that writes.
 
-    `sends` is the schema of its JSON, `accepts` are its media types if they differ from the current ones of the
-    resource. `done` are the statuses of success if they differ from the usual ones of the method, `shows` is the
-    `application/json` of the response.
+    `note` says what it does, `ends` when that is over and how to wait for it. `sends` is the schema of its JSON,
+    `accepts` are its media types if they differ from the current ones of the resource. `done` are the statuses of
+    success if they differ from the usual ones of the method, `shows` is the `application/json` of the response.
     """
 
     note: str | None = None
     sends: JsonSchema | None = None
+    ends: str | None = None
     is_body_required: bool = True
     done: tuple[int, ...] | None = None
     shows: JsonSchema | None = None

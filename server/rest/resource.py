@@ -89,6 +89,8 @@ class Resource:
     item: PathItem | None = None
     """Path item for `/openapi.json`, if it is constant."""
     links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE)
+    links_offer = False
+    """Whether its responses link to its offer."""
     accepts: Mapping[str, Sequence[str]] = {}
     """Media types that PUT, POST and PATCH accept, by method."""
     in_turn: frozenset[str] = frozenset()

@@ -18,6 +18,7 @@ from rosld.server.http.fields import Link, quote_string, render_links, require_f
 from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import OFFER_TYPE
 from rosld.server.rest.resource import CONFORMS_TO, LDP, Resource
 from rosld.server.runtime.tasks import end_tasks
 
@@ -54,6 +55,11 @@ def bytes_response(
     return RawResponse(200, data, [*content, *headers])
 
 
+def offer_url(url: str) -> str:
+    """Return the URL of the offer of the resource at a URL."""
+    return f"{url}{'&' if '?' in url else '?'}offer"
+
+
 ACCEPT_FIELDS = {"PUT": "Accept-Put", "POST": "Accept-Post", "PATCH": "Accept-Patch"}
 
 
@@ -69,6 +75,8 @@ def resource_headers(
     links = (*resource.links, *(Link(url, CONFORMS_TO) for url in (*resource.conforms_to, *shapes)))
     if resource.constrained_by is not None:
         links = (*links, Link(resource.constrained_by, f"{LDP}constrainedBy"))
+    if resource.links_offer:
+        links = (*links, Link(offer_url(resource.url), "service-desc", OFFER_TYPE))  # RFC 8631
     headers = {"allow": ", ".join(sorted(methods))}
     if links:
         headers["link"] = rendered(links)

@@ -26,6 +26,7 @@ from rosld.server.rest.responses import RawResponse, rendered, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.routing.observation import Observation
+from rosld.server.routing.offers import Offers, wants_offer
 from rosld.server.routing.representations import CONTENT_FIELDS, Representations, is_not_modified, negotiate
 from rosld.server.routing.write_answers import (
     VERBS,
@@ -63,6 +64,7 @@ class Dispatcher:
         self._observation = Observation(self._representations, broadcasters, pages)
         self._write_answers = WriteAnswers(self._representations)
         self._session = session
+        self._offers = Offers(session)
         self._known_parameters = KnownParameters(session.lifting)
         self._forms = FormAnswers(pages, self._known_parameters)
         self._pages = pages
@@ -88,7 +90,8 @@ class Dispatcher:
                 exchange.answering = resource
             if query_string and exchange.method != "OPTIONS" and not is_form(exchange, resource):
                 self._known_parameters.require(exchange.method, query_string, target, resource)
-            response = await self._answer(exchange, resource)
+            wanted = wants_offer(exchange)
+            response = await (self._offers.answer if wanted else self._answer)(exchange, resource)
         except (BodyError, LoweringError, RosError, Problem) as error:
             raise self._with_near(exchange, resource, with_type_links(resource, problem_of_error(error))) from error
         if response.status_code == 204 and resource.links and b"link" not in dict(response.raw_headers):

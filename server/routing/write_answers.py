@@ -96,6 +96,8 @@ _RECEIPT = "receipt"
 """Parameter of the page after a form."""
 _UNTIL = "until"
 """Accepted here even without a value that a condition could concern: it is refused elsewhere, with a better message."""
+OFFER = "offer"
+"""Parameter that requests the offer of a resource."""
 _MAX_REMEMBERED = 4096
 """Maximum number of cached requests: finding the parameters of a path item takes 50 to 100 us, a third of a read."""
 
@@ -141,7 +143,7 @@ def _names(query_string: bytes) -> tuple[str, ...]:
 
 def _of_page(item: PathItem) -> dict[str, bool]:
     """Return the parameters of GET, and whether each may be repeated."""
-    anywhere = dict.fromkeys((_RECEIPT, _UNTIL, *item.shared_query), False)
+    anywhere = dict.fromkeys((_RECEIPT, _UNTIL, OFFER, *item.shared_query), False)
     return {**anywhere, **{each.name: each.is_list for each in item.query}}
 
 

@@ -1,15 +1,14 @@
-"""A program that knows one URL, and how to read HTTP, JSON and Thing Descriptions; its requests are counted."""
+"""A program that knows one URL, and how to read HTTP, JSON and offers; its requests are counted."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import httpx
 
 JSON = "application/json"
-THING = "application/td+json"
+OFFER = "application/vnd.rosld.offer+json"
 
 
 class Tourist:
@@ -18,6 +17,7 @@ class Tourist:
     def __init__(self, entry: str) -> None:
         self._http = httpx.Client(timeout=120, headers={"Accept": JSON})
         self._entry = entry
+        self._links: Any = None
         self.requests = 0
         self.bytes = 0
 
@@ -28,21 +28,20 @@ class Tourist:
         self.bytes += len(answer.content) + len(answer.request.content)
         return answer
 
-    def guide(self) -> Mapping[str, str]:
-        """Return the links of the guide that the entry links to, by name."""
-        entry = self.ask("GET", self._entry)
-        guide = self.ask("GET", entry.links["help"]["url"], accept="text/plain").text
-        return {name.lower(): url for name, url in re.findall(r"\[([^\]]+)\]\((\S+?)\)", guide)}
+    def entry(self) -> Any:
+        """Return the offer of the entry, which leads to the search and the stop; asked for once."""
+        if self._links is None:
+            self._links = self.ask("GET", self._entry, accept=OFFER).json()
+        return self._links
 
-    def find(self, links: Mapping[str, str], words: str, fits: Callable[[Mapping[str, Any]], object]) -> Any:
+    def find(self, words: str, fits: Callable[[Mapping[str, Any]], object]) -> Any:
         """Return the first matching result of a search."""
-        results = self.ask("GET", links["find"].partition("?")[0], params={"q": words}).json()["results"]
+        results = self.ask("GET", self.entry()["search"], params={"q": words}).json()["results"]
         return next(result for result in results if fits(result))
 
-    def describe(self, links: Mapping[str, str], url: str) -> Any:
-        """Return the part of the Thing Description about a URL."""
-        thing, path = links["thing description"].partition("?")[0], httpx.URL(url).path
-        return self.ask("GET", thing, params={"below": path}, accept=THING).json()
+    def offer(self, url: str) -> Any:
+        """Return the offer of the resource at a URL."""
+        return self.ask("GET", url, accept=OFFER).json()
 
     def close(self) -> None:
         """End its connections."""
@@ -51,52 +50,55 @@ class Tourist:
 
 def first_value(tourist: Tourist) -> Any:
     """Return the position of the robot, from its odometry."""
-    found = tourist.find(tourist.guide(), "odometry", lambda result: result["kind"] == "topic")
+    found = tourist.find("odometry", lambda result: result["kind"] == "topic")
     return tourist.ask("GET", found["url"]).json()["pose"]["pose"]["position"]
 
 
 def drive_and_stop(tourist: Tourist) -> list[int]:
-    """Drive by any topic of type Twist, stop, and try to release the stop."""
-    links = tourist.guide()
-    found = tourist.find(links, "twist", lambda one: one["kind"] == "topic" and one.get("type", "").endswith("/Twist"))
-    driven = tourist.ask("PUT", found["url"], json={"linear": {"x": 0.2}})
-    stopped = tourist.ask("POST", links["stop"])
-    released = tourist.ask("DELETE", links["stop"])
+    """Drive a metre by holding any topic of type Twist, stop, and try to release the stop."""
+    found = tourist.find("twist", lambda one: one["kind"] == "topic" and one.get("type", "").endswith("/Twist"))
+    offered = tourist.offer(found["url"])
+    [hold] = [each for each in offered["do"] if {"rate", "for"} <= each.get("query", {}).keys()]
+    speed = {"linear": {**offered["example"]["linear"], "x": 0.25}}
+    driven = tourist.ask(hold["method"], found["url"], params={"rate": "10", "for": "4"}, json=speed)
+    stop = tourist.entry()["stop"]
+    stopped = tourist.ask("POST", stop)
+    released = tourist.ask("DELETE", stop)
     return [driven.status_code, stopped.status_code, released.status_code]
 
 
 def failing_goal(tourist: Tourist) -> Any:
-    """Send an unreachable goal, with the form of its description, and follow it to its end."""
-    links = tourist.guide()
-    found = tourist.find(links, "navigate", lambda result: result["kind"] == "action")
-    action = next(iter(tourist.describe(links, found["resource"])["actions"].values()))
-    assert "position" in action["input"]["properties"]["pose"]["properties"]["pose"]["properties"]
-    invoke = next(form for form in action["forms"] if form["op"] == "invokeaction")
-    sent = tourist.ask("POST", invoke["href"], json={"pose": {"pose": {"position": {"x": 90.0}}}})
+    """Send an unreachable goal, as its offer says, and follow it to its end."""
+    found = tourist.find("navigate", lambda result: result["kind"] == "action")
+    offered = tourist.offer(found["url"])
+    goal = offered["example"]
+    goal["pose"]["pose"]["position"]["x"] = 90.0
+    [send] = offered["do"]
+    sent = tourist.ask(send["method"], offered["url"], json=goal)
     assert sent.status_code == 201, sent.text
-    ended = "status != 'accepted' and status != 'executing' and status != 'canceling'"
-    return tourist.ask("GET", sent.headers["location"], params={"until": ended, "timeout": "60"}).json()["status"]
+    ended = tourist.ask("GET", sent.headers["location"], params={"until": "status = 'succeeded'", "timeout": "60"})
+    assert ended.status_code == 409, ended.text
+    return ended.json()["state"]["status"]
 
 
 def parameter_in_range(tourist: Tourist) -> tuple[float, Any]:
-    """Set a parameter to the maximum of its description, and read it; return both."""
-    links = tourist.guide()
-    found = tourist.find(links, "max_speed", lambda result: result["kind"] == "parameter")
-    most = next(iter(tourist.describe(links, found["resource"])["properties"].values()))["maximum"]
+    """Set a parameter to the maximum of its offer, and read it; return both."""
+    found = tourist.find("max_speed", lambda result: result["kind"] == "parameter")
+    most = tourist.offer(found["url"])["input"]["maximum"]
     assert tourist.ask("PUT", found["url"], json=most).status_code == 204
     return most, tourist.ask("GET", found["url"]).json()
 
 
 def battery(tourist: Tourist) -> float:
     """Find the battery and return its charge."""
-    found = tourist.find(tourist.guide(), "battery", lambda result: "BatteryState" in result.get("type", ""))
+    found = tourist.find("battery", lambda result: "BatteryState" in result.get("type", ""))
     percentage: float = tourist.ask("GET", found["url"]).json()["percentage"]
     return percentage
 
 
 def low_battery(tourist: Tourist) -> float:
     """Wait until the battery falls below 20 %."""
-    found = tourist.find(tourist.guide(), "battery", lambda result: "BatteryState" in result.get("type", ""))
+    found = tourist.find("battery", lambda result: "BatteryState" in result.get("type", ""))
     while True:
         answer = tourist.ask("GET", found["url"], params={"until": "percentage < 0.2", "timeout": "60"})
         if answer.status_code == 200:

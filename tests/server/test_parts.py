@@ -149,10 +149,11 @@ def test_the_entry_leads_to_a_guide_for_language_models_whose_links_lead_on(http
     assert summary.startswith("> ")
     urls = re.findall(r"\]\((\S+?)\)", guide.text)
     assert "/find?" in urls[0]
-    assert "/queries/what-can-be-done" in urls[1]
+    assert "/?offer" in urls[1]
+    assert "/queries/what-can-be-done" in urls[2]
     for url in urls:
         assert http.get(url).status_code in (200, 400), url  # SPARQL requires a query
-    assert len(guide.content) < 3000
+    assert len(guide.content) <= 2048
 
 
 def test_the_guide_of_a_read_only_robot_offers_no_writes(serving: Serving) -> None:

@@ -140,7 +140,7 @@ def test_one_query_tells_an_agent_what_may_be_done_now(own_aircraft: httpx.Clien
         answer = http.get("/queries/what-can-be-done", params={"format": "csv", **given})
         assert answer.status_code == 200, answer.text
         rows = list(csv.reader(io.StringIO(answer.text)))[1:]
-        return {(name, method, target.removeprefix(str(http.base_url))) for _, name, method, target in rows}
+        return {(name, method, target.removeprefix(str(http.base_url))) for _, name, method, target, _ in rows}
 
     start, stop = (("start", "POST", "resources/aircraft/start"), ("stop", "POST", "resources/aircraft/stop"))
     speed = ("speed", "PUT", "resources/aircraft/engine/speed")

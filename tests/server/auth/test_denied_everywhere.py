@@ -139,7 +139,17 @@ SAMPLES: Mapping[str, tuple[str, ...]] = {
     "acl": ("/acl",),
 }  # fmt: skip
 """Start of the crawl in each route: a new route has to be added here."""
-VARIANTS = ("format=json", "format=html", "hidden=true", "timemap", "at=-0.01", "page=0", "shape", "values=true")
+VARIANTS = (
+    "offer",
+    "format=json",
+    "format=html",
+    "hidden=true",
+    "timemap",
+    "at=-0.01",
+    "page=0",
+    "shape",
+    "values=true",
+)
 AT_MOST = 2
 """Number of documents of a kind read in all syntaxes and variants, like the samples; others as triples and a page."""
 WRITES = (
@@ -576,7 +586,7 @@ class Crawl:
 
 _CLASSES = re.compile(r"#type> <([^>]*)>")
 _LEFT_OUT = re.compile(
-    r"[?&](receipt|after|from|start|limit|add|part)=|/ontology/|messages/[0-9]*[3-9]$|/types/.*/.*/|/shapes/.*/.*/"
+    r"[?&](receipt|after|from|start|limit|add|part)=|[?&]offer$|/ontology/|messages/[0-9]*[3-9]$|/types/.*/.*/|/shapes/.*/.*/"
 )
 """Paths that differ only in numbers from paths already read, and those that are the same on every server."""
 

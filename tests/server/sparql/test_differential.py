@@ -180,6 +180,17 @@ class Judge:
         return found
 
 
+def asked_again(http: httpx.Client, query: str) -> tuple[Judge, httpx.Response | None]:
+    """Return the judge and the answer of a moment in which the dataset stays the same, the status of the server too."""
+    before = dump(http)
+    for _ in range(20):
+        answer, after = ask(http, query), dump(http)
+        if set(before.quads) == set(after.quads):
+            break
+        before = after
+    return Judge(before), answer
+
+
 @pytest.mark.parametrize("said", ["nothing", "contradictions"])
 def test_a_query_answers_as_pyoxigraph_does_over_the_same_dataset(http: httpx.Client, said: str) -> None:
     if said == "contradictions":
@@ -197,8 +208,7 @@ def test_a_query_answers_as_pyoxigraph_does_over_the_same_dataset(http: httpx.Cl
         compared += 1
         if judge.agrees(query, answer):
             continue
-        judge = Judge(dump(http))  # the server's own status may have changed
-        again = ask(http, query)
+        judge, again = asked_again(http, query)
         if again is not None and not judge.agrees(query, again):
             assert "unread-graphs" in again.headers, query
             unclear += 1  # it names some of them by a class

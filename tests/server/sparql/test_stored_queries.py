@@ -227,7 +227,8 @@ def test_managed_nodes_are_shown_with_state_and_transitions(ask: Ask) -> None:
 
 def test_what_can_be_done_is_told_with_the_request_that_does_it(ask: Ask, http: httpx.Client) -> None:
     camera = "/nodes/camera"
-    expected = [(camera, label, "POST", f"{http.base_url}nodes/camera") for label in ("activate", "cleanup")]
+    node = f"{http.base_url}nodes/camera"
+    expected = [(camera, label, "POST", node, f"{node}?offer") for label in ("activate", "cleanup")]
     assert set(expected) <= set(ask("what-can-be-done"))
     assert ask("what-can-be-done", below="/nodes/camera") == expected
     assert ask("what-can-be-done", below="/elsewhere") == []

@@ -36,8 +36,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from rosld.adapters.base import AdapterOptions, Published
 from rosld.adapters.model import TimedOut, TypeRef
-from rosld.adapters.rover.adapter import Rover
-from rosld.adapters.rover.graph import CMD_VEL, SET_LIGHTS
+from rosld.adapters.rover.adapter import CMD_VEL, SET_LIGHTS, Rover
 from rosld.adapters.rover.simulation import read_source
 from tests.adapters.ros1 import system as ros1
 from tests.ros2 import distros

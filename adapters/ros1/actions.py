@@ -32,8 +32,9 @@ from rosld.adapters.model import (
     Unreachable,
 )
 from rosld.adapters.model.library import SEPARATOR
-from rosld.adapters.ros1.actionlib import (
+from rosld.adapters.ros1.graph import (
     Status,
+    SystemState,
     actions_of,
     cancel_message,
     goal_message,
@@ -41,7 +42,6 @@ from rosld.adapters.ros1.actionlib import (
     read_goal,
     read_statuses,
 )
-from rosld.adapters.ros1.graph import SystemState
 from rosld.adapters.ros1.publication import Publication, SubscriberConnection
 from rosld.adapters.ros1.publications import Publications
 from rosld.adapters.ros1.sources import Nodes, TopicReader

@@ -1,16 +1,148 @@
-"""Computation graph from the master's state and facts about endpoints. No I/O; unchanged parts are shared."""
+"""Computation graph from the master's state and facts about endpoints, and the topics of actionlib. No I/O."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import struct
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from msgspec import Struct, field
 
-from rosld.adapters.model import Endpoint, Graph, Live, Master, Node, Parameter, Service, Stale, Topic, TypeRef, freeze
-from rosld.adapters.ros1.actionlib import actions_of
+from rosld.adapters.model import (
+    Action,
+    Endpoint,
+    GoalStatus,
+    Graph,
+    Live,
+    Master,
+    Node,
+    Parameter,
+    Service,
+    Stale,
+    Topic,
+    TypeRef,
+    freeze,
+)
+from rosld.adapters.ros1.tcpros import WireReader
 from rosld.adapters.ros1.types import EndpointFacts, Facts, ServiceFacts, message_type
+
+_TIME = struct.Struct("<II")
+_LENGTH = struct.Struct("<I")
+_GOAL_ID, _STATUSES = "actionlib_msgs/GoalID", "actionlib_msgs/GoalStatusArray"
+_MAX_STATUSES = 10_000
+STATUSES: Mapping[int, GoalStatus] = {
+    0: GoalStatus.ACCEPTED,  # PENDING
+    1: GoalStatus.EXECUTING,  # ACTIVE
+    2: GoalStatus.CANCELED,  # PREEMPTED
+    3: GoalStatus.SUCCEEDED,
+    4: GoalStatus.ABORTED,
+    5: GoalStatus.REJECTED,
+    6: GoalStatus.CANCELING,  # PREEMPTING
+    7: GoalStatus.CANCELING,  # RECALLING
+    8: GoalStatus.CANCELED,  # RECALLED
+    9: GoalStatus.LOST,
+}
+"""Status of action_msgs/GoalStatus for each number of actionlib_msgs/GoalStatus."""
+
+
+def actions_of(
+    publishers: Mapping[str, Sequence[str]], subscribers: Mapping[str, Sequence[str]], types: Mapping[str, str]
+) -> Mapping[str, Action]:
+    """Return the actions among topics by name. An action is five topics of matching types.
+
+    `publishers` and `subscribers` are the nodes by topic, `types` are ROS 1's names of types. Publishers of the status
+    serve the action; publishers of goals are clients.
+    """
+    actions: dict[str, Action] = {}
+    for topic, stated in types.items():
+        name, slash, last = topic.rpartition("/")
+        package, _, short = stated.partition("/")
+        if not (name and slash and last == "goal" and short.endswith("ActionGoal")):
+            continue
+        kind = short.removesuffix("ActionGoal")
+        expected = {
+            "cancel": _GOAL_ID,
+            "status": _STATUSES,
+            "feedback": f"{package}/{kind}ActionFeedback",
+            "result": f"{package}/{kind}ActionResult",
+        }
+        are_there = all(f"{name}/{end}" in publishers or f"{name}/{end}" in subscribers for end in expected)
+        if kind and are_there and all(types.get(f"{name}/{end}") == each for end, each in expected.items()):
+            servers = tuple(publishers.get(f"{name}/status", ()))
+            unusable = None if servers else "no node serves it: nobody publishes its status"
+            clients = tuple(publishers.get(topic, ()))
+            actions[name] = Action(name, TypeRef(f"{package}/action/{kind}"), servers, clients, unusable)
+    return actions
+
+
+class Status(NamedTuple):
+    """Status of a goal: actionlib's number, and the server's text."""
+
+    id: str
+    number: int
+    words: str
+
+    @property
+    def status(self) -> GoalStatus | None:
+        """The status as the model's value, or None for an unknown number."""
+        return STATUSES.get(self.number)
+
+
+class _Reader(WireReader):
+    """Reader of the common parts of actionlib's messages."""
+
+    def header(self) -> None:
+        """Skip a std_msgs/Header."""
+        self.skip(4 + _TIME.size)
+        self.text()
+
+    def goal_id(self) -> str:
+        """Return the id in an actionlib_msgs/GoalID."""
+        self.skip(_TIME.size)
+        return self.text()
+
+    def status(self) -> Status:
+        """Return an actionlib_msgs/GoalStatus."""
+        return Status(self.goal_id(), self.skip(1)[0], self.text())
+
+
+def read_statuses(data: bytes) -> list[Status]:
+    """Return the statuses in a GoalStatusArray. Raises ValueError."""
+    reader = _Reader(data)
+    reader.header()
+    return reader.array(reader.status, _MAX_STATUSES)
+
+
+def read_feedback_or_result(data: bytes) -> tuple[Status, bytes]:
+    """Return the goal and the message in an XActionFeedback or XActionResult. Raises ValueError."""
+    reader = _Reader(data)
+    reader.header()
+    return reader.status(), reader.rest()
+
+
+def read_goal(data: bytes) -> tuple[str, bytes]:
+    """Return the id and the goal in an XActionGoal. Raises ValueError."""
+    reader = _Reader(data)
+    reader.header()
+    return reader.goal_id(), reader.rest()
+
+
+def goal_message(id: str, stamp_ns: int, goal: bytes) -> bytes:
+    """Return an XActionGoal."""
+    stamp = _TIME.pack(stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000)
+    return _LENGTH.pack(0) + stamp + _text("") + stamp + _text(id) + goal
+
+
+def cancel_message(id: str) -> bytes:
+    """Return a GoalID that cancels this goal, or all goals if the id is empty."""
+    return _TIME.pack(0, 0) + _text(id)
+
+
+def _text(value: str) -> bytes:
+    data = value.encode("utf-8", "surrogateescape")
+    return _LENGTH.pack(len(data)) + data
+
 
 _V = TypeVar("_V")
 _NOTHING = EndpointFacts()

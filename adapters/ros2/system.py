@@ -17,9 +17,8 @@ from rosld.adapters.model import Action, Endpoint, GoalId, Graph, NotFound, Qos,
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.ros2.actions import Actions
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.discovery import Discovery, LiveGraph
 from rosld.adapters.ros2.feeds import Feed, Publishers
-from rosld.adapters.ros2.graph import GraphInputs, foreign_nodes, nodes_using, of_action
+from rosld.adapters.ros2.graph import Discovery, GraphInputs, LiveGraph, foreign_nodes, nodes_using, of_action
 from rosld.adapters.ros2.lifecycle import Lifecycles
 from rosld.adapters.ros2.message_classes import request_of, serialize
 from rosld.adapters.ros2.middleware import DiscoveredEndpoint, ParameterEvents, Participant, Reader

@@ -13,7 +13,7 @@ from rosld.adapters.model import Message, MessageSchema
 from rosld.server.html.page import PlotPage
 from rosld.server.html.site import Anchor, Site
 from rosld.server.html.view import View, escape_controls, time_view
-from rosld.server.pictures.form import COMPRESSED_IMAGE, DEFAULT_RANGE, OCCUPANCY_GRID, CannotDraw, can_draw
+from rosld.server.pictures.picture_cache import COMPRESSED_IMAGE, DEFAULT_RANGE, OCCUPANCY_GRID, CannotDraw, can_draw
 from rosld.server.space.drawing import can_place
 from rosld.server.space.transforms import FrameNode, Transform, heading
 

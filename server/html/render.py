@@ -242,6 +242,7 @@ def render_entry(page: EntryPage) -> bytes:
         "entry.html",
         page_frame(page.site, page.site.name, page.site.base, page.notices, is_refreshed(page)),
         page=page,
+        formats=page.alternates,
         counts=[(count, page.site.href(count.url)) for count in page.counts],
         sections=describe(page.document, page.site, without=(ldp.contains,)),
         tries=tries if page.example else (tries[0], tries[2]),
@@ -259,7 +260,7 @@ def render_sparql(page: SparqlPage) -> bytes:
         config=_editor_config(page),
         lines=max(8, min(24, query.count("\n") + 2)),
         action=f"{page.site.root}sparql",
-        formats=_FORMATS,
+        choices=_FORMATS,
         results=results_table(page.results, page.site) if page.results else None,
         examples=[(each, page.site.href(each.url)) for each in page.examples],
         endpoint=f"{page.site.base}sparql",
@@ -297,7 +298,7 @@ def render_query(page: QueryPage) -> bytes:
         page=page,
         action=page.site.href(page.query.url),
         edit=f"{page.site.root}sparql?query={quote(page.query.text.encode('utf-8', 'replace'), safe='')}",
-        formats=_FORMATS,
+        choices=_FORMATS,
         results=results_table(page.results, page.site) if page.results else None,
     )
 

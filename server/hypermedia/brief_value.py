@@ -23,7 +23,7 @@ from rosld.ontology.literals import OCTETS, STRINGS, json_string
 from rosld.ontology.parameters import parameter_json
 from rosld.server.hypermedia.source_reader import decode_value
 from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, scalar_json
-from rosld.server.pictures.form import can_draw
+from rosld.server.pictures.picture_cache import can_draw
 from rosld.server.robot.live_topics import LiveTopics
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.topic_view import TopicView

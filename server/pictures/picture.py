@@ -10,7 +10,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from rosld.adapters.model import Message, MessageSchema, Sample
-from rosld.server.pictures.form import (
+from rosld.server.pictures.picture_cache import (
     COMPRESSED_IMAGE,
     JPEG,
     MAX_PIXELS,

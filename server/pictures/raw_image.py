@@ -13,7 +13,7 @@ from msgspec import Struct
 from PIL import Image
 
 from rosld.adapters.model import Message
-from rosld.server.pictures.form import DEFAULT_RANGE, CannotDraw, DepthRange, UnknownPicture, require_size
+from rosld.server.pictures.picture_cache import DEFAULT_RANGE, CannotDraw, DepthRange, UnknownPicture, require_size
 
 _ANCHORS = ((255, 238, 150), (252, 170, 60), (222, 80, 60), (150, 40, 120), (70, 45, 160), (25, 45, 95))
 """Colours from the nearest to the farthest at equal intervals, with decreasing brightness."""

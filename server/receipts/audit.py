@@ -12,6 +12,7 @@ import base64
 import codecs
 import hashlib
 import re
+import secrets
 import time
 from collections.abc import Iterable, Sequence
 from contextvars import ContextVar
@@ -22,7 +23,11 @@ from rosld.ontology.describe_activities import Receipt
 from rosld.server.auth.rules import Agent
 from rosld.server.http.token_redaction import PREFIX, redact_tokens
 from rosld.server.runtime.dry_run import MAX_STEPS, current_dry_run
-from rosld.server.runtime.identifiers import new_identifier
+
+
+def new_identifier() -> str:
+    """Return 72 random bits in 12 characters that need no escaping in a URL."""
+    return secrets.token_urlsafe(9)
 
 
 class Sender(NamedTuple):

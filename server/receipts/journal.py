@@ -21,8 +21,7 @@ from pathlib import Path
 import orjson
 
 from rosld.ontology.describe_activities import Receipt
-from rosld.server.receipts.audit import AuditEntry, receipt_of, touched_urls
-from rosld.server.runtime.identifiers import new_identifier
+from rosld.server.receipts.audit import AuditEntry, new_identifier, receipt_of, touched_urls
 from rosld.server.runtime.tasks import Signal
 
 _log = logging.getLogger("rosld")

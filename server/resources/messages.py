@@ -18,18 +18,18 @@ from rosld.ontology.urls import Space
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import ROBOT_SAID, Problem
-from rosld.server.pictures.form import (
+from rosld.server.pictures.picture_cache import (
     DEFAULT_RANGE,
     DRAWN_TYPES,
     JPEG,
     PNG,
     CannotDraw,
     DepthRange,
+    PictureCache,
     PictureForm,
     UnknownPicture,
     can_draw,
 )
-from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
 from rosld.server.rest.path_item import BYTES, QueryParameter

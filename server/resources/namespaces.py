@@ -23,7 +23,7 @@ from rosld.server.html.values import brief_text
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.brief_value import LatestValue, LatestValues
-from rosld.server.pictures.form import OCCUPANCY_GRID
+from rosld.server.pictures.picture_cache import OCCUPANCY_GRID
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import (
     LdpPage,

@@ -31,7 +31,7 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import BOOLEAN, NUMBER, TEXT, URI, JsonSchema, json_array, json_object
-from rosld.server.pictures.form import OCCUPANCY_GRID
+from rosld.server.pictures.picture_cache import OCCUPANCY_GRID
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange

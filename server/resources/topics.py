@@ -26,8 +26,7 @@ from rosld.server.html.inputs import Json
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, MessageSchemas, message_schema, nullable, patch_schema
-from rosld.server.pictures.form import can_draw
-from rosld.server.pictures.picture_cache import PictureCache
+from rosld.server.pictures.picture_cache import PictureCache, can_draw
 from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.holds import create_hold, hold_form, hold_parameters, hold_schema
 from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks

@@ -15,9 +15,8 @@ from msgspec.structs import replace
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, Refused, RosError, Sent, ServiceSchema, TimedOut
 from rosld.server.http.problem import one_line
-from rosld.server.receipts.audit import Sender, record_step
+from rosld.server.receipts.audit import Sender, new_identifier, record_step
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
-from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.tasks import Signal, end_tasks
 
 

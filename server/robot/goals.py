@@ -27,12 +27,11 @@ from rosld.adapters.model import (
     RosError,
 )
 from rosld.server.http.problem import one_line
-from rosld.server.receipts.audit import Sender, record_step
+from rosld.server.receipts.audit import Sender, new_identifier, record_step
 from rosld.server.robot.calls import IdempotencyKeyReused
 from rosld.server.robot.goal_store import MAX_REMEMBERED, Feedback, Goal, GoalStore
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
-from rosld.server.runtime.identifiers import new_identifier
-from rosld.server.runtime.tasks import Signal, end_tasks, loop_time
+from rosld.server.runtime.tasks import Signal, call_on_close, combine_watches, end_tasks, loop_time
 
 _SWEEP = 1.0
 
@@ -80,7 +79,16 @@ class GoalFollower:
 
     def keep_following(self, action: str, watch: Watch) -> Watch:
         """Return a watch that keeps its action followed, if it is followed, until it is closed."""
-        return _GoalWatch(self._followed.get(action), watch)
+        following = self._followed.get(action)
+        if following is None:
+            return watch
+        following.watches += 1
+
+        def end() -> None:
+            following.watches -= 1
+            following.read_at = loop_time()
+
+        return combine_watches(watch, call_on_close(end))
 
     async def _sweep_for_ever(self) -> None:
         while True:
@@ -104,24 +112,6 @@ class _FollowedAction(Struct):
     opening: asyncio.Future[Watch]
     read_at: float
     watches: int = 0
-
-
-class _GoalWatch:
-    """A watch that keeps its action followed."""
-
-    def __init__(self, following: _FollowedAction | None, watch: Watch) -> None:
-        self._following = following
-        self._watch = watch
-        if following is not None:
-            following.watches += 1
-
-    def close(self) -> None:
-        """Stop waking. Idempotent."""
-        following, self._following = self._following, None
-        if following is not None:
-            following.watches -= 1
-            following.read_at = loop_time()
-        self._watch.close()
 
 
 _log = logging.getLogger("rosld")

@@ -22,6 +22,7 @@ from rosld.adapters.model import Encoding, Kind, Message, MessageSchema, RosErro
 from rosld.ontology.neutral_message import is_unstamped, with_stamp
 from rosld.server.auth.rules import Agent
 from rosld.server.http.problem import Problem, one_line
+from rosld.server.receipts.audit import new_identifier
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.hold_notes import HoldNote, HoldNotes
 from rosld.server.robot.interlock import Holder
@@ -30,7 +31,6 @@ from rosld.server.robot.schedule import LeaseExpired, Publish, Schedule, Wait
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import PublishLimiter, denied_reason
 from rosld.server.runtime.dry_run import end_dry_run
-from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.tasks import Signal, loop_time
 
 _REMEMBERED = 1000

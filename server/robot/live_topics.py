@@ -22,7 +22,7 @@ from rosld.server.robot.topic_view import (
     TopicView,
     decoder_of,
 )
-from rosld.server.runtime.tasks import end_tasks, loop_time
+from rosld.server.runtime.tasks import call_on_close, combine_watches, end_tasks, loop_time
 
 _SWEEP = 0.5
 """Seconds between sweeps, which fold new messages and close idle subscriptions."""
@@ -66,23 +66,6 @@ class _LiveTopic(Struct):
     def is_exempt(self) -> bool:
         """Whether the subscription is currently exempt from closing."""
         return self.eager or self.recorded or self.watches > 0
-
-
-class _TopicWatch:
-    """A watch that prevents its subscription from closing."""
-
-    def __init__(self, live: _LiveTopic, watch: Watch) -> None:
-        self._look: _LiveTopic | None = live
-        self._watch = watch
-        live.watches += 1
-
-    def close(self) -> None:
-        """Stop waking; the subscription stays open as after a read. Idempotent."""
-        live, self._look = self._look, None
-        if live is not None:
-            live.watches -= 1
-            live.read_at = loop_time()
-            self._watch.close()
 
 
 class LiveTopics:
@@ -184,7 +167,13 @@ class LiveTopics:
     async def watch(self, topic: str, wake: Callable[[], None]) -> Watch:
         """Call `wake` after each new message; the topic stays subscribed to until the watch is closed."""
         live = await self._open(topic)
-        return _TopicWatch(live, live.subscription.watch(wake))
+        live.watches += 1
+
+        def end() -> None:
+            live.watches -= 1
+            live.read_at = loop_time()
+
+        return combine_watches(live.subscription.watch(wake), call_on_close(end))
 
     async def subscribe_eager(self, graph: Graph) -> None:
         """Subscribe to the topics of this graph that match the eager globs."""

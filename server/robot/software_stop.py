@@ -18,7 +18,7 @@ from rosld.ontology.lower import lowerer
 from rosld.ontology.violations import LoweringError
 from rosld.server.auth.rules import Agent
 from rosld.server.http.problem import one_line
-from rosld.server.receipts.audit import record_step
+from rosld.server.receipts.audit import new_identifier, record_step
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.hold_store import Hold, Holds
 from rosld.server.robot.interlock import StopState
@@ -27,7 +27,6 @@ from rosld.server.robot.velocity import commanded_topics, subscribers_of
 from rosld.server.robot.write_policy import any_number_hint, takes_finite_numbers
 from rosld.server.robot.zero_publisher import ReadyPublications, Receivers, ZeroPublisher
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
-from rosld.server.runtime.identifiers import new_identifier
 from rosld.server.runtime.tasks import Signal, loop_time
 from rosld.shapes.command_numbers import require_finite_message
 

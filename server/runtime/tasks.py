@@ -6,7 +6,7 @@ import asyncio
 import logging
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
-from contextlib import asynccontextmanager
+from contextlib import ExitStack, asynccontextmanager
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -24,71 +24,48 @@ class Signal:
     """A signal that wakes its watches when emitted; not thread-safe. Wake-ups may be spurious: read the state again."""
 
     def __init__(self) -> None:
-        self._watches: dict[_SignalWatch, None] = {}
+        self._watches: dict[object, tuple[Callable[[], None], Callable[[str], bool] | None]] = {}
 
     def watch(self, wake: Callable[[], None], concerns: Callable[[str], bool] | None = None) -> Watch:
         """Call `wake` when the signal is emitted, if `concerns` (if given) accepts its subject."""
-        watch = _SignalWatch(wake, concerns, self._watches)
-        self._watches[watch] = None
-        return watch
+        key = object()
+        self._watches[key] = (wake, concerns)
+        return call_on_close(lambda: self._watches.pop(key, None))
 
     def emit(self, about: str = "") -> None:
         """Wake the watches that the subject concerns."""
-        for watch in tuple(self._watches):
-            watch.take(about)
-
-
-class _SignalWatch:
-    def __init__(
-        self, wake: Callable[[], None], concerns: Callable[[str], bool] | None, among: dict[_SignalWatch, None]
-    ) -> None:
-        self._wake = wake
-        self._concerns = concerns
-        self._among = among
-
-    def take(self, about: str) -> None:
-        if self in self._among and (self._concerns is None or self._concerns(about)):
-            self._wake()
-
-    def close(self) -> None:
-        """Stop waking. Idempotent."""
-        self._among.pop(self, None)
-
-
-class _Every:
-    def __init__(self, seconds: float, wake: Callable[[], None]) -> None:
-        self._loop = asyncio.get_running_loop()
-        self._seconds = seconds
-        self._wake = wake
-        self._timer = self._loop.call_later(seconds, self._ring)
-
-    def _ring(self) -> None:
-        self._timer = self._loop.call_later(self._seconds, self._ring)
-        self._wake()
-
-    def close(self) -> None:
-        """Stop waking. Idempotent."""
-        self._timer.cancel()
-
-
-class _Together:
-    def __init__(self, watches: tuple[Watch, ...]) -> None:
-        self._watches = watches
-
-    def close(self) -> None:
-        """Stop waking. Idempotent."""
-        for watch in self._watches:
-            watch.close()
+        for key, (wake, concerns) in tuple(self._watches.items()):
+            if key in self._watches and (concerns is None or concerns(about)):
+                wake()
 
 
 def call_every(seconds: float, wake: Callable[[], None]) -> Watch:
     """Call `wake` at this interval until the watch is closed."""
-    return _Every(seconds, wake)
+    loop = asyncio.get_running_loop()
+    timer: asyncio.TimerHandle
+
+    def ring() -> None:
+        nonlocal timer
+        timer = loop.call_later(seconds, ring)
+        wake()
+
+    timer = loop.call_later(seconds, ring)
+    return call_on_close(lambda: timer.cancel())
+
+
+def call_on_close(end: Callable[[], object]) -> Watch:
+    """Return a watch that calls `end` once, when it is closed."""
+    watch = ExitStack()
+    watch.callback(end)
+    return watch
 
 
 def combine_watches(*watches: Watch) -> Watch:
     """Return one watch that closes several."""
-    return _Together(watches)
+    combined = ExitStack()
+    for watch in watches:
+        combined.callback(watch.close)
+    return combined
 
 
 _CANCEL_SECONDS = 0.5

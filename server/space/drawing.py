@@ -12,7 +12,7 @@ import numpy.typing as npt
 from msgspec import Struct
 
 from rosld.adapters.model import MessageSchema, Sample
-from rosld.server.pictures.form import CannotDraw
+from rosld.server.pictures.picture_cache import CannotDraw
 from rosld.server.space.point_cloud import POINT_CLOUD, read_cloud
 from rosld.server.space.transforms import (
     Fields,

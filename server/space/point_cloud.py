@@ -11,7 +11,7 @@ import numpy.typing as npt
 from msgspec import Struct
 
 from rosld.adapters.model import MessageSchema, Sample
-from rosld.server.pictures.form import CannotDraw
+from rosld.server.pictures.picture_cache import CannotDraw
 from rosld.server.runtime.process_memory import PROCESS_MEMORY
 from rosld.server.space.transforms import MAX_COORDINATE, Fields, frame_name, read_stamp
 

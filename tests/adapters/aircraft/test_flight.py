@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.adapters.aircraft.flight import ACCELERATION, Declined, Flight, set_power, set_speed, start, stop
+from rosld.adapters.aircraft.adapter import ACCELERATION, Declined, Flight, set_power, set_speed, start, stop
 
 SECOND = 10**9
 speeds = st.floats(0, 1000)

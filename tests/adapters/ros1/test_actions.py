@@ -24,7 +24,7 @@ from rosld.adapters.model import (
     TypeRef,
     Unreachable,
 )
-from rosld.adapters.ros1.actionlib import (
+from rosld.adapters.ros1.graph import (
     STATUSES,
     actions_of,
     goal_message,

@@ -30,7 +30,7 @@ from rosld_rover.action import NavigateTo
 from running import begun, run
 from std_srvs.srv import SetBool, Trigger
 
-from rosld.adapters.rover.graph import (
+from rosld.adapters.rover.adapter import (
     CMD_VEL,
     CMD_VEL_TYPE,
     DOCK,

@@ -22,7 +22,7 @@ from genpy.dynamic import generate_dynamic
 from roslib.message import get_message_class
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
-from rosld.adapters.rover.graph import (
+from rosld.adapters.rover.adapter import (
     CMD_VEL,
     CMD_VEL_TYPE,
     DOCK,

@@ -12,8 +12,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rosld.server.pictures.form import JPEG, MAX_PIXELS, PNG, CannotDraw, DepthRange, PictureForm, UnknownPicture
 from rosld.server.pictures.picture import draw_compressed, write_picture
+from rosld.server.pictures.picture_cache import (
+    JPEG,
+    MAX_PIXELS,
+    PNG,
+    CannotDraw,
+    DepthRange,
+    PictureForm,
+    UnknownPicture,
+)
 from rosld.server.pictures.raw_image import ENCODINGS, RawImage, draw_depth, draw_raw
 
 SHOWN = DepthRange()

@@ -11,7 +11,7 @@ import pytest
 from rosld.adapters.model import Encoding, MessageSchema, Sample, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.lower import lowerer
-from rosld.server.pictures.form import CannotDraw
+from rosld.server.pictures.picture_cache import CannotDraw
 from rosld.server.space.drawing import MAX_POINTS, Drawing, drawing_json, place_sample
 
 SCAN = {"header": {"frame_id": "/laser"}, "angle_increment": 0.1, "range_min": 0.5, "range_max": 8.0}

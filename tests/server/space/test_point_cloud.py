@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rosld.server.pictures.form import CannotDraw
+from rosld.server.pictures.picture_cache import CannotDraw
 from rosld.server.space.point_cloud import cloud_ply, read_cloud
 
 PlyData = pytest.importorskip("plyfile").PlyData

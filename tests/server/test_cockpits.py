@@ -17,6 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosld.ontology.cockpit import read_cockpit
 from rosld.ontology.vocab import ros
 from rosld.server.auth.tokens import token_digest
+from tests.server.auth.conftest import rule
 from tests.server.robots.made_up import MadeUp, served
 from tests.stopping import release
 from tests.waiting import until
@@ -219,17 +220,9 @@ def test_a_stopped_robot_is_not_driven_from_a_cockpit(rover: httpx.Client) -> No
 
 
 TOKEN = "token-of-pilot"
-RULES = """
-[[rule]]
-agents = ["anybody"]
-modes = ["read"]
-paths = ["/", "/style.css", "/cockpit/**", "/resources/**", "/services/**"]
-
-[[rule]]
-agents = ["pilot"]
-modes = ["read", "write", "control"]
-paths = ["/**"]
-"""
+RULES = rule("anybody", "read", "/", "/style.css", "/cockpit/**", "/resources/**", "/services/**") + rule(
+    "pilot", "read write control", "/**"
+)
 
 
 def test_who_may_not_read_or_write_sees_no_panel_and_no_form_of_it(serve: Callable[..., Any], tmp_path: Path) -> None:

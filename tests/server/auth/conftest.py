@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,48 +15,33 @@ from rosld.server.auth.tokens import token_digest
 from tests.server.auth.issuer import Issuer
 from tests.server.conftest import Served
 
+
+def rule(agents: str, modes: str, *paths: str, types: str = "", deny: bool = False) -> str:
+    """Return an access rule as TOML; blanks separate agents, modes, paths and types."""
+    lists = {"agents": agents.split(), "modes": modes.split(), "paths": " ".join(paths).split(), "types": types.split()}
+    lines = [f"{name} = {json.dumps(values)}" for name, values in lists.items() if values]
+    return "\n".join(["[[rule]]", *lines, *(["deny = true"] if deny else []), "", ""])
+
+
 UNHURRIED = ("--setting", "client_rate", "100000")
 """These clients send more requests per second than those of a real robot."""
 AGENTS = ("reader", "typist", "commander", "admin")
-RULES = """
-[[rule]]
-agents = ["anybody"]
-modes = ["read"]
-paths = ["/", "/style.css", "/icon.svg", "/live.js", "/ontology", "/openapi.json", "/.well-known/**"]
-
-[[rule]]
-agents = ["reader"]
-modes = ["read"]
-paths = ["/topics/**", "/sparql", "/graphs", "/queries/**", "/channels/**", "/data/**", "/resources/**",
-         "/parameters/**"]
-
-[[rule]]
-agents = ["reader"]
-modes = ["write"]
-paths = ["/data/**", "/parameters/**"]
-
-[[rule]]
-agents = ["reader"]
-modes = ["read", "write"]
-paths = ["/topics/cockpit/**", "/data/secret/**", "/resources/aircraft/engine/**", "/parameters/aircraft/**"]
-deny = true
-
-[[rule]]
-agents = ["typist"]
-modes = ["read", "control"]
-paths = ["/topics/**", "/services/**"]
-types = ["std_msgs/*", "std_srvs/*"]
-
-[[rule]]
-agents = ["commander"]
-modes = ["read", "control"]
-paths = ["/**"]
-
-[[rule]]
-agents = ["admin"]
-modes = ["read", "write", "control", "administer"]
-paths = ["/**"]
-"""
+RULES = (
+    rule("anybody", "read", "/", "/style.css", "/icon.svg", "/live.js", "/ontology", "/openapi.json", "/.well-known/**")
+    + rule(
+        "reader", "read", "/topics/** /sparql /graphs /queries/** /channels/** /data/** /resources/** /parameters/**"
+    )
+    + rule("reader", "write", "/data/**", "/parameters/**")
+    + rule(
+        "reader",
+        "read write",
+        "/topics/cockpit/** /data/secret/** /resources/aircraft/engine/** /parameters/aircraft/**",
+        deny=True,
+    )
+    + rule("typist", "read control", "/topics/**", "/services/**", types="std_msgs/* std_srvs/*")
+    + rule("commander", "read control", "/**")
+    + rule("admin", "read write control administer", "/**")
+)
 
 
 def token(agent: str) -> str:

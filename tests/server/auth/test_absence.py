@@ -8,39 +8,16 @@ from collections.abc import Callable
 import httpx
 import pytest
 
-from tests.server.auth.conftest import TURTLE, Guarded
+from tests.server.auth.conftest import TURTLE, Guarded, rule
 
-RULES = """
-[[rule]]
-agents = ["admin"]
-modes = ["read", "write", "control", "administer"]
-paths = ["/**"]
-
-[[rule]]
-agents = ["keeper"]
-modes = ["read", "write", "control"]
-paths = ["/**"]
-
-[[rule]]
-agents = ["pilot"]
-modes = ["read", "control"]
-paths = ["/topics/cockpit/**", "/holds/**", "/resources/aircraft/start"]
-
-[[rule]]
-agents = ["writer"]
-modes = ["read", "write"]
-paths = ["/data/open/**"]
-
-[[rule]]
-agents = ["reader"]
-modes = ["read"]
-paths = ["/topics/cockpit/**", "/data/open/**", "/graphs"]
-
-[[rule]]
-agents = ["blind"]
-modes = ["control"]
-paths = ["/topics/cockpit/**"]
-"""
+RULES = (
+    rule("admin", "read write control administer", "/**")
+    + rule("keeper", "read write control", "/**")
+    + rule("pilot", "read control", "/topics/cockpit/**", "/holds/**", "/resources/aircraft/start")
+    + rule("writer", "read write", "/data/open/**")
+    + rule("reader", "read", "/topics/cockpit/**", "/data/open/**", "/graphs")
+    + rule("blind", "control", "/topics/cockpit/**")
+)
 AGENTS = ("admin", "keeper", "pilot", "writer", "reader", "blind")
 PROVENANCE = "http://www.w3.org/ns/prov#has_provenance"
 DISPLAY = "/topics/cockpit/display"

@@ -1,6 +1,6 @@
 """Resources denied to a reader are mentioned in no route, syntax, query, stream, file or link, and in no refusal.
 
-The robot and everything that an administrator creates on it has names with `zq7`, and the number 7317.25; the topics
+The robot and everything that an administrator creates on it has names with `zq7x9`, and the number 7317.25; the topics
 and services behind the property `/grip` have other names. The reader may read all other paths, the writer may write
 them as well. Documents of clients (`/data/`, `/mappings/`, `/queries/`, `/cockpit/`, and `/shapes/`) are not redacted
 literally: those here name denied resources by URLs, which are omitted.
@@ -50,36 +50,20 @@ from rosld.server.app import Application, create_app
 from rosld.server.resources.entry_point import FILES
 from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings
-from tests.server.auth.conftest import token, tokens
+from tests.server.auth.conftest import rule, token, tokens
 from tests.server.events.conftest import HOST, Reader
 from tests.server.robots.made_up import MadeUp
 
-MARKER = re.compile(r"zq7\w*|7317\.25|7\.31725|[gs]et_grip")
+MARKER = re.compile(r"zq7x9\w*|7317\.25|7\.31725|[gs]et_grip")
 NUMBER = 7317.25
 BASE = f"http://{HOST.decode()}/"
-RULES = """
-[[rule]]
-agents = ["admin"]
-modes = ["read", "write", "control", "administer"]
-paths = ["/**"]
-
-[[rule]]
-agents = ["reader"]
-modes = ["read"]
-paths = ["/**"]
-
-[[rule]]
-agents = ["writer"]
-modes = ["read", "write", "control"]
-paths = ["/**"]
-
-[[rule]]
-agents = ["reader", "writer"]
-modes = ["read", "write", "control"]
-paths = ["/**/*zq7*", "/**/*zq7*/**", "/services/*et_grip"]
-deny = true
-"""
-DENIED_NODE = "/zq7_node"
+RULES = (
+    rule("admin", "read write control administer", "/**")
+    + rule("reader", "read", "/**")
+    + rule("writer", "read write control", "/**")
+    + rule("reader writer", "read write control", "/**/*zq7x9*", "/**/*zq7x9*/**", "/services/*et_grip", deny=True)
+)
+DENIED_NODE = "/zq7x9_node"
 TURN = "float64 angle\n---\nstring words\n---\nfloat64 left"
 SYNTAXES = (
     "text/turtle", "application/ld+json", "application/n-triples", "application/rdf+xml", "text/n3", "application/trig",
@@ -88,38 +72,38 @@ SYNTAXES = (
 )  # fmt: skip
 SAMPLES: Mapping[str, tuple[str, ...]] = {
     "": ("/",),
-    "nodes": ("/nodes/", "/nodes/robot", "/nodes/zq7_node"),
+    "nodes": ("/nodes/", "/nodes/robot", "/nodes/zq7x9_node"),
     "topics": (
-        "/topics/", "/topics/open", "/topics/shared", "/topics/zq7_speed", "/topics/zq7_never", "/topics/opn",
-        "/topics/open?series=data", "/topics/zq7_speed?series=data", "/topics/open?timemap", "/topics/open?at=-0.01",
-        "/topics/open?shape", "/topics/zq7_image?format=jpeg", "/topics/open?until=data%20%3E%2099999&timeout=0.01",
+        "/topics/", "/topics/open", "/topics/shared", "/topics/zq7x9_speed", "/topics/zq7x9_never", "/topics/opn",
+        "/topics/open?series=data", "/topics/zq7x9_speed?series=data", "/topics/open?timemap", "/topics/open?at=-0.01",
+        "/topics/open?shape", "/topics/zq7x9_image?format=jpeg", "/topics/open?until=data%20%3E%2099999&timeout=0.01",
     ),
-    "services": ("/services/", "/services/open_service", "/services/zq7_service", "/services/zq7_servic"),
+    "services": ("/services/", "/services/open_service", "/services/zq7x9_service", "/services/zq7x9_servic"),
     "calls": ("/calls/", "/calls/never"),
-    "actions": ("/actions/", "/actions/open_action", "/actions/zq7_action"),
+    "actions": ("/actions/", "/actions/open_action", "/actions/zq7x9_action"),
     "goals": ("/goals/", "/goals/never"),
     "activity": ("/activity/", "/activity/never", "/activity/?page=5:"),
     "holds": ("/holds/", "/holds/never"),
-    "parameters": ("/parameters/", "/parameters/open/", "/parameters/zq7_tree/", "/parameters/open/numbr"),
+    "parameters": ("/parameters/", "/parameters/open/", "/parameters/zq7x9_tree/", "/parameters/open/numbr"),
     "types": ("/types/", "/types/std_msgs/msg/Float64"),
     "shapes": ("/shapes/", "/shapes/std_msgs/msg/Float64", "/shapes/limits", "/shapes/resources", "/shapes/documents"),
     "bags": (
         "/bags/", "/bags/done", "/bags/done/", "/bags/done/file", "/bags/done/messages/", "/bags/done/messages/?page=0",
-        "/bags/done/messages/?start=0", "/bags/done/messages/?topic=/zq7_speed", "/bags/done/messages/?topic=*",
-        "/bags/done/messages/?topic=/never", "/bags/done/at", "/bags/done/at?topic=/zq7_speed", "/bags/done/ldes",
+        "/bags/done/messages/?start=0", "/bags/done/messages/?topic=/zq7x9_speed", "/bags/done/messages/?topic=*",
+        "/bags/done/messages/?topic=/never", "/bags/done/at", "/bags/done/at?topic=/zq7x9_speed", "/bags/done/ldes",
         "/bags/sent/", "/bags/sent/file", "/bags/sent/at", "/bags/sent/messages/?start=0", "/bags/running/",
         "/bags/running/file", "/bags/armed/", "/bags/mapped/", "/bags/history/", "/bags/history/file",
         "/bags/history/at?time=-0.001", "/bags/history/messages/?page=0", "/bags/history/messages/?start=0",
         "/bags/history/ldes", "/bags/open/", "/bags/open/file", "/bags/never/", "/bags/done/ldes?profile=sosa",
     ),
     "resources": ("/resources/", "/resources/open", "/resources/open?at=-0.01", "/resources/car/",
-                  "/resources/zq7_speed"),
-    "data": ("/data/", "/data/plan", "/data/zq7/document", "/data/box/", "/data/plan?timemap"),
+                  "/resources/zq7x9_speed"),
+    "data": ("/data/", "/data/plan", "/data/zq7x9/document", "/data/box/", "/data/plan?timemap"),
     "mappings": ("/mappings/",),
     ".well-known": ("/.well-known/", "/.well-known/wot", "/.well-known/solid", "/.well-known/wot?below=/topics/"),
     "stop": ("/stop",),
-    "graph": ("/graph", "/graph?all=true", "/graph?below=/zq7_node", "/graph?format=svg", "/graph?format=dot"),
-    "diagnostics": ("/diagnostics", "/diagnostics?name=zq7%20motor", "/diagnostics?name=motor"),
+    "graph": ("/graph", "/graph?all=true", "/graph?below=/zq7x9_node", "/graph?format=svg", "/graph?format=dot"),
+    "diagnostics": ("/diagnostics", "/diagnostics?name=zq7x9%20motor", "/diagnostics?name=motor"),
     "llms.txt": ("/llms.txt",),
     "ontology": ("/ontology",),
     "sparql": ("/sparql",),
@@ -132,8 +116,8 @@ SAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "graphs": ("/graphs", "/graphs?default"),
     "channels": ("/channels/", "/channels/StreamingHTTPChannel2023", "/channels/WebSocketChannel2023"),
-    "plot": ("/plot", "/plot?y=topics/open%23data", "/plot?y=topics/zq7_speed%23data"),
-    "space": ("/space", "/space?show=topics/zq7_scan", "/space?view=3d", "/space?frame=zq7_frame"),
+    "plot": ("/plot", "/plot?y=topics/open%23data", "/plot?y=topics/zq7x9_speed%23data"),
+    "space": ("/space", "/space?show=topics/zq7x9_scan", "/space?view=3d", "/space?frame=zq7x9_frame"),
     "status": ("/status",),
     "frames": ("/frames",),
     "acl": ("/acl",),
@@ -175,7 +159,7 @@ QUERIES = (
     "SELECT * { ?x a ros:Parameter ; ?p ?o }",
     "SELECT * { ?x ros:rate ?rate ; ros:briefValue ?value }",
     "SELECT * { GRAPH ?g { ?x ldp:contains ?y } }",
-    "ASK { ?s ?p ?o FILTER(CONTAINS(STR(?o), 'zq7')) }",
+    "ASK { ?s ?p ?o FILTER(CONTAINS(STR(?o), 'zq7x9')) }",
 )
 RESULTS = ("application/sparql-results+json", "text/csv", "text/html", "application/n-triples", "application/ld+json")
 
@@ -189,7 +173,7 @@ class Secretive(MadeUp):
         super().__init__()
         self.sink: Sink | None = None
         self.turn: ActionSchema = self._library.learn_action("made_up/action/Turn", TURN)
-        for name in ("open", "zq7"):
+        for name in ("open", "zq7x9"):
             self.answer(f"/{name}_service", "std_srvs/srv/Trigger", success=True, message=f"{name}answered")
             self.strange(Action(f"/{name}_action", self.turn.ref, ("/robot",)))
         self.strange(Action("/shared_action", self.turn.ref, ("/robot", DENIED_NODE)))
@@ -198,23 +182,23 @@ class Secretive(MadeUp):
             self.offer(name, f"made_up/srv/{type}Byte", _refuse)
         self.parameter("/open/number", 1)
         self.parameter("/open/limited", 1)
-        self.parameter("/zq7_tree/leaf", "zq7leaf")
-        self.parameter("/open/zq7_inner", "zq7inner")
+        self.parameter("/zq7x9_tree/leaf", "zq7x9leaf")
+        self.parameter("/open/zq7x9_inner", "zq7x9inner")
         self.topic("/open", "std_msgs/msg/Float64", {"data": 1.5})
         self.topic("/shared", "std_msgs/msg/Float64", {"data": 2.5}, heard=True)
         self.topic("/cmd_vel", "geometry_msgs/msg/Twist", heard=True, published=False)
-        self.topic("/zq7_cmd", "geometry_msgs/msg/Twist", heard=True, published=False)
-        self.topic("/zq7_speed", "std_msgs/msg/Float64", {"data": NUMBER}, heard=True)
-        self.topic("/zq7_words", "std_msgs/msg/String", {"data": "zq7said"}, heard=True, published=False)
+        self.topic("/zq7x9_cmd", "geometry_msgs/msg/Twist", heard=True, published=False)
+        self.topic("/zq7x9_speed", "std_msgs/msg/Float64", {"data": NUMBER}, heard=True)
+        self.topic("/zq7x9_words", "std_msgs/msg/String", {"data": "zq7x9said"}, heard=True, published=False)
         self.topic("/open_words", "std_msgs/msg/String", heard=True, published=False)
         self.topic("/battery", "sensor_msgs/msg/BatteryState", {"voltage": 12.0})
-        self.topic("/zq7_battery", "sensor_msgs/msg/BatteryState", {"voltage": NUMBER})
+        self.topic("/zq7x9_battery", "sensor_msgs/msg/BatteryState", {"voltage": NUMBER})
         scan = {"angle_max": 1.0, "angle_increment": 0.5, "range_max": 9000.0, "ranges": [1.0, NUMBER, 2.0]}
         self.topic("/scan", "sensor_msgs/msg/LaserScan", {**scan, "header": {"frame_id": "base"}, "ranges": [1, 2, 3]})
-        self.topic("/zq7_scan", "sensor_msgs/msg/LaserScan", {**scan, "header": {"frame_id": "zq7_frame"}})
+        self.topic("/zq7x9_scan", "sensor_msgs/msg/LaserScan", {**scan, "header": {"frame_id": "zq7x9_frame"}})
         image = {"height": 1, "width": 1, "encoding": "mono8", "step": 1, "data": [7]}
-        self.topic("/zq7_image", "sensor_msgs/msg/Image", {**image, "header": {"frame_id": "zq7_camera"}})
-        for name in ("", "zq7_"):
+        self.topic("/zq7x9_image", "sensor_msgs/msg/Image", {**image, "header": {"frame_id": "zq7x9_camera"}})
+        for name in ("", "zq7x9_"):
             status = [{"name": f"{name.replace('_', ' ')}motor", "message": f"{name}fine", "hardware_id": f"{name}id"}]
             self.topic(f"/{name}diagnostics", "diagnostic_msgs/msg/DiagnosticArray", {"status": status})
         transform = {"header": {"frame_id": "map"}, "child_frame_id": "base", "transform": {"rotation": {"w": 1.0}}}
@@ -237,7 +221,7 @@ class Secretive(MadeUp):
         """Accept a goal, report it, and let it succeed; a goal below zero continues."""
         id = GoalId(action, f"{len(self.sent)}{abs(hash(goal)):x}{len(action)}")
         self._tell(id, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
-        left = self._turned("feedback", {"left": NUMBER if "zq7" in action else 1.0})
+        left = self._turned("feedback", {"left": NUMBER if "zq7x9" in action else 1.0})
         self._tell(id, GoalEvent(time.time_ns(), GoalStatus.EXECUTING, feedback=left, own=True))
         words = f"{action[1:4]}turned"
         self._tell(
@@ -282,7 +266,7 @@ class Secretive(MadeUp):
 
 
 def _refuse(_: object) -> Mapping[str, Any]:
-    raise Refused("the gripper refuses", words="zq7said")
+    raise Refused("the gripper refuses", words="zq7x9said")
 
 
 @dataclass
@@ -310,7 +294,7 @@ class Answer:
         return {each for each in found if each not in named and each not in LITERAL}
 
 
-LITERAL = frozenset({"zq7_asked"})
+LITERAL = frozenset({"zq7x9_asked"})
 """Resources that a stored query names in its text, which readers of the query may read."""
 
 
@@ -385,27 +369,27 @@ PREFIXES = """# {padding}
 """They are longer than the excerpts of receipts, so that these do not contain the documents."""
 MAPPING = """
 <#car> a map:ComplexResource ; map:path "/car/" ; rdfs:label "The car" ;
-  map:property [ map:predicate ex:speed ; map:name "speed" ; map:member "/zq7_speed" ] ,
+  map:property [ map:predicate ex:speed ; map:name "speed" ; map:member "/zq7x9_speed" ] ,
     [ map:predicate ex:open ; map:member "/open" ; map:writableWhen <#low> ] ,
-    [ map:predicate ex:leaf ; map:name "leaf" ; map:member "/zq7_tree/leaf" ] ;
-  map:action [ map:relation ex:act ; map:name "act" ; map:service "/zq7_service" ] ,
+    [ map:predicate ex:leaf ; map:name "leaf" ; map:member "/zq7x9_tree/leaf" ] ;
+  map:action [ map:relation ex:act ; map:name "act" ; map:service "/zq7x9_service" ] ,
     [ map:relation ex:turn ; map:name "turn" ; map:service "/open_service" ; map:availableWhen <#low> ] ;
-  map:stop [ map:publish "/zq7_words" ; map:content '{"data": "zq7stopped"}' ] .
-<#low> a sh:NodeShape ; map:about "/zq7_tree/leaf" ; sh:property [ sh:path rdf:value ;
-  sh:hasValue "zq7never" ; sh:message "zq7 is low" ] .
+  map:stop [ map:publish "/zq7x9_words" ; map:content '{"data": "zq7x9stopped"}' ] .
+<#low> a sh:NodeShape ; map:about "/zq7x9_tree/leaf" ; sh:property [ sh:path rdf:value ;
+  sh:hasValue "zq7x9never" ; sh:message "zq7x9 is low" ] .
 """
-PLAN = "<> ex:about </topics/zq7_speed>, </bags/done/file> ; ex:says 'open' ."
+PLAN = "<> ex:about </topics/zq7x9_speed>, </bags/done/file> ; ex:says 'open' ."
 KEPT = """<> a ros:Cockpit ; dcterms:title "Kept" ;
   ros:hasPanel [ a ros:ValuePanel ; ros:shows </topics/open> ; dcterms:title "Open" ] ,
-  [ a ros:PlotPanel ; ros:shows </topics/zq7_speed> ; dcterms:title "zq7 titled" ] .
+  [ a ros:PlotPanel ; ros:shows </topics/zq7x9_speed> ; dcterms:title "zq7x9 titled" ] .
 """
 LIMITS = """
-<#limit> a sh:NodeShape ; sh:targetNode </resources/zq7_speed> ;
+<#limit> a sh:NodeShape ; sh:targetNode </resources/zq7x9_speed> ;
   sh:property [ sh:path rdf:value ; sh:maxInclusive 7317.25 ] .
 <#limited> a sh:NodeShape ; sh:targetNode </parameters/open/limited> ;
   sh:property [ sh:path ros:value ; sh:maxInclusive 10 ] .
 """
-ASKED = "# The value of a topic.\nSELECT ?s ?o { GRAPH </topics/zq7_asked> { ?s ?p ?o } }"
+ASKED = "# The value of a topic.\nSELECT ?s ?o { GRAPH </topics/zq7x9_asked> { ?s ?p ?o } }"
 JSON = "application/json"
 TURTLE = "text/turtle"
 
@@ -421,52 +405,52 @@ async def fill(admin: Client, robot: Secretive) -> list[str]:
         return answer
 
     twist = {"linear": {"x": 0.0}}
-    await do("PUT", "/mappings/zq7_car", 201, PREFIXES + MAPPING, TURTLE)
+    await do("PUT", "/mappings/zq7x9_car", 201, PREFIXES + MAPPING, TURTLE)
     await do("PUT", "/data/plan", 201, PREFIXES + PLAN, TURTLE)
     await do("PUT", "/data/box/open", 201, PREFIXES + "<> ex:says 1 .", TURTLE)
-    await do("PUT", "/data/zq7/document", 201, PREFIXES + "<> ex:says 'zq7text' .", TURTLE)
+    await do("PUT", "/data/zq7x9/document", 201, PREFIXES + "<> ex:says 'zq7x9text' .", TURTLE)
     await do("PUT", "/cockpit/kept", 201, PREFIXES + KEPT, TURTLE)
-    await do("PUT", "/shapes/zq7_limits", 201, PREFIXES + LIMITS, TURTLE)
+    await do("PUT", "/shapes/zq7x9_limits", 201, PREFIXES + LIMITS, TURTLE)
     await do("PUT", "/queries/asked", 201, ASKED, "application/sparql-query")
-    await do("PUT", "/queries/zq7_query", 201, "# zq7purpose\nSELECT * { ?s ?p ?o }", "application/sparql-query")
-    for name in ("open", "zq7"):
+    await do("PUT", "/queries/zq7x9_query", 201, "# zq7x9purpose\nSELECT * { ?s ?p ?o }", "application/sparql-query")
+    for name in ("open", "zq7x9"):
         await do("POST", f"/services/{name}_service", 201, {})
-        await do("POST", f"/actions/{name}_action", 201, {"angle": NUMBER if name == "zq7" else 1.0})
-    await do("PUT", "/topics/zq7_words", 204, {"data": "zq7written"})
+        await do("POST", f"/actions/{name}_action", 201, {"angle": NUMBER if name == "zq7x9" else 1.0})
+    await do("PUT", "/topics/zq7x9_words", 204, {"data": "zq7x9written"})
     await do("PUT", "/topics/open_words", 204, {"data": "said"})
-    await do("PUT", "/parameters/zq7_tree/leaf", 204, "zq7parameter".join('""'))
-    await do("PUT", "/parameters/zq7_tree/more", 201, NUMBER)
+    await do("PUT", "/parameters/zq7x9_tree/leaf", 204, "zq7x9parameter".join('""'))
+    await do("PUT", "/parameters/zq7x9_tree/more", 201, NUMBER)
     await do(
-        "PATCH", "/parameters/open/", 204, {"number": 2, "zq7_inner": "zq7patched"}, "application/merge-patch+json"
+        "PATCH", "/parameters/open/", 204, {"number": 2, "zq7x9_inner": "zq7x9patched"}, "application/merge-patch+json"
     )
-    await do("PUT", "/parameters/zq7_refused", 400, "{zq7bad")
-    await do("PUT", "/topics/zq7_nothing", 404, "{zq7worse")
+    await do("PUT", "/parameters/zq7x9_refused", 400, "{zq7x9bad")
+    await do("PUT", "/topics/zq7x9_nothing", 404, "{zq7x9worse")
     await do("PUT", "/topics/shared", 405, {"data": 1})
-    await do("POST", "/sparql", 204, "INSERT DATA { GRAPH </data/zq7/document> { <#x> <http://e.x/p> 'zq7updated' } }",
+    await do("POST", "/sparql", 204, "INSERT DATA { GRAPH </data/zq7x9/document> { <#x> <http://e.x/p> 'zq7x9new' } }",
              "application/sparql-update")  # fmt: skip
     await do("POST", "/sparql", 204, "INSERT DATA { GRAPH </data/box/open> { <#x> <http://e.x/p> 2 } }",
              "application/sparql-update")  # fmt: skip
-    graph = quote(f"{BASE}data/zq7/graph", safe="")
-    await do("PUT", f"/graphs?graph={graph}", 201, "<#x> <http://e.x/p> 'zq7stored' .", TURTLE)
-    held = [await do("POST", f"/topics/{name}?rate=1&lease=5", 201, twist) for name in ("cmd_vel", "zq7_cmd")]
+    graph = quote(f"{BASE}data/zq7x9/graph", safe="")
+    await do("PUT", f"/graphs?graph={graph}", 201, "<#x> <http://e.x/p> 'zq7x9stored' .", TURTLE)
+    held = [await do("POST", f"/topics/{name}?rate=1&lease=5", 201, twist) for name in ("cmd_vel", "zq7x9_cmd")]
     await do("POST", "/bags/", 201, {"name": "done", "topics": ["*"], "before": 60})
     await do("POST", "/bags/", 201, {"name": "open", "topics": ["/open"], "before": 60})
-    for name in ("open", "zq7_speed"):
-        robot.publishes(f"/{name}", {"data": NUMBER if "zq7" in name else 4.5})
+    for name in ("open", "zq7x9_speed"):
+        robot.publishes(f"/{name}", {"data": NUMBER if "zq7x9" in name else 4.5})
     for name in ("done", "open"):
         await do("PATCH", f"/bags/{name}/", 200, {"status": "ended"}, "application/merge-patch+json")
     sent = await do("GET", "/bags/done/file", 200)
-    assert b"zq7_speed" in _inflated(sent.body)
+    assert b"zq7x9_speed" in _inflated(sent.body)
     await do("PUT", "/bags/sent", 201, sent.body, "application/octet-stream")
-    await do("POST", "/bags/", 201, {"name": "running", "topics": ["/zq7_speed", "/open", "/zq7_w*", "/shared"]})
-    trigger: dict[str, object] = {"resource": "/topics/zq7_speed", "condition": "data > 73172511"}
-    await do("POST", "/bags/", 201, {"name": "armed", "topics": ["/zq7_speed", "/open"], "trigger": trigger})
-    trigger = {"condition": f"{BASE}mappings/zq7_car#low"}
+    await do("POST", "/bags/", 201, {"name": "running", "topics": ["/zq7x9_speed", "/open", "/zq7x9_w*", "/shared"]})
+    trigger: dict[str, object] = {"resource": "/topics/zq7x9_speed", "condition": "data > 73172511"}
+    await do("POST", "/bags/", 201, {"name": "armed", "topics": ["/zq7x9_speed", "/open"], "trigger": trigger})
+    trigger = {"condition": f"{BASE}mappings/zq7x9_car#low"}
     await do("POST", "/bags/", 201, {"name": "mapped", "topics": ["/open"], "trigger": trigger})
     wish = {
         "@context": ["https://www.w3.org/ns/solid/notifications-context/v1"],
         "type": "http://www.w3.org/ns/solid/notifications#StreamingHTTPChannel2023",
-        "topic": f"{BASE}topics/zq7_speed",
+        "topic": f"{BASE}topics/zq7x9_speed",
     }
     await do("POST", "/channels/StreamingHTTPChannel2023", 201, wish, "application/ld+json")
     return [each.headers["location"].removeprefix(BASE[:-1]) for each in held]
@@ -478,7 +462,7 @@ async def secretive_app(
 ) -> AsyncIterator[tuple[Application, Secretive]]:
     """The robot with these rules, and everything that an administrator created on it."""
     robot = Secretive()
-    robot.topic("/zq7_asked", "std_msgs/msg/Float64", {"data": NUMBER})
+    robot.topic("/zq7x9_asked", "std_msgs/msg/Float64", {"data": NUMBER})
     file = folder / "auth.toml"
     file.write_text(tokens(*agents) + rules)
     chosen = Settings(
@@ -648,7 +632,7 @@ async def follow_streams(crawl: Crawl, admin: Client) -> None:
     for each in streams:
         await each.hear(b"data:", seconds=1.0)
     before = [each.answer.body.count(b"data:") for each in streams]
-    for name in ("zq7", "open"):
+    for name in ("zq7x9", "open"):
         await admin("POST", f"/services/{name}_service", b"{}", Content_Type=JSON)
         await admin("POST", f"/actions/{name}_action", b'{"angle": 2.0}', Content_Type=JSON)
         await admin("PUT", f"/topics/{name}_words", f'{{"data": "{name}streamed"}}'.encode(), Content_Type=JSON)
@@ -677,7 +661,7 @@ async def subscribe_to_denied(crawl: Crawl) -> None:
     """Request channels about denied resources, and about resources that do not exist."""
     for path in ("/plot?y=topics/{}%23data", "/space?show=topics/{}", "/diagnostics?name={}"):
         answers = set()
-        for name in ("zq7_scan", "zq7_speed", "zq7 motor", "zq7_never"):
+        for name in ("zq7x9_scan", "zq7x9_speed", "zq7x9 motor", "zq7x9_never"):
             topic = BASE[:-1] + path.format(quote(name))
             wish = {
                 "@context": ["https://www.w3.org/ns/solid/notifications-context/v1"],
@@ -711,7 +695,7 @@ async def check_what_may_be_read(reader: Client, admin: Client) -> None:
         assert 1 < mine < all, path
     moments = [json.loads((await ask("GET", "/bags/done/at", Accept=JSON)).body) for ask in (reader, admin)]
     told, there = ({each["topic"] for each in moment["messages"]} for moment in moments)
-    assert told == {each for each in there if "zq7" not in each}
+    assert told == {each for each in there if "zq7x9" not in each}
     for path in ("/bags/done/at", "/bags/done/file", "/bags/armed/", "/cockpit/default", "/cockpit/kept", "/calls/"):
         assert (await admin("GET", path)).leaks, path
 
@@ -723,7 +707,7 @@ UPDATE, MERGE = "application/sparql-update", "application/merge-patch+json"
 TAKEN = """
 <#car> a map:ComplexResource ; map:path "/car/" ; map:property [ map:predicate ex:open ; map:member "/open" ] .
 """
-NEAR = TAKEN.replace("/car/", "/cart/").replace("/open", "/zq7_spee")
+NEAR = TAKEN.replace("/car/", "/cart/").replace("/open", "/zq7x9_spee")
 REFUSED = (
     ("PUT", "/topics/shared", '{"data": 1}', JSON),
     ("POST", "/sparql", INSERT.format("/topics/shared"), UPDATE),

@@ -6,25 +6,13 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.server.auth.conftest import Guarded
+from tests.server.auth.conftest import Guarded, rule
 
-RULES = """
-[[rule]]
-agents = ["reader"]
-modes = ["read"]
-paths = ["/find", "/topics/**", "/data/open/**"]
-
-[[rule]]
-agents = ["reader"]
-modes = ["read"]
-paths = ["/topics/cockpit/**"]
-deny = true
-
-[[rule]]
-agents = ["admin"]
-modes = ["read", "write", "control", "administer"]
-paths = ["/**"]
-"""
+RULES = (
+    rule("reader", "read", "/find", "/topics/**", "/data/open/**")
+    + rule("reader", "read", "/topics/cockpit/**", deny=True)
+    + rule("admin", "read write control administer", "/**")
+)
 JSON = {"Accept": "application/json"}
 
 

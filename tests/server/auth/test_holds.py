@@ -7,16 +7,11 @@ from typing import Any
 
 import pytest
 
-from tests.server.auth.conftest import Guarded
+from tests.server.auth.conftest import Guarded, rule
 
 pytestmark = pytest.mark.slow
 
-RULES = """
-[[rule]]
-agents = ["pilot"]
-modes = ["read", "control"]
-paths = ["/topics/cockpit/**", "/holds/**"]
-"""
+RULES = rule("pilot", "read control", "/topics/cockpit/**", "/holds/**")
 
 
 def test_what_the_holder_may_not_read_is_not_published_at_the_end(guard: Callable[..., Guarded]) -> None:

@@ -11,28 +11,17 @@ from pyoxigraph import RdfFormat, parse
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.rover import rover_adapter
 from rosld.ontology.vocab import hctl, htv
-from tests.server.auth.conftest import clients, tokens
+from tests.server.auth.conftest import clients, rule, tokens
 from tests.server.robots.made_up import served
 
 pytestmark = pytest.mark.slow
 
 AGENTS = ("watcher", "operator", "admin")
-RULES = """
-[[rule]]
-agents = ["watcher", "operator", "admin"]
-modes = ["read"]
-paths = ["/**"]
-
-[[rule]]
-agents = ["operator"]
-modes = ["control"]
-paths = ["/topics/cmd_vel", "/holds/**"]
-
-[[rule]]
-agents = ["admin"]
-modes = ["control", "write", "administer"]
-paths = ["/**"]
-"""
+RULES = (
+    rule("watcher operator admin", "read", "/**")
+    + rule("operator", "control", "/topics/cmd_vel", "/holds/**")
+    + rule("admin", "control write administer", "/**")
+)
 CSV, NT, HTML = ({"Accept": type} for type in ("text/csv", "application/n-triples", "text/html"))
 OFFERS = "SELECT DISTINCT ?method ?target { ?form htv:methodName ?method ; hctl:hasTarget ?target }"
 ANY = "CONSTRUCT { ?s ?p ?o } { { ?s ?p ?o } UNION { ?s a ros:Property } }"

@@ -10,11 +10,10 @@ import jwt
 import pytest
 from cryptography.hazmat.primitives import serialization
 
-from tests.server.auth.conftest import Guarded
+from tests.server.auth.conftest import Guarded, rule
 from tests.server.auth.issuer import Issuer
 
-RULES = """
-[[issuer]]
+AGENTS = """[[issuer]]
 url = "{url}"
 audience = "robot"
 
@@ -23,16 +22,8 @@ name = "anna"
 issuer = "{url}"
 subject = "anna-1"
 
-[[rule]]
-agents = ["anna"]
-modes = ["read"]
-paths = ["/topics/**"]
-
-[[rule]]
-agents = ["authenticated"]
-modes = ["read"]
-paths = ["/"]
 """
+RULES = AGENTS + rule("anna", "read", "/topics/**") + rule("authenticated", "read", "/")
 
 
 @pytest.fixture(scope="module")

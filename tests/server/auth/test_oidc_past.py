@@ -10,7 +10,7 @@ from collections.abc import Callable
 import httpx
 import pytest
 
-from tests.server.auth.conftest import Guarded
+from tests.server.auth.conftest import Guarded, rule
 from tests.server.auth.issuer import Issuer
 from tests.server.history.test_recordings import SPEED, count, value
 from tests.waiting import until
@@ -20,24 +20,8 @@ pytestmark = pytest.mark.slow
 ISSUER = '[[issuer]]\nurl = "{url}"\naudience = "robot"\n'
 ANNA = '[[agent]]\nname = "anna"\nissuer = "{url}"\nsubject = "anna-1"\n'
 BERT = '[[agent]]\nname = "bert"\nissuer = "{url}"\nsubject = "bert-2"\n'
-RULES = """
-[[rule]]
-agents = ["anna"]
-modes = ["read", "write"]
-paths = ["/**"]
-
-[[rule]]
-agents = ["{url}#bert-2"]
-modes = ["read", "write"]
-paths = ["/sparql", "/bags/**", "/topics/**"]
-"""
-HIDDEN = """
-[[rule]]
-agents = ["{url}#bert-2"]
-modes = ["read"]
-paths = ["/topics/aircraft/**"]
-deny = true
-"""
+RULES = rule("anna", "read write", "/**") + rule("{url}#bert-2", "read write", "/sparql", "/bags/**", "/topics/**")
+HIDDEN = rule("{url}#bert-2", "read", "/topics/aircraft/**", deny=True)
 TOPICS = "SELECT DISTINCT ?name { ?topic ros:name ?name ; ros:past ?message }"
 
 

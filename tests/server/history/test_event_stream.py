@@ -12,7 +12,7 @@ from pyoxigraph import NamedNode, RdfFormat, parse
 from rosld.server.http.negotiation import choose_profile, parse_prefer
 from rosld.server.resources.event_stream import MEMBERS, PageNumber, pages_between, top_level
 from tests.adapters.recording.recorder import lines, write_rosbag1
-from tests.server.auth.conftest import token, tokens
+from tests.server.auth.conftest import rule, token, tokens
 from tests.waiting import until
 
 pytestmark = pytest.mark.slow
@@ -192,17 +192,8 @@ def test_who_may_not_read_a_message_is_not_told_of_it_as_a_member(
     serve: Callable[..., Any], tmp_path: Path, sent: bytes
 ) -> None:
     auth = tmp_path / "auth.toml"
-    rules = """
-[[rule]]
-agents = ["anna"]
-modes = ["read", "write"]
-paths = ["/bags/**", "/topics/**"]
-
-[[rule]]
-agents = ["bert"]
-modes = ["read"]
-paths = ["/bags/talk/ldes", "/bags/talk/ldes/**", "/bags/talk/messages/", "/bags/talk/messages/7", "/topics/**"]
-"""
+    views = "/bags/talk/ldes /bags/talk/ldes/** /bags/talk/messages/ /bags/talk/messages/7 /topics/**"
+    rules = rule("anna", "read write", "/bags/**", "/topics/**") + rule("bert", "read", views)
     auth.write_text(rules + tokens("anna", "bert"))
     http = serve("aircraft", "--auth", str(auth)).http
     anna, bert = ({"Authorization": f"Bearer {token(name)}"} for name in ("anna", "bert"))

@@ -13,7 +13,7 @@ import httpx
 import pytest
 from pyoxigraph import BlankNode, RdfFormat, parse
 
-from tests.server.auth.conftest import token, tokens
+from tests.server.auth.conftest import rule, token, tokens
 from tests.server.history.mcap_files import decode, read
 from tests.server.robots.made_up import MadeUp, Serving
 from tests.waiting import until
@@ -25,28 +25,12 @@ NTRIPLES = {"Accept": "application/n-triples"}
 TEXT = (Path(__file__).parents[3] / "docs" / "how-to" / "past.md").read_text("utf-8")
 EXAMPLE = re.compile(r"^\*\*(\d+)\. (.*?)\*\*.*?```sparql\n(.*?)```\n\n```csv\n(.*?)```\n", re.DOTALL | re.MULTILINE)
 EXAMPLES = {number: (query, printed) for number, _, query, printed in EXAMPLE.findall(TEXT)}
-RULES = """
-[[rule]]
-agents = ["anna"]
-modes = ["read", "write", "control", "administer"]
-paths = ["/**"]
-
-[[rule]]
-agents = ["guest"]
-modes = ["read"]
-paths = ["/sparql", "/bags/**", "/topics/**"]
-
-[[rule]]
-agents = ["guest"]
-modes = ["read"]
-paths = ["/topics/battery_state"]
-deny = true
-
-[[rule]]
-agents = ["stranger"]
-modes = ["read"]
-paths = ["/sparql", "/topics/**"]
-"""
+RULES = (
+    rule("anna", "read write control administer", "/**")
+    + rule("guest", "read", "/sparql", "/bags/**", "/topics/**")
+    + rule("guest", "read", "/topics/battery_state", deny=True)
+    + rule("stranger", "read", "/sparql", "/topics/**")
+)
 
 
 class Driven(NamedTuple):

@@ -11,7 +11,7 @@ import pytest
 from rosbags import rosbag1
 
 from tests.adapters.recording.recorder import lines, write_rosbag1, write_rosbag2
-from tests.server.auth.conftest import token, tokens
+from tests.server.auth.conftest import rule, token, tokens
 from tests.server.disks.server import free_port
 from tests.server.history.mcap_files import decode, read
 from tests.waiting import until
@@ -214,15 +214,7 @@ def test_recordings_without_a_folder_of_data_go_with_the_server(serve: Callable[
 
 def test_who_may_not_read_a_topic_may_not_record_it(serve: Callable[..., Any], tmp_path: Path) -> None:
     auth = tmp_path / "auth.toml"
-    auth.write_text(
-        """
-[[rule]]
-agents = ["anna"]
-modes = ["read", "write"]
-paths = ["/bags/**"]
-"""
-        + tokens("anna")
-    )
+    auth.write_text(rule("anna", "read write", "/bags/**") + tokens("anna"))
     served = serve("aircraft", "--auth", str(auth))
     http = served.http
     http.headers["Authorization"] = f"Bearer {token('anna')}"

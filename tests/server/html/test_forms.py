@@ -6,7 +6,6 @@ import dataclasses
 import json
 import re
 from collections.abc import Iterable, Iterator
-from functools import lru_cache
 from html.parser import HTMLParser
 from itertools import product
 
@@ -28,7 +27,6 @@ from rosld.adapters.model import (
     Primitive,
     TypeRef,
 )
-from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
@@ -42,10 +40,10 @@ from rosld.server.html.page import Page
 from rosld.server.html.render import render_page
 from rosld.server.html.site import Site
 from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
+from tests.server.html.messages import LIBRARY, schema
 
 URL = "http://127.0.0.1:8080/topics/x"
 SITE = Site("http://127.0.0.1:8080/", "robot")
-LIBRARY = TypeLibrary(ros_version=1)
 TYPES = (
     "std_msgs/msg/String", "std_msgs/msg/Bool", "std_msgs/msg/Float32", "std_msgs/msg/UInt64", "std_msgs/msg/Empty",
     "std_msgs/msg/Float64MultiArray", "geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/PoseWithCovariance",
@@ -62,13 +60,6 @@ def refilled(form: ValueForm, pairs: list[tuple[str, str]], violations: Iterable
 
 def parse_form(kind: MessageSchema, pairs: list[tuple[str, str]]) -> JsonValue:
     return parse_value(MessageShape(kind, kind.type.fields), pairs)
-
-
-@lru_cache
-def schema(name: str) -> MessageSchema:
-    found = LIBRARY.find(TypeRef(name))
-    assert isinstance(found, MessageSchema)
-    return found
 
 
 class Browser(HTMLParser):

@@ -9,13 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.adapters.model import MessageSchema, TypeRef
-from rosld.adapters.model.library import TypeLibrary
-from rosld.ontology.lower import lowerer
 from rosld.server.hypermedia.brief_value import brief_json
 from rosld.server.hypermedia.value import WHOLE, MessageValue, StoredValue, plain_json
+from tests.server.html.messages import message, schema
 
-LIBRARY = TypeLibrary(ros_version=1)
 NUMBERS = st.floats(width=32, allow_nan=False, allow_infinity=False) | st.sampled_from(["NaN", "INF"])
 WORDS = st.text(max_size=90)
 STATUS = st.fixed_dictionaries({"name": WORDS, "message": WORDS, "level": st.integers(0, 3)})
@@ -35,10 +32,8 @@ VALUES = st.one_of(
 
 
 def value_of(type: str, value: object) -> MessageValue:
-    schema = LIBRARY.find(TypeRef(type))
-    assert isinstance(schema, MessageSchema)
-    message = lowerer(schema).from_json(value, defaults=True)
-    return MessageValue(schema, message, schema.type.fields, "http://127.0.0.1/topics/x")
+    kind = schema(type)
+    return MessageValue(kind, message(kind, value), kind.type.fields, "http://127.0.0.1/topics/x")
 
 
 def is_part(brief: Any, whole: Any) -> bool:

@@ -343,26 +343,6 @@ class TestExtended:
             assert list(listing.actions) == ["/a/yz"]
 
 
-REAL = [
-    ("/kill", "turtlesim/srv/Kill", None),
-    ("/turtle1/set_pen", "turtlesim/srv/SetPen", "/turtle1/pen"),
-    ("/turtle1/teleport_absolute", "turtlesim/srv/TeleportAbsolute", None),
-    ("/get_map", "nav_msgs/srv/GetMap", None),
-    ("/set_map", "nav_msgs/srv/SetMap", None),
-    ("/move_base/get_plan", "nav_msgs/srv/GetPlan", None),
-    ("/tf2_frames", "tf2_msgs/srv/FrameGraph", None),
-    ("/controller_manager/list_controllers", None, None),
-    ("/gripper/set_led", "std_srvs/srv/SetBool", "/gripper/led"),
-]
-
-
-def test_services_of_real_robots_fall_where_people_expect_them() -> None:
-    topics = {"/turtle1/pose": "turtlesim/msg/Pose", "/map": "nav_msgs/msg/OccupancyGrid"}
-    listing = found(topics, {name: kind for name, kind, _ in REAL})
-    assert listing.by_service == {name: read for name, _, read in REAL if read}
-    assert set(listing.actions) == {name for name, _, read in REAL if read is None}
-
-
 # Any robot at all
 
 SEGMENTS = (

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 from pyoxigraph import Literal, NamedNode
 
-from rosld.adapters.model import MessageSchema, TypeRef
+from rosld.adapters.model import MessageSchema
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.lower import lowerer
 from rosld.ontology.vocab import xsd
@@ -21,19 +21,13 @@ from rosld.server.hypermedia.value import (
     value_literal,
     version_key,
 )
+from tests.server.html.messages import schema as known
 
 T = "http://127.0.0.1:8080/topics/robot/thing"
-LIBRARY = TypeLibrary(ros_version=1)
 
 
 def schema_of(definition: str, name: str = "made_up/msg/Thing") -> MessageSchema:
     return TypeLibrary(ros_version=1).learn_message(name, definition)
-
-
-def known(name: str) -> MessageSchema:
-    schema = LIBRARY.find(TypeRef(name))
-    assert isinstance(schema, MessageSchema)
-    return schema
 
 
 def value_of(schema: MessageSchema, value: object, *names: str) -> MessageValue:

@@ -79,6 +79,7 @@ class AffordanceService(Generic[T]):
         self._mappings = mappings
         self._readings = readings
         self._states = states
+        self._absences = VersionCache[Problem]()
         self._limits = limits
         self.conventions = conventions_of(session.settings)
         session.add_write_listener(self._on_write)
@@ -179,12 +180,21 @@ class AffordanceService(Generic[T]):
     async def cached_state(
         self, url: str, tree: ResourceTree, reads: Sequence[Property], make: Callable[[Snapshot], T]
     ) -> T:
-        """Return the state of the resource at `url`, cached while the readings of these properties are valid."""
-        states = self._states
+        """Return the state of the resource at `url`, cached while the readings of these properties are valid.
+
+        Raises what `make` raises. That it does not exist is cached, too: a query asks for all that may exist, and the
+        conditions took a third of its time.
+        """
         readings = self.cached_readings(reads) or await self.read(reads)
         version = (tree, readings, self._is_open)
-        found = states.find(url, version)
-        return found if found is not None else states.put(url, version, make(self.snapshot(tree, readings)))
+        absence = self._absences.find(url, version)
+        if absence is not None:
+            raise absence.with_traceback(None)
+        try:
+            return self._states.get_or_make(url, version, lambda: make(self.snapshot(tree, readings)))
+        except Problem as problem:
+            self._absences.put(url, version, problem)
+            raise
 
     def unread(self, tree: ResourceTree, reads: Iterable[Property]) -> Snapshot:
         """Return the snapshot in which these properties have no values yet."""

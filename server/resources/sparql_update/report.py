@@ -17,6 +17,7 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction import redact_problem
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import members
+from rosld.server.rest.responses import no_content
 from rosld.server.rest.ros_problems import problem_of, problem_of_body
 
 
@@ -53,7 +54,7 @@ class ReportEntry(Struct, frozen=True):
 def report_response(entries: Sequence[ReportEntry]) -> Response:
     """Return the response to a completed update: 204, or 202 with a JSON report if any message had no subscriber."""
     if not any(entry.outcome is Outcome.UNHEARD for entry in entries):
-        return Response(status_code=204)
+        return no_content()
     body = orjson.dumps({"graphs": [entry.members for entry in entries]}, option=orjson.OPT_INDENT_2)
     return Response(body, HTTPStatus.ACCEPTED, {"Cache-Control": "no-store"}, "application/json")
 

@@ -211,17 +211,20 @@ class UpdateService:
     def _graphs_needed(self, operations: Sequence[Operation]) -> frozenset[str] | None:
         """Return the names of all graphs that operations read and write; None if a query worker must evaluate a WHERE.
 
-        A worker costs some milliseconds, the patterns of few graphs some microseconds.
+        A worker costs some milliseconds, but it sees the values of all graphs at one moment.
         """
-        matched = matched_graphs(operations)
+        matched, changed = matched_graphs(operations), named_graphs(operations)
         if matched is None:
             return None
         for graph in matched:
             resource = self._resource_of(graph)
-            is_live = self._kind(graph) in _LIVE and resource is not None and not resource.methods() <= READ
-            if not (is_live or (isinstance(resource, StoredResource) and not graph.endswith("/"))):
-                return None  # the dataset may have more in this graph than its resource, such as all pages
-        return matched | named_graphs(operations)
+            if isinstance(resource, StoredResource):
+                is_whole = not graph.endswith("/")  # the state of a container may lack members
+            else:
+                is_whole = resource is not None and graph in changed and self._kind(graph) in _LIVE
+            if not is_whole:
+                return None
+        return matched | changed
 
     async def _evaluate_and_write(
         self, operations: Sequence[Operation], permissions: Permissions, graphs: frozenset[str] | None
@@ -353,12 +356,9 @@ class UpdateService:
         """
         targets = await self._targets(delta, permissions)
         async with self._lock_targets(targets, locked):
-            try:
-                plans = await self._plans(targets, permissions)
-            except (RefusedGraphs, _WholeGraphNeeded):
-                if not await self._is_current(delta, targets):
-                    return None
-                raise
+            if not await self._is_current(delta, targets):
+                return None
+            plans = await self._plans(targets, permissions)
             if not await self._is_current(delta, targets):
                 return None
             return await self._carry_out(plans, permissions)
@@ -385,7 +385,8 @@ class UpdateService:
     @contextlib.asynccontextmanager
     async def _lock_targets(self, targets: Sequence[Target], locked: Set[str]) -> AsyncIterator[None]:
         """Lock everything that the plans for these targets depend on, except the graphs `locked`."""
-        async with self._keyed_lock.acquire(*{target.resource.url for target in targets} - locked):
+        urls = {target.resource.url for target in targets} - locked
+        async with self._keyed_lock.acquire(*urls) if urls else contextlib.nullcontext():
             members = [each.resource for each in targets if isinstance(each.resource, MemberResource | ComplexResource)]
             if not members:
                 yield

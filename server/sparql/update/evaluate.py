@@ -5,7 +5,7 @@ Each operation sees the effects of the previous ones; the result is the net effe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, Triple
@@ -145,14 +145,16 @@ class StagingDataset:
         steps, rows = 0, list[dict[str, Term]]([{}])
         for *slots, graph in where.patterns or ():
             assert isinstance(graph, NamedNode)
-            triples = [*map(tuple, self._current(graph.value))]
+            triples = self._current(graph.value)
+            if isinstance(slots[1], NamedNode):
+                triples = [each for each in triples if each.predicate == slots[1]]
             steps += len(rows) * len(triples)
             if steps > _MAX_STEPS:
                 raise TooManySteps
             rows = [found for row in rows for triple in triples if (found := _matched(slots, triple, row)) is not None]
         return (tuple(map(row.get, where.variables)) for row in rows)
 
-    def _current(self, graph: str) -> Iterable[Triple]:
+    def _current(self, graph: str) -> Collection[Triple]:
         """Return the triples of a graph after the changes so far, without storing it completely."""
         large = self._large.get(graph)
         if graph in self._now or (large is None and not self._is_large(graph)):
@@ -206,7 +208,7 @@ class StagingDataset:
         return self._now[graph]
 
 
-def _matched(slots: Sequence[object], triple: Sequence[Term], row: dict[str, Term]) -> dict[str, Term] | None:
+def _matched(slots: Sequence[object], triple: Triple, row: dict[str, Term]) -> dict[str, Term] | None:
     """Return a solution with the variables that the triple binds, None if it does not match."""
     found = row
     for slot, term in zip(slots, triple, strict=True):

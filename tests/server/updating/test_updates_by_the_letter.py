@@ -56,6 +56,42 @@ def blank_nodes(client: httpx.Client, path: str) -> set[BlankNode]:
     return {term for term in terms if isinstance(term, BlankNode)}
 
 
+# Patterns
+
+
+@pytest.mark.parametrize(
+    ("insert", "patterns"),
+    [
+        ("?s <urn:new> ?o", "?s <urn:p> ?o"),
+        ("?s ?p <urn:new>", "?s ?p ?o . ?o <urn:p> ?s"),
+        ("?s <urn:new> ?s", "?s <urn:p> ?s"),
+        ("?s <urn:new> ?o", '?s <urn:p> "01"^^xsd:integer, ?o'),
+        ("?s <urn:new> ?o", "_:a <urn:p> ?s, ?o"),
+        ("?s <urn:new> ?o", "{ ?s <urn:q> ?m } ?m ^<urn:p>/<urn:p> ?o"),
+        ("<urn:s> <urn:new> <urn:o>", ""),
+        ("<urn:s> <urn:new> <urn:o>", "?s <urn:none> ?o"),
+        ("?s <urn:new> ?o", "?s <urn:many> ?m . ?o <urn:many> ?n"),
+    ],
+)
+def test_patterns_have_the_solutions_that_a_worker_finds(
+    plane: httpx.Client, room: str, insert: str, patterns: str
+) -> None:
+    many = " ".join(f"<urn:{number}> <urn:many> {number % 7} ." for number in range(80))
+    turtle = (
+        f'<urn:a> <urn:p> <urn:b>, <urn:a>, 01, "1", "x"@en ; <urn:q> <urn:b> . <urn:b> <urn:p> <urn:a>, 1 . {many}'
+    )
+    found = []
+    for name, filter in (("here", ""), ("worker", "FILTER(true)")):
+        graph = plane.base_url.join(room + name)
+        put(plane, room + name, turtle)
+        done(
+            plane, f"INSERT {{ GRAPH <{graph}> {{ {insert} }} }} WHERE {{ GRAPH <{graph}> {{ {patterns} {filter} }} }}"
+        )
+        done(plane, f"WITH <{graph}> DELETE {{ <urn:a> <urn:p> ?o }} WHERE {{ <urn:b> <urn:p> ?o {filter} }}")
+        found.append(said(plane, room + name))
+    assert found[0] == found[1]
+
+
 # Blank nodes
 
 

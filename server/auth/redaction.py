@@ -8,7 +8,7 @@ All functions are pure, and take the content first and then the agent's permissi
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from copy import copy
 from functools import lru_cache
 from typing import TypeAlias
@@ -305,19 +305,19 @@ def _redact_absence(problem: Problem, permissions: Permissions, place: Location 
     return found
 
 
-_SECURITY: dict[str, dict[str, object]] = {
-    "token_sc": {"scheme": "combo", "oneOf": ["bearer_sc", "basic_sc"]},
-    "bearer_sc": {"scheme": "bearer", "in": "header", "format": "opaque"},
-    "basic_sc": {"scheme": "basic", "in": "header"},
-}
-"""Either scheme is accepted (WoT TD 1.1, 5.3.3)."""
+_BEARER: Mapping[str, str] = {"scheme": "bearer", "in": "header", "format": "opaque"}
+_BASIC: Mapping[str, str] = {"scheme": "basic", "in": "header"}
 
 
-def redact_thing_description(data: bytes, permissions: Permissions) -> bytes:
-    """Return a description with only the forms that the agent may use, their affordances, and the security schemes."""
+def redact_thing_description(data: bytes, permissions: Permissions, scheme: str = "") -> bytes:
+    """Return a description with only the forms that the agent may use, their affordances, and a security scheme.
+
+    It is `scheme`, by which the request was authenticated, if that is basic, else bearer: clients cannot choose.
+    """
     thing = orjson.loads(data)
     base = thing["id"]
-    thing["securityDefinitions"], thing["security"] = _SECURITY, ["token_sc"]
+    name, stated = ("basic_sc", _BASIC) if scheme.lower() == "basic" else ("bearer_sc", _BEARER)
+    thing["securityDefinitions"], thing["security"] = {name: stated}, [name]
     if permissions.is_unrestricted:
         return orjson.dumps(thing)
 

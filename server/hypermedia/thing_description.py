@@ -35,6 +35,8 @@ Members: TypeAlias = "dict[str, object]"
 
 _JSON = "application/json"
 _OBSERVE = ("observeproperty", "unobserveproperty")
+_SUBSCRIBE = ("subscribeevent", "unsubscribeevent")
+_ANY: tuple[JsonSchema, ...] = tuple({"type": name} for name in ("boolean", "number", "string", "array", "object"))
 _CONTEXT = (
     "https://www.w3.org/2022/wot/td/v1.1",
     {"ros": ros.iri, "map": mapping.iri, "qudt": qudt.iri},
@@ -42,6 +44,8 @@ _CONTEXT = (
 _SECURITY: Members = {"nosec_sc": {"scheme": "nosec"}}
 """Security schemes by name; a client needs all of them (WoT TD 1.1, 5.3.3)."""
 
+CHANGED = "changed"
+"""Name of the event of a thing that a member has changed."""
 STOP = "stopRobot"
 """Name of the action that stops the whole robot in every Thing Description."""
 
@@ -73,13 +77,15 @@ def thing_description(
     description: str | None = None,
     whole: bool = False,
     stop: str | None = None,
+    diagnostics: str | None = None,
     lifting: LiftSettings = _SETTINGS,
 ) -> bytes:
     """Return the Thing Description of the thing at `url` in JSON-LD, with affordances by name.
 
-    `whole`: GET of `url` reads all these properties at once. `stop` is the URL that stops the whole robot. Affordances
-    without forms, which can never be used, are omitted.
+    `whole`: GET of `url` reads all these properties at once. `stop` is the URL that stops the whole robot,
+    `diagnostics` that of its diagnostics. Affordances without forms, which can never be used, are omitted.
     """
+    actions = [one for one in actions if one.request is not None]
     thing: Members = {
         "@context": _CONTEXT,
         "@type": "Thing",
@@ -90,9 +96,14 @@ def thing_description(
         "security": list(_SECURITY),
         "properties": {one.name: _property(one, lifting) for one in properties if one.read or one.write},
         "actions": {
-            **{one.name: _action(one, lifting) for one in actions if one.request is not None},
+            **{one.name: _action(one, lifting) for one in actions},
             **{f"{one.name}/hold": _hold(one, lifting) for one in properties if one.hold is not None},
             **({} if stop is None else {STOP: _stop(stop)}),
+        },
+        "events": {
+            **({CHANGED: _event("A member has changed.", url, OBJECT)} if whole else {}),
+            **({} if diagnostics is None else {"diagnostics": _event("A diagnosis has changed.", diagnostics, OBJECT)}),
+            **dict(_feedback(actions, lifting)),
         },
         "links": [_link(link) for link in links],
     }
@@ -114,7 +125,7 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
     return _fragment(
         {
             **without_none(title=one.title, description=one.description),
-            **value_schema(one.shape, lifting, read=one.read, sent=one.write),
+            **_data_schema(value_schema(one.shape, lifting, read=one.read, sent=one.write), nullable=observable),
             "readOnly": not one.write,
             "writeOnly": not one.read,
             "observable": observable,
@@ -124,6 +135,23 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
             "forms": forms,
         }
     )
+
+
+def _data_schema(schema: JsonSchema, *, nullable: bool) -> JsonSchema:
+    """Return a schema with a `type` or `oneOf`, as clients demand; a nullable one accepts null, too.
+
+    Keywords other than `type` stay where clients look for them: they do not concern null.
+    """
+    if not schema.keys() & {"type", "oneOf", "enum"}:
+        return {**schema, "oneOf": [*_ANY]}
+    if not nullable:
+        return schema
+    rest = {name: value for name, value in schema.items() if name not in ("type", "oneOf", "enum")}
+    if isinstance(choices := schema.get("enum"), list):
+        return {**rest, "enum": [*choices, None]}
+    present = schema.get("oneOf")
+    alternatives = present if isinstance(present, list) else [{"type": schema["type"]}]
+    return {**rest, "oneOf": [*alternatives, {"type": "null"}]}
 
 
 @lru_cache(maxsize=4096)
@@ -169,6 +197,22 @@ def _goal_forms(one: ActionAffordance) -> Iterator[Members]:
         yield _form(one.url, "cancelaction", "DELETE")
 
 
+def _feedback(actions: Iterable[ActionAffordance], lifting: LiftSettings) -> Iterator[tuple[str, Members]]:
+    """Yield the event of each action that reports on its goals."""
+    for one in actions:
+        if one.goals is not None and one.goals.status is not None and one.goals.feedback is not None:
+            data = message_schema(one.goals.feedback, lifting)
+            yield (
+                f"{one.name}/feedback",
+                _event(f"Feedback on a goal of {one.name}.", f"{one.goals.status}feedback", data),
+            )
+
+
+def _event(about: str, url: str, data: JsonSchema) -> Members:
+    """Return an event (5.3.1.5), which is an event stream of the resource at `url`."""
+    return {"description": about, "data": data, "forms": [_form(url, _SUBSCRIBE, "GET", subprotocol="sse")]}
+
+
 def _stop(url: str) -> Members:
     """Return the action that stops the whole robot; querying it returns the stop, canceling it releases the robot."""
     forms = [
@@ -206,7 +250,7 @@ _T = TypeVar("_T")
 
 _OPERATIONS = (
     *("readProperty", "writeProperty", "observeProperty", "unobserveProperty", "readAllProperties"),
-    *("invokeAction", "queryAction", "cancelAction"),
+    *("invokeAction", "queryAction", "cancelAction", "subscribeEvent", "unsubscribeEvent"),
 )
 _TEXT = {"@language": "en"}
 
@@ -218,7 +262,10 @@ def _named(predicate: str, name: str, context: Mapping[str, object]) -> dict[str
 
 _SCHEMA: dict[str, object] = {
     "@vocab": js.iri,
-    **{name: f"js:{name.capitalize()}Schema" for name in ("object", "array", "boolean", "string", "number", "integer")},
+    **{
+        name: f"js:{name.capitalize()}Schema"
+        for name in ("object", "array", "boolean", "string", "number", "integer", "null")
+    },
     "type": "@type",
     "unit": {"@id": "http://schema.org/unitCode", "@type": "@vocab"},
     "properties": {"@id": "js:properties", "@container": "@index", "@index": "js:propertyName"},
@@ -256,9 +303,11 @@ _RDF_CONTEXT: Mapping[str, object] = {
         {**_SCHEMA, "properties": _named("js:properties", "td:name", {"properties": _SCHEMA["properties"]})},
     ),
     "actions": _named("td:hasActionAffordance", "td:name", {}),
+    "events": _named("td:hasEventAffordance", "td:name", {}),
     "uriVariables": _named("td:hasUriTemplateSchema", "td:name", {}),
     "input": {"@id": "td:hasInputSchema", "@context": _SCHEMA},
     "output": {"@id": "td:hasOutputSchema", "@context": _SCHEMA},
+    "data": {"@id": "td:hasNotificationSchema", "@context": _SCHEMA},
     "observable": "td:isObservable",
     "safe": "td:isSafe",
     "idempotent": "td:isIdempotent",

@@ -111,7 +111,7 @@ class OpenApiResource(Resource):
         media_type = choose_offer(exchange.accept, MEDIA_TYPES)
         if media_type is None:
             raise Problem(406, f"None of {exchange.accept!r} is available; choose from {', '.join(MEDIA_TYPES)}.")
-        part = parse_part(exchange.query)
+        part = parse_part(exchange.query, self.space.base)
         hidden = exchange.query_flag("hidden") and self.session.adapter.capabilities.hidden_names
         kept = await self._describe(hidden)
         data = kept.data

@@ -33,7 +33,7 @@ from rosld.server.rest.resource import BASIC_CONTAINER, LDP, RESOURCE, Resource
 from rosld.server.rest.resource import RDF_SOURCE as RDF_SOURCE_LINK
 from rosld.server.rest.responses import bytes_response, resource_headers
 from rosld.server.rest.state import State
-from rosld.server.robot.diagnostic_states import DIAGNOSTIC_ARRAY
+from rosld.server.robot.diagnostic_states import has_diagnostics
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import RESERVED
 from rosld.server.runtime.version_cache import VersionCache
@@ -94,7 +94,7 @@ class EntryResource(Resource):
             EntryCount("Cockpit", None, space.cockpit("default"), _COCKPIT, first=True),
             EntryCount(SECTIONS["resources"], None, space.container("resources"), _RESOURCES),
         ]
-        if any(ref.name == DIAGNOSTIC_ARRAY for topic in graph.topics.values() for ref in topic.types):
+        if has_diagnostics(graph):
             counts.append(EntryCount("Diagnostics", None, f"{space.base}diagnostics", _DIAGNOSTICS))
         if any(can_place(ref.name) for topic in graph.topics.values() for ref in topic.types):
             counts.append(EntryCount("Space", None, f"{space.base}space", _SPACE))

@@ -30,11 +30,13 @@ from rosld.server.rest.path_item import MAX_PART, PART_QUERY, PUNCTUATION, PathI
 from rosld.server.rest.resource import RESOURCE, Resource
 from rosld.server.rest.responses import bytes_response
 from rosld.server.rest.state import State
+from rosld.server.robot.diagnostic_states import has_diagnostics
 from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop
 
 _Affordance: TypeAlias = "Mapping[str, object]"
-_KINDS = ("properties", "actions")
+_KINDS = ("properties", "actions", "events")
+_OF_THE_GRAPH = frozenset({"topics", "services", "actions", "parameters"})
 _FRAME = 600
 """Bytes reserved for links to the whole and to the next part."""
 
@@ -90,10 +92,16 @@ def thing_parts(data: bytes, base: str, url: str, below: str) -> tuple[bytes, ..
 
 
 def _is_below(affordance: _Affordance, own: str, base: str, below: str) -> bool:
-    """Whether a form of an affordance leads to a path below `base` that begins with `below`."""
+    """Whether a form of an affordance leads to a path below `base` that begins with `below`.
+
+    The paths of topics, services, actions and parameters stand for those of the resources of the same names.
+    """
     forms = affordance["forms"]
     assert isinstance(forms, list)
-    return any(urljoin(own, form["href"]).startswith(base.rstrip("/") + below) for form in forms)
+    asked = base.rstrip("/") + below
+    route, slash, rest = below[1:].partition("/")
+    found = (asked, f"{base}resources/{rest}") if slash and route in _OF_THE_GRAPH else (asked,)
+    return any(urljoin(own, form["href"]).startswith(found) for form in forms)
 
 
 def _link(relation: str, target: str) -> dict[str, str]:
@@ -131,8 +139,9 @@ class ThingDescriptions:
         `url` is the URL of the responding resource, `own` that of the description.
         """
         if exchange.auth is not UNRESTRICTED:
-            data = redact_thing_description(data, exchange.permissions)
-        part = parse_part(exchange.query)
+            scheme = (exchange.header("authorization") or "").partition(" ")[0]
+            data = redact_thing_description(data, exchange.permissions, scheme)
+        part = parse_part(exchange.query, self._session.space.base)
         if part is None:
             data = add_part_link(data, own)
         else:
@@ -192,6 +201,7 @@ class ThingDescriptions:
             links=links,
             description=system,
             stop=self._session.space.stop if self._software_stop.is_usable else None,
+            diagnostics=f"{self._session.space.base}diagnostics" if has_diagnostics(self._session.graph) else None,
             lifting=self._session.lifting,
         )
 

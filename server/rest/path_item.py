@@ -129,8 +129,8 @@ MAX_PART = 100_000
 PART_QUERY = (
     QueryParameter(
         "below",
-        "A path prefix, such as `/topics/arm/`: only what begins with it, in parts of at most 100 kB.",
-        {"type": "string", "pattern": "^/"},
+        "A path or URL prefix, such as `/topics/arm/`: only what begins with it, in parts of at most 100 kB.",
+        {"type": "string", "pattern": "^(/|https?:)"},
     ),
     QueryParameter("part", "The number of the part, counted from 0.", {"type": "integer", "minimum": 0}),
 )
@@ -193,11 +193,16 @@ def part_url(url: str, below: str, number: int = 0) -> str:
     return f"{url}{'&' if '?' in url else '?'}below={quote(below, safe='/')}{suffix}"
 
 
-def parse_part(query: Mapping[str, str]) -> PartRequest | None:
-    """Return the part that a query requests, None for the whole document. Raises a 400 Problem."""
+def parse_part(query: Mapping[str, str], base: str) -> PartRequest | None:
+    """Return the part that a query requests, None for the whole document. Raises a 400 Problem.
+
+    `below` is a path, or a URL below `base`.
+    """
     if "below" not in query and "part" not in query:
         return None
     below, number = query.get("below", "/"), query.get("part", "0")
+    if below.startswith(base):
+        below = below[len(base) - 1 :]
     if not below.startswith("/"):
         raise Problem(400, f"?below={below[:100]} is not a path: begin it with a slash, such as /topics/.")
     if not (number.isascii() and number.isdigit() and len(number) <= _MAX_DIGITS):

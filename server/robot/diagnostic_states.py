@@ -9,9 +9,16 @@ from typing import Any, NamedTuple, cast
 from msgspec import Struct
 from msgspec.structs import replace
 
-from rosld.adapters.model import Message
+from rosld.adapters.model import Graph, Message
 
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+def has_diagnostics(graph: Graph) -> bool:
+    """Whether a node of the graph publishes or reads diagnostics."""
+    return any(ref.name == DIAGNOSTIC_ARRAY for topic in graph.topics.values() for ref in topic.types)
+
+
 STALE_SECONDS = 5.0
 """Seconds without a report after which a part is stale, as in the aggregator of ROS."""
 _MAX_PARTS = 10_000

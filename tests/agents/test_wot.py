@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -32,3 +34,38 @@ def test_node_wot_reads_writes_and_invokes(aircraft: Any, run_node: Callable[...
         {"power": "off"},
     ]
     assert aircraft.power == "off"
+
+
+def test_node_wot_reads_every_property_and_hears_of_changes(
+    start_server: Callable[..., Any], run_node: Callable[..., Any]
+) -> None:
+    code, lines = run_node("things.mjs", start_server("aircraft").url)
+    assert code == 0, lines
+    [read, heard] = lines
+    assert read["security"] == ["nosec_sc"]
+    assert len(read["values"]) == 13
+    assert (read["values"]["aircraft/power"], read["values"]["aircraft/fly/feedback"]) == ("on", None)
+    assert heard["heard"][0] == "on"
+    assert heard["heard"][-1] == "off"
+
+
+def test_node_wot_sends_its_token_where_clients_are_authenticated(
+    start_server: Callable[..., Any], run_node: Callable[..., Any], tmp_path: Path
+) -> None:
+    token, auth = "of-the-pilot", tmp_path / "auth.toml"
+    auth.write_text(
+        f"""
+        [[token]]
+        agent = "pilot"
+        sha256 = "sha256:{hashlib.sha256(token.encode()).hexdigest()}"
+        created = "2026-11-28"
+        [[rule]]
+        agents = ["pilot"]
+        modes = ["read", "control"]
+        paths = ["/**"]
+        """
+    )
+    code, lines = run_node("things.mjs", start_server("aircraft", "--auth", str(auth)).url, token)
+    assert code == 0, lines
+    assert lines[0]["security"] == ["bearer_sc"]
+    assert len(lines[0]["values"]) == 13

@@ -125,7 +125,7 @@ def test_thing_descriptions_name_what_the_agent_may_do_and_how_it_says_who_it_is
     assert answer.status_code == 200
     thing = json.loads(answer.content)
     assert thing["securityDefinitions"]["bearer_sc"]["scheme"] == "bearer"
-    assert thing["security"] == ["token_sc"]
+    assert thing["security"] == ["bearer_sc"]
     forms = [form for kind in ("properties", "actions") for one in thing[kind].values() for form in one["forms"]]
     assert bool(forms) == (agent != "anybody")
     ever = operations(described(guarded, agent))  # it lists all that may exist, not what is on offer now

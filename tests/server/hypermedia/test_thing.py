@@ -125,7 +125,7 @@ def test_a_property_has_its_data_schema_and_a_form_for_each_operation() -> None:
     speed = thing()["properties"]["engine/speed"]
     forms = speed.pop("forms")
     assert speed == {
-        "type": "number",
+        "oneOf": [{"type": "number"}, {"type": "null"}],
         "minimum": 0,
         "maximum": 1000,
         "unit": KMH.value,

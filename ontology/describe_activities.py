@@ -23,7 +23,8 @@ class Receipt(NamedTuple):
     (`sha-256=:...:`, RFC 9530), `excerpt` the beginning of the body; both are None without a body, for a body that is
     not text, or if they are `withheld`. `plan` are the resulting steps, `touched` the URLs of their subjects, `matched`
     the number of subscribers (None if nothing was published), `made` the URL of a created resource. `words` are the
-    reason for a refusal.
+    reason for a refusal. `reason` is why the client made the request, and `client` the name of its program, both in its
+    own words.
     """
 
     number: int
@@ -45,6 +46,8 @@ class Receipt(NamedTuple):
     status: int
     made: str | None
     words: str | None
+    reason: str | None = None
+    client: str | None = None
 
     @property
     def seconds(self) -> float:
@@ -66,6 +69,7 @@ _WRITE = NodeShape[Receipt]("Write", "the receipt of a write", ros.Write, prov.A
     ),
     many(ros.touches, kinds.IRI, lambda receipt: receipt.touched),
     optional(ros.matched, kinds.COUNT, lambda receipt: receipt.matched),
+    optional(ros.reason, kinds.TEXT, lambda receipt: receipt.reason),
 )
 _REQUEST = NodeShape[Receipt]("Request", "what was asked", htv.Request, prov.Entity).with_properties(
     one(htv.methodName, kinds.TEXT, lambda receipt: receipt.method),
@@ -75,6 +79,7 @@ _REQUEST = NodeShape[Receipt]("Request", "what was asked", htv.Request, prov.Ent
     optional(ros.digest, kinds.TEXT, lambda receipt: receipt.digest),
     optional(ros.excerpt, kinds.TEXT, lambda receipt: receipt.excerpt),
     optional(ros.withheld, kinds.FLAG, lambda receipt: receipt.withheld or None),
+    optional(prov.wasAttributedTo, kinds.IRI.where("sh:class prov:SoftwareAgent")),
 )
 _RESPONSE = NodeShape[Receipt]("Response", "what was answered", htv.Response, prov.Entity).with_properties(
     one(htv.statusCodeValue, kinds.COUNT.where("sh:maxInclusive 599"), lambda receipt: receipt.status),
@@ -82,6 +87,9 @@ _RESPONSE = NodeShape[Receipt]("Response", "what was answered", htv.Response, pr
 )
 _AGENT = NodeShape[Receipt]("Agent", "who asked", prov.Agent).with_properties(
     one(rdfs.label, kinds.TEXT, lambda receipt: receipt.agent)
+)
+_CLIENT = NodeShape[Receipt]("Client", "the program that asked", prov.SoftwareAgent).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda receipt: receipt.client)
 )
 _ASSOCIATION = NodeShape[NamedNode]("Association", "how who asked took part", prov.Association).with_properties(
     one(prov.agent, kinds.TERM.where("sh:class prov:Agent"), lambda agent: agent),
@@ -106,7 +114,10 @@ def activity_document(receipt: Receipt, space: Space) -> Document:
     if made and is_activity:
         triples.append(Triple(made, prov.wasInformedBy, activity))
     triples += _AGENT.triples(agent, receipt, space)
-    triples += _REQUEST.triples(request, receipt, space)
+    client = NamedNode(f"{url}#client") if receipt.client else None
+    triples += _REQUEST.triples(request, receipt, space, (prov.wasAttributedTo, client))
+    if client is not None:
+        triples += _CLIENT.triples(client, receipt, space)
     triples += _RESPONSE.triples(answer, receipt, space)
     if receipt.plan:
         triples += _ASSOCIATION.triples(association, agent, space, (prov.hadPlan, plan))

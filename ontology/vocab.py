@@ -144,8 +144,8 @@ htv = Namespace("http://www.w3.org/2011/http#", "Request Response methodName req
 # PROV-O.
 prov = Namespace(
     "http://www.w3.org/ns/prov#",
-    "Activity Agent Association Entity Plan agent endedAtTime generated hadPlan has_provenance qualifiedAssociation "
-    "startedAtTime used wasAssociatedWith wasInformedBy",
+    "Activity Agent Association Entity Plan SoftwareAgent agent endedAtTime generated hadPlan has_provenance "
+    "qualifiedAssociation startedAtTime used wasAssociatedWith wasAttributedTo wasInformedBy",
 )
 # Schema.org, for open domains and ranges and for ordered lists.
 schema_org = Namespace(

@@ -696,6 +696,7 @@ class _prov(Namespace):
     Association: NamedNode
     Entity: NamedNode
     Plan: NamedNode
+    SoftwareAgent: NamedNode
     agent: NamedNode
     endedAtTime: NamedNode
     generated: NamedNode
@@ -705,6 +706,7 @@ class _prov(Namespace):
     startedAtTime: NamedNode
     used: NamedNode
     wasAssociatedWith: NamedNode
+    wasAttributedTo: NamedNode
     wasInformedBy: NamedNode
 
 prov: _prov

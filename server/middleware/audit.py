@@ -12,6 +12,7 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import prov
 from rosld.server.auth import enforcement
 from rosld.server.auth.rules import ANONYMOUS
+from rosld.server.http.problem import one_line
 from rosld.server.middleware import Handler
 from rosld.server.receipts.audit import AuditEntry, excerpt
 from rosld.server.receipts.journal import Journal
@@ -20,6 +21,8 @@ from rosld.server.rest.exchange import Exchange
 Header = tuple[bytes, bytes]
 ABSENT = frozenset({404, 410})
 _REFUSED = frozenset({403, *ABSENT})
+REASON, CLIENT = "rosld-reason", "rosld-client"
+"""Header fields with words of the client for its receipt: why it writes, and the name of its program."""
 
 
 class Recorder:
@@ -56,6 +59,8 @@ class Recorder:
                 response.status_code,
                 _location(response) if response.status_code == 201 else None,
                 context.refusal,
+                _own_words(exchange, REASON),
+                _own_words(exchange, CLIENT),
             ),
             context.receipt,
         )
@@ -101,6 +106,15 @@ class Audit:
 def _with_receipt(location: bytes, id: str) -> bytes:
     """Return the URL of a page with the parameter that shows a receipt."""
     return location + (b"&" if b"?" in location else b"?") + f"receipt={id}".encode("ascii")
+
+
+def _own_words(exchange: Exchange, name: str) -> str | None:
+    """Return the text of a field, which is UTF-8 (ASGI decodes it as Latin-1), on one line."""
+    value = exchange.header(name)
+    if value is None:
+        return None
+    text = value.encode("latin-1").decode("utf-8", "replace")
+    return one_line(text) or None
 
 
 def _path(raw: bytes, root: int) -> str:

@@ -202,6 +202,8 @@ class AuditEntry(NamedTuple):
     status: int
     created: str | None
     words: str | None
+    reason: str | None = None
+    client: str | None = None
 
 
 def excerpt(body: bytes) -> tuple[bytes, bytes | None]:
@@ -236,6 +238,8 @@ def receipt_of(entry: AuditEntry, number: int, id: str, excerpt_bytes: int) -> R
         entry.status,
         None if entry.created is None else redact_tokens(entry.created),
         None if entry.words is None else _redacted(entry.words, withheld),
+        None if entry.reason is None else _redacted(entry.reason, withheld),
+        None if entry.client is None else _redacted(entry.client, False),
     )
 
 

@@ -56,6 +56,20 @@ def test_a_publish_tells_who_asked_what_it_came_to_and_who_heard_it(plane: httpx
     assert told["started"] < told["ended"]
 
 
+def test_a_client_may_say_why_it_writes_and_what_it_is(plane: httpx.Client, receipt: Receipt) -> None:
+    words = {"Rosld-Reason": "Startfreigabe für\tuns".encode(), "Rosld-Client": b"autopilot"}
+    answer = plane.put("/topics/cockpit/display", json={"data": "climb"}, headers=words)
+    told = receipt(answer)
+    assert (told["reason"], told["client"]) == ("Startfreigabe für uns", "autopilot")
+    query = """SELECT ?reason ?client { ?w ros:reason ?reason ; prov:used/prov:wasAttributedTo ?p .
+        ?p a prov:SoftwareAgent ; rdfs:label ?client }"""
+    prefixes = "PREFIX prov: <http://www.w3.org/ns/prov#> PREFIX rdfs: <http://www.w3.org/2000/01/rdf-schema#> "
+    (row,) = plane.post("/sparql", data={"query": prefixes + query}, headers=JSON).json()["results"]["bindings"]
+    assert (row["reason"]["value"], row["client"]["value"]) == (told["reason"], told["client"])
+    words = {"Rosld-Reason": "password=hunter2"}
+    assert "hunter2" not in str(receipt(plane.put("/topics/cockpit/display", json={"data": "x"}, headers=words)))
+
+
 TURTLE = {"Content-Type": "text/turtle"}
 MERGE = {"Content-Type": "application/merge-patch+json"}
 SET_H = "INSERT DATA { GRAPH </parameters/h> { </parameters/h> ros:value 10 } }"

@@ -19,6 +19,7 @@ from rosld.server.events.notification_channels import Channels
 from rosld.server.html.frame import prepare_pages
 from rosld.server.http.fields import render_links
 from rosld.server.http.origin import OriginPolicy, origin_policy
+from rosld.server.mcp.endpoint import Mcp, McpService
 from rosld.server.middleware import Handler
 from rosld.server.middleware.access import (
     AccessHeaders,
@@ -168,7 +169,10 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     dispatcher = Dispatcher(services.instance_id, session, pages, broadcasters, keyed_lock, large, near)
     clients = client_limiter(settings)
     admission = Admission(clients, f"{space.path}stop".encode("ascii"))
-    handler = middleware(space, services.receipts, router, dispatcher, pages, names, admission, authenticator)
+    mcp = McpService(space, settings)
+    handler = middleware(space, services.receipts, router, dispatcher, pages, names, admission, authenticator, mcp)
+    http = HttpApplication(handler, clients, settings, render_links([notifications.link]))
+    mcp.connect(http)
     return Application(
         session,
         services.holds,
@@ -176,7 +180,8 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         admission,
         broadcasters,
         router.route_names,
-        HttpApplication(handler, clients, settings, render_links([notifications.link])),
+        mcp,
+        http,
         WebSockets(names, admission, notifications),
         Lifespan(
             services.start,
@@ -184,7 +189,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
             sparql.process,
             watchdog,
             background_jobs(services, sparql, mirror, authenticator, triggers),
-            [*(() if mirror is None else (mirror.close,)), large.close, scene.close],
+            [mcp.close, *(() if mirror is None else (mirror.close,)), large.close, scene.close],
         ),
     )
 
@@ -235,6 +240,7 @@ def middleware(
     names: OriginPolicy,
     admission: Admission,
     authenticator: Authenticator | None,
+    mcp: McpService,
 ) -> Handler:
     """Return the middleware stack, built from the innermost to the outermost."""
     stop = f"{space.path}stop".encode("ascii")
@@ -247,6 +253,7 @@ def middleware(
         handler = Authentication(handler, authenticator, space)
         # A preflight request never has credentials, so it is answered without data before authentication.
         handler = Preflight(handler, names, lambda exchange: admission.admit(exchange))
+    handler = Mcp(handler, mcp, names, admission, authenticator)
     handler = ServerOptions(handler, admission)
     handler = Scheduling(handler, stop)
     handler = TrustedHosts(handler, names)
@@ -268,6 +275,7 @@ class Application:
         admission: Admission,
         broadcasters: Broadcasters,
         rooms: frozenset[str],
+        mcp: McpService,
         http: ASGIApp,
         websockets: ASGIApp,
         lifespan: ASGIApp,
@@ -279,6 +287,7 @@ class Application:
         self.broadcasters = broadcasters
         self.rooms = rooms
         """First segments of all paths."""
+        self.mcp = mcp
         self._parts = {"http": http, "websocket": websockets, "lifespan": lifespan}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -290,6 +299,7 @@ class Application:
         Call this when the server is to stop, before it waits for requests.
         """
         self._holds.close("rosld ended")
+        self.mcp.end()
         self.broadcasters.close()
 
 

@@ -242,6 +242,23 @@ class Settings:
         False, "Refuse a PUT that replaces a document under /data/ without If-Match (428).", option=True
     )
     read_only: bool = setting(False, "Disable everything that changes the robot.", option=True)
+    mcp: str = setting(
+        "read",
+        "What language models may do with the tools at /mcp: 'off', 'read', or 'write' (with --auth, 'read' permits "
+        "what their token does). The stop is always permitted. Needs the extra rosld[mcp].",
+        option=True,
+        metavar="WHAT",
+    )
+    mcp_approve: tuple[str, ...] = setting(
+        (),
+        "URL paths that language models may write to only if a person approves each write, such as "
+        "'/actions/**'. Repeatable.",
+        option=True,
+        metavar="GLOB",
+    )
+    mcp_budget: int = setting(
+        8000, "The largest JSON value in the result of a tool; the rest is cut.", unit="bytes", minimum=500
+    )
     rate: float = setting(
         1.0, "Recordings: playback speed; 1 is as recorded.", option=True, minimum=0.000001, metavar="X"
     )
@@ -385,6 +402,10 @@ class Settings:
             _check_minimum(declared, getattr(self, declared.name))
         if self.stop_cancels not in ("own", "others"):
             raise ValueError(f"--stop-cancels {self.stop_cancels}: must be own or others")
+        if self.mcp not in ("off", "read", "write"):
+            raise ValueError(f"--mcp {self.mcp}: must be off, read or write")
+        for glob in self.mcp_approve:
+            _check_path_glob("--mcp-approve", glob)
         if self.port > 65535:
             raise ValueError(f"--port {self.port}: must be at most 65535")
         _check_document(self.default_document)
@@ -551,6 +572,11 @@ def check_topic_glob(option: str, glob: str) -> None:
     """Raise ValueError for a glob that matches no topic: names of topics begin with a slash."""
     if not glob.startswith(("/", "*")):
         raise ValueError(f"{option} {glob}: must begin with a slash or a star, such as /odom or '*'")
+
+
+def _check_path_glob(option: str, glob: str) -> None:
+    if not glob.startswith("/") or set(glob) & set("?#[]"):
+        raise ValueError(f"{option} {glob}: must be a path below the base, such as '/topics/**'")
 
 
 def _check_asked(option: str, url: str) -> None:

@@ -174,6 +174,7 @@ LAYERS = [
     "cli",
     "app",
     "serving",
+    "mcp",
     "middleware",
     "routing",
     "openapi",
@@ -242,7 +243,7 @@ from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
 from rosld.server.settings import Settings
 create_app(adapter_for("aircraft", AdapterOptions()), Settings())
-print(*sorted({"PIL", "pyshacl", "rdflib"} & sys.modules.keys()))
+print(*sorted({"PIL", "mcp", "pydantic", "pyshacl", "rdflib"} & sys.modules.keys()))
 """
 
 
@@ -333,10 +334,14 @@ def undeclared(folders: tuple[str, ...], known: set[str], *, excluded: str = "")
     }
 
 
-def test_every_imported_distribution_is_declared_and_openid_connect_alone_needs_its_extra() -> None:
+def test_every_imported_distribution_is_declared_and_only_openid_connect_and_mcp_need_extras() -> None:
     """A dependency of a dependency may go with any of its releases."""
-    assert undeclared(ROOMS, declared()) == {"jwt in server/auth/oidc.py"}
-    assert not undeclared(ROOMS, declared("oidc"))
+    files = ("cli/mcp", "mcp/prompts", "mcp/protocol", "mcp/subscriptions", "mcp/tools")
+    assert undeclared(ROOMS, declared()) == {
+        "jwt in server/auth/oidc.py",
+        *(f"mcp in server/{file}.py" for file in files),
+    }
+    assert not undeclared(ROOMS, declared("oidc", "mcp"))
     assert not undeclared(("tests",), declared("test"), excluded="interop")
     assert not undeclared(("tests/interop",), declared("test", "interop"))
     assert not undeclared(("bench",), declared("test", "bench"))

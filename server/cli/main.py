@@ -55,6 +55,7 @@ def main() -> None:
       rosld serve ros1://localhost:11311   a live ROS 1 system
       rosld lift run.bag -o run.nq.gz      a whole recording as RDF
       rosld types run.bag                  the message types in it
+      rosld mcp rover                      tools for a language model, on stdin and stdout
       rosld guard ros2: --data DIR         end the holds on DIR when its rosld is killed
       rosld token add anna --file a.toml   a token for a user of a server with --auth
       rosld dump DIR -o data.tar.gz        a copy of stored resources; restore it with rosld load
@@ -165,6 +166,27 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
     from rosld.server.cli.serve import serve as run
 
     run(source, settings, base_given=base_url is not None)
+
+
+@main.command("mcp", cls=_GlobCommand, short_help="Serve SOURCE to a language model, on stdin and stdout.")
+@click.argument("source")
+@_options()
+@click.option("--setting", "others", nargs=2, multiple=True, metavar="NAME VALUE", help="Any other setting; see serve.")
+def mcp(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:
+    """Serve SOURCE to a language model: tools of the Model Context Protocol on stdin and stdout.
+
+    The source is opened here, with the options of `rosld serve`, and listens nowhere. The URL of a running server as
+    SOURCE connects to that instead. The environment variable ROSLD_TOKEN holds the access token of the model, if any.
+
+    \b
+    Examples:
+      rosld mcp rover --mcp write
+      rosld mcp http://127.0.0.1:8080/
+    """
+    settings = settings_of(others, base_url, **options)
+    from rosld.server.cli.mcp import serve_tools
+
+    serve_tools(source, settings)
 
 
 def settings_of(others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> Settings:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import hmac
+import json
 import re
 import secrets
 import time
@@ -17,7 +18,7 @@ from mcp import types
 from mcp.server.context import ServerRequestContext
 from mcp.types.version import MODERN_PROTOCOL_VERSIONS
 
-from rosld.ontology.urls import Space
+from rosld.ontology.urls import Location, Space
 from rosld.server.auth.rules import Glob, path_at
 from rosld.server.mcp.results import Json, fit, render
 from rosld.server.mcp.transport import Answer, Caller, Transport
@@ -34,11 +35,12 @@ _ACCEPTS = {
     "picture": f"{_PICTURE}, image/png;q=0.9",
     "turtle": "text/turtle",
 }
-_RESULTS = "application/sparql-results+json, application/ld+json;q=0.9, application/json;q=0.8"
+_RESULTS = f"{_JSON}, application/ld+json;q=0.9"
 _BODIES = {"PATCH": "application/merge-patch+json"}
 _STEP_SECONDS = 5.0
 """Seconds between reports of progress while a tool waits."""
 _MAX_WAIT = 600.0
+_MAX_URL = 500
 _MAX_TEXT = 20_000
 """Maximum number of characters of a document that is not JSON."""
 _UNSAFE = re.compile(r"[\x00-\x20\x7f]")
@@ -205,8 +207,11 @@ class Tools:
             url = quote(url, safe="/%:@!$&'()*+,;=~?[]-._")
         except ValueError as error:
             raise Refusal(f"`url` is invalid: {error}.") from error
-        if not url.startswith(base) or self.space.location(url) is None:
+        location = self.space.location(url)
+        if location is None:
             raise Refusal(f"`url` must be a URL of this server, below {base}")
+        if _route(location) == "mcp":
+            raise Refusal("Tools cannot call tools.")
         return url
 
     async def call(self, context: Context, params: types.CallToolRequestParams) -> Any:
@@ -222,6 +227,10 @@ class Tools:
             return await run(context, arguments)
         except Refusal as refusal:
             return _result({"refused": str(refusal)}, is_error=True)
+        except UnicodeError:
+            return _result({"refused": "A text in the arguments is no valid Unicode."}, is_error=True)
+        except RecursionError:
+            return _result({"refused": "The arguments are nested too deeply."}, is_error=True)
 
     # --- reading
 
@@ -270,7 +279,7 @@ class Tools:
             await context.session.report_progress(waited, timeout, f"{waited:.0f} s of {timeout:.0f} s")
             if waited >= timeout:
                 return self._read(url, await self.get(caller, url, _JSON), met=False, ended=False)
-        problem = _json(answer) if answer.status == 409 else None
+        problem = _value(answer) if answer.status == 409 else None
         if isinstance(problem, dict) and "state" in problem:
             return self._shown(url, answer, problem["state"], met=False, ended=True)
         return self._read(url, answer, **({"met": True} if answer.status == 200 else {}))
@@ -280,16 +289,15 @@ class Tools:
     async def _act(self, context: Context, params: types.CallToolRequestParams, arguments: Arguments) -> Any:
         method, url, caller = arguments["method"], self.url(arguments["url"]), self.caller(context)
         location = self.space.location(url)
-        kind = "" if location is None else next(filter(None, path_at(location)), "")
-        if kind == "stop" and method != "POST":
+        assert location is not None
+        is_stop = _route(location) == "stop"
+        if is_stop and method != "POST":
             raise Refusal("Only a person can release the stop.")
-        if kind == "mcp":
-            raise Refusal("Tools cannot be called by tools.")
         is_dry_run = arguments.get("dry_run", False)
-        if not is_dry_run and kind != "stop":
+        if not is_dry_run and not is_stop:
             if not self._may_write:
                 raise Refusal("Models may only read here: the server was started without --mcp write. `dry_run` works.")
-            if location is not None and any(glob.matches(path_at(location)) for glob in self._approved):
+            if any(glob.matches(path_at(location)) for glob in self._approved):
                 asked = await self._approval(context, params, arguments)
                 if asked is not None:
                     return asked
@@ -304,7 +312,7 @@ class Tools:
         body = b""
         if method != "DELETE":
             fields.append(("content-type", _BODIES.get(method, _JSON)))
-            body = b"" if "body" not in arguments else orjson.dumps(arguments["body"])
+            body = b"" if "body" not in arguments else json.dumps(arguments["body"]).encode()
         sent = caller.fields(arguments["reason"], fields)
         sending = asyncio.ensure_future(self.transport.send(caller, method, target, sent, body))
         try:
@@ -332,11 +340,11 @@ class Tools:
         capabilities = context.session.client_capabilities
         if capabilities is None or capabilities.elicitation is None:
             raise Refusal("A person must approve this write, and your client cannot ask one (elicitation).")
-        shown = orjson.dumps(arguments.get("body")).decode()[:1000]
+        shown = json.dumps(arguments.get("body"))[:1000]
         message = f"{arguments['method']} {arguments['url']} {shown}\nReason given: {arguments['reason']}"
         question = types.ElicitRequestFormParams(message=message, requested_schema=_APPROVAL)
         if context.protocol_version in MODERN_PROTOCOL_VERSIONS:
-            state = hmac.digest(self._secret, orjson.dumps(arguments, option=orjson.OPT_SORT_KEYS), "sha256").hex()
+            state = hmac.digest(self._secret, json.dumps(arguments, sort_keys=True).encode(), "sha256").hex()
             given = (params.input_responses or {}).get("approval")
             if given is None or not hmac.compare_digest(params.request_state or "", state):
                 asked: types.InputRequests = {"approval": types.ElicitRequest(params=question)}
@@ -352,7 +360,7 @@ class Tools:
     async def _stop(self, context: Context, arguments: Arguments) -> Any:
         caller, url, reason = self.caller(context), self.space.stop, arguments.get("reason")
         fields = caller.fields(reason, [("accept", _JSON), ("content-type", _JSON)])
-        body = b"" if not reason else orjson.dumps({"reason": reason})
+        body = b"" if not reason else json.dumps({"reason": reason}).encode()
         return self._read(url, await self.transport.send(caller, "POST", url, fields, body))
 
     # --- results
@@ -370,7 +378,7 @@ class Tools:
         """Return the JSON value of a response, with the solutions of a query as rows."""
         if answer.body is None:
             return None
-        value = _json(answer)
+        value = _value(answer)
         if isinstance(value, dict) and value.keys() >= {"head", "results"}:
             names = value["head"].get("vars", [])
             rows = value["results"].get("bindings", [])
@@ -382,7 +390,7 @@ class Tools:
     ) -> types.CallToolResult:
         is_error = answer.status >= 400 and not more
         data, is_cut = fit(value, self.space.base, self.budget)
-        result: dict[str, Json] = {"url": self.relative(url), "status": answer.status}
+        result: dict[str, Json] = {"url": self.relative(url)[:_MAX_URL], "status": answer.status}
         if data is not None:
             result["data"] = data
         for name in ("etag", "location"):
@@ -392,7 +400,7 @@ class Tools:
         if (receipt := _RECEIPT.search(links)) is not None:
             result["receipt"] = self.relative(receipt[1])
         if is_cut or answer.body is None:
-            result["cut"] = f"Shortened; ask for a part of it, or GET {url}"
+            result["cut"] = f"Shortened; ask for a part of it, or GET {url[:_MAX_URL]}"
         return _result({**result, **more}, *content, is_error=is_error)
 
     def relative(self, url: str) -> str:
@@ -405,6 +413,11 @@ _APPROVAL: Any = {
     "properties": {"approve": {"type": "boolean", "title": "Approve this write"}},
     "required": ["approve"],
 }
+
+
+def _route(location: Location) -> str:
+    """Return the first segment of a path, whatever slashes surround it."""
+    return next(filter(None, path_at(location)), "")
 
 
 def _listed(tool: Tool) -> types.Tool:
@@ -455,7 +468,7 @@ def _result(result: Mapping[str, Json], *content: types.ContentBlock, is_error: 
     return types.CallToolResult(content=[text, *content], structured_content=dict(result), is_error=is_error)
 
 
-def _json(answer: Answer) -> Json:
+def _value(answer: Answer) -> Json:
     """Return the body as JSON, or the beginning of a text; None for other bodies."""
     try:
         return orjson.loads(answer.body or b"null")
@@ -472,4 +485,4 @@ def with_query(url: str, query: str) -> str:
 
 
 def _word(value: Json) -> str:
-    return value if isinstance(value, str) else orjson.dumps(value).decode()
+    return value if isinstance(value, str) else json.dumps(value)

@@ -88,27 +88,7 @@ def _terms(space: Space) -> StatedTerms:
 
 
 _EVERYTHING = Receipt(
-    1,
-    "0",
-    "-",
-    None,
-    0,
-    0,
-    "PUT",
-    "/",
-    "text/turtle",
-    1,
-    "-",
-    "-",
-    True,
-    ("-",),
-    ("urn:x",),
-    1,
-    200,
-    None,
-    "-",
-    "-",
-    "-",
+    1, "0", "-", None, 0, 0, "PUT", "/", "text/turtle", 1, "-", "-", True, ("-",), ("urn:x",), 1, 200, None, *"---"
 )
 
 

@@ -27,6 +27,7 @@ PARTS = (
     "pauses.py",
     "clients.py",
     "pictures.py",
+    "tools.py",
 )
 
 

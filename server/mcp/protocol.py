@@ -76,4 +76,5 @@ class Sessions:
     async def serve(self, scope: Scope, receive: Receive, send: Send, agent: str) -> None:
         """Serve one request of an agent."""
         user = AuthenticatedUser(AccessToken(token="", client_id=agent, scopes=[]))
-        await self._manager.handle_request({**scope, "user": user}, receive, send)
+        fields = [(name, value.strip(b" \t")) for name, value in scope["headers"]]  # the SDK compares them to the body
+        await self._manager.handle_request({**scope, "headers": fields, "user": user}, receive, send)

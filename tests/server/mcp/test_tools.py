@@ -64,6 +64,7 @@ def json_at(http: httpx.Client, path: str, **headers: str) -> Any:
     return http.get(path, headers={"Accept": "application/json", **headers}).raise_for_status().json()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
 async def test_a_model_flies_an_aircraft_that_listens_nowhere(version: str) -> None:
     command = StdioServerParameters(command=sys.executable, args=["-m", "rosld", "mcp", "aircraft", "--mcp", "write"])
@@ -71,6 +72,7 @@ async def test_a_model_flies_an_aircraft_that_listens_nowhere(version: str) -> N
         await fly(pilot)
 
 
+@pytest.mark.slow
 async def test_a_command_bridges_to_a_running_server(serve: Callable[..., Any]) -> None:
     server = serve("aircraft", "--mcp", "write")
     command = StdioServerParameters(command=sys.executable, args=["-m", "rosld", "mcp", server.url, "--mcp", "write"])
@@ -126,6 +128,7 @@ paths = ["/resources/**", "/stop"]
 """
 
 
+@pytest.mark.slow
 async def test_tokens_decide_what_a_model_may_do(serve: Callable[..., Any], tmp_path: Path) -> None:
     token = "rosld_" + "aB3" * 14 + "x"
     rules = tmp_path / "auth.toml"

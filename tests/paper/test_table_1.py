@@ -6,19 +6,11 @@ from pyoxigraph import BlankNode, CanonicalizationAlgorithm, Dataset, Literal, N
 
 from rosld.ontology.vocab import ldp, rdf, ros, xsd
 from tests.paper.conftest import SERVICES, Flight
+from tests.server.robots.asking import SYNTAXES
 from tests.waiting import until
 
 SPEED, DISPLAY, POWER = "/topics/aircraft/engine/speed", "/topics/cockpit/display", "/resources/aircraft/power"
 FLOAT64 = "https://w3id.org/rosld/types/std_msgs/msg/Float64"
-SYNTAXES = (
-    "text/turtle",
-    "application/ld+json",
-    "application/n-triples",
-    "application/rdf+xml",
-    "text/n3",
-    "application/n-quads",
-    "application/trig",
-)
 NAMES = [
     *(f"/nodes/{name}" for name in ("aircraft", "cockpit")),
     SPEED,

@@ -10,6 +10,7 @@ import httpx
 from pyoxigraph import NamedNode, Triple
 
 from tests.server.conftest import Served
+from tests.server.robots.asking import SYNTAXES
 from tests.waiting import until
 
 ROS = "https://w3id.org/rosld#"
@@ -20,15 +21,6 @@ DISPLAY = "/topics/cockpit/display"
 JSON = {"Accept": "application/json"}
 TURTLE = {"Content-Type": "text/turtle"}
 STRING = f"{TYPES}std_msgs/msg/String"
-SYNTAXES = (
-    "text/turtle",
-    "application/ld+json",
-    "application/n-triples",
-    "application/rdf+xml",
-    "text/n3",
-    "application/n-quads",
-    "application/trig",
-)
 
 
 def message(text: str) -> str:

@@ -11,6 +11,7 @@ import pytest
 from pyoxigraph import NamedNode, RdfFormat, parse
 
 from tests.conformance.sparql.conftest import boolean
+from tests.server.robots.asking import SYNTAXES
 
 if TYPE_CHECKING:
     from tests.conformance.sparql.conftest import Endpoint, Store
@@ -99,12 +100,6 @@ def test_query_content_type_ask(endpoint: Endpoint) -> None:
         answer = endpoint.post("ASK {}", QUERY, Accept=media_type)
         assert answer.headers["content-type"] == media_type
         assert found in answer.text
-
-
-SYNTAXES = (
-    *("text/turtle", "application/ld+json", "application/n-triples", "application/rdf+xml"),
-    *("text/n3", "application/n-quads", "application/trig"),
-)
 
 
 @pytest.mark.parametrize("media_type", SYNTAXES)

@@ -18,6 +18,10 @@ PREFIXES = f"""
 @prefix ex: <{EX}> . @prefix rdf: <{RDF}> . @prefix unit: <http://qudt.org/vocab/unit/> .
 @prefix quantitykind: <http://qudt.org/vocab/quantitykind/> . @prefix qudt: <http://qudt.org/schema/qudt/> .
 """
+SYNTAXES = (
+    *("text/turtle", "application/ld+json", "application/n-triples", "application/rdf+xml"),
+    *("text/n3", "application/n-quads", "application/trig"),
+)
 JSON = {"Accept": "application/json"}
 TURTLE = {"Content-Type": "text/turtle"}
 JSON_LD = {"Content-Type": "application/ld+json"}

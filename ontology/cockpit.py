@@ -85,12 +85,12 @@ NOTHING = Cockpit("")
 
 def read_cockpit(triples: Iterable[Triple], url: str) -> Cockpit:
     """Return the cockpit that a document at a URL describes; everything in it is optional."""
-    said: dict[object, dict[NamedNode, list[object]]] = defaultdict(lambda: defaultdict(list))
+    statements: dict[object, dict[NamedNode, list[object]]] = defaultdict(lambda: defaultdict(list))
     for subject, predicate, value in triples:
-        said[subject][predicate].append(value)
-    own = said.get(NamedNode(url), {})
+        statements[subject][predicate].append(value)
+    own = statements.get(NamedNode(url), {})
     nodes = [node for node in own.get(ros.hasPanel, ()) if isinstance(node, NamedNode | BlankNode)]
-    found = [(_order(node.value), _panel(said.get(node, {}))) for node in dict.fromkeys(nodes)]
+    found = [(_order(node.value), _panel(statements.get(node, {}))) for node in dict.fromkeys(nodes)]
     found.sort(key=lambda each: (each[1].area.row or _LAST, each[1].area.column or _LAST, each[0]))
     return Cockpit(_text(own.get(dcterms.title, ())), tuple(panel for _, panel in found))
 
@@ -100,21 +100,21 @@ def _order(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in _DIGITS.split(name)]
 
 
-def _panel(said: Mapping[NamedNode, Sequence[object]]) -> Panel:
-    types = [each for each in said.get(rdf.type, ()) if isinstance(each, NamedNode)]
+def _panel(statements: Mapping[NamedNode, Sequence[object]]) -> Panel:
+    types = [each for each in statements.get(rdf.type, ()) if isinstance(each, NamedNode)]
     kind = next((_KINDS[each] for each in types if each in _KINDS), None)
     default = GridArea()
     area = GridArea(
-        _number(said.get(ros.gridWidth, ())) or default.width,
-        _number(said.get(ros.gridHeight, ())) or default.height,
-        _number(said.get(ros.gridColumn, ())),
-        _number(said.get(ros.gridRow, ())),
+        _number(statements.get(ros.gridWidth, ())) or default.width,
+        _number(statements.get(ros.gridHeight, ())) or default.height,
+        _number(statements.get(ros.gridColumn, ())),
+        _number(statements.get(ros.gridRow, ())),
     )
     return Panel(
         kind,
-        tuple(each.value for each in said.get(ros.shows, ()) if isinstance(each, NamedNode)),
-        tuple(each.value for each in said.get(ros.fieldPath, ()) if isinstance(each, Literal)),
-        _text(said.get(dcterms.title, ())),
+        tuple(each.value for each in statements.get(ros.shows, ()) if isinstance(each, NamedNode)),
+        tuple(each.value for each in statements.get(ros.fieldPath, ()) if isinstance(each, Literal)),
+        _text(statements.get(dcterms.title, ())),
         replace(area, width=min(area.width, COLUMNS + 1 - (area.column or 1))),
         "" if kind is not None else next((each.value for each in types if each != ros.Panel), ""),
     )

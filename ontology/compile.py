@@ -192,8 +192,8 @@ class _Function:
         """Return the fragment of a whole message: its own statement, and those of nested messages if they follow it."""
         notation, name = self._notation, self._module.names[kind.name]
         head = notation.head(subject, name)
-        said = head if self._module.is_wanted(_TYPE) else ""
-        members, after = [said + extra if head else ""], []
+        statements = head if self._module.is_wanted(_TYPE) else ""
+        members, after = [statements + extra if head else ""], []
         for field in kind.fields:
             if not self._module.is_field_wanted(name, field):
                 continue

@@ -183,8 +183,8 @@ def _section_triples(graph: Graph, space: Space) -> Iterator[Triple]:
         "parameters": len(graph.parameters),
     }
     for route, title in SECTIONS.items():
-        said = ((rdfs.label, text(title)), (ros.count, integer(counts.get(route))))
-        yield from triples_about(NamedNode(space.container(route)), *said)
+        properties = ((rdfs.label, text(title)), (ros.count, integer(counts.get(route))))
+        yield from triples_about(NamedNode(space.container(route)), *properties)
 
 
 def problem_statements(problems: ServerProblems) -> list[Statement]:

@@ -165,14 +165,14 @@ def partial_lifter(
 
 def _ntriples_envelope(subject: str, envelope: Envelope, end: str, only: frozenset[str] | None) -> str:
     publisher = envelope.publisher
-    said = ""
+    statements = ""
     if only is None or _RECEIVED in only:
-        said = f'<{subject}> <{_RECEIVED}> "{date_time(0, envelope.received_ns)}"^^<{_DATE_TIME}>{end}'
+        statements = f'<{subject}> <{_RECEIVED}> "{date_time(0, envelope.received_ns)}"^^<{_DATE_TIME}>{end}'
     if only is None or _SEQUENCE in only:
-        said += f'<{subject}> <{_SEQUENCE}> "{envelope.sequence}"^^<{_INTEGER}>{end}'
+        statements += f'<{subject}> <{_SEQUENCE}> "{envelope.sequence}"^^<{_INTEGER}>{end}'
     if publisher is not None and (only is None or _PUBLISHER in only):
-        said += f"<{subject}> <{_PUBLISHER}> <{publisher}>{end}"
-    return said
+        statements += f"<{subject}> <{_PUBLISHER}> <{publisher}>{end}"
+    return statements
 
 
 def _turtle_envelope(envelope: Envelope) -> str:

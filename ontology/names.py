@@ -114,9 +114,9 @@ def type_names(names: Iterable[str], types: str) -> Mapping[str, TypeName]:
     """
     plain = {name: _type_name(name, types) for name in names}
     wanted = Counter(each.prefix for each in plain.values())
-    taken = {each.package for each in plain.values()} | PREFIXES.keys() | {"_"}
+    reserved = {each.package for each in plain.values()} | PREFIXES.keys() | {"_"}
     return {
-        name: each if wanted[each.prefix] == 1 and each.prefix not in taken else each._replace(prefix=each.term)
+        name: each if wanted[each.prefix] == 1 and each.prefix not in reserved else each._replace(prefix=each.term)
         for name, each in plain.items()
     }
 

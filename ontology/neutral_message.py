@@ -85,8 +85,8 @@ def with_stamp(schema: MessageSchema, message: Message, now_ns: int) -> Message:
     seconds, rest = divmod(now_ns, 1_000_000_000)
     parts = dict(zip((part.attribute for part in time.fields), (seconds, rest), strict=True))
     stamp = schema.codec.build(time.name, parts)
-    kept = {one.attribute: getattr(header, one.attribute) for one in schema.types[HEADER].fields}
-    new = schema.codec.build(HEADER, {**kept, "stamp": stamp})
+    header_fields = {one.attribute: getattr(header, one.attribute) for one in schema.types[HEADER].fields}
+    new = schema.codec.build(HEADER, {**header_fields, "stamp": stamp})
     others = {one.attribute: getattr(message, one.attribute) for one in schema.type.fields}
     return schema.codec.build(schema.ref.name, {**others, field.attribute: new})
 

@@ -84,9 +84,9 @@ def description_document(url: str, storage: str, services: Iterable[ServiceDescr
     """Return the description resource of a whole server (protocol 3.1), about itself and its storage."""
     found = tuple(services)
     offers = statements(notify.subscription, [NamedNode(service.url) for service in found])
-    said = [triple for service in found for triple in service.triples()]
+    more = [triple for service in found for triple in service.triples()]
     return Document(
-        url, (*triples_about(NamedNode(url), *RDF_SOURCE, *offers), *triples_about(NamedNode(storage), *offers), *said)
+        url, (*triples_about(NamedNode(url), *RDF_SOURCE, *offers), *triples_about(NamedNode(storage), *offers), *more)
     )
 
 

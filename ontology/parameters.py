@@ -80,9 +80,9 @@ def parameter_container_document(
 
 
 def _leaf(url: str, name: str, value: ParameterValue | None) -> list[Triple]:
-    told = None if value is None else parameter_literal(value)
+    literal = None if value is None else parameter_literal(value)
     return triples_about(
-        NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(name)), (ros.value, told)
+        NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(name)), (ros.value, literal)
     )
 
 

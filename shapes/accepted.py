@@ -193,9 +193,9 @@ class AcceptedShapes(MessageShapes):
             (sh.minInclusive, Literal(_FIRST, datatype=xsd.dateTime)),
             (sh.maxInclusive, Literal(_LAST, datatype=xsd.dateTime)),
         )
-        told = writer.blank(*statements(sh.property, whole))
+        plain = writer.blank(*statements(sh.property, whole))
         derived = writer.blank(*statements(sh.property, [*none, moment]))
-        return [writer.either([told, derived])]
+        return [writer.either([plain, derived])]
 
     def write_demand(self, demand: Demand) -> None:
         """Write the constraints of limits on the message, on nested messages, and on single scalars."""
@@ -256,16 +256,16 @@ def limit_datatypes(limits: Limits, places: tuple[tuple[str, Place], ...], types
 
 
 def _datatypes(graph: ShapesGraph, node: Node, place: Place, space: Space) -> Iterator[tuple[Node, NamedNode]]:
-    said = graph.statements(node)
-    for path in said.get(sh.path, ()):
+    own = graph.statements(node)
+    for path in own.get(sh.path, ()):
         found = place.follow(path, space) if isinstance(path, NamedNode) else None
         if found is None:
             return
         place = found
-        if found.datatype is not None and sh.datatype not in said:
+        if found.datatype is not None and sh.datatype not in own:
             yield node, found.datatype
-    inner = [*said.get(sh.property, ()), *said.get(sh.node, ()), *said.get(sh.not_, ())]
-    inner += [each for key in (sh.and_, sh.or_, sh.xone) for head in said.get(key, ()) for each in graph.members(head)]
+    inner = [*own.get(sh.property, ()), *own.get(sh.node, ()), *own.get(sh.not_, ())]
+    inner += [each for key in (sh.and_, sh.or_, sh.xone) for head in own.get(key, ()) for each in graph.members(head)]
     for each in inner:
         if isinstance(each, NamedNode | BlankNode):
             yield from _datatypes(graph, each, place, space)

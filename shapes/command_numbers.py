@@ -59,9 +59,9 @@ def require_finite_parameter(value: ParameterValue, path: Path, hint: str) -> No
 
 def _reporting(findings: Findings, largest: float, hint: str) -> _Report:
     def report(path: Path, value: float) -> None:
-        said = f"{value:g}" if math.isfinite(value) else special_float(value)
+        number_text = f"{value:g}" if math.isfinite(value) else special_float(value)
         demand = f"a number from {-largest:.2g} to {largest:.2g}" if math.isfinite(value) else "a finite number"
-        findings.add(path, f"must be {demand}, not {said}; {hint}", said)
+        findings.add(path, f"must be {demand}, not {number_text}; {hint}", number_text)
 
     return report
 

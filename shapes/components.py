@@ -135,7 +135,7 @@ def checked_term(value: Term) -> Term:
 class ShapeSource(NamedTuple):
     """Source of the constraints of a shape: its statements, the shapes it references, lists, and siblings (4.7.3)."""
 
-    said: Mapping[NamedNode, Sequence[Term]]
+    statements: Mapping[NamedNode, Sequence[Term]]
     shape: Callable[[Term], Shape]
     members: Callable[[Term], Sequence[Term]]
     siblings: Callable[[Term], Sequence[Shape]]
@@ -236,7 +236,7 @@ def _node_kind(parameter: NamedNode, value: Term, source: ShapeSource) -> Constr
 
 
 def _require_path(source: ShapeSource) -> None:
-    if sh.path not in source.said:
+    if sh.path not in source.statements:
         raise ParameterFault("is for property shapes only: this shape has no sh:path")
 
 
@@ -310,7 +310,7 @@ def _length(parameter: NamedNode, value: Term, source: ShapeSource) -> Constrain
 
 
 def _pattern(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
-    text, flags = checked_text(value), "".join(map(checked_text, source.said.get(sh.flags, ())))
+    text, flags = checked_text(value), "".join(map(checked_text, source.statements.get(sh.flags, ())))
     try:
         pattern = compile_pattern(text, flags)
     except ValueError as error:
@@ -370,15 +370,15 @@ def _property(parameter: NamedNode, value: Term, source: ShapeSource) -> Constra
 
 def _qualified(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
     shape = source.shape(value)
-    if not source.said.keys() & {_QUALIFIED_MIN, _QUALIFIED_MAX}:
+    if not source.statements.keys() & {_QUALIFIED_MIN, _QUALIFIED_MAX}:
         raise ParameterFault("needs sh:qualifiedMinCount or sh:qualifiedMaxCount beside it")
     return Constraint(parameter, value, shapes=(shape,))
 
 
 def _qualified_count(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
     count = checked_cardinal(value)
-    nodes = source.said.get(_QUALIFIED, ()) if sh.path in source.said else ()
-    is_disjoint = any(map(checked_truth, source.said.get(_QUALIFIED_DISJOINT, ())))
+    nodes = source.statements.get(_QUALIFIED, ()) if sh.path in source.statements else ()
+    is_disjoint = any(map(checked_truth, source.statements.get(_QUALIFIED_DISJOINT, ())))
 
     def offenders(focus: Term, values: Sequence[Term], view: View) -> Sequence[None]:
         return [None for node in nodes if not is_enough(number_of(node, values, view))]
@@ -488,8 +488,8 @@ def _has_value(parameter: NamedNode, value: Term, source: ShapeSource) -> Constr
 def _closed(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
     """Return the constraint to the properties of the shape's property shapes and the ignored ones."""
     is_closed = checked_truth(value)
-    allowed: set[Term | None] = {source.shape(each).path for each in source.said.get(sh.property, ())}
-    for head in source.said.get(sh.ignoredProperties, ()):
+    allowed: set[Term | None] = {source.shape(each).path for each in source.statements.get(sh.property, ())}
+    for head in source.statements.get(sh.ignoredProperties, ()):
         allowed |= set(map(checked_iri, source.members(head)))
 
     def strangers(value: Term, view: View) -> Iterator[tuple[NamedNode, Term]]:

@@ -193,15 +193,16 @@ def _outside_range(descriptor: Descriptor, value: ParameterValue, written: str) 
         if range is None:
             continue
         if not each >= range.minimum:
-            return component(sh.minInclusive), f"must be at least {_said(range.minimum)}, not {written}"
+            return component(sh.minInclusive), f"must be at least {_number_text(range.minimum)}, not {written}"
         if not each <= range.maximum:
-            return component(sh.maxInclusive), f"must be at most {_said(range.maximum)}, not {written}"
+            return component(sh.maxInclusive), f"must be at most {_number_text(range.maximum)}, not {written}"
         if not range.is_on_step(each):
-            steps = f"{_said(range.minimum)} and steps of {_said(range.step)} from there, up to {_said(range.maximum)}"
+            least, step, most = map(_number_text, (range.minimum, range.step, range.maximum))
+            steps = f"{least} and steps of {step} from there, up to {most}"
             return ros.StepConstraintComponent, f"must be on a step ({steps}), which {written} is not"
     return None
 
 
-def _said(value: int | float | None) -> str:
+def _number_text(value: int | float | None) -> str:
     found = _number(value)
     return "" if found is None else found.value

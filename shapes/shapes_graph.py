@@ -58,9 +58,9 @@ class ShapesGraph:
     """The triples of a shapes graph, and its shapes. Every method raises ValueError, naming the shape and the fault."""
 
     def __init__(self, triples: Sequence[Triple]) -> None:
-        self._said: dict[Term, dict[NamedNode, list[Term]]] = {}
+        self._statements: dict[Term, dict[NamedNode, list[Term]]] = {}
         for triple in triples:
-            objects = self._said.setdefault(triple.subject, {}).setdefault(triple.predicate, [])
+            objects = self._statements.setdefault(triple.subject, {}).setdefault(triple.predicate, [])
             if triple.object not in objects:
                 objects.append(triple.object)
         self._shapes: dict[Node, Shape] = {}
@@ -68,29 +68,29 @@ class ShapesGraph:
 
     def targets(self) -> Iterator[tuple[Node, NamedNode, Term]]:
         """Yield each target declaration: the shape, the kind of target (`sh:targetNode`), the target (SHACL 2.1.3)."""
-        for node, said in self._said.items():
+        for node, own in self._statements.items():
             if isinstance(node, NamedNode | BlankNode):
-                for kind in sorted(said.keys() & _TARGETS, key=str):
-                    yield from ((node, kind, target) for target in said[kind])
+                for kind in sorted(own.keys() & _TARGETS, key=str):
+                    yield from ((node, kind, target) for target in own[kind])
 
     def roots(self) -> Iterator[Node]:
         """Yield the shapes that no other shape references."""
         inner = {
             each
-            for said in self._said.values()
-            for predicate, objects in said.items()
+            for own in self._statements.values()
+            for predicate, objects in own.items()
             if predicate not in (rdf.type, *_TARGETS)
             for each in objects
         }
-        for node, said in self._said.items():
-            typed = {sh.NodeShape, sh.PropertyShape} & set(said.get(rdf.type, ()))
-            if (typed or said.keys() & (CONSTRAINTS.keys() | _TARGETS)) and node not in inner:
+        for node, statements in self._statements.items():
+            typed = {sh.NodeShape, sh.PropertyShape} & set(statements.get(rdf.type, ()))
+            if (typed or statements.keys() & (CONSTRAINTS.keys() | _TARGETS)) and node not in inner:
                 assert isinstance(node, NamedNode | BlankNode)
                 yield node
 
     def statements(self, node: Node) -> Mapping[NamedNode, Sequence[Term]]:
         """Return the statements about a node, by predicate."""
-        return self._said.get(node, {})
+        return self._statements.get(node, {})
 
     def members(self, head: Term) -> Sequence[Term]:
         """Return the members of a list."""
@@ -108,7 +108,7 @@ class ShapesGraph:
         known = self._shapes.get(node)
         if known is not None:
             return known
-        if node not in self._said:
+        if node not in self._statements:
             raise ValueError(f"{self.name(node)} is referred to, but nothing is said of it in this graph")
         if node in self._open:
             raise ValueError(f"{self.name(node)} refers to itself, which SHACL leaves undefined (3.4.3)")
@@ -116,7 +116,7 @@ class ShapesGraph:
             raise self._deep()
         self._open.append(node)
         try:
-            shape = self._shapes[node] = self._compile(node, self._said[node])
+            shape = self._shapes[node] = self._compile(node, self._statements[node])
         finally:
             self._open.pop()
         return shape
@@ -126,11 +126,11 @@ class ShapesGraph:
 
     # One shape
 
-    def _compile(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> Shape:
-        self._check_terms(node, said)
-        path, walk = self._path(node, said)
-        is_property = sh.path in said
-        constraints = self._constraints(node, said)
+    def _compile(self, node: Node, statements: Mapping[NamedNode, list[Term]]) -> Shape:
+        self._check_terms(node, statements)
+        path, walk = self._path(node, statements)
+        is_property = sh.path in statements
+        constraints = self._constraints(node, statements)
         children = [shape for each in constraints for shape in each.shapes]
         extents = [each.extent for each in children]
         extent = Extent(1 + sum(each.size for each in extents), 1 + max((each.depth for each in extents), default=0))
@@ -138,7 +138,7 @@ class ShapesGraph:
             raise self._deep()
         if extent.size > MAX_SHAPES:
             raise ValueError(f"{self.name(node)} holds more than {MAX_SHAPES} shapes, counted as often as referred to")
-        if self._is_deactivated(node, said):
+        if self._is_deactivated(node, statements):
             return Shape(node, path, walk, is_property=is_property)
         holding = [
             shape for each in constraints if each.parameter in (sh.property, sh.node, sh.and_) for shape in each.shapes
@@ -155,41 +155,41 @@ class ShapesGraph:
             path,
             walk,
             tuple(constraints),
-            words=self._words(node, said),
-            severity=self._severity(node, said),
+            words=self._words(node, statements),
+            severity=self._severity(node, statements),
             is_property=is_property,
-            paths=self._paths(said, path, is_property, children),
+            paths=self._paths(statements, path, is_property, children),
             own=own,
             within=inner,
-            is_bounds=self._is_bounds(said, path, is_property, children, holding),
+            is_bounds=self._is_bounds(statements, path, is_property, children, holding),
             extent=extent,
         )
 
     def _is_bounds(
         self,
-        said: Mapping[NamedNode, list[Term]],
+        own: Mapping[NamedNode, list[Term]],
         path: NamedNode | None,
         is_property: bool,
         children: Sequence[Shape],
         holding: Sequence[Shape],
     ) -> bool:
         """Whether a shape has no constraints except its bounds and those of its property shapes."""
-        told = said.keys() & (CONSTRAINTS.keys() | {sh.flags}) - {sh.property}
+        constraints = own.keys() & (CONSTRAINTS.keys() | {sh.flags}) - {sh.property}
         return (
             (not is_property or path is not None)
-            and told <= (_BOUNDS if is_property else frozenset[NamedNode]())
-            and all(len(said[each]) == 1 for each in told)
-            and all(isinstance(each, Literal) for chosen in said.get(sh.in_, ()) for each in self._list(chosen))
+            and constraints <= (_BOUNDS if is_property else frozenset[NamedNode]())
+            and all(len(own[each]) == 1 for each in constraints)
+            and all(isinstance(each, Literal) for chosen in own.get(sh.in_, ()) for each in self._list(chosen))
             and all(each.is_bounds for each in children)
             and is_exact(*(each.within for each in holding))
         )
 
     def _paths(
-        self, said: Mapping[NamedNode, list[Term]], path: NamedNode | None, is_property: bool, children: Sequence[Shape]
+        self, own: Mapping[NamedNode, list[Term]], path: NamedNode | None, is_property: bool, children: Sequence[Shape]
     ) -> frozenset[NamedNode] | None:
         """Return the predicates that a shape uses at the focus node; None if it uses other paths."""
         pairs = frozenset(
-            each for pair in said.keys() & PAIRS for each in said[pair] if isinstance(each, NamedNode)
+            each for pair in own.keys() & PAIRS for each in own[pair] if isinstance(each, NamedNode)
         )  # fmt: skip
         if is_property:
             return None if path is None else pairs | {path}
@@ -200,11 +200,11 @@ class ShapesGraph:
             found |= child.paths
         return found
 
-    def _check_terms(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> None:
+    def _check_terms(self, node: Node, own: Mapping[NamedNode, list[Term]]) -> None:
         """Raise ValueError for unknown terms, which may be intended as constraints."""
-        for predicate in said:
+        for predicate in own:
             if not predicate.value.startswith(sh.iri) or predicate in _KNOWN:
-                if len(said[predicate]) > 1 and predicate.value.startswith(sh.iri) and predicate not in _REPEATABLE:
+                if len(own[predicate]) > 1 and predicate.value.startswith(sh.iri) and predicate not in _REPEATABLE:
                     raise self._wrong(node, predicate, "is there more than once")
                 continue
             if predicate in _BEYOND_CORE:
@@ -213,9 +213,9 @@ class ShapesGraph:
                 f"{self.name(node)} says {_prefixed(predicate)}, which is not a term of SHACL Core for a shape"
             )
 
-    def _path(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> tuple[NamedNode | None, Walk | None]:
+    def _path(self, node: Node, own: Mapping[NamedNode, list[Term]]) -> tuple[NamedNode | None, Walk | None]:
         """Return the path: a predicate or a property path."""
-        kinds, paths = said.get(rdf.type, ()), said.get(sh.path, [])
+        kinds, paths = own.get(rdf.type, ()), own.get(sh.path, [])
         if sh.NodeShape in kinds and (paths or sh.PropertyShape in kinds):
             raise ValueError(f"{self.name(node)} is a sh:NodeShape, and so can be no property shape: it has a sh:path")
         if not paths:
@@ -236,14 +236,14 @@ class ShapesGraph:
             raise ParameterFault("is too long, or leads to itself")
         if isinstance(path, NamedNode):
             return lambda node, view, is_inverse: view.subjects(path, node) if is_inverse else view.objects(node, path)
-        said = self._said.get(path, {}) if isinstance(path, BlankNode) else {}
-        kinds = said.keys() & {rdf.first, *_PATHS}
+        own = self._statements.get(path, {}) if isinstance(path, BlankNode) else {}
+        kinds = own.keys() & {rdf.first, *_PATHS}
         if len(kinds) != 1:
             raise ParameterFault("is neither an IRI nor a property path (SHACL 2.3.1)")
         (kind,) = kinds
         if kind == rdf.first:
             return _sequence([self._walk(each, steps) for each in self._list(path)])
-        (inner,) = said[kind][:1]
+        (inner,) = own[kind][:1]
         if kind == _ALTERNATIVE:
             walks = [self._walk(each, steps) for each in self._list(inner)]
             return lambda node, view, is_inverse: [end for walk in walks for end in walk(node, view, is_inverse)]
@@ -256,14 +256,16 @@ class ShapesGraph:
 
     def _siblings(self, node: Node, shape: Term) -> list[Shape]:
         """Return the other qualified shapes of the property shapes beside a property shape (SHACL 4.7.3)."""
-        parents = [each[sh.property] for each in self._said.values() if node in each.get(sh.property, ())]
-        inner = [self._said.get(each, {}).get(term("qualifiedValueShape"), ()) for found in parents for each in found]
+        parents = [each[sh.property] for each in self._statements.values() if node in each.get(sh.property, ())]
+        inner = [
+            self._statements.get(each, {}).get(term("qualifiedValueShape"), ()) for found in parents for each in found
+        ]
         return [self._part(each) for found in inner for each in found if each != shape]
 
-    def _constraints(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> list[Constraint]:
-        source, found = ShapeSource(said, self._part, self._list, partial(self._siblings, node)), []
-        for parameter in sorted(said.keys() & CONSTRAINTS.keys(), key=str):
-            for value in said[parameter]:
+    def _constraints(self, node: Node, own: Mapping[NamedNode, list[Term]]) -> list[Constraint]:
+        source, found = ShapeSource(own, self._part, self._list, partial(self._siblings, node)), []
+        for parameter in sorted(own.keys() & CONSTRAINTS.keys(), key=str):
+            for value in own[parameter]:
                 try:
                     found.append(CONSTRAINTS[parameter](parameter, value, source))
                 except ParameterFault as fault:
@@ -277,23 +279,23 @@ class ShapesGraph:
 
     # Statements about a shape
 
-    def _is_deactivated(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> bool:
+    def _is_deactivated(self, node: Node, own: Mapping[NamedNode, list[Term]]) -> bool:
         try:
-            return any(map(checked_truth, said.get(sh.deactivated, ())))
+            return any(map(checked_truth, own.get(sh.deactivated, ())))
         except ParameterFault as fault:
             raise self._wrong(node, sh.deactivated, str(fault)) from fault
 
-    def _severity(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> NamedNode | None:
-        for value in said.get(sh.severity, ()):
+    def _severity(self, node: Node, own: Mapping[NamedNode, list[Term]]) -> NamedNode | None:
+        for value in own.get(sh.severity, ()):
             if not isinstance(value, NamedNode):
                 raise self._wrong(node, sh.severity, f"is {value}, where an IRI is needed")
             return value
         return None
 
-    def _words(self, node: Node, said: Mapping[NamedNode, list[Term]]) -> str | None:
+    def _words(self, node: Node, own: Mapping[NamedNode, list[Term]]) -> str | None:
         """Return the shape's own message, preferably in English or without a language."""
-        messages = [value for value in said.get(sh.message, ()) if isinstance(value, Literal)]
-        if len(messages) < len(said.get(sh.message, ())):
+        messages = [value for value in own.get(sh.message, ()) if isinstance(value, Literal)]
+        if len(messages) < len(own.get(sh.message, ())):
             raise self._wrong(node, sh.message, "is not a string")
         preferred = sorted(messages, key=lambda each: (not (each.language or "en").startswith("en"), each.value))
         return preferred[0].value if preferred else None
@@ -302,8 +304,8 @@ class ShapesGraph:
         members: list[Term] = []
         seen: set[Term] = set()
         while head != rdf.nil:
-            said = self._said.get(head, {})
-            first, rest = said.get(rdf.first, []), said.get(rdf.rest, [])
+            own = self._statements.get(head, {})
+            first, rest = own.get(rdf.first, []), own.get(rdf.rest, [])
             if len(first) != 1 or len(rest) != 1 or head in seen:
                 raise ParameterFault("is not a well-formed list: write its members in round brackets")
             seen.add(head)

@@ -110,20 +110,20 @@ def parse_edit(pairs: Pairs) -> dict[str, object]:
     violations: list[Violation] = []
     panels = []
     for number in sorted(rows):
-        said = rows[number]
-        if said.get("remove") or not (said.get("shows", "").strip() or said.get("title", "").strip()):
+        row = rows[number]
+        if row.get("remove") or not (row.get("shows", "").strip() or row.get("title", "").strip()):
             continue
         area = {
-            name: _number(number, name, said.get(name, ""), most, violations)
+            name: _number(number, name, row.get(name, ""), most, violations)
             for name, most in (("column", COLUMNS), ("row", _MOST), ("width", COLUMNS), ("height", COLUMNS))
         }
         panels.append(
             {
-                "kind": said.get("kind", ""),
-                "type": said.get("type", ""),
-                "title": said.get("title", "").strip(),
-                "shows": said.get("shows", "").split(),
-                "fields": said.get("fields", "").split(),
+                "kind": row.get("kind", ""),
+                "type": row.get("type", ""),
+                "title": row.get("title", "").strip(),
+                "shows": row.get("shows", "").split(),
+                "fields": row.get("fields", "").split(),
                 **area,
             }
         )

@@ -39,13 +39,13 @@ class Section(Struct, frozen=True):
 
 
 class _Walk(Struct):
-    """State of a traversal of a document: `drawn` are the subjects placed, `left` is the number of rows left."""
+    """State of a traversal of a document: `visited` are the subjects placed, `left` is the number of rows left."""
 
     outline: Outline
     site: Site
     url: str
     parts: tuple[str, ...]
-    drawn: set[Subject] = field(default_factory=set)
+    visited: set[Subject] = field(default_factory=set)
     left: int = 4_000
 
 
@@ -65,7 +65,7 @@ def describe(
     sections: list[Section] = []
     own = walk.outline.subjects.get(main)
     if own is not None:
-        walk.drawn.add(main)
+        walk.visited.add(main)
         rows = _rows(walk, {predicate: own[predicate] for predicate in own if predicate not in skipped}, 0)
         sections.append(Section("Description", TableView(rows)))
     hidden = _shown_elsewhere(found, main, skipped) | set(apart)
@@ -103,20 +103,20 @@ def _is_part(term: Subject) -> bool:
 
 def _others(walk: _Walk, hidden: set[Subject]) -> Iterator[Section]:
     for subject in walk.outline.subjects:
-        if subject in walk.drawn or subject in hidden or subject in walk.outline.cells:
+        if subject in walk.visited or subject in hidden or subject in walk.outline.cells:
             continue
         if isinstance(subject, BlankNode) and subject in walk.outline.nested:
             continue
-        walk.drawn.add(subject)
+        walk.visited.add(subject)
         if walk.outline.subjects[subject].keys() == {rdfs.isDefinedBy}:
             continue  # a class of messages: every link to it leads there
         body = TableView(_rows(walk, walk.outline.subjects[subject], 0))
         yield Section(_title(walk, subject), body, fragment(subject, walk.url), _kind(walk.outline.subjects[subject]))
 
 
-def _kind(said: Statements) -> str:
+def _kind(statements: Statements) -> str:
     """Return the words for the first informative type of a subject."""
-    types = _order_types(rdf.type, said.get(rdf.type, []))
+    types = _order_types(rdf.type, statements.get(rdf.type, []))
     return label(types[0].value) if types and isinstance(types[0], NamedNode) else ""
 
 
@@ -176,7 +176,7 @@ def _view(walk: _Walk, term: Term, depth: int) -> View:
     if isinstance(term, BlankNode) and term in walk.outline.lists:
         return _list(walk, walk.outline.lists[term], depth)
     if isinstance(term, NamedNode | BlankNode) and _nests(walk, term, depth):
-        walk.drawn.add(term)
+        walk.visited.add(term)
         rows = _rows(walk, walk.outline.subjects[term], depth + 1)
         return TableView(rows, id="" if isinstance(term, BlankNode) else fragment(term, walk.url))
     return term_view(term, walk.site, walk.url)
@@ -184,7 +184,7 @@ def _view(walk: _Walk, term: Term, depth: int) -> View:
 
 def _nests(walk: _Walk, term: Subject, depth: int) -> bool:
     """Whether to nest a subject: a blank node used once, or a part of the main subject not drawn before."""
-    if depth >= _DEEPEST or term in walk.drawn or term not in walk.outline.subjects:
+    if depth >= _DEEPEST or term in walk.visited or term not in walk.outline.subjects:
         return False
     if isinstance(term, BlankNode):
         return term in walk.outline.nested

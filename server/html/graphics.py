@@ -157,11 +157,11 @@ def frame_row(node: FrameNode, site: Site, node_url: Callable[[str], str]) -> Fr
 
 def space_query(frame: str, references: Sequence[str], *, is_3d: bool = False) -> str:
     """Return the query string of the view of these topics in a fixed frame, from above or in three dimensions."""
-    asked = [("frame", frame)] if frame else []
-    asked += [("show", each) for each in references]
-    asked += [("view", VIEW_3D)] if is_3d else []
-    said = "&".join(f"{name}={quote(value.encode('utf-8', 'replace'), safe='/:')}" for name, value in asked)
-    return f"?{said}" if said else ""
+    pairs = [("frame", frame)] if frame else []
+    pairs += [("show", each) for each in references]
+    pairs += [("view", VIEW_3D)] if is_3d else []
+    query = "&".join(f"{name}={quote(value.encode('utf-8', 'replace'), safe='/:')}" for name, value in pairs)
+    return f"?{query}" if query else ""
 
 
 def topic_view(type_name: str, url: str, site: Site) -> str:

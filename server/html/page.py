@@ -254,7 +254,7 @@ class PlotPage(Struct, frozen=True):
 class SpacePage(Struct, frozen=True):
     """The page at `/space`: a view of topics, in drawing order, in the frame `fixed`.
 
-    `asked` is the requested frame. `references` (`show`) identify the requested topics; `omitted` are those beyond the
+    `wanted` is the requested frame. `references` (`show`) identify the requested topics; `omitted` are those beyond the
     limit. `is_3d`: drawn in three dimensions, with the robot's model at the URL `model`, or empty.
     """
 
@@ -262,7 +262,7 @@ class SpacePage(Struct, frozen=True):
     url: str
     topics: tuple[SpaceTopic, ...]
     fixed: str
-    asked: str = ""
+    wanted: str = ""
     references: tuple[str, ...] = ()
     frames: tuple[str, ...] = ()
     omitted: int = 0

@@ -198,10 +198,10 @@ def _goal_notice(document: Document) -> tuple[Notice, ...]:
     if not word or ros.Goal not in objects_of(document, rdf.type):
         return ()
     status = objects_of(document, ros.status)
-    told = f"The goal {_GOAL_VERBS.get(word, 'is')} {word}{f': {about}' if about else ''}"
+    sentence = f"The goal {_GOAL_VERBS.get(word, 'is')} {word}{f': {about}' if about else ''}"
     is_failed = not _FAILED_GOALS.isdisjoint(status)
     level = NoticeLevel.ERROR if is_failed else NoticeLevel.GOOD if ros.Succeeded in status else NoticeLevel.INFO
-    return (Notice(told, level),)
+    return (Notice(sentence, level),)
 
 
 def _call_notice(document: Document) -> tuple[Notice, ...]:
@@ -210,10 +210,10 @@ def _call_notice(document: Document) -> tuple[Notice, ...]:
         return ()
     about = first_text(document, ros.words)
     return tuple(
-        Notice(f"{told}: {about}" if about else told, level)
+        Notice(f"{sentence}: {about}" if about else sentence, level)
         for state in objects_of(document, ros.state)
         if isinstance(state, NamedNode)
-        for told, level in (_CALLS[state],)
+        for sentence, level in (_CALLS[state],)
     )
 
 
@@ -415,8 +415,8 @@ def render_space(page: SpacePage) -> bytes:
         page_frame(site, "In three dimensions" if page.is_3d else "Seen from above", page.url, page.notices),
         page=page,
         rows=rows,
-        above=f"{site.root}space{space_query(page.asked, page.references)}",
-        solid=f"{site.root}space{space_query(page.asked, page.references, is_3d=True)}",
+        above=f"{site.root}space{space_query(page.wanted, page.references)}",
+        solid=f"{site.root}space{space_query(page.wanted, page.references, is_3d=True)}",
         model=f"{site.root}{page.model.removeprefix(site.base)}" if page.model else "",
         types=PLACED_TYPES,
         formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],

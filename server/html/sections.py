@@ -134,31 +134,28 @@ def endpoint_table(document: Document, site: Site) -> EndpointTable | None:
         return None
     of_node = ros.Node in own.get(rdf.type, ())
     rows = [_row(each, subjects, ros.ofTopic if of_node else ros.ofNode, site) for each in found[:_MAX_ROWS]]
-    told = [place for place in range(len(_COLUMNS)) if any(row.cells[place] for row in rows)]
+    columns = [place for place in range(len(_COLUMNS)) if any(row.cells[place] for row in rows)]
     return EndpointTable(
         "Topic" if of_node else "Node",
-        tuple(_COLUMNS[place] for place in told),
-        tuple(replace(row, cells=tuple(row.cells[place] for place in told)) for row in rows),
+        tuple(_COLUMNS[place] for place in columns),
+        tuple(replace(row, cells=tuple(row.cells[place] for place in columns)) for row in rows),
         len(found) - len(rows),
     )
 
 
 def _row(
-    endpoint: NamedNode,
-    subjects: dict[NamedNode | BlankNode, Statements],
-    to: NamedNode,
-    site: Site,
+    endpoint: NamedNode, subjects: dict[NamedNode | BlankNode, Statements], to: NamedNode, site: Site
 ) -> EndpointRow:
-    said = subjects.get(endpoint, {})
+    own = subjects.get(endpoint, {})
     qos: Statements = next(
-        (subjects[each] for each in said.get(ros.hasQos, ()) if isinstance(each, NamedNode) and each in subjects), {}
+        (subjects[each] for each in own.get(ros.hasQos, ()) if isinstance(each, NamedNode) and each in subjects), {}
     )
-    other = next((each.value for each in said.get(to, ()) if isinstance(each, NamedNode)), endpoint.value)
-    role = "publishes" if ros.Publisher in said.get(rdf.type, ()) else "subscribes"
+    other = next((each.value for each in own.get(to, ()) if isinstance(each, NamedNode)), endpoint.value)
+    role = "publishes" if ros.Publisher in own.get(rdf.type, ()) else "subscribes"
     reliability, durability = (_first(qos, predicate) for predicate in _TOLD)
     history, depth = _first(qos, ros.history), _first(qos, ros.depth)
-    conflicting = [each.value for each in said.get(ros.conflictingType, ()) if isinstance(each, NamedNode)]
-    wrong = [_first(said, ros.unreachable), *(f"uses {site.short_name(each)}" for each in conflicting)]
+    conflicting = [each.value for each in own.get(ros.conflictingType, ()) if isinstance(each, NamedNode)]
+    wrong = [_first(own, ros.unreachable), *(f"uses {site.short_name(each)}" for each in conflicting)]
     return EndpointRow(
         site.anchor(other) or Anchor("", escape_controls(other), other),
         (
@@ -166,15 +163,15 @@ def _row(
             _space_out(reliability),
             _space_out(durability),
             " ".join(filter(None, (_space_out(history), depth))),
-            ", ".join(_more(said, qos)),
+            ", ".join(_more(own, qos)),
         ),
         escape_controls("; ".join(filter(None, wrong))),
     )
 
 
-def _more(said: Statements, qos: Statements) -> Iterable[str]:
+def _more(own: Statements, qos: Statements) -> Iterable[str]:
     """Yield the cells that only some endpoints have."""
-    if not qos and _first(said, ros.latched) == "true":
+    if not qos and _first(own, ros.latched) == "true":
         yield "latched"
     for predicate in _TIMES:
         if seconds := _first(qos, predicate):
@@ -230,13 +227,13 @@ def stop_steps(document: Document, site: Site) -> StopSteps | None:
     return StopSteps("What was sent" if is_stopped else "What a stop sends", rows)
 
 
-def _step_row(said: Statements, site: Site) -> StepRow:
-    state = next((term for term in said.get(ros.state, ()) if isinstance(term, NamedNode)), ros.NotSent)
-    about = next((term for term in said.get(ros.touches, ()) if isinstance(term, NamedNode)), None)
-    words, subscribers = escape_controls(_text(said.get(ros.words, ()))), _text(said.get(ros.subscriberCount, ()))
+def _step_row(own: Statements, site: Site) -> StepRow:
+    state = next((term for term in own.get(ros.state, ()) if isinstance(term, NamedNode)), ros.NotSent)
+    about = next((term for term in own.get(ros.touches, ()) if isinstance(term, NamedNode)), None)
+    words, subscribers = (escape_controls(_text(own.get(ros.words, ()))), _text(own.get(ros.subscriberCount, ())))
     tone = _TONES.get(state, "")
     return StepRow(
-        escape_controls(_text(said.get(rdfs.label, ()))),
+        escape_controls(_text(own.get(rdfs.label, ()))),
         None if about is None else site.anchor(about.value),
         subscribers,
         "" if state == ros.NotSent else label(state.value),
@@ -309,10 +306,12 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
 
 def parameters_below(document: Document) -> tuple[NamedNode, ...]:
     """Return the parameters and trees of parameters in a document about a tree of parameters."""
-    told = {each.subject for each in document.triples if each.predicate == rdf.type and each.object == ros.Parameter}
+    parameters = {
+        each.subject for each in document.triples if each.predicate == rdf.type and each.object == ros.Parameter
+    }
     own = NamedNode(document.url)
-    is_tree = own in told and ldp.Container in objects_of(document, rdf.type)
-    return tuple(each for each in told - {own} if isinstance(each, NamedNode)) if is_tree else ()
+    is_tree = own in parameters and ldp.Container in objects_of(document, rdf.type)
+    return tuple(each for each in parameters - {own} if isinstance(each, NamedNode)) if is_tree else ()
 
 
 def parameter_columns(document: Document, listing: MemberColumns | None) -> MemberColumns | None:

@@ -134,9 +134,9 @@ def results_table(results: PageResults, site: Site) -> ResultsTable:
     columns = tuple(escape_controls(name) for name in results.variables)
     if results.boolean is not None:
         return ResultsTable(columns, (), boolean=results.boolean, note=results.note)
-    taken = list(islice(results.rows, results.limit + 1))
-    rows = tuple(tuple(_view(term, site) for term in row) for row in taken[: results.limit])
-    return ResultsTable(columns, rows, is_truncated=len(taken) > results.limit, note=results.note)
+    rows_read = list(islice(results.rows, results.limit + 1))
+    rows = tuple(tuple(_view(term, site) for term in row) for row in rows_read[: results.limit])
+    return ResultsTable(columns, rows, is_truncated=len(rows_read) > results.limit, note=results.note)
 
 
 def _view(term: Term | None, site: Site) -> View | None:

@@ -83,7 +83,7 @@ class AffordanceService(Generic[T]):
         self._limits = limits
         self.conventions = conventions_of(session.settings)
         session.add_write_listener(self._on_write)
-        self._kept: tuple[Graph, int, MappingSet, ResourceTree] | None = None
+        self._last: tuple[Graph, int, MappingSet, ResourceTree] | None = None
         self._making: asyncio.Lock = asyncio.Lock()
         self._turns: dict[str, asyncio.Lock] = {}
         self._changes = Signal()
@@ -92,15 +92,15 @@ class AffordanceService(Generic[T]):
 
     def cached_tree(self) -> ResourceTree | None:
         """Return the tree if it matches the current graph, types and mappings, without waiting."""
-        kept, session = self._kept, self._session
-        if kept is None or kept[0] is not session.graph or kept[2] is not self._mappings.mapping_set:
+        last, session = self._last, self._session
+        if last is None or last[0] is not session.graph or last[2] is not self._mappings.mapping_set:
             return None
-        return kept[3] if kept[1] == session.schemas.count else None
+        return last[3] if last[1] == session.schemas.count else None
 
     @property
     def last_tree(self) -> ResourceTree | None:
         """Return the most recent tree, which may be outdated."""
-        return None if self._kept is None else self._kept[3]
+        return None if self._last is None else self._last[3]
 
     async def tree(self) -> ResourceTree:
         """Return the current tree, after fetching the types of new services."""
@@ -114,7 +114,7 @@ class AffordanceService(Generic[T]):
         session = self._session
         graph, mapping_set = session.graph, self._mappings.mapping_set
         await self._learn(needed_types(graph, self.conventions))
-        known, count = self._kept, session.schemas.count
+        known, count = self._last, session.schemas.count
         if known is not None and known[0] is graph and known[1] == count:
             found = known[3].catalogue
         else:
@@ -126,7 +126,7 @@ class AffordanceService(Generic[T]):
                 else await asyncio.to_thread(catalogue, graph, find, self.conventions)
             )
         tree = ResourceTree(found, mapping_set)
-        self._kept = (graph, count, mapping_set, tree)
+        self._last = (graph, count, mapping_set, tree)
         return tree
 
     async def _learn(self, refs: Iterable[TypeRef]) -> None:
@@ -406,8 +406,8 @@ class AffordanceService(Generic[T]):
 
     def _on_write(self, kind: Kind, name: str) -> None:
         """Invalidate values that a write to a topic, service or parameter may have changed."""
-        if self._kept is not None:
-            affected = self._kept[3].affected_by(kind, name)
+        if self._last is not None:
+            affected = self._last[3].affected_by(kind, name)
             self._readings.invalidate(affected)
             for each in affected:
                 self._changes.emit(each)

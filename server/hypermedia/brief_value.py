@@ -47,15 +47,15 @@ def brief_json(value: Value, limit: int = MAX_CHARACTERS) -> str:
 
 def _members(schema: MessageSchema, fields: tuple[Field, ...], message: Message, room: int) -> str | None:
     """Return the object of the leading fields that fit; None if none does."""
-    told = [field for field in fields if not _is_header(field.type)] or list(fields)
+    shown = [field for field in fields if not _is_header(field.type)] or list(fields)
     parts: list[str] = []
     left = room - len(_MARK) - 2
-    for field in told:
+    for field in shown:
         text = _of(schema, field.type, getattr(message, field.attribute), left - len(field.name) - 4)
         if text is not None:
             parts.append(f'"{field.name}":{text}')
             left -= len(parts[-1]) + 1
-    return _fitting(_object(parts, is_whole=len(parts) == len(told)), room) if parts or not told else None
+    return _fitting(_object(parts, is_whole=len(parts) == len(shown)), room) if parts or not shown else None
 
 
 def _object(parts: list[str], *, is_whole: bool) -> str:

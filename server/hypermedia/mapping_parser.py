@@ -127,8 +127,8 @@ def _triples(body: RdfBody) -> Iterator[Triple]:
 
 def _conditions_named(triples: Sequence[Triple], url: str) -> list[Triple]:
     """Give every blank condition an IRI that identifies it in reports."""
-    taken = {node for triple in triples for node in (triple.subject, triple.object)}
-    free = (node for number in count(1) if (node := NamedNode(f"{url}#condition.{number}")) not in taken)
+    used = {node for triple in triples for node in (triple.subject, triple.object)}
+    free = (node for number in count(1) if (node := NamedNode(f"{url}#condition.{number}")) not in used)
     blank = {triple.object: None for triple in triples if triple.predicate in _WHEN}
     names: dict[Term, NamedNode] = {node: next(free) for node in blank if isinstance(node, BlankNode)}
     return [
@@ -143,10 +143,10 @@ class _Reader:
     def __init__(self, url: str, triples: Sequence[Triple]) -> None:
         self.url = url
         self.triples = triples
-        self.said: dict[Term, dict[NamedNode, list[Term]]] = {}
+        self.statements: dict[Term, dict[NamedNode, list[Term]]] = {}
         for subject, predicate, object in triples:
-            self.said.setdefault(subject, {}).setdefault(predicate, []).append(object)
-        self.places = _Places(url, triples, self.said)
+            self.statements.setdefault(subject, {}).setdefault(predicate, []).append(object)
+        self.places = _Places(url, triples, self.statements)
         self.found: dict[Violation, None] = {}
         self.conditions: dict[Term, Condition] = {}
 
@@ -162,7 +162,7 @@ class _Reader:
         self.refuse()
         self.check_conditions()
         self.refuse()
-        nodes = [node for node, said in self.said.items() if mapping.ComplexResource in said.get(rdf.type, ())]
+        nodes = [node for node, own in self.statements.items() if mapping.ComplexResource in own.get(rdf.type, ())]
         if not nodes:
             self.wrong(None, "the document does not describe a map:ComplexResource")
         resources = sorted((self.resource(node) for node in nodes), key=lambda one: (one.path, one.iri))
@@ -286,14 +286,14 @@ class _Reader:
 
     def check_demands(self) -> None:
         """Check that every condition and each of its property shapes has a constraint, as otherwise it always holds."""
-        waiting = [node for node, said in self.said.items() if mapping.about in said]
+        waiting = [node for node, own in self.statements.items() if mapping.about in own]
         seen = set(waiting)
         while waiting:
             shape = waiting.pop()
-            said = self.said.get(shape, {})
-            inner = said.get(sh.property, [])
-            if not inner and not any(term.value.startswith(sh.iri) and term not in _NEUTRAL for term in said):
-                what = "this property shape" if sh.path in said else "this shape"
+            own = self.statements.get(shape, {})
+            inner = own.get(sh.property, [])
+            if not inner and not any(term.value.startswith(sh.iri) and term not in _NEUTRAL for term in own):
+                what = "this property shape" if sh.path in own else "this shape"
                 self.wrong(shape, f"{what} has no constraints, so it would always hold: add a constraint")
             waiting += [each for each in inner if each not in seen]
             seen.update(inner)
@@ -302,8 +302,8 @@ class _Reader:
         """Check that every condition can be evaluated, and parsed in time."""
         graph = ShapesGraph(self.triples)
         deadline = monotonic() + LONGEST_READING
-        for node, said in self.said.items():
-            if mapping.about not in said:
+        for node, own in self.statements.items():
+            if mapping.about not in own:
                 continue
             if monotonic() > deadline:
                 self.wrong(node, "the conditions before this one are too large: use fewer or simpler ones")
@@ -353,7 +353,7 @@ class _Reader:
 
     def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
         """Return the objects of a predicate."""
-        return self.said.get(node, {}).get(predicate, ())
+        return self.statements.get(node, {}).get(predicate, ())
 
     def text(self, node: Term, predicate: NamedNode) -> str:
         """Return the single string, or ""."""
@@ -373,9 +373,9 @@ class _Reader:
 class _Places:
     """Descriptions of places in a document: `<#aircraft> map:action "start" map:service`."""
 
-    def __init__(self, url: str, triples: Iterable[Triple], said: Mapping[Term, Statements]) -> None:
+    def __init__(self, url: str, triples: Iterable[Triple], statements: Mapping[Term, Statements]) -> None:
         self._url = url
-        self._said = said
+        self._statements = statements
         self._above: dict[Term, tuple[Term, NamedNode]] = {}
         for subject, predicate, object in triples:
             if isinstance(object, BlankNode):
@@ -401,8 +401,8 @@ class _Places:
 
     def _distinguishing_text(self, node: BlankNode) -> str:
         """Return the text that distinguishes a blank node from its siblings, or ""."""
-        said = self._said.get(node, {})
-        telling = (each for predicate in _TELLING for each in said.get(predicate, ()) if isinstance(each, Literal))
+        own = self._statements.get(node, {})
+        telling = (each for predicate in _TELLING for each in own.get(predicate, ()) if isinstance(each, Literal))
         first = next(telling, None)
         return "" if first is None else f'"{first.value}"'
 

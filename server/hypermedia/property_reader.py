@@ -79,13 +79,13 @@ class SingleFlightCache(Generic[K, V]):
     def __init__(self, freshness: float, turns: Iterator[int]) -> None:
         self._freshness = freshness
         self._turns = turns
-        self._kept: dict[K, CacheEntry[V]] = {}
+        self._entries: dict[K, CacheEntry[V]] = {}
         self._under_way: dict[K, PendingFetch[K, V]] = {}
         self._tasks: set[asyncio.Task[Mapping[K, V]]] = set()
 
     def find(self, key: K, since: int = 0) -> CacheEntry[V] | None:
         """Return the value if it is valid and its fetch began after the turn `since`."""
-        answer = self._kept.get(key)
+        answer = self._entries.get(key)
         if answer is None or answer.started <= since or answer.until <= asyncio.get_running_loop().time():
             return None
         return answer
@@ -109,7 +109,7 @@ class SingleFlightCache(Generic[K, V]):
 
     def invalidate(self, key: K) -> None:
         """Invalidate a value, even while it is being fetched, so that the next read fetches it again."""
-        self._kept.pop(key, None)
+        self._entries.pop(key, None)
         pending = self._under_way.get(key)
         if pending is not None and pending.started:
             del self._under_way[key]
@@ -143,10 +143,10 @@ class SingleFlightCache(Generic[K, V]):
             if self._under_way.get(key) is pending:
                 del self._under_way[key]
                 if key in answers and self._freshness > 0:
-                    self._kept.pop(key, None)
-                    self._kept[key] = CacheEntry(answers[key], pending.started, until)
-        while len(self._kept) > _MAX_ENTRIES:
-            del self._kept[next(iter(self._kept))]
+                    self._entries.pop(key, None)
+                    self._entries[key] = CacheEntry(answers[key], pending.started, until)
+        while len(self._entries) > _MAX_ENTRIES:
+            del self._entries[next(iter(self._entries))]
 
 
 _CALLS = 2
@@ -210,7 +210,7 @@ class PropertyReader:
         self._space = space
         self._freshness = freshness
         self._sources = SourceReader(adapter, topics, schemas, patience)
-        self._kept: dict[str, _Kept] = {}
+        self._entries: dict[str, _Kept] = {}
         self._silent: set[str] = set()
         self._turns = count(1)
         self._looks: SingleFlightCache[str, TopicLook] = SingleFlightCache(0.0, self._turns)
@@ -221,23 +221,23 @@ class PropertyReader:
 
     def cached(self, property: Property) -> Reading | None:
         """Return the cached reading if it is still valid, as the same object as before, without I/O."""
-        kept = self._kept.get(property.name)
-        if kept is None:
+        entry = self._entries.get(property.name)
+        if entry is None:
             return None
-        if kept.property is not property:
-            if kept.property != property:
+        if entry.property is not property:
+            if entry.property != property:
                 return None
-            kept.property = property  # equal, from another catalogue
-        match kept.source():
-            case TopicSource(name=topic) if self._topics.find_view(topic) is not kept.view:
+            entry.property = property  # equal, from another catalogue
+        match entry.source():
+            case TopicSource(name=topic) if self._topics.find_view(topic) is not entry.view:
                 return None
             case GoalSource(name=action) as source:
                 goals = self._goals
-                if not goals.is_followed(action) or part_of_goal(source, goals.current(action)) is not kept.part:
+                if not goals.is_followed(action) or part_of_goal(source, goals.current(action)) is not entry.part:
                     return None
-        if kept.until != inf and kept.until <= asyncio.get_running_loop().time():
+        if entry.until != inf and entry.until <= asyncio.get_running_loop().time():
             return None
-        return kept.reading
+        return entry.reading
 
     async def read(
         self, properties: Sequence[Property], *, deadline: float, refresh: bool = False
@@ -255,8 +255,8 @@ class PropertyReader:
             if reading is not None:
                 readings[one.name] = reading
                 continue
-            kept = self._kept.get(one.name)
-            if kept is not None and kept.property != one:
+            entry = self._entries.get(one.name)
+            if entry is not None and entry.property != one:
                 self.invalidate((one.name,))  # the cached reading has other sources
             if one.readers and isinstance(one.readers[0], ParameterSource):
                 stored.append(one)
@@ -271,7 +271,7 @@ class PropertyReader:
     def invalidate(self, names: Iterable[str]) -> None:
         """Invalidate the readings of these properties, so that later reads fetch them again."""
         for name in names:
-            self._kept.pop(name, None)
+            self._entries.pop(name, None)
             self._getters.invalidate(name)
             self._parameters.invalidate(name)
 
@@ -330,10 +330,10 @@ class PropertyReader:
         fresh_until = None if until == inf else until
         reading = Reading(property.name, found.value, failure, found.read_ns, fresh_until, words or None, about)
         if until > asyncio.get_running_loop().time():
-            self._kept.pop(property.name, None)
-            self._kept[property.name] = _Kept(property, view, part, until, reading)
-            if len(self._kept) > _MAX_READINGS:
-                del self._kept[next(iter(self._kept))]
+            self._entries.pop(property.name, None)
+            self._entries[property.name] = _Kept(property, view, part, until, reading)
+            if len(self._entries) > _MAX_READINGS:
+                del self._entries[next(iter(self._entries))]
         return reading
 
     # The sources
@@ -408,9 +408,9 @@ class PropertyReader:
             found |= await question.wait(attempt.deadline) or {}
         results = {}
         for key, name in sources.items():
-            kept = answers.find(key, attempt.since)
-            if kept is not None:
-                results[key] = _Result(kept.value, kept.until)
+            entry = answers.find(key, attempt.since)
+            if entry is not None:
+                results[key] = _Result(entry.value, entry.until)
             else:
                 late_ = ReadResult(None, timeout_message(name, attempt.seconds), None)
                 results[key] = _Result(found.get(key, late_), 0.0)

@@ -446,11 +446,11 @@ def _once(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
     return tuple({condition.iri: condition for condition in conditions}.values())
 
 
-def _get_or_make(kept: dict[str, _P | None], key: str, make: Callable[[str], _P | None]) -> _P | None:
+def _get_or_make(cache: dict[str, _P | None], key: str, make: Callable[[str], _P | None]) -> _P | None:
     """Return a cached value or create it; None is not cached, because the number of missing names is unlimited."""
-    found = kept.get(key)
+    found = cache.get(key)
     if found is None:
         found = make(key)
         if found is not None:
-            kept[key] = found
+            cache[key] = found
     return found

@@ -74,8 +74,8 @@ def part_of_goal(source: GoalSource, goal: Goal | None) -> object:
 def goal_value(source: GoalSource, goal: Goal | None, origin: str) -> ReadResult:
     """Return the value of a goal's part, or the status of no goal; None before the first message."""
     if source.part is GoalPart.STATUS:
-        word, told_ns = (IDLE, None) if goal is None else (goal.status.value, goal.updated_ns)
-        return ReadResult(StoredValue(word), None, told_ns)
+        word, changed_ns = (IDLE, None) if goal is None else (goal.status.value, goal.updated_ns)
+        return ReadResult(StoredValue(word), None, changed_ns)
     if goal is None:
         return NO_VALUE
     feedback = goal.feedback
@@ -127,15 +127,15 @@ class SourceReader:
         encoding, schema = self._adapter.capabilities.encoding, getter.schema
         request = schema.request.codec.encode(schema.request.codec.build(schema.request.ref.name, {}), encoding)
         deadline = asyncio.get_running_loop().time() + self._patience
-        asked = self._adapter.call(getter.name, schema.ref, request, deadline=deadline)
-        return schema.response.codec.decode(await asyncio.wait_for(asked, self._patience), encoding)
+        pending = self._adapter.call(getter.name, schema.ref, request, deadline=deadline)
+        return schema.response.codec.decode(await asyncio.wait_for(pending, self._patience), encoding)
 
     async def read_parameters(self, names: Sequence[str]) -> Mapping[str, ReadResult]:
         """Return the values of parameters, fetched together within `patience` seconds."""
         deadline = asyncio.get_running_loop().time() + self._patience
         try:
-            asked = self._adapter.get_parameters(names, deadline=deadline)
-            values = await asyncio.wait_for(asked, self._patience)
+            pending = self._adapter.get_parameters(names, deadline=deadline)
+            values = await asyncio.wait_for(pending, self._patience)
         except Exception as error:
             failures = {name: self._failure(name, error) for name in names}
             return {name: ReadResult(None, why, time.time_ns(), words) for name, (why, words) in failures.items()}

@@ -51,15 +51,15 @@ def property_document(
 ) -> Document:
     """Return a property: its value as rdf:value, its sources, and its current affordances."""
     subject = NamedNode(view.affordance.url)
-    said = _said(view.reading, view.field, subject.value, VALUE, lifting)
+    value = _described(view.reading, view.field, subject.value, VALUE, lifting)
     name = view.reading.name if view.field is None else _name(subject.value, space)
     triples = (
         *_property(view.affordance, name, view.reads_from, view.writes_to, view.part_of),
-        *triples_about(subject, (rdf.value, said.term), (ros.unreadable, said.failure), (ros.words, said.words)),
+        *triples_about(subject, (rdf.value, value.term), (ros.unreadable, value.failure), (ros.words, value.words)),
         *_property_affordance(view.affordance, subject, "#property", space),
         *_hold_affordance(view.affordance, space),
     )
-    return Document(subject.value, triples, said.messages, simulated_time)
+    return Document(subject.value, triples, value.messages, simulated_time)
 
 
 def property_json(view: PropertyView, lifting: LiftSettings) -> bytes:
@@ -133,16 +133,16 @@ def complex_document(
     affordances: list[Triple] = []
     for member in view.members:
         one = member.affordance
-        said = _said(member.reading, member.field, view.url, fragment_of(one.name), lifting)
+        described = _described(member.reading, member.field, view.url, fragment_of(one.name), lifting)
         own = NamedNode(one.url)
         values += (
-            triples_about(subject, (one.predicate, said.term))
+            triples_about(subject, (one.predicate, described.term))
             if one.predicate
-            else triples_about(own, (rdf.value, said.term))
+            else triples_about(own, (rdf.value, described.term))
         )
-        values += triples_about(own, (ros.unreadable, said.failure), (ros.words, said.words))
+        values += triples_about(own, (ros.unreadable, described.failure), (ros.words, described.words))
         values += triples_about(own, *statements(ros.readsFrom, map(NamedNode, member.reading.about)))
-        messages += said.messages
+        messages += described.messages
         affordances += _property_affordance(one, subject, fragment_of("properties", one.name), space)
     for action in view.actions:
         values += triples_about(subject, (action.relation, NamedNode(action.url))) if action.relation else ()
@@ -200,7 +200,7 @@ class _Said(NamedTuple):
     words: Literal | None = None
 
 
-def _said(reading: Reading, field: str | None, document: str, node: str, lifting: LiftSettings) -> _Said:
+def _described(reading: Reading, field: str | None, document: str, node: str, lifting: LiftSettings) -> _Said:
     """Return the triples of a reading, or of its `field`; a whole message is the fragment `node`."""
     value = reading.value
     if value is None:

@@ -136,12 +136,12 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
         """
         await follow_action(self.session, self.name)
         pursued = [goal for goal in self.session.goals.of_action(self.name) if goal.is_cancelable]
-        asked = [goal for goal in pursued if goal.is_own or others]
-        if not asked:
+        cancelable = [goal for goal in pursued if goal.is_own or others]
+        if not cancelable:
             hint = " Others have sent goals: cancel them with ?others=true." if pursued else ""
             raise Problem(409, f"{self.name} has no active goal that was sent from here.{hint}")
         answer = Response(status_code=202)
-        for goal in asked:
+        for goal in cancelable:
             with contextlib.suppress(DryRunEnded):
                 answer = await _cancel(self.session, goal)
         return answer
@@ -239,7 +239,7 @@ class GoalResource(KeptResource[Goal]):
 
     def _plain(self, goal: Goal) -> bytes:
         """Return the goal as plain JSON, with its messages in ROS form."""
-        told = {
+        members = {
             "id": self.id,
             "url": self.url,
             "offer": offer_url(self.url),
@@ -257,8 +257,8 @@ class GoalResource(KeptResource[Goal]):
             ),
             "result": self._json(schema.result if schema else None, goal.result),
         }
-        rest = b",".join(b'"%s":%s' % (name.encode(), said) for name, said in messages.items())
-        return orjson.dumps(told)[:-1] + b"," + rest + b"}"
+        rest = b",".join(b'"%s":%s' % (name.encode(), data) for name, data in messages.items())
+        return orjson.dumps(members)[:-1] + b"," + rest + b"}"
 
     def _json(self, schema: MessageSchema | None, message: Message | None) -> bytes:
         if schema is None or message is None:
@@ -341,7 +341,7 @@ def _failure(space: Space, action: str, sending: GoalSubmission) -> Problem | No
 
 
 def _view(goal: Goal, *, cancelable: bool) -> GoalView:
-    schema, told = goal.schema, goal.feedback
+    schema, latest = goal.schema, goal.feedback
     return GoalView(
         goal.id,
         goal.action,
@@ -352,7 +352,7 @@ def _view(goal: Goal, *, cancelable: bool) -> GoalView:
         None if goal.key is None else goal.key.id,
         goal.is_own,
         (schema.goal, goal.goal) if schema and goal.goal is not None else None,
-        (schema.feedback, told.message, Envelope(told.received_ns, told.count)) if schema and told else None,
+        (schema.feedback, latest.message, Envelope(latest.received_ns, latest.count)) if schema and latest else None,
         (schema.result, goal.result) if schema and goal.result is not None else None,
         goal.unreadable,
         cancelable,

@@ -70,8 +70,8 @@ def record_document(session: Session, recording: Recording, one: DecodedRecord) 
     """Return the document of a recorded message."""
     space, lifting = session.space, session.lifting
     lifted = lift_sample(space, lifting, one.decoded) if one.decoded.message is not None else None
-    said = bag_message_document(recording, one.message, space, lifted, unreadable=one.decoded.reason)
-    return replace(said, simulated_time=session.graph.simulated_time)
+    document = bag_message_document(recording, one.message, space, lifted, unreadable=one.decoded.reason)
+    return replace(document, simulated_time=session.graph.simulated_time)
 
 
 def record_triples(session: Session, recording: Recording, records: Iterable[DecodedRecord]) -> list[Triple]:
@@ -139,8 +139,8 @@ class BagSelection(BagBase):
         if self._detail is Detail.JSON:
             data = await asyncio.to_thread(self._json, records)
             return State(describe, lambda: data, token=token)
-        said = await asyncio.to_thread(record_triples, self.session, self.recording, records)
-        triples = (*describe().triples, *said)
+        lifted = await asyncio.to_thread(record_triples, self.session, self.recording, records)
+        triples = (*describe().triples, *lifted)
         return State(lambda: Document(self.url, triples), token=token, is_long=True)
 
     def redact(self, state: State, permissions: Permissions) -> State:
@@ -148,9 +148,9 @@ class BagSelection(BagBase):
 
         def permitted() -> bytes:
             assert plain is not None
-            said = orjson.loads(plain())
-            said["messages"] = [each for each in said["messages"] if permissions.may_read(each["url"])]
-            return orjson.dumps(said)
+            members = orjson.loads(plain())
+            members["messages"] = [each for each in members["messages"] if permissions.may_read(each["url"])]
+            return orjson.dumps(members)
 
         return state.redact(permissions, plain=None if plain is None else permitted)
 
@@ -191,7 +191,7 @@ class BagSelection(BagBase):
     def _json_of(self, one: DecodedRecord) -> dict[str, object]:
         message, decoded = one.message, one.decoded
         url = self.space.bag_message(self.recording.name, message.index)
-        said: dict[str, object] = {
+        members: dict[str, object] = {
             "url": url,
             "index": message.index,
             "topic": message.topic,
@@ -199,8 +199,8 @@ class BagSelection(BagBase):
             **({"opening": True} if message.is_opening else {}),
         }
         if decoded.message is None:
-            return said | {"unreadable": decoded.reason}
-        return said | {
+            return members | {"unreadable": decoded.reason}
+        return members | {
             "message": orjson.Fragment(
                 lift_sample(self.space, self.session.lifting, decoded).lifter.json(decoded.message, url)
             )
@@ -249,6 +249,6 @@ def _number(name: str, text: str, least: int, most: int) -> int:
 
 def detail_of(exchange: Exchange) -> Detail:
     """Return the detail that the preferred representation needs."""
-    asked = exchange.query.get("format")
-    chosen = FORMATS.get(asked) if asked else choose_offer(exchange.accept, OFFERS)
+    requested = exchange.query.get("format")
+    chosen = FORMATS.get(requested) if requested else choose_offer(exchange.accept, OFFERS)
     return {HTML: Detail.LIST, JSON: Detail.JSON}.get(chosen or "", Detail.RDF)

@@ -194,10 +194,10 @@ def require_end(data: bytes, media_type: str, url: str, before: Iterable[Triple]
     """
     if media_type not in (SPARQL_UPDATE, N3_PATCH):
         try:
-            said: object = orjson.loads(data)
+            change: object = orjson.loads(data)
         except orjson.JSONDecodeError as error:
             raise Problem(400, f"This is not JSON: {error}.") from error
-        if said != {"status": _ENDED}:
+        if change != {"status": _ENDED}:
             raise Problem(422, _WORDS)
         return
     known = list(before)
@@ -258,8 +258,8 @@ class RunningBag(UnfinishedBag):
         if self.one.name not in self.recordings.running:
             raise Problem(410, f"The recording {self.one.name} was deleted.")
         writer, describe = self.one.writer, partial(describe_running, self.space, self.recordings, self.one)
-        said = f"{writer.count} {writer.size} {writer.problem} {len(writer.types)} {self._seconds_left}"
-        return State(describe, token=digest(said.encode("utf-8", "replace")))
+        text = f"{writer.count} {writer.size} {writer.problem} {len(writer.types)} {self._seconds_left}"
+        return State(describe, token=digest(text.encode("utf-8", "replace")))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         return call_every(_LOOK_SECONDS, wake)
@@ -278,8 +278,8 @@ class RunningBag(UnfinishedBag):
             return finished.page(site, state, forms, csrf, notices)
         left = "until it is ended" if self._seconds_left is None else f"{self._seconds_left} s are left"
         counted = f"{writer.count:,} messages of {len(writer.counts)} topics, {writer.size / 1e6:,.1f} MB"
-        told = Notice(f"Recording, {left}: {counted}", NoticeLevel.INFO, is_lasting=True)
-        return super().page(site, state, forms, csrf, (told, *notices))
+        notice = Notice(f"Recording, {left}: {counted}", NoticeLevel.INFO, is_lasting=True)
+        return super().page(site, state, forms, csrf, (notice, *notices))
 
     async def patch(self, exchange: Exchange) -> Answer:
         """End the recording with `{"status": "ended"}`, or with "ended" as its new `ros:recordingStatus`.

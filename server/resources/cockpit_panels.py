@@ -326,8 +326,8 @@ class PanelReader:
         key = (url, self._permissions.rights_key + self._permissions.cache_key)
         tables = self._sources.tables
         results = tables.find(key) or tables.put(key, await self._results(url))
-        said = f"{results.variables}{results.rows}{results.boolean}{results.note}"
-        return TableContent(results), digest(said.encode("utf-8", "replace"))
+        fingerprint = f"{results.variables}{results.rows}{results.boolean}{results.note}"
+        return TableContent(results), digest(fingerprint.encode("utf-8", "replace"))
 
     async def _results(self, url: str) -> PageResults:
         """Return the first result rows of a stored query with the parameters in a URL. Raises Problems."""

@@ -92,12 +92,12 @@ class ComplexResource(TimeGate):
         described = () if plan is None else plan.members
         for one in described:
             shown = offers.member_affordance(one, write=True)
-            value, taken = schemas.value(shown.shape), schemas.value(shown.shape, sent=True)
+            value, accepted = schemas.value(shown.shape), schemas.value(shown.shape, sent=True)
             if len(described) > _MANY_MEMBERS and "properties" in value:
-                value = taken = {"type": "object", "description": f"As {shown.url} has it."}
+                value = accepted = {"type": "object", "description": f"As {shown.url} has it."}
             members[one.name], read[one.name] = shown.url, nullable(value)
             if offers.is_writable(one.source):
-                sent[one.name] = patch_schema(taken)
+                sent[one.name] = patch_schema(accepted)
         patch: JsonSchema = {"type": "object", "properties": sent, "additionalProperties": False}
         return PathItem(
             f"The resource {self.name}",

@@ -75,30 +75,30 @@ def _first_topics(space: Space, topics: Iterable[Topic]) -> Iterator[Panel]:
 def _of_topics(
     space: Space, graph: Graph, topics: Sequence[Topic], *, is_read_only: bool, can_stop: bool
 ) -> Iterator[Panel]:
-    told = [each for each in topics if _is_published(each)]
-    for topic in _some(told, lambda name: name in _IMAGES, 1):
+    published = [each for each in topics if _is_published(each)]
+    for topic in _some(published, lambda name: name in _IMAGES, 1):
         yield Panel(PanelKind.PICTURE, (space.topic(topic.name),), title="Camera", area=GridArea(5, 5))
     driven = [each for each in topics if each.subscribers]
     if not is_read_only:
         for topic in _some(driven, lambda name: name in COMMANDS, 1):
             yield Panel(PanelKind.DRIVE, (space.topic(topic.name),), title="Drive", area=GridArea(4, 5))
-    if any(DIAGNOSTIC_ARRAY in _names(each) for each in told):
+    if any(DIAGNOSTIC_ARRAY in _names(each) for each in published):
         url = f"{space.base}diagnostics"
         yield Panel(PanelKind.VALUE, (url,), title="Diagnostics", area=GridArea(3, 5))
-    if _TRANSFORMS & graph.topics.keys() or any(can_place(name) for each in told for name in _names(each)):
+    if _TRANSFORMS & graph.topics.keys() or any(can_place(name) for each in published for name in _names(each)):
         yield Panel(PanelKind.SPACE, (f"{space.base}space",), title="Space", area=GridArea(6, 6))
-    yield from _of_fields(space, told, _SPEEDS, PanelKind.PLOT, "Speed", GridArea(6, 3))
-    yield from _of_fields(space, told, _JOINTS, PanelKind.PLOT, "Joints", GridArea(6, 4))
-    yield from _of_fields(space, told, _POSES, PanelKind.VALUE, "Pose", GridArea(3, 3))
-    for topic in _some(told, lambda name: name == _BATTERY, 1):
+    yield from _of_fields(space, published, _SPEEDS, PanelKind.PLOT, "Speed", GridArea(6, 3))
+    yield from _of_fields(space, published, _JOINTS, PanelKind.PLOT, "Joints", GridArea(6, 4))
+    yield from _of_fields(space, published, _POSES, PanelKind.VALUE, "Pose", GridArea(3, 3))
+    for topic in _some(published, lambda name: name == _BATTERY, 1):
         fields = ("percentage", "voltage")
         yield Panel(PanelKind.VALUE, (space.topic(topic.name),), fields, "Battery", GridArea(3, 3))
-    numbers = _some(told, lambda name: name in _NUMBERS, 2)
+    numbers = _some(published, lambda name: name in _NUMBERS, 2)
     for topic in numbers:
         yield Panel(PanelKind.PLOT, (space.topic(topic.name),), ("data",), topic.name, GridArea(6, 4))
     if can_stop:
         yield Panel(PanelKind.BUTTON, (space.stop,), title="Stop", area=GridArea(3, 2))
-    for topic in _some(told, lambda name: name in _SIMPLE, _MAX_VALUES):
+    for topic in _some(published, lambda name: name in _SIMPLE, _MAX_VALUES):
         if topic not in numbers:
             yield Panel(PanelKind.VALUE, (space.topic(topic.name),), ("data",), topic.name, GridArea(3, 2))
 

@@ -138,13 +138,13 @@ class DiagnosticsResource(Resource):
     def _read_past(self, topic: str, schemas: Mapping[TypeRef, MessageSchema]) -> Sequence[LevelChange]:
         recording = self.history.recording
         wanted = MessageFilter(frozenset({topic}), time.time_ns() - _PAST_NS)
-        said: list[tuple[int, DiagnosticState]] = []
+        past: list[tuple[int, DiagnosticState]] = []
         for message in recording.select(wanted, _MAX_MESSAGES).messages:
             sample, schema = message.sample, schemas.get(message.sample.schema)
             if schema is not None:
                 found = read_states(topic, schema.codec.decode(sample.data, sample.encoding), {}, sample.received_ns)
-                said += [(sample.received_ns, each) for each in found if each.name == self.name]
-        return changes_of(said)[:_MAX_CHANGES]
+                past += [(sample.received_ns, each) for each in found if each.name == self.name]
+        return changes_of(past)[:_MAX_CHANGES]
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         topics = {each.topic for each in self.states}
@@ -162,12 +162,19 @@ class DiagnosticsResource(Resource):
 
 
 def _part(state: DiagnosticState, topic: str) -> PartState:
-    said = state.name, state.hardware, state.level.name, int(state.reported_level), state.message, dict(state.values)
-    return PartState(topic, *said, state.received_ns, state.since_ns)
+    fingerprint = (
+        state.name,
+        state.hardware,
+        state.level.name,
+        int(state.reported_level),
+        state.message,
+        dict(state.values),
+    )
+    return PartState(topic, *fingerprint, state.received_ns, state.since_ns)
 
 
 def _plain(states: Sequence[PartState], changes: Sequence[LevelChange]) -> bytes:
-    told: dict[str, object] = {
+    members: dict[str, object] = {
         "states": [
             {
                 "topic": each.topic,
@@ -183,11 +190,11 @@ def _plain(states: Sequence[PartState], changes: Sequence[LevelChange]) -> bytes
         ]
     }
     if changes:
-        told["changes"] = [
+        members["changes"] = [
             {"time": date_time(0, each.time_ns), "level": each.level.name, "message": _text(each.message)}
             for each in changes
         ]
-    return orjson.dumps(told)
+    return orjson.dumps(members)
 
 
 def _text(text: str) -> str:

@@ -101,11 +101,11 @@ class EventStreamResource(BagBase):
 
         Raises a 406 Problem for an unknown profile.
         """
-        asked = exchange.query.get(PROFILE_QUERY)
-        found = choose_profile(_PROFILES, exchange.header("accept-profile"), exchange.prefer, asked)
-        if asked is not None and found is None:
-            raise Problem(406, f"?{PROFILE_QUERY}={asked[:60]} is unknown; there are {', '.join(_PROFILES)}.")
-        suffix = "" if asked is None or found is None else f"?{PROFILE_QUERY}={_short_name(found)}"
+        requested = exchange.query.get(PROFILE_QUERY)
+        found = choose_profile(_PROFILES, exchange.header("accept-profile"), exchange.prefer, requested)
+        if requested is not None and found is None:
+            raise Problem(406, f"?{PROFILE_QUERY}={requested[:60]} is unknown; there are {', '.join(_PROFILES)}.")
+        suffix = "" if requested is None or found is None else f"?{PROFILE_QUERY}={_short_name(found)}"
         profile = StreamProfile(found) if found else StreamProfile.RECORD
         links = (RESOURCE, RDF_SOURCE, Link(profile.value, "profile"))
         return self.variant(url=self.url + suffix, links=links, _profile=profile, _suffix=suffix)
@@ -168,12 +168,12 @@ class EventStreamResource(BagBase):
 
     def _member(self, one: DecodedRecord) -> Document:
         space, lifting = self.space, self.session.lifting
-        said = record_document(self.session, self.recording, one)
+        document = record_document(self.session, self.recording, one)
         if self._profile is StreamProfile.RECORD or one.decoded.message is None:
-            return said.joined() if said.parts else Document(said.url, tuple(said.all_triples()))
-        lifted = lift_sample(space, lifting, one.decoded).triples(said)
-        own = observation_triples(said.url, one.message, space, lifted)
-        return Document(said.url, (*own, *lifted))
+            return document.joined() if document.parts else Document(document.url, tuple(document.all_triples()))
+        lifted = lift_sample(space, lifting, one.decoded).triples(document)
+        own = observation_triples(document.url, one.message, space, lifted)
+        return Document(document.url, (*own, *lifted))
 
 
 def event_stream_page(bags: Bags, recording: Recording, name: str) -> EventStreamResource:

@@ -426,7 +426,7 @@ def _read(url: str, reading: Reading | None) -> dict[str, LatestValue]:
 def _json(result: SearchResult, *, value: bool = True) -> bytes:
     """Return a result as plain JSON."""
     member = result.member
-    told: dict[str, object] = {
+    members: dict[str, object] = {
         "name": member.name,
         "kind": result.kind,
         "type": member.types[0] if len(member.types) == 1 else list(member.types) or None,
@@ -437,4 +437,4 @@ def _json(result: SearchResult, *, value: bool = True) -> bytes:
         "rate": member.rate,
         "resource": result.resource,
     }
-    return orjson.dumps({name: each for name, each in told.items() if each is not None})
+    return orjson.dumps({name: each for name, each in members.items() if each is not None})

@@ -86,8 +86,8 @@ class GraphResource(Resource):
         if below and (not below.startswith("/") or len(below) > _MAX_NAME):
             raise Problem(400, f"?below={below[:40]} must be a name of the robot, such as /camera.")
         everything = exchange.query_flag("all")
-        asked = {"below": quote(below, safe="/"), "all": "true" if everything else ""}
-        query = "&".join(f"{name}={value}" for name, value in asked.items() if value)
+        pairs = {"below": quote(below, safe="/"), "all": "true" if everything else ""}
+        query = "&".join(f"{name}={value}" for name, value in pairs.items() if value)
         url = f"{self.url}?{query}" if query else self.url
         return self.variant(url=url, _selection=Selection(below, everything), _permissions=exchange.permissions)
 

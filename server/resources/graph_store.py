@@ -184,18 +184,18 @@ class GraphStore(Resource):
 
         Raises a 400 Problem for a write without a graph (SPARQL 1.1 Graph Store Protocol 4.2).
         """
-        asked = parse_graph_selection(exchange.request.scope["query_string"], self.url)
-        if asked.default and (exchange.method in READ or self._settings.read_only):
+        selection = parse_graph_selection(exchange.request.scope["query_string"], self.url)
+        if selection.default and (exchange.method in READ or self._settings.read_only):
             return self._default
-        if asked.default:
+        if selection.default:
             document = self.space.base + self._settings.default_document
-            return await self._graph(exchange, document, asked.other_parameters)
-        if asked.all:
+            return await self._graph(exchange, document, selection.other_parameters)
+        if selection.all:
             return self._all
-        if asked.graph is not None:
-            return await self._graph(exchange, asked.graph, asked.other_parameters)
+        if selection.graph is not None:
+            return await self._graph(exchange, selection.graph, selection.other_parameters)
         if exchange.method == "POST":  # the server chooses a name (Graph Store Protocol 5.5)
-            return await self._graph(exchange, self.space.container("data"), asked.other_parameters)
+            return await self._graph(exchange, self.space.container("data"), selection.other_parameters)
         if exchange.method in READ:
             return self
         raise Problem(
@@ -271,7 +271,7 @@ class _Whole(Resource):
 
     links = ()
     form: str
-    asked: QueryRequest
+    request: QueryRequest
 
     def __init__(self, space: Space, url: str, service: QueryService) -> None:
         super().__init__(space, url)
@@ -282,8 +282,8 @@ class _Whole(Resource):
         if exchange.method == "HEAD":
             content_type = results.content_type(results.choose_media_type(self.form, accept))
             return Response(headers={"Content-Type": content_type, "Vary": "Accept", "Cache-Control": "no-cache"})
-        asked = replace(self.asked, timeout=requested_timeout(exchange.query.items()))
-        return await answer_query(self._service, asked, accept, permissions=exchange.permissions)
+        request = replace(self.request, timeout=requested_timeout(exchange.query.items()))
+        return await answer_query(self._service, request, accept, permissions=exchange.permissions)
 
 
 class DefaultGraphResource(_Whole):
@@ -291,7 +291,7 @@ class DefaultGraphResource(_Whole):
 
     kind = "Default graph"
     form = "CONSTRUCT"
-    asked = QueryRequest("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
+    request = QueryRequest("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
 
     def __init__(self, space: Space, url: str, service: QueryService, methods: frozenset[str]) -> None:
         super().__init__(space, url, service)
@@ -306,7 +306,7 @@ class DatasetResource(_Whole):
 
     kind = "Dataset"
     form = results.QUADS
-    asked = QueryRequest("SELECT ?g ?s ?p ?o WHERE { GRAPH ?g { ?s ?p ?o } }", quads=True)
+    request = QueryRequest("SELECT ?g ?s ?p ?o WHERE { GRAPH ?g { ?s ?p ?o } }", quads=True)
     accepts: Mapping[str, Sequence[str]] = {"PUT": DATASET_BODIES, "POST": DATASET_BODIES}
     takes_forms = False
 
@@ -335,8 +335,8 @@ class DatasetResource(_Whole):
             raise Problem(
                 403, f"The graph <{strange[:200]}> cannot be created: choose names below {container}. Nothing was done."
             )
-        kept = {name: triples for name, triples in graphs.items() if self._updates.is_stored(name)}
-        operations = await asyncio.to_thread(_operations, kept, replaces=replaces)
+        stored = {name: triples for name, triples in graphs.items() if self._updates.is_stored(name)}
+        operations = await asyncio.to_thread(_operations, stored, replaces=replaces)
         return await self._updates.carry_out(operations, permissions=exchange.permissions)
 
 
@@ -347,7 +347,7 @@ def _operations(graphs: Mapping[str, Sequence[Triple]], *, replaces: bool) -> Se
         found.append(ManageGraph(GraphVerb.CREATE, name, silent=True))
         if replaces:
             found.append(ManageGraph(GraphVerb.CLEAR, name, silent=True))
-        said = unmanaged_triples(name, triples)
+        new = unmanaged_triples(name, triples)
         graph = NamedNode(name)
-        found.append(ChangeData(inserts=tuple(Quad(each.subject, each.predicate, each.object, graph) for each in said)))
+        found.append(ChangeData(inserts=tuple(Quad(each.subject, each.predicate, each.object, graph) for each in new)))
     return found

@@ -72,10 +72,14 @@ async def create_hold(exchange: Exchange, topic: PublishingResource, holds: Hold
     rate = rate or min(RATE, session.limiter.rate)
     schema, message = await topic.read_message(exchange)
     await topic.require_within_limits(schema, message)
-    asked = _command(session, name, schema, message, restamp=False)
-    then, then_asked = await _then(exchange.query.get("then"), topic, asked, _readable(session.space, find, exchange))
+    held = _command(session, name, schema, message, restamp=False)
+    then, then_requested = await _then(
+        exchange.query.get("then"), topic, held, _readable(session.space, find, exchange)
+    )
     exchange.audit.add_step(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", topic.url)
-    begun = await holds.start(new_hold(name, exchange.agent, rate, lease, asked, then, then_asked, is_timed=is_timed))
+    begun = await holds.start(
+        new_hold(name, exchange.agent, rate, lease, held, then, then_requested, is_timed=is_timed)
+    )
     resource = HoldResource(session, topic.limit_checks, topic.states, holds, begun.id, find)
     return CreatedAnswer(resource.url, resource, resource.state_of(begun))
 
@@ -213,7 +217,7 @@ class HoldResource(KeptResource[Hold]):
 
     def _plain(self, hold: Hold) -> bytes:
         """Return the hold as plain JSON, with its message in ROS form."""
-        told = {
+        members = {
             "id": hold.id,
             "url": self.url,
             "offer": offer_url(self.url),
@@ -227,7 +231,7 @@ class HoldResource(KeptResource[Hold]):
             "trouble": hold.last_error,
         }
         message = lifter(hold.message.schema, self.session.lifting).json(hold.message.message, self.url)
-        return orjson.dumps(told)[:-1] + b',"message":' + message + b"}"
+        return orjson.dumps(members)[:-1] + b',"message":' + message + b"}"
 
     async def forms(self) -> Sequence[Form]:
         if "DELETE" not in self.methods():
@@ -262,22 +266,22 @@ class HoldResource(KeptResource[Hold]):
         hold = self.require()
         require_holder(exchange, hold)
         topic = PublishingResource(self.session, self.limit_checks, self.states, hold.topic)
-        asked = await self._changed_message(exchange, topic, hold)
-        then, then_asked = hold.release_message, hold.release_requested
-        if "then" in exchange.query or (asked is not hold.message and then_asked == ZERO):
-            words = exchange.query.get("then", then_asked)
-            then, then_asked = await _then(words, topic, asked, _readable(self.space, self._find, exchange))
+        new_held = await self._changed_message(exchange, topic, hold)
+        then, then_requested = hold.release_message, hold.release_requested
+        if "then" in exchange.query or (new_held is not hold.message and then_requested == ZERO):
+            words = exchange.query.get("then", then_requested)
+            then, then_requested = await _then(words, topic, new_held, _readable(self.space, self._find, exchange))
         lease, is_timed = _lease(exchange, self.session) or (hold.lease, hold.is_timed)
         changed = replace(
             self.require(),
-            message=asked,
+            message=new_held,
             rate=_rate(exchange, self.session.limiter) or hold.rate,
             lease=lease,
             is_timed=is_timed,
             release_message=then,
-            release_requested=then_asked,
+            release_requested=then_requested,
         )
-        if asked is hold.message and not exchange.query:
+        if new_held is hold.message and not exchange.query:
             exchange.audit.mark_read_only()  # frequent; the receipt of the hold suffices
         what = f"hold {hold.topic} at {changed.rate:g} Hz, unrenewed for {changed.lease:g} s"
         exchange.audit.add_step(what, self.space.topic(hold.topic))
@@ -372,11 +376,11 @@ def _readable(space: Space, find: Find, exchange: Exchange) -> Find:
 
 
 async def _then(
-    asked: str | None, topic: PublishingResource, held: HeldMessage, find: Find
+    requested: str | None, topic: PublishingResource, held: HeldMessage, find: Find
 ) -> tuple[HeldMessage | None, str]:
     """Return the checked and encoded final message of a hold, and the text that requested it."""
     session, schema = topic.session, held.schema
-    words = asked or (ZERO if schema.ref.name in TWISTS else NONE)
+    words = requested or (ZERO if schema.ref.name in TWISTS else NONE)
     if words == NONE:
         return None, NONE
     try:

@@ -104,9 +104,9 @@ class LimitChecks:
         shape = limits.resource(url)
         if shape is not None:
             note_limits(url)
-            said = Triple(NamedNode(url), _LINKS[kind], NamedNode(url + node))
+            link = Triple(NamedNode(url), _LINKS[kind], NamedNode(url + node))
             broken += shape.violations(
-                NamedNode(url), [said, *lifter(schema, self.session.lifting).triples(message, url, node)]
+                NamedNode(url), [link, *lifter(schema, self.session.lifting).triples(message, url, node)]
             )
         own = MessageValue(schema, message, schema.type.fields, url)
         broken += await self._of_property(kind, name, own)

@@ -230,8 +230,8 @@ class ActivityResource(Resource):
         try:
             entry = self.receipts.find(self.id)
         except NoSuchReceipt as error:
-            kept = self.settings.receipts_kept
-            sentence = f"There is no receipt {self.id}: it never existed, or is older than the {kept} that are kept."
+            limit = self.settings.receipts_kept
+            sentence = f"There is no receipt {self.id}: it never existed, or is older than the {limit} that are kept."
             raise Problem(404, sentence) from error
         return self.states.get_or_make(self.url, entry.number, lambda: _receipt_state(self.space, entry))
 

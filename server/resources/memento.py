@@ -356,10 +356,10 @@ class TimeGate(CommandResource):
         if asks_for_time_map(self.history, exchange):
             topics = _recorded_topics(self.history, await self.recorded_properties())
             return time_map_of(self.space, self.history, self.url, self.name, topics, exchange)
-        asked = asked_time(self.history, self.url, exchange)
-        if asked is None:
+        requested = requested_time(self.history, self.url, exchange)
+        if requested is None:
             return await super().select_variant(exchange)
-        at_ns, text = asked
+        at_ns, text = requested
         await self.prepare()
         return Memento(self, "Resource as it was", text, partial(self._state_at, at_ns), self.get_part)
 
@@ -379,7 +379,7 @@ class TimeGate(CommandResource):
         )
 
 
-def asked_time(history: History, url: str, exchange: Exchange) -> tuple[int, str] | None:
+def requested_time(history: History, url: str, exchange: Exchange) -> tuple[int, str] | None:
     """Return the time in `?at=` and its text, or None for the current state. Raises Problems: 302, 400, 404."""
     wanted = exchange.headers.get("accept-datetime")
     if exchange.method not in ("GET", "HEAD") or ("at" not in exchange.query and wanted is None):

@@ -132,8 +132,8 @@ def explicit_picture_type(exchange: Exchange) -> str | None:
 def require_picture(name: str, types: Sequence[TypeRef]) -> None:
     """Raise a 406 Problem if messages of these types are not drawable."""
     if not any(can_draw(ref.name) for ref in types):
-        said = ", ".join(ref.name for ref in types) or "an unknown type"
-        words = f"{name} has messages of {said}: only {', '.join(DRAWN_TYPES)} are drawn as pictures."
+        names = ", ".join(ref.name for ref in types) or "an unknown type"
+        words = f"{name} has messages of {names}: only {', '.join(DRAWN_TYPES)} are drawn as pictures."
         raise Problem(406, f"{words} There are {', '.join(OFFERS)}.")
 
 
@@ -156,8 +156,10 @@ async def picture_response(
     if check_preconditions(
         "GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")
     ):
-        told = {**fixed_headers, "etag": str(etag), "vary": "Accept", "cache-control": "no-cache"}
-        return RawResponse(304, b"", [(key.encode("latin-1"), value.encode("latin-1")) for key, value in told.items()])
+        fields = {**fixed_headers, "etag": str(etag), "vary": "Accept", "cache-control": "no-cache"}
+        return RawResponse(
+            304, b"", [(key.encode("latin-1"), value.encode("latin-1")) for key, value in fields.items()]
+        )
     data = await _draw(pictures, name, schema, sample, form)
     return bytes_response(exchange, data, media_type, etag, fixed_headers.items())
 
@@ -239,8 +241,8 @@ def _range(text: str | None) -> DepthRange:
 
 def sample_identity(sample: Sample) -> str:
     """Return a short text that identifies a sample within its topic."""
-    said = f"{sample.publisher}\0{sample.epoch}\0{sample.sequence}\0{sample.received_ns}"
-    return digest(said.encode("utf-8", "replace"))
+    key = f"{sample.publisher}\0{sample.epoch}\0{sample.sequence}\0{sample.received_ns}"
+    return digest(key.encode("utf-8", "replace"))
 
 
 def _variant(form: PictureForm) -> str:
@@ -282,8 +284,8 @@ def cloud_is_preferred(exchange: Exchange, *, is_cloud: bool) -> bool:
 def require_cloud(name: str, types: Sequence[TypeRef]) -> None:
     """Raise a 406 Problem if messages of these types are not point clouds."""
     if not any(is_cloud(ref.name) for ref in types):
-        said = ", ".join(ref.name for ref in types) or "an unknown type"
-        words = f"{name} has messages of {said}: only {POINT_CLOUD} is read as a file of points."
+        names = ", ".join(ref.name for ref in types) or "an unknown type"
+        words = f"{name} has messages of {names}: only {POINT_CLOUD} is read as a file of points."
         raise Problem(406, f"{words} There are {', '.join(OFFERS)}.")
 
 

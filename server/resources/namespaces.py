@@ -131,8 +131,8 @@ def is_of_hidden(parameter: Parameter) -> bool:
     return parameter.node is not None and names.is_hidden(parameter.node)
 
 
-def _kept_if(is_kept: Callable[[str, _V], bool], things: Mapping[str, _V]) -> Mapping[str, _V]:
-    found = {name: thing for name, thing in things.items() if is_kept(name, thing)}
+def _filtered(predicate: Callable[[str, _V], bool], things: Mapping[str, _V]) -> Mapping[str, _V]:
+    found = {name: thing for name, thing in things.items() if predicate(name, thing)}
     return things if len(found) == len(things) else freeze(found)
 
 
@@ -140,7 +140,7 @@ def _unhidden(graph: Graph) -> Graph:
     """Return the graph without hidden names; parameters are hidden with their nodes."""
 
     def shown(things: Mapping[str, _V]) -> Mapping[str, _V]:
-        return _kept_if(lambda name, _: not names.is_hidden(name), things)
+        return _filtered(lambda name, _: not names.is_hidden(name), things)
 
     return dataclasses.replace(
         graph,
@@ -148,7 +148,7 @@ def _unhidden(graph: Graph) -> Graph:
         topics=shown(graph.topics),
         services=shown(graph.services),
         actions=shown(graph.actions),
-        parameters=_kept_if(lambda _, one: not is_of_hidden(one), graph.parameters),
+        parameters=_filtered(lambda _, one: not is_of_hidden(one), graph.parameters),
     )
 
 
@@ -304,10 +304,10 @@ class NamespaceContainer(NamespaceBase):
         """Return the page `?page=`; redirect to the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
-        asked = self.requested(exchange)
-        if asked._place is None:
-            require_page(exchange, self.url, count_members(asked._members(asked._listed())))
-        return asked
+        target = self.requested(exchange)
+        if target._place is None:
+            require_page(exchange, self.url, count_members(target._members(target._listed())))
+        return target
 
     async def state(self) -> State:
         now = self._listed()

@@ -37,13 +37,13 @@ def omit_parameters(name: str, tree: dict[str, ParameterValue], omitted: Contain
 
     If nothing is omitted, the result is the same object, which is cheaper to recognize than equal values.
     """
-    kept: dict[str, ParameterValue] = {}
+    readable: dict[str, ParameterValue] = {}
     for key, value in tree.items():
         path = f"{name.rstrip('/')}/{key}"
         shown = omit_parameters(path, value, omitted) if isinstance(value, dict) else value
         if path not in omitted and (shown is value or shown):
-            kept[key] = shown
-    return tree if len(kept) == len(tree) and all(kept[key] is tree[key] for key in tree) else kept
+            readable[key] = shown
+    return tree if len(readable) == len(tree) and all(readable[key] is tree[key] for key in tree) else readable
 
 
 def names_below(name: str, graph: Graph) -> list[str]:
@@ -137,9 +137,9 @@ class ParameterBase(NamedResource[Parameter]):
         finally:
             self._announce(values)
 
-    async def _answer(self, asked: Mapping[str, ParameterValue]) -> Answer:
+    async def _answer(self, requested: Mapping[str, ParameterValue]) -> Answer:
         """Return 204, or the representation if a node changed the written value."""
-        values = {name: value for each, whole in asked.items() for name, value in leaf_values(each, whole)}
+        values = {name: value for each, whole in requested.items() for name, value in leaf_values(each, whole)}
         deadline = loop_time() + self.session.settings.call_deadline
         if await has_other_values(self.session.adapter, values, deadline=deadline):
             return ShownAnswer(self, await self.state())

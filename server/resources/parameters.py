@@ -107,8 +107,8 @@ class ParameterResource(ParameterBase):
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the parameter or its shape. Raises a 404 Problem for past values."""
-        if exchange.method in ("GET", "HEAD") and (asked := exchange.query.keys() & {"at", "timemap", "series"}):
-            raise Problem(404, f"?{min(asked)}: parameter values are not recorded: request the current one.")
+        if exchange.method in ("GET", "HEAD") and (names := exchange.query.keys() & {"at", "timemap", "series"}):
+            raise Problem(404, f"?{min(names)}: parameter values are not recorded: request the current one.")
         return await super().select_variant(exchange)
 
     def methods(self) -> frozenset[str]:
@@ -141,8 +141,8 @@ class ParameterResource(ParameterBase):
             noted = triples_about(NamedNode(self.url), (rdfs.comment, text(note)))
             return replace(document, triples=(*document.triples, *declared, *noted))
 
-        said = "" if descriptor is None and note is None else repr((descriptor, note))
-        token = digest(plain + said.encode("utf-8", "surrogatepass"))
+        note_text = "" if descriptor is None and note is None else repr((descriptor, note))
+        token = digest(plain + note_text.encode("utf-8", "surrogatepass"))
         return self.states.get_or_make(self.url, token, lambda: State(described, lambda: plain, token))
 
     async def forms(self) -> Sequence[Form]:
@@ -286,11 +286,11 @@ class ParameterTree(ParameterContainer):
         """Return the page of `?page=`; redirect from the container to the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
-        asked = self.requested(exchange)
-        members = asked._listed().members
-        if asked._place is None and members is not None and not _wants_value(exchange):
+        target = self.requested(exchange)
+        members = target._listed().members
+        if target._place is None and members is not None and not _wants_value(exchange):
             require_page(exchange, self.url, count_members(members))
-        return asked
+        return target
 
     async def post(self, exchange: Exchange) -> Answer:
         """Create a member, named by Slug if that name is free (LDP 5.2.3.10).
@@ -305,11 +305,11 @@ class ParameterTree(ParameterContainer):
         return await member.put(exchange)
 
     async def _free_name(self, slug: str | None) -> str:
-        kept = "".join(char if char.isalnum() or char == "_" else "_" for char in redact_tokens(slug or "")[:_MAX_SLUG])
-        name = names.join((*self.namespace, kept or f"parameter_{secrets.token_hex(3)}"))
+        stem = "".join(char if char.isalnum() or char == "_" else "_" for char in redact_tokens(slug or "")[:_MAX_SLUG])
+        name = names.join((*self.namespace, stem or f"parameter_{secrets.token_hex(3)}"))
         deadline = loop_time() + self.session.settings.call_deadline
-        taken = await self.session.adapter.get_parameters([name], deadline=deadline)
-        return f"{name}_{secrets.token_hex(3)}" if taken else name
+        existing = await self.session.adapter.get_parameters([name], deadline=deadline)
+        return f"{name}_{secrets.token_hex(3)}" if existing else name
 
     async def patch(self, exchange: Exchange) -> Answer:
         """Set the members of a merge patch and delete the null ones (RFC 7396); a node's values are set atomically.

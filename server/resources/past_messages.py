@@ -141,7 +141,7 @@ class RecordedPast:
 
     async def read(
         self,
-        asked: PastQuery,
+        query: PastQuery,
         graphs: tuple[str, ...],
         permissions: Permissions,
         now: Interval,
@@ -149,23 +149,23 @@ class RecordedPast:
         most: int | None = None,
     ) -> PastText:
         """Return the text of the messages that a query selects, or of about `most` at one end. Raises Problems."""
-        recordings = self._find(asked, graphs)
-        selections = asked.selections(now)
+        recordings = self._find(query, graphs)
+        selections = query.selections(now)
         readable = [one for one in recordings if self._may_read(one, permissions)]
         for selection in selections:
             self._require_recorded(selection, readable, permissions)
-        reading = _Reading(self._session, asked, permissions, until)
+        reading = _Reading(self._session, query, permissions, until)
         try:
             return await asyncio.to_thread(reading.read, readable, selections, most)
         finally:
             for ref, schema in reading.learned.items():
                 self._session.schemas.add(ref, schema)
 
-    def _find(self, asked: PastQuery, graphs: tuple[str, ...]) -> Sequence[Recording]:
+    def _find(self, query: PastQuery, graphs: tuple[str, ...]) -> Sequence[Recording]:
         """Return the recordings of a query. Raises a 400 Problem if there are none."""
         space = self._session.space
         by_url = {space.bag(one.name): one for one in self._recordings.readable.values()}
-        named = asked.recordings & set(graphs) if graphs else asked.recordings
+        named = query.recordings & set(graphs) if graphs else query.recordings
         if graphs and not named:
             raise Problem(400, "ros:past needs a recording in the dataset: name one, as in FROM </bags/history/>.")
         unknown = sorted(named - by_url.keys())
@@ -216,13 +216,13 @@ class RecordedPast:
 class _Reading:
     """One read operation on a thread. `learned` are newly loaded types."""
 
-    def __init__(self, session: Session, asked: PastQuery, permissions: Permissions, until: float) -> None:
+    def __init__(self, session: Session, query: PastQuery, permissions: Permissions, until: float) -> None:
         self.learned: dict[TypeRef, MessageSchema] = {}
         self._session = session
         self._graph = session.graph
-        self._end = asked.end
-        self._only = asked.predicates
-        self._is_linked = asked.is_linked
+        self._end = query.end
+        self._only = query.predicates
+        self._is_linked = query.is_linked
         self._permissions = permissions
         self._until = until
         self._size = 0
@@ -245,9 +245,9 @@ class _Reading:
         texts: list[str] = []
         pause = time.monotonic() + _SLICE
         for recording, ranges in plans:
-            said = _RecordText(self._session.space, recording, self._only)
+            record_text = _RecordText(self._session.space, recording, self._only)
             for block in read_past(recording, ranges):
-                for text, count in self._lift_block(recording, block, said):
+                for text, count in self._lift_block(recording, block, record_text):
                     texts.append(text)
                     self._read += count
                     self._size += len(text)
@@ -307,25 +307,27 @@ class _Reading:
                 self.learned[ref] = found
         return found if isinstance(found, MessageSchema) else None
 
-    def _lift_block(self, recording: Recording, block: MessageBlock, said: _RecordText) -> Iterator[tuple[str, int]]:
+    def _lift_block(
+        self, recording: Recording, block: MessageBlock, record_text: _RecordText
+    ) -> Iterator[tuple[str, int]]:
         """Yield texts, each with its number of messages; by columns if only numeric fields are needed."""
         if block.rows is not None and not len(block.rows.times):
             return
-        if block.rows is not None and self._only is not None and not said.is_more:
+        if block.rows is not None and self._only is not None and not record_text.is_more:
             channel = block.channel
             schema = self._schema(recording, channel.type)
-            lifter = None if schema is None else self._column_lifter(schema, said.topic(channel.topic))
+            lifter = None if schema is None else self._column_lifter(schema, record_text.topic(channel.topic))
             if schema is not None and lifter is not None:
                 columns = columns_of(block.rows, schema, channel.encoding, lifter.paths)
                 if columns is not None:
                     numbers = block.numbers()
-                    documents = [f"{said.messages}{number}" for number in numbers]
+                    documents = [f"{record_text.messages}{number}" for number in numbers]
                     sequences = [number + 1 for number in numbers]
                     times = block.rows.times.tolist()
                     yield lifter.ntriples(documents, times, sequences, columns), len(numbers)
                     return
         for message in block.messages():
-            yield self._lift(recording, message, said), 1
+            yield self._lift(recording, message, record_text), 1
 
     def _lifter(self, schema: MessageSchema) -> Lifter:
         return partial_lifter(schema, self._session.lifting, self._only, is_linked=self._is_linked)
@@ -337,17 +339,17 @@ class _Reading:
             self._lifters[key] = column_lifter(self._lifter(schema), self._only, topic, MESSAGE)
         return self._lifters[key]
 
-    def _lift(self, recording: Recording, message: RecordedMessage, said: _RecordText) -> str:
+    def _lift(self, recording: Recording, message: RecordedMessage, record_text: _RecordText) -> str:
         """Return the text of a message and its record."""
         sample = message.sample
         schema = self._schema(recording, sample.schema)
-        url = f"{said.messages}{message.index}"
+        url = f"{record_text.messages}{message.index}"
         if schema is None:
-            return said.of_record(url, message, f"the type {sample.schema.name} is not known")
+            return record_text.of_record(url, message, f"the type {sample.schema.name} is not known")
         try:
             decoded = schema.codec.decode(sample.data, sample.encoding)
         except ValueError as error:
-            return said.of_record(url, message, str(error))
+            return record_text.of_record(url, message, str(error))
         publisher = self._session.space.node(sample.publisher) if sample.publisher else None
         if publisher is not None and not self._permissions.may_read(publisher):
             publisher = None
@@ -355,7 +357,7 @@ class _Reading:
         lifted = self._lifter(schema).ntriples(
             decoded, url, MESSAGE, envelope=envelope, simulated_time=self._graph.simulated_time
         )
-        return f"{said.of_record(url, message)}{lifted}"
+        return f"{record_text.of_record(url, message)}{lifted}"
 
 
 class _RecordText:
@@ -378,7 +380,7 @@ class _RecordText:
 
     def _more(self, url: str, topic: str, message: RecordedMessage, reason: str | None) -> Iterator[str]:
         received = f'"{date_time(0, message.sample.received_ns)}"^^<{xsd.dateTime.value}>'
-        said = [
+        record_text = [
             *((rdf.type, f"<{each.value}>") for each in (ros.Record, ldp.Resource, ldp.RDFSource)),
             (ros.recordedIn, f"<{self._bag}>"),
             (ros.index, f'"{message.index}"^^<{xsd.integer.value}>'),
@@ -387,7 +389,7 @@ class _RecordText:
             *([(ros.opensRecording, f'"true"^^<{xsd.boolean.value}>')] if message.is_opening else []),
             (ros.recordedMessage, f"<{url}{MESSAGE}>") if reason is None else (ros.unreadable, quote(reason or "")),
         ]
-        for predicate, value in said:
+        for predicate, value in record_text:
             if self._only is None or predicate.value in self._only:
                 yield f"<{url}> <{predicate.value}> {value} .\n"
         if reason is None and (self._only is None or ros.recordedIn.value in self._only):

@@ -145,7 +145,7 @@ def _member_change(
     predicate = relation or rdf.value
     stated = body.objects(subject, predicate)
     if not stated:
-        if not _is_said(seen):
+        if not _is_described(seen):
             return None
         raise LoweringError(Violation(plan.name, f"a member cannot be removed: {subject} {predicate} is missing"))
     try:
@@ -168,7 +168,7 @@ def _says(stated: Literal, seen: Member) -> bool:
     return type(one) is type(other) and one == other
 
 
-def _is_said(member: Member) -> bool:
+def _is_described(member: Member) -> bool:
     """Whether the member has a value in RDF."""
     return (member.field is None and isinstance(member.reading.value, MessageValue)) or _literal(member) is not None
 
@@ -306,6 +306,6 @@ def _partly(error: RosError | Problem, name: str, done: Sequence[dict[str, objec
     rest = [{"name": each, "status": 424, "detail": "Not attempted."} for each in left]
     problem.extra |= {"members": [*done, failed, *rest]}
     if done or rest:
-        said = ", ".join(str(one["name"]) for one in done) or "none"
-        problem.detail = f"{name}: {problem.detail.rstrip('.')}. Written before: {said}."
+        names = ", ".join(str(one["name"]) for one in done) or "none"
+        problem.detail = f"{name}: {problem.detail.rstrip('.')}. Written before: {names}."
     return problem

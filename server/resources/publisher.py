@@ -142,10 +142,10 @@ class PublishingResource(NamedResource[Topic]):
         about = NamedNode(self.url)
         if about not in body.subjects:
             return
-        said = {ros.name: self.name}
+        statements = {ros.name: self.name}
         if topic is not None and topic.type is not None:
-            said[ros.hasMessageType] = self.session.space.class_of(topic.type.name)
-        for predicate, value in said.items():
+            statements[ros.hasMessageType] = self.session.space.class_of(topic.type.name)
+        for predicate, value in statements.items():
             for term in body.objects(about, predicate):
                 if getattr(term, "value", None) != value:
                     raise Problem(409, f"The {predicate.value} of {self.name} is {value!r} and cannot become {term}.")

@@ -125,16 +125,16 @@ class QueryRunner(Struct, frozen=True):
         """
         given = {name: value for name, value in exchange.query.items() if name not in OTHER_SETTINGS}
         pairs = [(name, value) for name, value in exchange.query.items() if value]
-        asked = QueryRequest("", timeout=requested_timeout(pairs), partial=requested_partial(pairs))
+        options = QueryRequest("", timeout=requested_timeout(pairs), partial=requested_partial(pairs))
         if exchange.query.get("format") in (None, "", "html") and prefers_page(accept_of(exchange)):
-            return await self._page(exchange, resource, query, given, asked)
+            return await self._page(exchange, resource, query, given, options)
         form = self.service.check(bind_parameters(query, self._samples(query, given), self.base)).form
         is_description = form not in GRAPH_FORMS and not given
         formats = {"html", *available_formats(form), *(available_formats("DESCRIBE") if is_description else ())}
         accept = accept_of(exchange, [name for name in FORMATS if name in formats])
         if is_description and choose_offer(accept, OFFERS) in _DESCRIPTIONS:
             return None
-        request = replace(asked, text=bind_parameters(query, given, self.base))
+        request = replace(options, text=bind_parameters(query, given, self.base))
         disconnected = disconnect.disconnection_of(exchange.request.receive)
         answer = await answer_query(self.service, request, accept, disconnected, exchange.permissions)
         return self._identify(exchange, resource, answer, state)
@@ -159,7 +159,12 @@ class QueryRunner(Struct, frozen=True):
         return {**lacking, **given}
 
     async def _page(
-        self, exchange: Exchange, resource: Resource, query: StoredQuery, given: Mapping[str, str], asked: QueryRequest
+        self,
+        exchange: Exchange,
+        resource: Resource,
+        query: StoredQuery,
+        given: Mapping[str, str],
+        options: QueryRequest,
     ) -> Response:
         """Return the page, with results if all parameters are given and valid, or with the error."""
         results: PageResults | None = None
@@ -167,7 +172,7 @@ class QueryRunner(Struct, frozen=True):
         status, also = 200, dict[str, str]()
         if given or all(one.default is not None for one in query.parameters):
             try:
-                request = replace(asked, text=bind_parameters(query, given, self.base))
+                request = replace(options, text=bind_parameters(query, given, self.base))
                 results = await page_results(
                     self.service, request, disconnect.disconnection_of(exchange.request.receive), exchange.permissions
                 )
@@ -289,11 +294,11 @@ class QueryDescription(DescriptionResource):
         return _describe(self.documents, self.queries, self.require_record())
 
     async def with_triples(
-        self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
+        self, record: Record, triples: Sequence[Triple], expected: int | None, known: Set[Triple] = frozenset()
     ) -> Put:
         require_small(triples)
         own = set(self.queries.description(record))
-        return await super().with_triples(record, [one for one in triples if one not in own], expected, said)
+        return await super().with_triples(record, [one for one in triples if one not in own], expected, known)
 
 
 class AbsentQueryResource(AbsentResource):
@@ -330,24 +335,24 @@ class QueryContainer(ContainerResource):
         return self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
 
     async def state(self) -> State:
-        kept = await super().state()
+        base = await super().state()
         version = self.queries.version
         return self.documents.states.get_or_make(
             f"{self.url}?{self._place}#{self._parts.variant} with what is shipped",
-            (IdentityKey(kept), version),
+            (IdentityKey(base), version),
             lambda: replace(
-                kept, describe=lambda: self._with_shipped(kept.document), token=f"{kept.tag}-{version}", renderings={}
+                base, describe=lambda: self._with_shipped(base.document), token=f"{base.tag}-{version}", renderings={}
             ),
         )
 
     async def with_triples(
-        self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
+        self, record: Record, triples: Sequence[Triple], expected: int | None, known: Set[Triple] = frozenset()
     ) -> Put:
         require_small(triples)
         own = set(self._with_shipped(Document(self.url, ())).triples)
         about_members = {one for one in triples if one.predicate == rdfs.comment and one.subject != NamedNode(self.url)}
         clients = [one for one in triples if one not in own and one not in about_members]
-        return await super().with_triples(record, clients, expected, said)
+        return await super().with_triples(record, clients, expected, known)
 
     def listing(self) -> MemberColumns:
         listed = self._shipped() | {url: query.purpose for url, query in self._stored_queries()}
@@ -355,9 +360,9 @@ class QueryContainer(ContainerResource):
 
     def _with_shipped(self, document: Document) -> Document:
         shown_here = {one.object.value for one in document.triples if one.predicate == ldp.contains}  # type: ignore[union-attr]
-        kept = {url: query.purpose for url, query in self._stored_queries() if url in shown_here}
+        stored = {url: query.purpose for url, query in self._stored_queries() if url in shown_here}
         shipped = self._shipped() if self._parts.containment else {}
-        return _list(document, shipped, kept, titled=self._parts.minimal)
+        return _list(document, shipped, stored, titled=self._parts.minimal)
 
     def _shipped(self) -> dict[str, str]:
         """Return the purposes of the queries shipped with rosld, which are on the first page."""
@@ -381,13 +386,13 @@ def _shipped(documents: Documents, queries: StoredQueries) -> dict[str, str]:
     return {url: purpose for url, purpose in urls.items() if not there[url]}
 
 
-def _list(document: Document, shipped: Mapping[str, str], kept: Mapping[str, str], *, titled: bool) -> Document:
+def _list(document: Document, shipped: Mapping[str, str], stored: Mapping[str, str], *, titled: bool) -> Document:
     """Return the container with its queries' purposes; their classes are in their own graphs only."""
     container = NamedNode(document.url)
     more = triples_about(
         container, (dcterms.title, text(_TITLE) if titled else None), *statements(ldp.contains, map(NamedNode, shipped))
     )
-    purposes = {**shipped, **kept}.items()
+    purposes = {**shipped, **stored}.items()
     said = [
         triple for url, purpose in purposes for triple in triples_about(NamedNode(url), (rdfs.comment, text(purpose)))
     ]
@@ -398,7 +403,7 @@ def queries_document(documents: Documents, queries: StoredQueries) -> Callable[[
     """Return a thread-safe function that returns the document of the current `/queries/` with all members."""
     record = documents.records.get(ROUTE)
     assert record is not None
-    url, shipped, kept = (
+    url, shipped, stored = (
         documents.space.container("queries"),
         _shipped(documents, queries),
         list(queries.stored_records()),
@@ -406,7 +411,7 @@ def queries_document(documents: Documents, queries: StoredQueries) -> Callable[[
     members = [documents.space.base + member.path for member in all_members(documents.records, record)]
 
     def describe() -> Document:
-        purposes = {documents.space.base + one.path: queries.outline(one).purpose for one in kept}
+        purposes = {documents.space.base + one.path: queries.outline(one).purpose for one in stored}
         return _list(record_document(record, url, members, ()), shipped, purposes, titled=True)
 
     return describe

@@ -58,14 +58,14 @@ def recording_form(topics: Mapping[str, str]) -> ValueForm:
     )
 
 
-def order_of_form(said: Mapping[str, object]) -> dict[str, object]:
+def order_of_form(members: Mapping[str, object]) -> dict[str, object]:
     """Return the order in a form; empty inputs are omitted."""
-    found = {key: said[key] for key in ("name", "before", "duration") if said.get(key)}
-    found["topics"] = str(said.get("topics", "")).split() or ["*"]
-    if said.get("trigger_condition") or said.get("trigger_resource"):
-        limit = said.get("trigger_limit") or 1
-        trigger: dict[str, object] = {"condition": said.get("trigger_condition"), "limit": limit}
-        resource = said.get("trigger_resource")
+    found = {key: members[key] for key in ("name", "before", "duration") if members.get(key)}
+    found["topics"] = str(members.get("topics", "")).split() or ["*"]
+    if members.get("trigger_condition") or members.get("trigger_resource"):
+        limit = members.get("trigger_limit") or 1
+        trigger: dict[str, object] = {"condition": members.get("trigger_condition"), "limit": limit}
+        resource = members.get("trigger_resource")
         found["trigger"] = {**trigger, "resource": resource} if resource else trigger
     return found
 
@@ -111,46 +111,46 @@ SCHEMA: JsonSchema = json_object(
 
 def read_order(data: bytes, media_type: str, url: str, *, is_form: bool = False) -> RecordingOrder:
     """Return the order in a body that was sent to `url`. Raises BodyError, and 422 Problems."""
-    said = _of_json(data) if media_type == JSON else _of_rdf(parse_body(data, media_type, url))
-    return order_of(order_of_form(said) if is_form else said)
+    members = _of_json(data) if media_type == JSON else _of_rdf(parse_body(data, media_type, url))
+    return order_of(order_of_form(members) if is_form else members)
 
 
-def order_of(said: Mapping[str, object]) -> RecordingOrder:
+def order_of(members: Mapping[str, object]) -> RecordingOrder:
     """Return the order with these members. Raises a 422 Problem that names the invalid member."""
-    unknown = said.keys() - {"name", "topics", "before", "duration", "trigger"}
+    unknown = members.keys() - {"name", "topics", "before", "duration", "trigger"}
     if unknown:
         known = "name, topics, before, duration, trigger"
         raise Problem(422, f"{', '.join(sorted(unknown))[:200]} is unknown: {known}.")
-    name = said.get("name")
+    name = members.get("name")
     if name is not None and not isinstance(name, str):
         raise Problem(422, f"name is {str(name)[:100]!r}, not a string.")
-    before = _seconds(said, "before")
-    duration, trigger = _seconds(said, "duration"), _trigger(said.get("trigger"))
+    before = _seconds(members, "before")
+    duration, trigger = _seconds(members, "duration"), _trigger(members.get("trigger"))
     if trigger is not None and trigger.limit > 1 and duration is None:
         raise Problem(422, "A recording that a trigger starts repeatedly needs a duration.")
-    return RecordingOrder(_topics(said.get("topics")), name, before or 0.0, duration, trigger)
+    return RecordingOrder(_topics(members.get("topics")), name, before or 0.0, duration, trigger)
 
 
 def _of_json(data: bytes) -> dict[str, object]:
     try:
-        said: object = orjson.loads(data)
+        members: object = orjson.loads(data)
     except orjson.JSONDecodeError as error:
         raise Problem(400, f"This is not JSON: {error}.") from error
-    if not isinstance(said, dict):
+    if not isinstance(members, dict):
         raise Problem(422, 'A recording order must be an object such as {"topics": ["/odom"], "duration": 10}.')
-    return cast("dict[str, object]", said)
+    return cast("dict[str, object]", members)
 
 
 def _of_rdf(body: RdfBody) -> dict[str, object]:
-    found = [subject for subject, said in body.subjects.items() if ros.recordsTopic in said]
+    found = [subject for subject, members in body.subjects.items() if ros.recordsTopic in members]
     if len(found) != 1:
         raise Problem(422, f"Exactly one node must have ros:recordsTopic, not {len(found)}.")
     (subject,) = found
     topics = [one.value for one in body.objects(subject, ros.recordsTopic) if isinstance(one, Literal)]
     terms = {"name": ros.name, "before": ros.secondsBefore, "duration": ros.secondsLong}
-    said = {key: _literal(body, subject, term) for key, term in terms.items()}
-    numbers = {key: _number(key, said[key]) for key in ("before", "duration")}
-    given = {"name": said["name"], **numbers, "trigger": _trigger_of_rdf(body, subject)}
+    members = {key: _literal(body, subject, term) for key, term in terms.items()}
+    numbers = {key: _number(key, members[key]) for key in ("before", "duration")}
+    given = {"name": members["name"], **numbers, "trigger": _trigger_of_rdf(body, subject)}
     return {"topics": topics, **{key: value for key, value in given.items() if value is not None}}
 
 
@@ -207,8 +207,8 @@ def _topics(value: object) -> tuple[str, ...]:
     return topics
 
 
-def _seconds(said: Mapping[str, object], key: str) -> float | None:
-    value = said.get(key)
+def _seconds(members: Mapping[str, object], key: str) -> float | None:
+    value = members.get(key)
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):

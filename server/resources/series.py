@@ -207,8 +207,8 @@ class SeriesResource(Resource):
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """Return the columns as CSV (RFC 4180), if requested."""
-        asked = exchange.query.get("format")
-        wanted = choose_offer(exchange.accept, (*OFFERS, CSV)) if asked is None else asked
+        requested = exchange.query.get("format")
+        wanted = choose_offer(exchange.accept, (*OFFERS, CSV)) if requested is None else requested
         if wanted not in (CSV, "csv"):
             return None
         table = columns(await self._read())
@@ -324,8 +324,8 @@ def series_of(space: Space, history: History, topic: str, exchange: Exchange) ->
         end = f"?to={query['to'][:60]}" if "to" in query else "now"
         begin = f"?from={query['from'][:60]}" if "from" in query else "?from=, by default a minute ago,"
         raise Problem(400, f"{begin} is not before {end}.")
-    asked = {name: query[name] for name in ("series", "from", "to", "points") if name in query}
-    text = "&".join(f"{name}={quote(value, safe='/:.-')}" for name, value in asked.items())
+    requested = {name: query[name] for name in ("series", "from", "to", "points") if name in query}
+    text = "&".join(f"{name}={quote(value, safe='/:.-')}" for name, value in requested.items())
     return SeriesResource(space, history, topic, field, SeriesRange(since, until, int(points)), text)
 
 

@@ -223,12 +223,12 @@ class SpaceResource(Resource):
         names = self._topics_to_show(graph) or self._all(graph)[:MAX_SHOWN]
         await asyncio.gather(*(self.session.topics.read(name) for name in names))
         buffer = await self.scene.frames.look() if self._may_read_frames else FrameBuffer()
-        drawn = [await self.scene.drawings.newest(name) for name in names]
-        first = (each.drawing.frame for each in drawn if each and each.drawing)
+        drawings = [await self.scene.drawings.newest(name) for name in names]
+        first = (each.drawing.frame for each in drawings if each and each.drawing)
         self._fixed = self.frame or buffer.default_frame() or next(first, "")
         self._frames = tuple(buffer.names)
         topics = []
-        for name, each in zip(names, drawn, strict=True):
+        for name, each in zip(names, drawings, strict=True):
             url, kind = self.space.topic(name), _kind(graph, name)
             if each is None:
                 topics.append(SpaceTopic(url, kind, "", None, "No message received yet"))
@@ -269,14 +269,14 @@ class SpaceResource(Resource):
         return targets, self._goals.now
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        graph, said = self.session.graph, list(notices)
+        graph, notes = self.session.graph, list(notices)
         if not self._may_read_frames:
-            said.append(Notice("You may not read the transforms between frames.", NoticeLevel.WARNING))
+            notes.append(Notice("You may not read the transforms between frames.", NoticeLevel.WARNING))
         elif not self._frames:
-            said.append(Notice("No transforms between frames are published, on /tf or on /tf_static."))
+            notes.append(Notice("No transforms between frames are published, on /tf or on /tf_static."))
         elif self.frame and self.frame not in self._frames:
             known = ", ".join(self._frames[:20])
-            said.append(Notice(f"There is no frame called {self.frame}: there are {known}.", NoticeLevel.WARNING))
+            notes.append(Notice(f"There is no frame called {self.frame}: there are {known}.", NoticeLevel.WARNING))
         return render_space(
             SpacePage(
                 site,
@@ -287,7 +287,7 @@ class SpaceResource(Resource):
                 self.references,
                 tuple(self._frames[:1000]),
                 0 if self.references else max(len(self._all(graph)) - MAX_SHOWN, 0),
-                tuple(said),
+                tuple(notes),
                 self.is_3d,
                 self._model(graph) if self.is_3d else "",
             )
@@ -342,9 +342,10 @@ class SpaceResource(Resource):
         if topic is None:
             raise Problem(404, f"There is no topic {location.name}.")
         if topic.type is None or not can_place(topic.type.name):
-            said = "several types" if topic.type is None else topic.type.name
+            types_text = "several types" if topic.type is None else topic.type.name
             raise Problem(
-                422, f"{location.name} has messages of {said}: only {', '.join(PLACED_TYPES)} can be drawn in space."
+                422,
+                f"{location.name} has messages of {types_text}: only {', '.join(PLACED_TYPES)} can be drawn in space.",
             )
         return location.name
 
@@ -389,5 +390,5 @@ def _target_json(target: GoalTarget, reference: str) -> dict[str, object]:
 
 def _document(url: str, topics: Sequence[str]) -> Document:
     """Return the topics of the view as RDF."""
-    said = statements(rdfs.seeAlso, (NamedNode(each) for each in topics))
-    return Document(url, tuple(triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Space")), *said)))
+    links = statements(rdfs.seeAlso, (NamedNode(each) for each in topics))
+    return Document(url, tuple(triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Space")), *links)))

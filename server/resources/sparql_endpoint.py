@@ -251,8 +251,8 @@ class SparqlResource(Resource):
         self._pages = pages
         self._examples = examples
         self._updates = None if settings.read_only else updates
-        taken = (QUERY_MEDIA_TYPE, FORM) if self._updates is None else (QUERY_MEDIA_TYPE, UPDATE_MEDIA_TYPE, FORM)
-        self.accepts: Mapping[str, Sequence[str]] = {"POST": taken}
+        accepted = (QUERY_MEDIA_TYPE, FORM) if self._updates is None else (QUERY_MEDIA_TYPE, UPDATE_MEDIA_TYPE, FORM)
+        self.accepts: Mapping[str, Sequence[str]] = {"POST": accepted}
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         form: JsonSchema = json_object(
@@ -316,8 +316,8 @@ class SparqlResource(Resource):
     def _no_updates(self) -> Problem:
         if self.settings.read_only:
             return Problem(403, "This server is read-only: it accepts queries, but no updates.")
-        taken = ", ".join(self.accepts["POST"])
-        return Problem(415, "Only queries are accepted here, not updates.", headers={"Accept-Post": taken})
+        accepted = ", ".join(self.accepts["POST"])
+        return Problem(415, "Only queries are accepted here, not updates.", headers={"Accept-Post": accepted})
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         accept = accept_of(exchange)
@@ -333,11 +333,11 @@ class SparqlResource(Resource):
         """Answer a query or carry out an update (SPARQL 1.1 Protocol 2.1.2, 2.1.3, 2.2)."""
         body = await exchange.raw_body()
         query_string = exchange.request.scope["query_string"]
-        asked = posted_request(query_string, exchange.header("content-type"), body)
-        if isinstance(asked, QueryRequest):
+        parsed = posted_request(query_string, exchange.header("content-type"), body)
+        if isinstance(parsed, QueryRequest):
             exchange.audit.mark_read_only()
-            return await self._answer(asked, accept_of(exchange), exchange)
-        return await self._update(asked, exchange)
+            return await self._answer(parsed, accept_of(exchange), exchange)
+        return await self._update(parsed, exchange)
 
     async def _update(self, request: UpdateRequest, exchange: Exchange) -> Response:
         if self._updates is None:

@@ -59,8 +59,8 @@ class StopResource(Resource):
         words: JsonSchema = {"does": TEXT, "state": TEXT, "subscribers": nullable(count), "words": nullable(TEXT)}
         step: JsonSchema = {"type": "object", "properties": words}
         who: JsonSchema = dict.fromkeys(("by", "since", "reason", "warning"), nullable(TEXT))
-        told: JsonSchema = {"stopped": BOOLEAN, **who, "steps": json_array(step)}
-        plain: JsonSchema = {"type": "object", "properties": told}
+        members: JsonSchema = {"stopped": BOOLEAN, **who, "steps": json_array(step)}
+        plain: JsonSchema = {"type": "object", "properties": members}
         reason: JsonSchema = {"type": "string", "maxLength": 500}
         stop = WriteMethod(
             "Publishes zero on velocity topics, ends holds, cancels goals, runs the stop actions of mappings, "

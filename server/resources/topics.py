@@ -264,8 +264,8 @@ class TopicResource(PublishingResource):
             return lifter(newest.schema, self.session.lifting).json(newest.message, self.url)
 
         hold, can = self.holds.find_by_topic(self.name), self.is_holdable
-        said = f"{topic!r}{view.version_key()}{hold and hold.id}{can}{[one.reason for one in decoded]}"
-        token = digest(said.encode("utf-8", "replace"))
+        key = f"{topic!r}{view.version_key()}{hold and hold.id}{can}{[one.reason for one in decoded]}"
+        token = digest(key.encode("utf-8", "replace"))
         recorded = bool(self.session.adapter.recordings)  # recorded times would give a wrong Age (RFC 9111 5.1)
         received = view.newest.received_ns if view.newest and not recorded else None
         return MessageState(

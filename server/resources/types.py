@@ -253,26 +253,28 @@ class LimitsContainer(ContainerResource):
         return name in SHAPES_GRAPHS or name in _packages(self.adapter) or super().is_taken(name)
 
     async def state(self) -> State:
-        kept = await super().state()
+        own_state = await super().state()
         listed = _generate(self.space, self.adapter)
         is_here = self._parts.containment and (self._place is None or self._place.after == 0)
         more = tuple(one for one in listed.triples if _is_of(one, containment=is_here, minimal=self._parts.minimal))
 
         def describe() -> Document:
-            return Document(kept.document.url, tuple(dict.fromkeys((*kept.document.triples, *more))))
+            return Document(own_state.document.url, tuple(dict.fromkeys((*own_state.document.triples, *more))))
 
         return self.documents.states.get_or_make(
             f"{self.url}?{self._place}#{self._parts.variant} with what is generated",
-            (IdentityKey(kept), more),
-            lambda: replace(kept, describe=describe, token=f"{kept.tag}-{digest(repr(more).encode())}", renderings={}),
+            (IdentityKey(own_state), more),
+            lambda: replace(
+                own_state, describe=describe, token=f"{own_state.tag}-{digest(repr(more).encode())}", renderings={}
+            ),
         )
 
     async def with_triples(
-        self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
+        self, record: Record, triples: Sequence[Triple], expected: int | None, known: Set[Triple] = frozenset()
     ) -> Put:
         require_small(triples)
         own = set(_generate(self.space, self.adapter).triples)
-        return await super().with_triples(record, [one for one in triples if one not in own], expected, said)
+        return await super().with_triples(record, [one for one in triples if one not in own], expected, known)
 
 
 def _is_of(triple: Triple, *, containment: bool, minimal: bool) -> bool:
@@ -291,8 +293,8 @@ def shapes_document(adapter: AuditedAdapter, documents: Documents) -> Document:
     space, record = documents.space, documents.records.get(active_limits.ROUTE)
     assert record is not None
     members = [space.base + member.path for member in all_members(documents.records, record)]
-    kept = record_document(record, space.container("shapes"), members, ())
-    return Document(kept.url, tuple(dict.fromkeys((*kept.triples, *_generate(space, adapter).triples))))
+    document = record_document(record, space.container("shapes"), members, ())
+    return Document(document.url, tuple(dict.fromkeys((*document.triples, *_generate(space, adapter).triples))))
 
 
 def _packages(adapter: AuditedAdapter) -> set[str]:

@@ -260,8 +260,8 @@ async def with_warnings(documents: Documents, path: str, exchange: Exchange, ans
 
     The warnings suggest existing names, so they require permission to read everything.
     """
-    is_told = exchange.permissions.may_read_all and not (exchange.prefer.minimal or exchange.prefer.representation)
-    if not path.startswith(ROUTE) or not is_told:
+    may_warn = exchange.permissions.may_read_all and not (exchange.prefer.minimal or exchange.prefer.representation)
+    if not path.startswith(ROUTE) or not may_warn:
         return answer
     url = documents.space.base + path
     warnings = await documents.mapping_warnings(url)

@@ -64,8 +64,8 @@ def require_model(exchange: Exchange, model: Model) -> None:
     if not links:
         return
     types = (link.target for link in links if "type" in link.rel.lower().split())
-    asked = {target for target in types if target.startswith(ldp.iri)}
-    if not asked <= {kind.value for kind in rdf_types(model)}:
+    models = {target for target in types if target.startswith(ldp.iri)}
+    if not models <= {kind.value for kind in rdf_types(model)}:
         raise Problem(
             409, f"This is an ldp:{model.value} and cannot change: create another resource for another model."
         )
@@ -212,12 +212,12 @@ def initial_times(managed: Sequence[Triple]) -> bytes:
     """
     found: list[Triple] = []
     for predicate in TIMES:
-        said = list(dict.fromkeys(each for each in managed if each.predicate == predicate))
-        if len(said) > 1 or not all(isinstance(each.object, Literal) for each in said):
+        stated = list(dict.fromkeys(each for each in managed if each.predicate == predicate))
+        if len(stated) > 1 or not all(isinstance(each.object, Literal) for each in stated):
             raise Problem(409, f"{predicate.value} of a resource must be one literal, such as a date.")
-        if said and len(str(said[0].object).encode()) > MAX_TIME_BYTES - 100:
+        if stated and len(str(stated[0].object).encode()) > MAX_TIME_BYTES - 100:
             raise Problem(409, f"{predicate.value} is longer than any date: shorten it.")
-        found += said
+        found += stated
     return to_ntriples(found)
 
 
@@ -225,8 +225,8 @@ def require_classes(managed: Sequence[Triple], model: Model) -> None:
     """Raise a 409 Problem if a body states another interaction model than that of the new resource."""
     for each in managed:
         if each.predicate == rdf.type and each.object not in rdf_types(model):
-            asked = each.object.value if isinstance(each.object, NamedNode) else each.object
-            words = f"{rdf.type.value} {asked} does not fit: this is to be an ldp:{model.value}. Ask for another"
+            requested = each.object.value if isinstance(each.object, NamedNode) else each.object
+            words = f"{rdf.type.value} {requested} does not fit: this is to be an ldp:{model.value}. Ask for another"
             raise Problem(409, f'{words} interaction model by a Link header with rel="type" (LDP 5.2.3.4).')
 
 
@@ -259,11 +259,11 @@ def require_membership(membership: Membership, managed: Sequence[Triple], url: s
         raise _refusal(each, [one.object for one in present if one.predicate == each.predicate])
 
 
-def _is_a_time_of(said: Triple, now: Sequence[object], record: Record) -> bool:
-    at = _milliseconds(said.object)
+def _is_a_time_of(stated: Triple, now: Sequence[object], record: Record) -> bool:
+    at = _milliseconds(stated.object)
     if at is None:
         return False
-    if said.predicate == dcterms.modified and record.created_ns // _MILLISECOND <= at:
+    if stated.predicate == dcterms.modified and record.created_ns // _MILLISECOND <= at:
         return at <= record.modified_ns // _MILLISECOND
     return at in map(_milliseconds, now)
 
@@ -273,6 +273,6 @@ def _milliseconds(value: object) -> int | None:
     return None if at is None else at // _MILLISECOND
 
 
-def _refusal(said: Triple, now: Sequence[object]) -> Problem:
+def _refusal(stated: Triple, now: Sequence[object]) -> Problem:
     is_so = f"is {' and '.join(map(str, now))} here" if now else "is not said here"
-    return Problem(409, f"{said.predicate.value} {is_so}, and not a client's to change: leave {said.object} away.")
+    return Problem(409, f"{stated.predicate.value} {is_so}, and not a client's to change: leave {stated.object} away.")

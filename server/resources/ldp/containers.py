@@ -63,21 +63,21 @@ from rosld.server.storage.sqlite import Records
 
 
 async def create_record(
-    kept: StoredResource, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
+    stored: StoredResource, model: Model, exchange: Exchange, blob: Blob | None, *, unused: bool = False
 ) -> Record:
-    """Create the resource `kept` and its missing ancestor containers.
+    """Create the resource `stored` and its missing ancestor containers.
 
     `blob` is the body of a non-RDF source. Raises Conflict if another request created the resource meanwhile, or, with
     `unused`, if the path was ever in use.
     """
-    documents, path = kept.documents, kept.path
+    documents, path = stored.documents, stored.path
     expect_status(201)
     if model is Model.NON_RDF_SOURCE:
         require_free(documents, path)
         put = Put(path, model, blob=blob, expected=0, unused=unused)
-        writes = [*_ways_to(documents.records, path), await _as_member(documents, put, NO_STATEMENTS, kept.url)]
+        writes = [*_ways_to(documents.records, path), await _as_member(documents, put, NO_STATEMENTS, stored.url)]
     else:
-        stated = await read_statements(documents.workers, exchange, kept.url, kept.url)
+        stated = await read_statements(documents.workers, exchange, stored.url, stored.url)
         writes = await creation_writes(documents, path, model, stated, unused=unused)
     record = (await write_together(documents, writes))[-1]
     assert record is not None
@@ -101,10 +101,10 @@ async def creation_writes(
             raise Problem(409, "A new container is empty: omit ldp:contains, and POST its members to it.")
         require_classes(managed, model)
         work = partial(client_triples, stated, url, model, frozenset[Triple](), initial_times(managed))
-        kept = await documents.workers.run(work) if stated.is_large else work()
+        content = await documents.workers.run(work) if stated.is_large else work()
     else:
-        kept = stated.packed
-    put = Put(path, model, kept, membership=parse_membership(managed, url, model), expected=0, unused=unused)
+        content = stated.packed
+    put = Put(path, model, content, membership=parse_membership(managed, url, model), expected=0, unused=unused)
     return [*_ways_to(documents.records, path), await _as_member(documents, put, stated, url)]
 
 

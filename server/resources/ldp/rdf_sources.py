@@ -42,13 +42,13 @@ from rosld.server.resources.ldp.statements import (
     SMALL_BYTES,
     KeptChange,
     Statements,
-    change_kept,
+    change_statements,
     has_blank_nodes,
     has_managed,
     member_uri,
     merge_statements,
     parse_patch,
-    patch_kept,
+    patch_record,
     patch_statements,
     require_same_members,
 )
@@ -139,7 +139,7 @@ class RdfSourceResource(StoredResource):
             before = state_of(self.documents, record)
             require_memory(before)
             if before.is_large and not has_managed(added.managed, self._subject):
-                change = partial(change_kept, record.triples, b"", unpack_triples(added.packed))
+                change = partial(change_statements, record.triples, b"", unpack_triples(added.packed))
                 if (put := await self._changed(record, change)) is not None:
                     return put
             work = partial(merge_statements, before.describe, added, self._subject)
@@ -162,10 +162,10 @@ class RdfSourceResource(StoredResource):
             require_memory(before)
             if not before.is_large:
                 with suppress(TooManyTriples):
-                    said = before.document.triples
-                    after = await self._patch(patch, said)
-                    return await self.with_triples(record, after, record.version, frozenset(said))
-            change = partial(patch_kept, record, before.describe, data, media_type, url, self._subject)
+                    triples = before.document.triples
+                    after = await self._patch(patch, triples)
+                    return await self.with_triples(record, after, record.version, frozenset(triples))
+            change = partial(patch_record, record, before.describe, data, media_type, url, self._subject)
             if before.is_large and (put := await self._changed(record, change)) is not None:
                 return put
             work = partial(patch_statements, before.describe, data, media_type, url, self._subject)
@@ -184,14 +184,14 @@ class RdfSourceResource(StoredResource):
         found = await self.documents.workers.run(change) if is_long else change()
         if found is None:
             return None
-        kept, *lines = found
+        content, *lines = found
         difference = None
         if sum(map(len, lines)) <= DIFFERENT and not any(map(has_blank_nodes, lines)):
             difference = Difference(record, b"".join(client_times(record, self._subject)), *lines)
         return Put(
             record.path,
             record.model,
-            kept,
+            content,
             record.blob,
             record.membership,
             expected=record.version,
@@ -222,7 +222,7 @@ class RdfSourceResource(StoredResource):
             return None
         removed, added = map(to_ntriples, change)
         is_long = is_large(record) or len(removed) + len(added) > SMALL_BYTES
-        put = await self._changed(record, partial(change_kept, record.triples, removed, added), is_long=is_long)
+        put = await self._changed(record, partial(change_statements, record.triples, removed, added), is_long=is_long)
         if put is None:
             return None
         is_changed = put.difference is None or put.difference.removed or put.difference.added
@@ -239,11 +239,11 @@ class RdfSourceResource(StoredResource):
         return self.space.base + self.path
 
     async def with_triples(
-        self, record: Record, triples: Sequence[Triple], expected: int | None, said: Set[Triple] = frozenset()
+        self, record: Record, triples: Sequence[Triple], expected: int | None, known: Set[Triple] = frozenset()
     ) -> Put:
         """Return the write that replaces the triples of a record; server-managed triples must be unchanged or absent.
 
-        The write expects the version `expected`, or any version (None). `said` are triples known to be unchanged.
+        The write expects the version `expected`, or any version (None). `known` are triples known to be unchanged.
         Raises 409 Problems for changed server-managed triples, and like `as_statements`.
         """
         url = self._subject
@@ -251,19 +251,19 @@ class RdfSourceResource(StoredResource):
         managed = managed_triples_in(stated.managed, url, record.model)
         times = b"".join(client_times(record, url))
         if record.membership is not None or managed or times:
-            new = [each for each in managed if each not in said] if said else managed
+            new = [each for each in managed if each not in known] if known else managed
             if new:
                 require_same_containment(self.documents, record, managed)
                 require_unchanged(new, record, url)
                 if record.membership is not None:
                     require_membership(record.membership, new, url)
-            kept = await client_statements(self.documents, record, stated, times)
+            content = await client_statements(self.documents, record, stated, times)
         else:
-            kept = stated.packed
+            content = stated.packed
         member = await self._member(record, stated)
         difference = stated.difference(record, url, times) if expected == record.version else None
         return Put(
-            record.path, record.model, kept, record.blob, record.membership, member, expected, difference=difference
+            record.path, record.model, content, record.blob, record.membership, member, expected, difference=difference
         )
 
     async def _member(self, record: Record, stated: Statements) -> str | None:

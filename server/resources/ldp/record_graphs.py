@@ -58,11 +58,11 @@ class RecordGraphs:
     """
 
     def __init__(
-        self, records: Records, base: str, said: ExtraTriples = _nothing, elsewhere: frozenset[str] = frozenset()
+        self, records: Records, base: str, extra: ExtraTriples = _nothing, elsewhere: frozenset[str] = frozenset()
     ) -> None:
         self._records = records
         self._base = base
-        self._said = said
+        self._extra = extra
         self._elsewhere = elsewhere
         self._times = _Times(base)
 
@@ -87,7 +87,7 @@ class RecordGraphs:
 
     def changes(self, after: int) -> Iterator[Changes]:
         """Yield the changes after a version, in parts."""
-        return _Search(self._records, self._base, after, self._times, self._said, self._elsewhere).parts()
+        return _Search(self._records, self._base, after, self._times, self._extra, self._elsewhere).parts()
 
 
 class _Times:
@@ -95,21 +95,21 @@ class _Times:
 
     def __init__(self, base: str) -> None:
         self._base = base
-        self._told: dict[str, dict[str, int]] = {}
+        self._delivered: dict[str, dict[str, int]] = {}
 
     def tell(self, record: Record, after: int) -> tuple[str, str]:
         """Return a container's current triple and those it may replace, given that version `after` was delivered."""
-        told = self._told.setdefault(record.path, {})
-        certain = max((version for version in told.values() if version <= after), default=0)
-        for line in [line for line, version in told.items() if version < certain]:
-            del told[line]
+        delivered = self._delivered.setdefault(record.path, {})
+        certain = max((version for version in delivered.values() if version <= after), default=0)
+        for line in [line for line, version in delivered.items() if version < certain]:
+            del delivered[line]
         now = _modified_triples(record, self._base + record.path)
-        told[now] = max(record.version, record.listed)
-        return now, "".join(line for line in told if line != now)
+        delivered[now] = max(record.version, record.listed)
+        return now, "".join(line for line in delivered if line != now)
 
     def drop(self, path: str) -> None:
         """Remove a container."""
-        self._told.pop(path, None)
+        self._delivered.pop(path, None)
 
 
 class _Search:
@@ -119,10 +119,10 @@ class _Search:
     """
 
     def __init__(
-        self, records: Records, base: str, after: int, times: _Times, said: ExtraTriples, elsewhere: frozenset[str]
+        self, records: Records, base: str, after: int, times: _Times, extra: ExtraTriples, elsewhere: frozenset[str]
     ) -> None:
         self._records = records
-        self._said = said
+        self._extra = extra
         self._elsewhere = elsewhere
         self._base = base
         self._after = after
@@ -169,7 +169,7 @@ class _Search:
             self._drop(path)
         elif not record.model.is_container:
             steps = self._records.writes_since(record, self._after)
-            if steps is None or self._said(record):
+            if steps is None or self._extra(record):
                 self._replace(record)
             else:
                 self._step(path, steps)
@@ -190,7 +190,7 @@ class _Search:
     def _replace(self, record: Record) -> None:
         url = self._base + record.path
         self._graphs[url + META if record.model is Model.NON_RDF_SOURCE else url] = partial(
-            _text, record, url, self._said
+            _text, record, url, self._extra
         )
         self._size += unpacked_size(record.triples) + _OVERHEAD
 
@@ -270,10 +270,10 @@ def _membership(membership: Membership, member: str) -> str:
     return f"<{one}> <{relation}> <{other}> .\n"
 
 
-def _text(record: Record, url: str, said: ExtraTriples) -> str:
+def _text(record: Record, url: str, extra: ExtraTriples) -> str:
     """Return the text of a record without members; client statements are copied unparsed."""
     membership = membership_declaration(record.membership, url) if record.membership is not None else ()
-    managed = record_document(without_statements(record, url), url, (), (*membership, *said(record)))
+    managed = record_document(without_statements(record, url), url, (), (*membership, *extra(record)))
     return serialize(managed, Syntax.N_TRIPLES).decode() + client_ntriples(record, url).decode()
 
 
@@ -284,5 +284,5 @@ def _managed_lines(record: Record, url: str) -> frozenset[str]:
 
 def _modified_triples(record: Record, url: str) -> str:
     """Return the triples of the modification time."""
-    said = tuple(each for each in managed_triples(record, url) if each.predicate == dcterms.modified)
-    return serialize(Document(url, said), Syntax.N_TRIPLES).decode()
+    extra = tuple(each for each in managed_triples(record, url) if each.predicate == dcterms.modified)
+    return serialize(Document(url, extra), Syntax.N_TRIPLES).decode()

@@ -40,8 +40,8 @@ def stored_document(
     if record.membership is not None and parts.membership:
         membership += membership_triples(record.membership, member_derived_uris_of(base, members))
     contained = [base + each.path for each in members] if parts.containment else []
-    kept = record if parts.minimal else without_statements(record, url)
-    return record_document(kept, url, contained, [*membership, *more])
+    stripped = record if parts.minimal else without_statements(record, url)
+    return record_document(stripped, url, contained, [*membership, *more])
 
 
 def member_derived_uris_of(base: str, members: Iterable[Member]) -> list[str]:
@@ -91,7 +91,7 @@ def page_state(documents: Documents, record: Record, parts: ContainerParts, plac
         page, found = page_at(documents, record, place)
         links = page.links(f"{documents.records.identity}-{_tag(record)}.any")
         headers = {"link": render_links([*model_links(record.model), *links])}
-        return _state(documents, record, parts, found, headers=headers, page=f"p{place.token}", said=page.triples())
+        return _state(documents, record, parts, found, headers=headers, page=f"p{place.token}", more=page.triples())
 
     return documents.states.get_or_make(
         f"{url}?page={place.token}#{parts.variant}", (record.version, record.listed), make
@@ -130,14 +130,14 @@ def _state(
     *,
     headers: Mapping[str, str] = {},
     page: str = "",
-    said: Sequence[Triple] = (),
+    more: Sequence[Triple] = (),
 ) -> State:
     if parts.applied:
         headers = {**headers, "preference-applied": str(parts.preference_applied)}
     if record.model.is_container:
         headers = {**headers, "vary": "Accept, Prefer"}
     return State(
-        partial(stored_document, documents.space.base, record, parts, members, said),
+        partial(stored_document, documents.space.base, record, parts, members, more),
         token=_tag(record),
         scope=documents.records.identity,
         part=f"{page}{parts.variant}",

@@ -70,14 +70,14 @@ class AbsentResource(StoredResource):
                 writes={"PUT": WriteMethod(accepts=RDF_BODIES), "PATCH": WriteMethod(accepts=_PATCHES)},
                 methods=methods,
             )
-        taken = (*RDF_BODIES, ANY_TYPE)
+        accepted = (*RDF_BODIES, ANY_TYPE)
         return PathItem(
             "What a client keeps there: RDF, a file, or a container if the path ends in a slash",
             (*OFFERS, ANY_TYPE),
             ANYTHING,
             writes={
-                "PUT": WriteMethod(accepts=taken),
-                "POST": WriteMethod(accepts=taken),
+                "PUT": WriteMethod(accepts=accepted),
+                "POST": WriteMethod(accepts=accepted),
                 "PATCH": WriteMethod(accepts=(*_PATCHES, MERGE_PATCH)),
                 "DELETE": DELETES,
             },
@@ -172,11 +172,11 @@ class AbsentResource(StoredResource):
         if media_type == SPARQL_UPDATE and has_deletes(data):
             raise self._missing(exchange)
         work = partial(patch_statements, partial(Document, self.url, ()), data, media_type, self.url, self.url)
-        said = await (asyncio.to_thread(work) if is_small(data) else self.documents.workers.run(work))
+        triples = await (asyncio.to_thread(work) if is_small(data) else self.documents.workers.run(work))
         try:
             record = (
                 await write_together(
-                    self.documents, await creation_writes(self.documents, self.path, self._plain_model, said)
+                    self.documents, await creation_writes(self.documents, self.path, self._plain_model, triples)
                 )
             )[-1]
         except Conflict as error:

@@ -247,19 +247,21 @@ def _noting(before: Sequence[Triple], after: Collection[Triple], found: Statemen
     return found
 
 
-def client_triples(kept: Statements, subject: str, model: Model, servers: frozenset[Triple], times: bytes) -> bytes:
+def client_triples(
+    statements: Statements, subject: str, model: Model, servers: frozenset[Triple], times: bytes
+) -> bytes:
     """Return the client's triples in packed form: neither server-managed nor in `servers`, preceded by `times`.
 
     `times` are the N-Triples of the times stated by the first writer.
     """
     return pack_triples(
-        times + to_ntriples([each for each in remove_managed(kept, subject, model) if each not in servers])
+        times + to_ntriples([each for each in remove_managed(statements, subject, model) if each not in servers])
     )
 
 
-def member_uri(membership: Membership, kept: Statements, url: str) -> str:
+def member_uri(membership: Membership, statements: Statements, url: str) -> str:
     """Return the URI of a new member at `url` in membership triples. Raises like `member_derived_uri`."""
-    return member_derived_uri(membership, index_triples(kept), url)
+    return member_derived_uri(membership, index_triples(statements), url)
 
 
 class KeptChange(NamedTuple):
@@ -270,13 +272,13 @@ class KeptChange(NamedTuple):
     added: bytes
 
 
-def change_kept(kept: bytes, removed: bytes, added: bytes) -> KeptChange | None:
-    """Return the stored statements `kept` without the lines of `removed` and with those of `added`.
+def change_statements(packed: bytes, removed: bytes, added: bytes) -> KeptChange | None:
+    """Return the stored statements `packed` without the lines of `removed` and with those of `added`.
 
     None if lines of `removed` with blank nodes are missing: their labels may differ.
     """
     gone, new = dict.fromkeys(_lines(removed)), dict.fromkeys(_lines(added))
-    lines = _lines(unpack_triples(kept))
+    lines = _lines(unpack_triples(packed))
     there = {*gone, *new}.intersection(lines)
     if has_blank_nodes(removed) and not there.issuperset(gone):
         return None
@@ -288,29 +290,29 @@ def change_kept(kept: bytes, removed: bytes, added: bytes) -> KeptChange | None:
     return KeptChange(pack_triples(_text([*lines, *come])), _text(lost), _text(come))
 
 
-def patch_kept(
+def patch_record(
     record: Record, describe: Callable[[], Document], data: bytes, media_type: str, url: str, subject: str
 ) -> KeptChange | None:
     """Return the change that a SPARQL Update or N3 Patch makes, or None if it concerns server-managed triples.
 
     `describe` returns the whole document, which only patterns need. Raises Problems.
     """
-    kept = record.triples
+    packed = record.triples
     if media_type == "text/n3":
         patch = read_patch(data, url)
         deletes, inserts = find_changes(patch, describe().triples if patch.where else ())
         if has_managed(deletes, subject) or has_managed(inserts, subject):
             return None
         removed, added = to_ntriples(deletes), to_ntriples(inserts)
-        lacking = {*_lines(removed)}.difference(_lines(unpack_triples(kept)))
+        lacking = {*_lines(removed)}.difference(_lines(unpack_triples(packed)))
         if lacking:
             raise missing_deletion(next(each for each in deletes if str(each).encode() + b" ." in lacking))
-        return change_kept(kept, removed, added)
+        return change_statements(packed, removed, added)
     ground = ground_changes(data, url)
     if ground is not None:
         if has_managed(ground.removed, subject) or has_managed(ground.added, subject):
             return None
-        return change_kept(kept, to_ntriples(ground.removed), to_ntriples(ground.added))
+        return change_statements(packed, to_ntriples(ground.removed), to_ntriples(ground.added))
     if record.model.is_container:
         before = to_ntriples(describe().triples)
     else:
@@ -318,7 +320,7 @@ def patch_kept(
     removed, added = updated_lines(data, before, url)
     if any(may_be_managed(each) and has_managed(parse_ntriples(each), subject) for each in (removed, added)):
         return None
-    return change_kept(kept, removed, added)
+    return change_statements(packed, removed, added)
 
 
 def has_managed(triples: Iterable[Triple], subject: str) -> bool:

@@ -59,12 +59,12 @@ def former_of(documents: Documents, path: str, exchange: Exchange) -> Resource |
     if exchange.method not in ("GET", "HEAD"):
         return None
     query, wanted = exchange.query, exchange.headers.get("accept-datetime")
-    asked = next((name for name in ("timemap", "at") if name in query), None)
+    parameter = next((name for name in ("timemap", "at") if name in query), None)
     if not has_versions(documents.settings, path):
-        if asked is not None and path.startswith(_ROOTS) and documents.settings.versions == 0:
-            raise Problem(404, f"?{asked}: no former versions are kept; start with rosld serve --versions N.")
+        if parameter is not None and path.startswith(_ROOTS) and documents.settings.versions == 0:
+            raise Problem(404, f"?{parameter}: no former versions are kept; start with rosld serve --versions N.")
         return None
-    if asked is None and wanted is None:
+    if parameter is None and wanted is None:
         return None
     times = memento_times(documents.records, path)
     if not times:

@@ -68,13 +68,13 @@ class RefusedGraphs(Problem):
         detail = f"<{graph}>: {problem.detail.rstrip('.')}."
         if reasons[1:]:
             detail += f" Other graphs are refused too: {len(reasons) - 1}."
-        told = [{"graph": name, **members(each)} for name, each in reasons]
+        entries = [{"graph": name, **members(each)} for name, each in reasons]
         super().__init__(
             problem.status,
             f"{detail} Nothing was done.",
             title=problem.title,
             headers=_retry_after(problem),
-            extra={**problem.extra, "graphs": told},
+            extra={**problem.extra, "graphs": entries},
             violations=problem.violations,
         )
 
@@ -91,10 +91,10 @@ def partial_failure(entries: Sequence[ReportEntry]) -> Problem:
             ("not done", (Outcome.FAILED, Outcome.LEFT)),
         )
     }
-    told = "; ".join(f"{fate}: {graphs or 'none'}" for fate, graphs in by_fate.items())
+    summary = "; ".join(f"{fate}: {graphs or 'none'}" for fate, graphs in by_fate.items())
     return Problem(
         failed.reason.status,
-        f"<{failed.graph}>: {failed.reason.detail.rstrip('.')}. {told}.",
+        f"<{failed.graph}>: {failed.reason.detail.rstrip('.')}. {summary}.",
         title=failed.reason.title,
         headers=_retry_after(failed.reason),
         extra={**failed.reason.extra, "graphs": [entry.members for entry in entries]},

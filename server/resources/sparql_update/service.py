@@ -301,7 +301,7 @@ class UpdateService:
                 found.append(operation)
                 continue
             made = filter(self.is_stored, named_graphs(found))
-            graphs = dict.fromkeys(graph for graph in (*self._documents_kept(), *made) if not graph.endswith("/"))
+            graphs = dict.fromkeys(graph for graph in (*self._stored_documents(), *made) if not graph.endswith("/"))
             if operation.target is GraphGroup.NAMED:
                 graphs.pop(self._default, None)
             writable = [graph for graph in graphs if permissions.may("PUT", graph)]
@@ -313,7 +313,7 @@ class UpdateService:
             found += (ManageGraph(operation.verb, graph, silent=True) for graph in writable)
         return found
 
-    def _documents_kept(self) -> Iterator[str]:
+    def _stored_documents(self) -> Iterator[str]:
         """Yield the graphs of all documents below `/data/`: no containers, no files, no policies."""
         records, after = self._documents.records, 0
         while changes := records.changes_since(after):
@@ -442,13 +442,13 @@ class UpdateService:
 
         Returns None if a stored graph has changed since the evaluation.
         """
-        kept = [(graph, plan) for graph, plan in plans if isinstance(plan, StorageWrite)]
+        stored = [(graph, plan) for graph, plan in plans if isinstance(plan, StorageWrite)]
         moves = [(graph, plan) for graph, plan in plans if isinstance(plan, RobotWrite)]
         if moves:
             self._session.interlock.require_open()
-        if kept:
+        if stored:
             writes: dict[str, Write] = {}
-            for graph, plan in kept:
+            for graph, plan in stored:
                 for write in plan.writes:  # an explicit write of a container precedes an implicit one
                     if write.path not in writes or graph == self._session.space.base + write.path:
                         writes[write.path] = write
@@ -460,17 +460,17 @@ class UpdateService:
                     return None
                 graph, problem = self._session.space.base + error.path, conflict_problem(self._session.space, error)
                 raise RefusedGraphs([(graph, reason(problem, permissions, graph))]) from error
-        entries = [ReportEntry(graph, plan.description, Outcome.DONE) for graph, plan in kept]
+        entries = [ReportEntry(graph, plan.description, Outcome.DONE) for graph, plan in stored]
         for graph, move in moves:
             record_step(move.description, graph)
         for place, (graph, move) in enumerate(moves):
             try:
-                heard = await move.carry_out()
+                is_received = await move.carry_out()
             except DryRunEnded:
                 continue
             except (RosError, Problem) as error:
                 fate, problem = failed_outcome(error), reason(error, permissions, graph)
                 left = [ReportEntry(name, plan.description, Outcome.LEFT) for name, plan in moves[place + 1 :]]
                 raise partial_failure([*entries, ReportEntry(graph, move.description, fate, problem), *left]) from error
-            entries.append(ReportEntry(graph, move.description, Outcome.DONE if heard else Outcome.UNHEARD))
+            entries.append(ReportEntry(graph, move.description, Outcome.DONE if is_received else Outcome.UNHEARD))
         return report_response(entries)

@@ -1,7 +1,7 @@
 """Every setting of a server: its name, type, default, meaning, and option.
 
 Settings          the values, validated on creation
-setting(...)      declares one: `option` is its own option of `rosld serve`; the others are given with --setting
+setting(...)      declares one: `option` or `metavar` makes it an option of `rosld serve`; others need --setting
 describe()        the table of `docs/reference/settings.md`
 """
 
@@ -31,8 +31,8 @@ def setting(
     minimum: float | None = None,
     metavar: str | None = None,
 ) -> _V:
-    """Declare a setting; `unit` is the unit of its number, which is at least `minimum`."""
-    metadata = {_HELP: help, _OPTION: option, _UNIT: unit, _MINIMUM: minimum, _METAVAR: metavar}
+    """Declare a setting; `unit` is the unit of its number, which is at least `minimum`. A `metavar` makes an option."""
+    metadata = {_HELP: help, _OPTION: option or metavar is not None, _UNIT: unit, _MINIMUM: minimum, _METAVAR: metavar}
     return dataclasses.field(default=default, metadata=metadata)
 
 
@@ -43,50 +43,43 @@ class Settings:
     base_url: str = setting(
         "http://127.0.0.1:8080/",
         "The URL at which clients reach this server, the base of every IRI. Default: the address it is bound to.",
-        option=True,
         metavar="URL",
     )
     host: str = setting(
         "127.0.0.1",
         "The address to listen on. Beyond loopback the server is read-only without --auth; a wildcard "
         "address needs --base-url.",
-        option=True,
         metavar="ADDRESS",
     )
-    port: int = setting(8080, "The port to listen on; 0 picks a free one.", option=True, metavar="PORT", minimum=0)
+    port: int = setting(8080, "The port to listen on; 0 picks a free one.", metavar="PORT", minimum=0)
     auth: Path | None = setting(  # noqa: RUF009 - it is a field
         None,
         "Who may do what: agents, their tokens, rules (TOML, or Turtle with Web Access Control). Reloaded "
         "when it changes. Default: everybody may do everything.",
-        option=True,
         metavar="FILE",
     )
     tls_cert: Path | None = setting(  # noqa: RUF009 - it is a field
-        None, "The certificate (PEM, with its chain) to serve https with.", option=True, metavar="FILE"
+        None, "The certificate (PEM, with its chain) to serve https with.", metavar="FILE"
     )
     tls_key: Path | None = setting(  # noqa: RUF009 - it is a field
-        None, "Its private key (PEM), if it is in a separate file.", option=True, metavar="FILE"
+        None, "Its private key (PEM), if it is in a separate file.", metavar="FILE"
     )
     data: Path | None = setting(  # noqa: RUF009 - it is a field
-        None, "The folder to store data in. It belongs to one base URL. Default: in memory.", option=True, metavar="DIR"
+        None, "The folder to store data in. It belongs to one base URL. Default: in memory.", metavar="DIR"
     )
     subscribe: tuple[str, ...] = setting(
-        (), "Topics to subscribe to permanently, such as '/camera/*'. Repeatable.", option=True, metavar="GLOB"
+        (), "Topics to subscribe to permanently, such as '/camera/*'. Repeatable.", metavar="GLOB"
     )
     history: tuple[str, ...] = setting(
         (),
         "Topics to record continuously into /bags/history/, such as '*'. Stored in --data DIR, else in "
         "memory. Repeatable.",
-        option=True,
         metavar="GLOB",
     )
-    history_time: float = setting(
-        86400.0, "How far back the history reaches.", option=True, unit="s", minimum=1, metavar="SECONDS"
-    )
+    history_time: float = setting(86400.0, "How far back the history reaches.", unit="s", minimum=1, metavar="SECONDS")
     history_size: int = setting(
         0,
         "The maximum size of the history in bytes. Default (0): 1 GiB in --data DIR, 128 MiB in memory.",
-        option=True,
         unit="bytes",
         minimum=0,
         metavar="BYTES",
@@ -95,21 +88,18 @@ class Settings:
         (),
         "Topics that may be published to although other nodes publish them or no node subscribes to them. "
         "Topics of ROS itself, such as /tf, only by exact name. Repeatable.",
-        option=True,
         metavar="GLOB",
     )
     allow_non_finite: tuple[str, ...] = setting(
         (),
         "Topics, services, actions and parameters that accept any number: NaN, infinities, and values beyond "
         "the limits of commands (3.4e38, velocities 1e6). Repeatable.",
-        option=True,
         metavar="GLOB",
     )
     stop_zero: tuple[str, ...] = setting(
         (),
         "Topics on which a stop publishes zero, in addition to those of a velocity type (Twist, "
         "TwistStamped, AckermannDrive and stamped); prefix '!' to exclude topics. Repeatable.",
-        option=True,
         metavar="GLOB",
     )
     stop_ready: bool = setting(
@@ -121,60 +111,43 @@ class Settings:
     stop_cancels: str = setting(
         "own",
         "The goals that a stop cancels: 'own', sent through rosld, or 'others', all goals of all actions.",
-        option=True,
         metavar="WHOSE",
     )
     name: str = setting(
         "",
         "The name of the robot on pages and in descriptions. Default: the parameter /robot_name, the name in "
         "its URDF (robot_description), or the host name.",
-        option=True,
         metavar="NAME",
     )
     resources_only: tuple[str, ...] = setting(
         (),
         "ROS names that can be written only through /resources/, where mappings protect them: /topics, "
         "/services and /parameters refuse them. Repeatable.",
-        option=True,
         metavar="GLOB",
     )
     mapping: tuple[Path, ...] = setting(
-        (),
-        "A mapping document (RDF) that defines resources, relations and conditions. Repeatable.",
-        option=True,
-        metavar="FILE",
+        (), "A mapping document (RDF) that defines resources, relations and conditions. Repeatable.", metavar="FILE"
     )
     shapes: tuple[Path, ...] = setting(
-        (),
-        "Limits (SHACL, Turtle) on what may be written, by type or by resource. Repeatable.",
-        option=True,
-        metavar="FILE",
+        (), "Limits (SHACL, Turtle) on what may be written, by type or by resource. Repeatable.", metavar="FILE"
     )
     getter: tuple[str, ...] = setting(
         (),
         "A name pattern of services that read {name}, in addition to 'get_{name}' and similar ones. Repeatable.",
-        option=True,
         metavar="TEMPLATE",
     )
     setter: tuple[str, ...] = setting(
         (),
         "A name pattern of services that write {name}, in addition to 'set_{name}' and similar ones. Repeatable.",
-        option=True,
         metavar="TEMPLATE",
     )
     exclude_service: tuple[str, ...] = setting(
         (),
         "Services to exclude from resources, in addition to those of ROS such as '*/get_loggers'. Repeatable.",
-        option=True,
         metavar="GLOB",
     )
     max_publish_rate: float = setting(
-        100.0,
-        "The maximum publish rate per topic, in messages per second.",
-        option=True,
-        unit="Hz",
-        minimum=0.001,
-        metavar="N",
+        100.0, "The maximum publish rate per topic, in messages per second.", unit="Hz", minimum=0.001, metavar="N"
     )
     hold_time: float = setting(
         60.0, "The longest time that `?for=` holds a topic without renewal.", unit="s", minimum=0.1
@@ -183,59 +156,42 @@ class Settings:
         (),
         "Origins whose pages may read and write, such as https://app.example; '*' allows all pages to read. "
         "Repeatable.",
-        option=True,
         metavar="URL",
     )
     types: tuple[Path, ...] = setting(
-        (),
-        "A folder to search for message and service definitions (PKG/msg/X.msg). Repeatable.",
-        option=True,
-        metavar="DIR",
+        (), "A folder to search for message and service definitions (PKG/msg/X.msg). Repeatable.", metavar="DIR"
     )
     ros_ip: str | None = setting(
-        None, "ROS 1: the address at which nodes of the robot reach this machine.", option=True, metavar="IP"
+        None, "ROS 1: the address at which nodes of the robot reach this machine.", metavar="IP"
     )
     host_map: tuple[tuple[str, str], ...] = setting(
-        (), "ROS 1: the address of a host whose name cannot be resolved. Repeatable.", option=True, metavar="NAME=IP"
+        (), "ROS 1: the address of a host whose name cannot be resolved. Repeatable.", metavar="NAME=IP"
     )
     qos: tuple[tuple[str, Qos], ...] = setting(
         (),
         "ROS 2: the quality of service of rosld's own publishers and subscribers on topics, the first GLOB "
         "that fits: '/scan=best_effort,volatile,depth:5'. Policies that a profile omits are adapted to the "
         "other endpoints of the topic. Repeatable.",
-        option=True,
         metavar="GLOB=PROFILE",
     )
     store: str | None = setting(
-        None,
-        "A SPARQL 1.1 server to mirror the dataset to, at URL/query and URL/update.",
-        option=True,
-        metavar="URL",
+        None, "A SPARQL 1.1 server to mirror the dataset to, at URL/query and URL/update.", metavar="URL"
     )
-    store_query: str | None = setting(
-        None, "The query endpoint of that server, if not URL/query.", option=True, metavar="URL"
-    )
-    store_update: str | None = setting(
-        None, "The update endpoint of that server, if not URL/update.", option=True, metavar="URL"
-    )
+    store_query: str | None = setting(None, "The query endpoint of that server, if not URL/query.", metavar="URL")
+    store_update: str | None = setting(None, "The update endpoint of that server, if not URL/update.", metavar="URL")
     store_rate: float = setting(
         1.0,
         "How often changes are sent to that server; of topics, only those of --subscribe.",
-        option=True,
         unit="Hz",
         minimum=0.001,
         metavar="HZ",
     )
     store_credentials: Path | None = setting(  # noqa: RUF009 - it is a field
-        None,
-        "A file with the credentials for that server: USER:PASSWORD, or 'Bearer TOKEN'.",
-        option=True,
-        metavar="FILE",
+        None, "A file with the credentials for that server: USER:PASSWORD, or 'Bearer TOKEN'.", metavar="FILE"
     )
     default_document: str = setting(
         "data/default",
         "The document, below /data/, that updates without a graph and ?default write to.",
-        option=True,
         metavar="PATH",
     )
     demand_if_match: bool = setting(
@@ -246,22 +202,18 @@ class Settings:
         "read",
         "What language models may do with the tools at /mcp: 'off', 'read', or 'write' (with --auth, 'read' permits "
         "what their token does). The stop is always permitted. Needs the extra rosld[mcp].",
-        option=True,
         metavar="WHAT",
     )
     mcp_approve: tuple[str, ...] = setting(
         (),
         "URL paths that language models may write to only if a person approves each write, such as "
         "'/actions/**'. Repeatable.",
-        option=True,
         metavar="GLOB",
     )
     mcp_budget: int = setting(
         8000, "The largest JSON value in the result of a tool; the rest is cut.", unit="bytes", minimum=500
     )
-    rate: float = setting(
-        1.0, "Recordings: playback speed; 1 is as recorded.", option=True, minimum=0.000001, metavar="X"
-    )
+    rate: float = setting(1.0, "Recordings: playback speed; 1 is as recorded.", minimum=0.000001, metavar="X")
     once: bool = setting(False, "Recordings: play once and stay at the end, instead of looping.", option=True)
     first_value_wait: float = setting(
         1.0, "How long the first read of a topic, also by a query, waits for a message.", unit="s", minimum=0
@@ -305,18 +257,13 @@ class Settings:
         minimum=1,
     )
     connections: int = setting(
-        3000,
-        "The maximum number of connections; a new one replaces an idle one, or gets 503.",
-        minimum=10,
+        3000, "The maximum number of connections; a new one replaces an idle one, or gets 503.", minimum=10
     )
     head_timeout: float = setting(
         20.0, "How long a client has to send the request line and headers.", unit="s", minimum=0.01
     )
     body_timeout: float = setting(
-        30.0,
-        "How long a client has to send a body; for an uploaded file, each part of it.",
-        unit="s",
-        minimum=0.01,
+        30.0, "How long a client has to send a body; for an uploaded file, each part of it.", unit="s", minimum=0.01
     )
     versions: int = setting(
         0,
@@ -373,21 +320,14 @@ class Settings:
     query_row_limit: int = setting(
         1_000_000,
         "The maximum number of rows, or triples of a graph, in the result of a SPARQL query.",
-        option=True,
         minimum=1,
         metavar="N",
     )
     allow_service: tuple[str, ...] = setting(
-        (),
-        "The full URL of an endpoint that queries may use with SERVICE. Default: none. Repeatable.",
-        option=True,
-        metavar="URL",
+        (), "The full URL of an endpoint that queries may use with SERVICE. Default: none. Repeatable.", metavar="URL"
     )
     allow_load: tuple[str, ...] = setting(
-        (),
-        "The full URL of a document that updates may LOAD. Default: none. Repeatable.",
-        option=True,
-        metavar="URL",
+        (), "The full URL of a document that updates may LOAD. Default: none. Repeatable.", metavar="URL"
     )
     query_concurrency: int = setting(4, "The maximum number of concurrent SPARQL queries.", minimum=1)
     query_queue: int = setting(256, "The maximum number of queued SPARQL queries; further ones get 503.", minimum=0)

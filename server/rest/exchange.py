@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property
 from types import MappingProxyType
 from urllib.parse import parse_qsl
 
@@ -59,8 +59,7 @@ class Exchange:
     @cached_property
     def query(self) -> Mapping[str, str]:
         """Parameters of the query, by name; the first of several with one name counts. Raises a 400 Problem."""
-        raw = self.request.scope["query_string"]
-        return _remembered(raw) if len(raw) <= 4096 else _query(raw)
+        return MappingProxyType(dict(reversed(query_pairs(self.request.scope["query_string"]))))
 
     def header(self, name: str) -> str | None:
         """Return the value of a header field (name in lower case), None if it is missing."""
@@ -192,16 +191,9 @@ def _fields(raw: Iterable[tuple[bytes, bytes]]) -> Mapping[str, str]:
     return found
 
 
-def _query(raw: bytes) -> Mapping[str, str]:
-    return MappingProxyType(dict(reversed(query_pairs(raw))))
-
-
 def query_pairs(raw: bytes) -> list[tuple[str, str]]:
     """Return the names and values of a query string. Raises a 400 Problem."""
     try:
         return parse_qsl(raw.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=200)
     except (UnicodeDecodeError, ValueError) as error:
         raise Problem(400, f"The query string cannot be read: {error}.") from error
-
-
-_remembered = lru_cache(maxsize=256)(_query)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
+from functools import partial
 from typing import TypeAlias, TypeVar
 
 from starlette.types import Scope
@@ -146,11 +146,8 @@ def _member(factory: ResourceFactory, name: str) -> MemberResource:
 
 Route: TypeAlias = Callable[[Location], Resource]
 _MAX_CACHED = 8192
-_SHORT = 256
-"""Maximum number of characters of a path whose location is cached."""
 _EXAMPLES = 100
 """Stored queries that the page of the endpoint lists."""
-_located = lru_cache(_MAX_CACHED)(locate)
 
 
 def _nested(space: Space, container: Callable[[tuple[str, ...]], Resource], leaf: Callable[[str], Resource]) -> Route:
@@ -327,7 +324,7 @@ class Router:
         resource = self._cache.get(path)
         if resource is not None:
             return resource
-        location = _located(path) if len(path) <= _SHORT else locate(path)
+        location = locate(path)
         route = self.routes.get(location.kind)
         if route is None:
             raise Problem(404, f"There is nothing at {path}; begin at {self._space.base}")

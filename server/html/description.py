@@ -218,18 +218,11 @@ MAX_SECTIONS = 40
 """Maximum number of sections in a plain list; more are folded by kind."""
 
 
-class SectionGroup(Struct, frozen=True):
-    """The sections of one kind."""
-
-    title: str
-    sections: tuple[Section, ...]
-
-
-def group_sections(sections: Sequence[Section]) -> tuple[SectionGroup, ...]:
-    """Return the sections by kind, in order of first appearance; empty if there are few."""
+def group_sections(sections: Sequence[Section]) -> tuple[tuple[str, Sequence[Section]], ...]:
+    """Return the kinds with their sections, in order of first appearance; empty if there are few."""
     if len(sections) <= MAX_SECTIONS:
         return ()
     kinds: dict[str, list[Section]] = {}
     for section in sections:
         kinds.setdefault(section.kind or "others", []).append(section)
-    return tuple(SectionGroup(kind, tuple(each)) for kind, each in kinds.items())
+    return tuple(kinds.items())

@@ -4,28 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from urllib.parse import quote
 
 from msgspec import Struct
 
 from rosld.adapters.model import Message, MessageSchema
 from rosld.server.html.page import PlotPage
-from rosld.server.html.site import Anchor, Site
-from rosld.server.html.view import View, escape_controls, time_view
+from rosld.server.html.site import Site
+from rosld.server.html.view import escape_controls, time_view
 from rosld.server.pictures.picture_cache import COMPRESSED_IMAGE, DEFAULT_RANGE, OCCUPANCY_GRID, CannotDraw, can_draw
 from rosld.server.space.drawing import can_place
 from rosld.server.space.transforms import FrameNode, Transform, heading
-
-
-class PlotRow(Struct, frozen=True):
-    """A number in the table: its topic, field and type, its recording, and the plot without it."""
-
-    topic: Anchor | None
-    field: str
-    type: str
-    series: str | None
-    without: str
 
 
 def plot_query(references: Sequence[str]) -> str:
@@ -117,42 +107,20 @@ _MAX_DEPTH = 12
 """Maximum depth of indentation of frames."""
 
 
-class SpaceRow(Struct, frozen=True):
-    """A topic of a view: the kind of its messages, their frame, and the position of that or why it is unknown."""
-
-    topic: Anchor | None
-    kind: str
-    frame: str
-    where: str
-    problem: str
-
-
-class FrameRow(Struct, frozen=True):
-    """A frame in the table of frames, with its depth and description; `received` is None for a root."""
-
-    name: str
-    depth: int
-    parent: str
-    where: str
-    is_static: bool
-    received: View | None
-    publishers: tuple[Anchor, ...]
-    problem: str
-
-
-def frame_row(node: FrameNode, site: Site, node_url: Callable[[str], str]) -> FrameRow:
+def frame_row(node: FrameNode, site: Site, node_url: Callable[[str], str]) -> Mapping[str, object]:
+    """Return a frame in the table of frames, with its depth and description; a root was not `received`."""
     newest = node.newest
     anchors = (site.anchor(node_url(each)) for each in node.publishers if each)
-    return FrameRow(
-        escape_controls(node.name),
-        min(node.depth, _MAX_DEPTH),
-        "" if newest is None else escape_controls(newest.parent),
-        "" if newest is None else pose_words(newest.transform),
-        newest is not None and newest.is_static,
-        None if newest is None else time_view(newest.source.received_ns),
-        tuple(each for each in anchors if each is not None),
-        escape_controls(node.problem),
-    )
+    return {
+        "name": escape_controls(node.name),
+        "depth": min(node.depth, _MAX_DEPTH),
+        "parent": "" if newest is None else escape_controls(newest.parent),
+        "where": "" if newest is None else pose_words(newest.transform),
+        "is_static": newest is not None and newest.is_static,
+        "received": None if newest is None else time_view(newest.source.received_ns),
+        "publishers": tuple(each for each in anchors if each is not None),
+        "problem": escape_controls(node.problem),
+    }
 
 
 def space_query(frame: str, references: Sequence[str], *, is_3d: bool = False) -> str:

@@ -20,7 +20,7 @@ from rosld.server.html.cockpit_form import kinds_of_panels
 from rosld.server.html.description import describe, first_text, group_sections, objects_of
 from rosld.server.html.forms import Form
 from rosld.server.html.frame import is_refreshed, page_frame, render_template
-from rosld.server.html.graphics import PlotRow, SpaceRow, frame_row, plot_config, plot_query, pose_words, space_query
+from rosld.server.html.graphics import frame_row, plot_config, plot_query, pose_words, space_query
 from rosld.server.html.offer import FormTarget, form_targets, offer_view
 from rosld.server.html.page import (
     ALTERNATES,
@@ -361,18 +361,20 @@ def render_plot(page: PlotPage) -> bytes:
     """Return the page of a plot: the configuration of its script, and the numbers in a table."""
     site = page.site
     rows = [
-        PlotRow(
-            site.anchor(number.topic),
-            escape_controls(number.field),
-            number.type,
-            None if number.series is None else site.href(number.series),
-            f"{site.root}plot{plot_query([each for each in page.references if each != reference])}",
-        )
+        {
+            "topic": site.anchor(number.topic),
+            "field": escape_controls(number.field),
+            "type": number.type,
+            "series": None if number.series is None else site.href(number.series),
+            "without": f"{site.root}plot{plot_query([each for each in page.references if each != reference])}",
+        }
         for number, reference in zip(page.numbers, page.references, strict=True)
     ]
     return render_template(
         "plot.html",
-        page_frame(site, ", ".join(row.field for row in rows) or "Plot", page.url, page.notices),
+        page_frame(
+            site, ", ".join(escape_controls(each.field) for each in page.numbers) or "Plot", page.url, page.notices
+        ),
         page=page,
         rows=rows,
         references=page.references,
@@ -401,13 +403,13 @@ def render_space(page: SpacePage) -> bytes:
     """Return the page of a view of space: the configuration of its script, and the same as text."""
     site = page.site
     rows = [
-        SpaceRow(
-            site.anchor(each.url),
-            each.kind,
-            escape_controls(each.frame),
-            "" if each.pose is None else pose_words(each.pose),
-            escape_controls(each.problem),
-        )
+        {
+            "topic": site.anchor(each.url),
+            "kind": each.kind,
+            "frame": escape_controls(each.frame),
+            "where": "" if each.pose is None else pose_words(each.pose),
+            "problem": escape_controls(each.problem),
+        }
         for each in page.topics
     ]
     return render_template(

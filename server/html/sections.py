@@ -194,28 +194,7 @@ def _space_out(word: str) -> str:
 _TONES = {ros.Succeeded: "good", ros.Failed: "error", ros.Running: "warning"}
 
 
-class StepRow(Struct, frozen=True):
-    """A step: its description, its subject, the number of subscribers it reached (empty if unknown), and its outcome.
-
-    `tone` is "good", "warning", "error", or empty for a step that was not done.
-    """
-
-    does: str
-    anchor: Anchor | None
-    subscribers: str
-    outcome: str
-    words: str
-    tone: str
-
-
-class StopSteps(Struct, frozen=True):
-    """The steps of a stop that was done, or those of a possible one."""
-
-    title: str
-    rows: tuple[StepRow, ...]
-
-
-def stop_steps(document: Document, site: Site) -> StopSteps | None:
+def stop_steps(document: Document, site: Site) -> Mapping[str, object] | None:
     """Return the steps that a document describes, or None without steps."""
     subjects = outline(document.triples).subjects
     own = subjects.get(NamedNode(document.url), {})
@@ -224,22 +203,23 @@ def stop_steps(document: Document, site: Site) -> StopSteps | None:
         return None
     is_stopped = _text(own.get(ros.stopped, ())) == "true"
     rows = tuple(_step_row(subjects.get(step, {}), site) for step in steps)
-    return StopSteps("What was sent" if is_stopped else "What a stop sends", rows)
+    return {"title": "What was sent" if is_stopped else "What a stop sends", "rows": rows}
 
 
-def _step_row(own: Statements, site: Site) -> StepRow:
+def _step_row(own: Statements, site: Site) -> Mapping[str, object]:
+    """Return a step; `tone` is "good", "warning", "error", or empty for a step that was not done."""
     state = next((term for term in own.get(ros.state, ()) if isinstance(term, NamedNode)), ros.NotSent)
     about = next((term for term in own.get(ros.touches, ()) if isinstance(term, NamedNode)), None)
-    words, subscribers = (escape_controls(_text(own.get(ros.words, ()))), _text(own.get(ros.subscriberCount, ())))
+    words, subscribers = escape_controls(_text(own.get(ros.words, ()))), _text(own.get(ros.subscriberCount, ()))
     tone = _TONES.get(state, "")
-    return StepRow(
-        escape_controls(_text(own.get(rdfs.label, ()))),
-        None if about is None else site.anchor(about.value),
-        subscribers,
-        "" if state == ros.NotSent else label(state.value),
-        words,
-        "warning" if tone == "good" and words and subscribers else tone,  # a subscriber that was not reached
-    )
+    return {
+        "does": escape_controls(_text(own.get(rdfs.label, ()))),
+        "anchor": None if about is None else site.anchor(about.value),
+        "subscribers": subscribers,
+        "outcome": "" if state == ros.NotSent else label(state.value),
+        "words": words,
+        "tone": "warning" if tone == "good" and words and subscribers else tone,  # a subscriber that was not reached
+    }
 
 
 def _text(terms: Sequence[Term]) -> str:

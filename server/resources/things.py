@@ -7,7 +7,6 @@ from typing import TypeAlias
 from urllib.parse import urljoin
 
 import orjson
-from msgspec import Struct
 from msgspec.structs import replace
 from starlette.responses import Response
 
@@ -44,14 +43,6 @@ _FRAME = 600
 _NOTHING: Mapping[str, int] = {}
 
 
-class _Named(Struct, frozen=True):
-    """An affordance with its kind and name."""
-
-    kind: str
-    name: str
-    affordance: _Affordance
-
-
 def add_part_link(data: bytes, url: str) -> bytes:
     """Return a description that links to its first part, if it has several; `url` is its own."""
     if len(data) <= MAX_PART:
@@ -67,20 +58,22 @@ def thing_parts(data: bytes, base: str, url: str, below: str) -> tuple[bytes, ..
     """
     thing = orjson.loads(data)
     affordances = [
-        _Named(kind, name, one)
+        (kind, name, one)
         for kind in _KINDS
         for name, one in thing.get(kind, {}).items()
         if _is_below(one, thing["id"], base, below)
     ]
     head = {**{name: each for name, each in thing.items() if name not in _KINDS}, "links": [_link("collection", url)]}
     room = MAX_PART - len(orjson.dumps(head)) - 2 * len(url) - 3 * len(below) - _FRAME
-    sizes = (len(orjson.dumps(one.affordance)) + len(orjson.dumps(one.name)) + PUNCTUATION for one in affordances)
-    parts = tuple(cut_parts(((one, size, _NOTHING) for one, size in zip(affordances, sizes, strict=True)), room))
+    sized = (
+        (one, len(orjson.dumps(one[2])) + len(orjson.dumps(one[1])) + PUNCTUATION, _NOTHING) for one in affordances
+    )
+    parts = tuple(cut_parts(sized, room))
     return tuple(
         orjson.dumps(
             {
                 **head,
-                **{kind: {one.name: one.affordance for one in part if one.kind == kind} for kind in _KINDS},
+                **{kind: {name: one for own, name, one in part if own == kind} for kind in _KINDS},
                 "links": [
                     *head["links"],
                     *([_link("next", part_url(url, below, number))] if number < len(parts) else ()),

@@ -30,10 +30,10 @@ from rosld.server.routing.offers import Offers, wants_offer
 from rosld.server.routing.representations import CONTENT_FIELDS, Representations, is_not_modified, negotiate
 from rosld.server.routing.write_answers import (
     VERBS,
-    FormAnswers,
     KnownParameters,
     WriteAnswers,
     answer_dry_run,
+    answer_form,
     check_media_type,
     is_form,
     problem_of_error,
@@ -66,7 +66,6 @@ class Dispatcher:
         self._session = session
         self._offers = Offers(session)
         self._known_parameters = KnownParameters(session.lifting)
-        self._forms = FormAnswers(pages, self._known_parameters)
         self._pages = pages
         self._keyed_lock = keyed_lock
         self._near = near
@@ -121,7 +120,7 @@ class Dispatcher:
         if method == "OPTIONS":
             return Response(status_code=204, headers=options(resource, await resource.current_methods()))
         if is_form(exchange, resource):
-            return await self._forms.answer(exchange, resource)
+            return await answer_form(self._pages, self._known_parameters, exchange, resource)
         if method not in resource.methods():
             raise resource.not_allowed(method)
         try:

@@ -239,45 +239,38 @@ _SHOWN_ON_THE_PAGE = frozenset({409, 422, 423, 429, 502, 503, 504})
 """Statuses of valid forms that are answered on the same page."""
 
 
-class FormAnswers:
-    """Handler of forms on pages."""
-
-    def __init__(self, pages: PageRenderer, known_parameters: KnownParameters) -> None:
-        self._pages = pages
-        self._known_parameters = known_parameters
-
-    async def answer(self, exchange: Exchange, resource: Resource) -> Response:
-        """Handle a form of one of our pages: the write that it stands for, then a redirect to a page (303)."""
-        place = enforcement.location_of(exchange.request.scope, self._pages.space)
+async def answer_form(
+    pages: PageRenderer, known_parameters: KnownParameters, exchange: Exchange, resource: Resource
+) -> Response:
+    """Handle a form of one of our pages: the write that it stands for, then a redirect to a page (303)."""
+    place = enforcement.location_of(exchange.request.scope, pages.space)
+    try:
+        form = await pages.read_form(exchange, resource)
+        if not exchange.permissions.is_unrestricted:
+            enforcement.authorize(exchange.permissions, form.method, place, resource)
+        if query_string := exchange.request.scope["query_string"]:
+            known_parameters.require(form.method, query_string, resource, resource, is_form=True)
+        exchange.audit.begin()
         try:
-            form = await self._pages.read_form(exchange, resource)
-            if not exchange.permissions.is_unrestricted:
-                enforcement.authorize(exchange.permissions, form.method, place, resource)
-            if query_string := exchange.request.scope["query_string"]:
-                self._known_parameters.require(form.method, query_string, resource, resource, is_form=True)
-            exchange.audit.begin()
-            try:
-                answer = await VERBS[form.method](resource, exchange)
-            except DryRunEnded:
-                expect_status(303)
+            answer = await VERBS[form.method](resource, exchange)
+        except DryRunEnded:
+            expect_status(303)
+            raise
+        except (LoweringError, RosError, Problem) as error:
+            problem = redact_problem(problem_of_error(error), exchange.permissions, place)
+            if problem.status not in _SHOWN_ON_THE_PAGE:
                 raise
-            except (LoweringError, RosError, Problem) as error:
-                problem = redact_problem(problem_of_error(error), exchange.permissions, place)
-                if problem.status not in _SHOWN_ON_THE_PAGE:
-                    raise
-                raise InvalidForm(form, exchange.typed, problem) from error
-        except InvalidForm as refusal:
-            exchange.audit.set_refusal(refusal.problem.with_quotes, refusal.problem.about)
-            return await self._pages.form_errors(resource, refusal, exchange.permissions)
-        if isinstance(answer, Response) and answer.status_code == 202 and form.method != "DELETE":
-            return await self._pages.with_notice(
-                resource, "It was published, but had no subscriber.", exchange.permissions
-            )
-        back = _back(resource, answer, self._pages.referring_url(exchange), self._pages.space)
-        if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):
-            back = resource.url.rstrip("/").rpartition("/")[0] + "/"
-        exchange.audit.leads_to_page = True
-        return Response(status_code=303, headers={"Location": to_uri(back)})
+            raise InvalidForm(form, exchange.typed, problem) from error
+    except InvalidForm as refusal:
+        exchange.audit.set_refusal(refusal.problem.with_quotes, refusal.problem.about)
+        return await pages.form_errors(resource, refusal, exchange.permissions)
+    if isinstance(answer, Response) and answer.status_code == 202 and form.method != "DELETE":
+        return await pages.with_notice(resource, "It was published, but had no subscriber.", exchange.permissions)
+    back = _back(resource, answer, pages.referring_url(exchange), pages.space)
+    if form.method == "DELETE" and not (isinstance(answer, Response) and answer.status_code == 202):
+        back = resource.url.rstrip("/").rpartition("/")[0] + "/"
+    exchange.audit.leads_to_page = True
+    return Response(status_code=303, headers={"Location": to_uri(back)})
 
 
 def is_form(exchange: Exchange, resource: Resource) -> bool:

@@ -9,10 +9,10 @@ from __future__ import annotations
 import asyncio
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from msgspec import Struct
 
@@ -48,106 +48,11 @@ from rosld.adapters.model import (
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.slots import Slot
 
-_MAX_ADVERTISED = 10_000
-
-
-class AdvertisedTopic(Struct):
-    """A topic that rosld advertises; `epoch` counts its advertisings, `sequence` its messages."""
-
-    type: TypeRef
-    latched: bool
-    epoch: int
-    matched: int
-    sequence: int = 0
-
-
-class LocalTopics:
-    """The newest messages of each topic, and which topics rosld advertises.
-
-    `types` are those of the robot's own topics; `subscribed` are the names of those that the robot subscribes to.
-    `own_node` is the name of rosld. `resolve` finds the type of a message, with its hash; `changed` is called when
-    rosld advertises something else.
-    """
-
-    def __init__(
-        self,
-        types: Mapping[str, TypeRef],
-        subscribed: Container[str],
-        encoding: Encoding,
-        own_node: str,
-        resolve: Callable[[TypeRef], TypeRef],
-        changed: Callable[[], None],
-    ) -> None:
-        self.advertised: dict[str, AdvertisedTopic] = {}
-        self._types = types
-        self._subscribed = subscribed
-        self._encoding = encoding
-        self._own_node = own_node
-        self._resolve = resolve
-        self._changed = changed
-        self._slots = {topic: Slot() for topic in types}
-        self._sequences: dict[str, int] = {}
-        self._advertisings = 0
-
-    def subscribe(self, topic: str, depth: int) -> Subscription:
-        """Subscribe to a topic, whether or not it is there yet."""
-        return self._slot(topic).subscribe(depth)
-
-    def is_subscribed(self, topic: str) -> bool:
-        """Whether a topic has a subscription."""
-        slot = self._slots.get(topic)
-        return slot is not None and slot.subscriptions > 0
-
-    def publish_as(self, topic: str, node: str, data: bytes, *, latched: bool = False) -> None:
-        """Publish a message of a node of the robot on one of its topics."""
-        sequence = self._sequences[topic] = self._sequences.get(topic, 0) + 1
-        self._slot(topic).put(
-            Sample(data, self._encoding, self._types[topic], node, time.time_ns(), sequence, latched=latched)
-        )
-
-    def publish(self, topic: str, type: TypeRef, data: bytes, latch: bool) -> Published:
-        """Publish a message of rosld, advertising first if need be. Raises Refused, UnknownType."""
-        own = self.advertised.get(topic)
-        if own is None or own.latched != latch or own.type != type:
-            own = self._advertise(topic, type, latch)
-        own.sequence += 1
-        self._slot(topic).put(
-            Sample(data, self._encoding, own.type, self._own_node, time.time_ns(), own.sequence, own.epoch, latch)
-        )
-        return Published(own.matched)
-
-    def unadvertise(self, topic: str) -> None:
-        """Stop advertising; what rosld sent there is gone with it. Raises NotFound where it advertises nothing."""
-        if self.advertised.pop(topic, None) is None:
-            raise NotFound(f"rosld does not advertise {topic}")
-        self._slots[topic].drop(self._own_node)
-        if topic not in self._types and not self._slots[topic].subscriptions:
-            del self._slots[topic]
-        self._changed()
-
-    def _slot(self, topic: str) -> Slot:
-        return self._slots.setdefault(topic, Slot())
-
-    def _advertise(self, topic: str, type: TypeRef, latch: bool) -> AdvertisedTopic:
-        """Advertise a topic, or take note of another way of publishing on it."""
-        kind = self._resolve(type)
-        own = self.advertised.get(topic)
-        carried = self._types.get(topic) or (own.type if own else kind)
-        if carried != kind:
-            raise Refused(f"the topic {topic} carries {carried.name}, not this {kind.name}")
-        if own is not None and own.latched == latch:
-            return own
-        if own is None and len(self.advertised) >= _MAX_ADVERTISED:
-            raise Refused(f"rosld advertises {_MAX_ADVERTISED} topics already: DELETE one first")
-        self._advertisings += 1
-        own = AdvertisedTopic(kind, latch, epoch=self._advertisings, matched=int(topic in self._subscribed))
-        self.advertised[topic] = own
-        self._changed()
-        return own
-
-
 ROSLD = "/rosld"
 """The node that rosld appears as while it advertises a topic."""
+
+
+_MAX_ADVERTISED = 10_000
 
 
 class Interface(NamedTuple):
@@ -156,6 +61,16 @@ class Interface(NamedTuple):
     type: str
     node: str
     latched: bool = False
+
+
+class _AdvertisedTopic(Struct):
+    """A topic that rosld advertises; `epoch` counts its advertisings, `sequence` its messages."""
+
+    type: TypeRef
+    latched: bool
+    epoch: int
+    matched: int
+    sequence: int = 0
 
 
 class EmbeddedRobot(Adapter):
@@ -181,12 +96,11 @@ class EmbeddedRobot(Adapter):
         )
         self._published, self._subscribed, self._services, self._actions = published, subscribed, services, actions
         interfaces = {**published, **subscribed, **services, **actions}
-        self._nodes = dict.fromkeys(each.node for each in interfaces.values())
         self._types = {name: self._library.find(TypeRef(each.type)).ref for name, each in interfaces.items()}
-        own = {topic: self._types[topic] for topic in (*published, *subscribed)}
-        self._topics = LocalTopics(
-            own, subscribed, capabilities.encoding, ROSLD, lambda ref: self._message(ref).ref, self._revise
-        )
+        self._slots = {topic: Slot() for topic in (*published, *subscribed)}
+        self._sequences: dict[str, int] = {}
+        self._advertised: dict[str, _AdvertisedTopic] = {}
+        self._advertisings = 0
         self._sink: Sink | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._graph = self._describe(1)
@@ -212,8 +126,8 @@ class EmbeddedRobot(Adapter):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        for topic in tuple(self._topics.advertised):
-            self._topics.unadvertise(topic)
+        for topic in tuple(self._advertised):
+            await self.unadvertise(topic)
         self._sink = None
 
     def allows(self, ref: Ref) -> frozenset[Operation]:
@@ -232,18 +146,22 @@ class EmbeddedRobot(Adapter):
 
     def known_types(self) -> Sequence[TypeRef]:
         """Return the types of the robot's topics, services and actions, and of what rosld advertises."""
-        return list(dict.fromkeys([*self._types.values(), *(each.type for each in self._topics.advertised.values())]))
+        return list(dict.fromkeys([*self._types.values(), *(each.type for each in self._advertised.values())]))
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
-        """Subscribe to a topic, whether or not it exists yet."""
-        return self._topics.subscribe(topic, depth)
+        return self._slot(topic).subscribe(depth)
 
     async def publish(
         self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
     ) -> Published:
         """Publish without waiting: no subscriber can match later. Raises Refused for another type."""
         self._require_reachable(deadline)
-        return self._topics.publish(topic, type, data, latch)
+        own = self._advertised.get(topic)
+        if own is None or own.latched != latch or own.type != type:
+            own = self._advertise(topic, type, latch)
+        own.sequence += 1
+        self._put(topic, data, own.type, ROSLD, own.sequence, own.epoch, latch)
+        return Published(own.matched)
 
     async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
         """Do nothing: the robot receives what is published at once."""
@@ -251,7 +169,13 @@ class EmbeddedRobot(Adapter):
 
     async def unadvertise(self, topic: str) -> None:
         """Stop advertising, and drop the messages that rosld published."""
-        self._topics.unadvertise(topic)
+        if self._advertised.pop(topic, None) is None:
+            raise NotFound(f"rosld does not advertise {topic}")
+        slot = self._slots[topic]
+        slot.drop(ROSLD)
+        if not slot.subscriptions and topic not in self._published and topic not in self._subscribed:
+            del self._slots[topic]
+        self._revise()
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """Call a service of the robot. Raises Refused for another type, and for bytes that are no request."""
@@ -318,11 +242,13 @@ class EmbeddedRobot(Adapter):
 
     def _describe(self, revision: int) -> Graph:
         """Return the current computation graph."""
-        topics = dict.fromkeys((*self._published, *self._subscribed, *sorted(self._topics.advertised)))
+        interfaces = {**self._published, **self._subscribed, **self._services, **self._actions}
+        nodes = dict.fromkeys(each.node for each in interfaces.values())
+        topics = dict.fromkeys((*self._published, *self._subscribed, *sorted(self._advertised)))
         return Graph(
             revision,
             own_node=ROSLD,
-            nodes=freeze({name: Node(name) for name in (*self._nodes, *([ROSLD] if self._topics.advertised else []))}),
+            nodes=freeze({name: Node(name) for name in (*nodes, *([ROSLD] if self._advertised else []))}),
             topics=freeze({name: self._topic(name) for name in topics}),
             services=freeze(
                 {name: Service(name, self._types[name], (each.node,)) for name, each in self._services.items()}
@@ -334,7 +260,7 @@ class EmbeddedRobot(Adapter):
         )
 
     def _topic(self, name: str) -> Topic:
-        own = self._topics.advertised.get(name)
+        own = self._advertised.get(name)
         type = own.type if own else self._types[name]
         publishers = [
             *_endpoints(self._published.get(name), type),
@@ -346,7 +272,36 @@ class EmbeddedRobot(Adapter):
         """Publish a message of the robot on a topic of its own."""
         interface = self._published[topic]
         data = self._encode(self._message(self._types[topic]), fields)
-        self._topics.publish_as(topic, interface.node, data, latched=interface.latched)
+        sequence = self._sequences[topic] = self._sequences.get(topic, 0) + 1
+        self._put(topic, data, self._types[topic], interface.node, sequence, 0, interface.latched)
+
+    def _put(self, topic: str, data: bytes, type: TypeRef, node: str, sequence: int, epoch: int, latched: bool) -> None:
+        encoding = self._capabilities.encoding
+        self._slot(topic).put(Sample(data, encoding, type, node, time.time_ns(), sequence, epoch, latched))
+
+    def _slot(self, topic: str) -> Slot:
+        return self._slots.setdefault(topic, Slot())
+
+    def _is_subscribed(self, topic: str) -> bool:
+        return topic in self._slots and bool(self._slots[topic].subscriptions)
+
+    def _advertise(self, topic: str, type: TypeRef, latch: bool) -> _AdvertisedTopic:
+        """Advertise a topic, or take note of another way of publishing on it."""
+        kind = self._message(type).ref
+        own = self._advertised.get(topic)
+        is_robots = topic in self._published or topic in self._subscribed
+        carried = self._types[topic] if is_robots else own.type if own else kind
+        if carried != kind:
+            raise Refused(f"the topic {topic} carries {carried.name}, not this {kind.name}")
+        if own is not None and own.latched == latch:
+            return own
+        if own is None and len(self._advertised) >= _MAX_ADVERTISED:
+            raise Refused(f"rosld advertises {_MAX_ADVERTISED} topics already: DELETE one first")
+        self._advertisings += 1
+        own = _AdvertisedTopic(kind, latch, epoch=self._advertisings, matched=int(topic in self._subscribed))
+        self._advertised[topic] = own
+        self._revise()
+        return own
 
     def _encode(self, schema: MessageSchema, fields: Mapping[str, object]) -> bytes:
         return schema.codec.encode(schema.codec.build(schema.ref.name, fields), self._capabilities.encoding)
@@ -366,20 +321,18 @@ class EmbeddedRobot(Adapter):
         return schema
 
     def _service(self, name: str, requested: TypeRef) -> ServiceSchema:
-        if name not in self._graph.services:
-            raise NotFound(f"there is no service {name}")
-        schema = self._library.find(self._types[name])
-        assert isinstance(schema, ServiceSchema)
-        _require_type(name, "service", schema.ref, requested)
-        return schema
+        return cast(ServiceSchema, self._found("service", self._services, name, requested))
 
     def _action(self, name: str, requested: TypeRef | None = None) -> ActionSchema:
-        if name not in self._graph.actions:
-            raise NotFound(f"there is no action {name}")
+        return cast(ActionSchema, self._found("action", self._actions, name, requested))
+
+    def _found(self, kind: str, among: Mapping[str, Interface], name: str, requested: TypeRef | None) -> Schema:
+        """Return the schema of a service or an action. Raises NotFound, and Refused if another type is requested."""
+        if name not in among:
+            raise NotFound(f"there is no {kind} {name}")
         schema = self._library.find(self._types[name])
-        assert isinstance(schema, ActionSchema)
-        if requested is not None:
-            _require_type(name, "action", schema.ref, requested)
+        if requested and (requested.name != schema.ref.name or requested.hash not in (None, schema.ref.hash)):
+            raise Refused(f"the {kind} {name} is a {schema.ref.name}, not this {requested.name}")
         return schema
 
     def _decode(self, schema: MessageSchema, data: bytes, name: str) -> Message:
@@ -396,11 +349,6 @@ class EmbeddedRobot(Adapter):
         self._graph = self._describe(self._graph.revision + 1)
         if self._sink is not None:
             self._sink.graph_changed(self._graph)
-
-
-def _require_type(name: str, kind: str, ref: TypeRef, requested: TypeRef) -> None:
-    if requested.name != ref.name or requested.hash not in (None, ref.hash):
-        raise Refused(f"the {kind} {name} is a {ref.name}, not this {requested.name}")
 
 
 def _endpoints(interface: Interface | None, type: TypeRef) -> Iterable[Endpoint]:

@@ -6,7 +6,8 @@ whose empty segments count for nothing, as at the master.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import copy
+from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import TypeAlias
 
@@ -36,20 +37,19 @@ def with_value(tree: Tree, name: str, value: ParameterValue) -> Tree:
     Raises Refused for a root that is no dict.
     """
     path = _path(name)
-    if not path and not isinstance(value, dict):
-        raise Refused("the root of the parameter tree, '/', can only be set to a dict")
-    return _with(tree, path, value)
-
-
-def _with(tree: Tree, path: Sequence[str], value: ParameterValue) -> Tree:
     if not path:
-        assert isinstance(value, dict)
+        if not isinstance(value, dict):
+            raise Refused("the root of the parameter tree, '/', can only be set to a dict")
         return dict(value)
-    step, *rest = path
-    if not rest:
-        return {**tree, step: value}
-    below = tree.get(step)
-    return {**tree, step: _with(below if isinstance(below, dict) else {}, rest, value)}
+    *above, last = path
+    place = changed = copy.deepcopy(tree)
+    for step in above:
+        below = place.get(step)
+        if not isinstance(below, dict):
+            below = place[step] = {}
+        place = below
+    place[last] = value
+    return changed
 
 
 def without_name(tree: Tree, name: str) -> Tree:
@@ -59,16 +59,11 @@ def without_name(tree: Tree, name: str) -> Tree:
         raise Refused("the root of the parameter tree, '/', cannot be deleted")
     if read_name(tree, name) is None:
         raise NotFound(f"there is no parameter {name!r}")
-    return _without(tree, path)
-
-
-def _without(tree: Tree, path: Sequence[str]) -> Tree:
-    step, *rest = path
-    if not rest:
-        return {key: value for key, value in tree.items() if key != step}
-    below = tree[step]
-    assert isinstance(below, dict)
-    return {**tree, step: _without(below, rest)}
+    changed = copy.deepcopy(tree)
+    parent = read_name(changed, "/" + "/".join(path[:-1]))
+    assert isinstance(parent, dict)
+    del parent[path[-1]]
+    return changed
 
 
 def leaves(tree: Mapping[str, ParameterValue], prefix: str = "") -> Iterator[str]:
@@ -96,15 +91,6 @@ def check(name: str, value: object, depth: int = 0) -> None:
             check(name, item, depth + 1)
     elif not isinstance(value, (bool, int, float, str, bytes, datetime)):
         raise Refused(f"the parameter {name} cannot be {value!r}: ROS 1 parameters cannot have such a value")
-
-
-def deep_copy(value: ParameterValue) -> ParameterValue:
-    """Return a value that shares no list and no dict with `value`."""
-    if isinstance(value, dict):
-        return {key: deep_copy(below) for key, below in value.items()}
-    if isinstance(value, list):
-        return [deep_copy(item) for item in value]
-    return value
 
 
 def _check_key(name: str, key: object) -> None:

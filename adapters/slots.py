@@ -1,38 +1,19 @@
-"""Slots: the newest samples of each publisher of one topic, and the watches of those who wait for more.
+"""Feeds: the newest samples of each publisher of one topic, and the watches of those who wait for more.
 
-For adapters whose samples arrive on the server's loop. Nothing here is thread-safe, and nothing costs more than a
-few microseconds: a sample that nobody looks at replaces one entry.
+A feed belongs to the server's loop. Nothing here is thread-safe, and nothing costs more than a few microseconds: a
+sample that nobody looks at replaces one entry.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections import Counter, deque
+from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Sample
-
-
-class Watches:
-    """Watches to wake on the running loop when something new arrives, at most once per iteration each."""
-
-    def __init__(self) -> None:
-        self._watches: dict[LoopWatch, None] = {}
-
-    def __len__(self) -> int:
-        return len(self._watches)
-
-    def add(self, wake: Callable[[], None]) -> LoopWatch:
-        """Wake from now on, until the watch is closed. To be called on the loop."""
-        watch = LoopWatch(wake, self._watches)
-        self._watches[watch] = None
-        return watch
-
-    def notify(self) -> None:
-        """Something new is there."""
-        for watch in self._watches:
-            watch.notify()
 
 
 class LoopWatch:
@@ -43,6 +24,7 @@ class LoopWatch:
         self._among = among
         self._loop = asyncio.get_running_loop()
         self._due = False
+        among[self] = None
 
     def notify(self) -> None:
         """Wake in the next turn of the loop."""
@@ -61,14 +43,86 @@ class LoopWatch:
         self._among.pop(self, None)
 
 
-class Slot:
-    """The newest samples of each publisher of one topic."""
+class Feed(ABC):
+    """The newest samples of one topic, for all its subscriptions.
+
+    `changed` is called with the feed when `depth`, the greatest of its subscriptions, changes, and after the last one.
+    """
+
+    def __init__(self, changed: Callable[[Any], None] = lambda _: None) -> None:
+        self.depth = 1
+        self.subscriptions: list[TopicSubscription] = []
+        self.watches: dict[LoopWatch, None] = {}
+        self._changed = changed
+
+    @abstractmethod
+    def latest(self, depth: int = 1) -> Sequence[Sample]:
+        """Return the newest `depth` samples of each publisher by time of receipt, the same object until one arrives."""
+
+    def watch(self, wake: Callable[[], None]) -> LoopWatch:
+        """Wake on the loop after something new arrived, until the watch is closed. To be called on the loop."""
+        return LoopWatch(wake, self.watches)
+
+    def notify(self) -> None:
+        """Wake the watches."""
+        for watch in self.watches:
+            watch.notify()
+
+    def subscribe(self, depth: int = 1) -> TopicSubscription:
+        """Keep at least `depth` samples of each publisher until the subscription is closed.
+
+        Raises ValueError for a depth below 1.
+        """
+        if depth < 1:
+            raise ValueError(f"a depth of {depth} holds no sample: it must be 1 or more")
+        subscription = TopicSubscription(self, depth)
+        self.subscriptions.append(subscription)
+        self.fit()
+        return subscription
+
+    def fit(self) -> None:
+        """Keep as many samples as the deepest subscription needs."""
+        depth = max((each.depth for each in self.subscriptions), default=1)
+        if depth != self.depth or not self.subscriptions:
+            self.depth = depth
+            self._changed(self)
+
+
+class TopicSubscription:
+    """Subscription to a topic. After `close` it is empty and wakes nothing."""
+
+    def __init__(self, feed: Feed, depth: int) -> None:
+        self.depth = depth
+        self._feed: Feed | None = feed
+        self._watches: list[LoopWatch] = []
+
+    def latest(self) -> Sequence[Sample]:
+        """Return the newest samples of each publisher, in order of receipt."""
+        return () if self._feed is None else self._feed.latest(self.depth)
+
+    def watch(self, wake: Callable[[], None]) -> Watch:
+        """Wake on the loop after something new arrived; ends with the subscription."""
+        if self._feed is None:
+            return LoopWatch(wake, {})
+        watch = self._feed.watch(wake)
+        self._watches.append(watch)
+        return watch
+
+    def close(self) -> None:
+        """End the subscription. Idempotent."""
+        if self._feed is not None:
+            feed, self._feed = self._feed, None
+            for watch in self._watches:
+                watch.close()
+            feed.subscriptions.remove(self)
+            feed.fit()
+
+
+class Slot(Feed):
+    """A feed of samples that are put there one by one."""
 
     def __init__(self) -> None:
-        self.watches = Watches()
-        self.subscriptions = 0
-        self._depth = 1
-        self._depths: Counter[int] = Counter()
+        super().__init__(Slot._resize)
         self._samples: dict[str, deque[Sample]] = {}
         self._views: dict[int, tuple[Sample, ...]] = {}
 
@@ -76,7 +130,7 @@ class Slot:
         """Keep a sample as its publisher's newest."""
         samples = self._samples.get(sample.publisher)
         if samples is None:
-            samples = self._samples[sample.publisher] = deque(maxlen=self._depth)
+            samples = self._samples[sample.publisher] = deque(maxlen=self.depth)
         samples.append(sample)
         self._on_change()
 
@@ -86,74 +140,22 @@ class Slot:
             self._on_change()
 
     def latest(self, depth: int = 1) -> Sequence[Sample]:
-        """The newest `depth` samples of each publisher in order of receipt; the same object until one arrives."""
+        """Return the newest samples of each publisher, the same object until one arrives."""
         view = self._views.get(depth)
         if view is None:
             newest = [sample for samples in self._samples.values() for sample in tuple(samples)[-depth:]]
-            view = self._views[depth] = tuple(sorted(newest, key=_received_ns))
+            view = self._views[depth] = tuple(sorted(newest, key=received_ns))
         return view
 
-    def subscribe(self, depth: int = 1) -> SlotSubscription:
-        """Have at least `depth` samples of each publisher kept until what is returned is closed.
-
-        Raises ValueError for a depth below 1.
-        """
-        if depth < 1:
-            raise ValueError(f"a depth of {depth} holds no sample: it must be 1 or more")
-        self._depths[depth] += 1
-        self._fit()
-        return SlotSubscription(self, depth)
-
-    def release(self, depth: int) -> None:
-        """One interest less. To be called by the subscription."""
-        self._depths[depth] -= 1
-        if not self._depths[depth]:
-            del self._depths[depth]
-        self._fit()
-
-    def _fit(self) -> None:
-        """Keep as many as the deepest subscription needs."""
-        depth = max(self._depths, default=1)
-        if depth != self._depth:
-            self._depth = depth
-            self._samples = {publisher: deque(samples, maxlen=depth) for publisher, samples in self._samples.items()}
-            self._views.clear()
+    def _resize(self) -> None:
+        self._samples = {name: deque(samples, maxlen=self.depth) for name, samples in self._samples.items()}
+        self._views.clear()
 
     def _on_change(self) -> None:
         self._views.clear()
-        self.watches.notify()
+        self.notify()
 
 
-def _received_ns(sample: Sample) -> int:
+def received_ns(sample: Sample) -> int:
+    """Return the time of receipt, the key to sort samples by."""
     return sample.received_ns
-
-
-class SlotSubscription:
-    """Subscription to one slot. After `close` it is empty and wakes nothing."""
-
-    def __init__(self, slot: Slot, depth: int) -> None:
-        self._slot: Slot | None = slot
-        self._depth = depth
-        self._watches: list[LoopWatch] = []
-        slot.subscriptions += 1
-
-    def latest(self) -> Sequence[Sample]:
-        """Return the newest samples of each publisher, in order of receipt."""
-        return () if self._slot is None else self._slot.latest(self._depth)
-
-    def watch(self, wake: Callable[[], None]) -> Watch:
-        """Wake on the loop after something new arrived; ends with the subscription."""
-        if self._slot is None:
-            return LoopWatch(wake, {})
-        watch = self._slot.watches.add(wake)
-        self._watches.append(watch)
-        return watch
-
-    def close(self) -> None:
-        """Give this interest back. Idempotent."""
-        if self._slot is not None:
-            self._slot.subscriptions -= 1
-            self._slot.release(self._depth)
-            self._slot = None
-            for watch in self._watches:
-                watch.close()

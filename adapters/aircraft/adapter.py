@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 import math
 import secrets
 import time
@@ -98,7 +99,7 @@ def _positive(value: float) -> float:
 
 
 ACTION = "/aircraft/fly"
-FLY = "rosld_aircraft/action/Fly"
+TYPE = "rosld_aircraft/action/Fly"
 MAX_DISTANCE = 100_000.0
 PACE = 100.0
 """Distance that the aircraft flies per second."""
@@ -258,7 +259,7 @@ class Aircraft(EmbeddedRobot):
             published={SPEED: Interface("std_msgs/msg/Float64", AIRCRAFT)},
             subscribed={DISPLAY: Interface("std_msgs/msg/String", COCKPIT)},
             services={name: Interface(service.type, AIRCRAFT) for name, service in SERVICES.items()},
-            actions={ACTION: Interface(FLY, AIRCRAFT)},
+            actions={ACTION: Interface(TYPE, AIRCRAFT)},
         )
 
     def _start(self) -> None:
@@ -294,10 +295,9 @@ class Aircraft(EmbeddedRobot):
         return True
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the values of existing parameters."""
         self._require_reachable(deadline)
         values = {name: parameters.read_name(self._parameters, name) for name in names}
-        return {name: parameters.deep_copy(value) for name, value in values.items() if value is not None}
+        return {name: copy.deepcopy(value) for name, value in values.items() if value is not None}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """Set all parameters, or none if one is refused."""
@@ -305,7 +305,7 @@ class Aircraft(EmbeddedRobot):
         tree = self._parameters
         for name, value in values.items():
             parameters.check(name, value)
-            tree = parameters.with_value(tree, name, parameters.deep_copy(value))
+            tree = parameters.with_value(tree, name, copy.deepcopy(value))
         self._replace_parameters(tree, values)
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:

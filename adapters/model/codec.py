@@ -21,6 +21,7 @@ from rosbags.typesys.store import Typestore
 
 from rosld.adapters.model.definition import may_be_empty
 from rosld.adapters.model.schema import (
+    DUMMY,
     Array,
     Constant,
     Default,
@@ -296,7 +297,6 @@ def _unescaped(text: str, quote: str) -> str:
     return text.replace(f"\\{quote}", quote)
 
 
-DUMMY = "structure_needs_at_least_one_member"
 _NESTED_PARTS = re.compile(r"^([ \t]*\w+)/(?:srv|action)/", re.MULTILINE | re.ASCII)
 """A field whose type is part of a service or an action, at the start of its line."""
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Literal, TypeAlias
 
-from rosld.adapters.model.schema import Array, FieldType, MessageType, Nested
+from rosld.adapters.model.schema import PRIMITIVES, Array, FieldType, MessageType, Nested
 
 MAX_CHARACTERS = 1024 * 1024
 """Maximum characters of a definition with its dependencies and comments."""
@@ -85,25 +85,6 @@ class _Extent:
 _SEPARATOR = re.compile(r"^=+[ \t]*\r?$", re.MULTILINE)
 _SECTION = re.compile(r"\s*MSG:[ \t]*([A-Za-z0-9_]+)/(?:(msg|srv|action)/)?([A-Za-z0-9_]+)[ \t]*\r?(?:\n|$)")
 _SERVICE = re.compile(r"^---[ \t]*\r?$", re.MULTILINE)
-_PRIMITIVES = frozenset(
-    [
-        "bool",
-        "byte",
-        "char",
-        "float32",
-        "float64",
-        "int8",
-        "uint8",
-        "int16",
-        "uint16",
-        "int32",
-        "uint32",
-        "int64",
-        "uint64",
-        "string",
-        "wstring",
-    ]
-)
 _ALIASES = {
     "time": "builtin_interfaces/msg/Time",
     "duration": "builtin_interfaces/msg/Duration",
@@ -152,7 +133,7 @@ def split_action(definition: str) -> tuple[str, str, str]:
 def resolve(reference: str, package: str) -> str | None:
     """Return the full name of a field's base type as written in `package`, or None for a primitive."""
     base = reference.partition("[")[0].partition("<=")[0]
-    if base in _PRIMITIVES:
+    if base in PRIMITIVES:
         return None
     if base in _ALIASES:
         return _ALIASES[base]
@@ -184,7 +165,7 @@ def _declarations(text: str) -> tuple[list[str], list[tuple[str, str]]]:
         if words[0].partition("<=")[0] in ("string", "wstring") and "=" in clean.partition(words[0])[2]:
             head, _, value = raw.strip().partition("=")  # a string constant extends to the end of its line, with '#'
             constants.append(f"{words[0]} {head.split()[1]}={value.strip()}")
-        elif "=" in clean and words[0] in _PRIMITIVES:
+        elif "=" in clean and words[0] in PRIMITIVES:
             head, _, value = clean.partition("=")
             constants.append(f"{words[0]} {head.split()[1]}={value.strip()}")
         else:
@@ -271,9 +252,7 @@ _OF_ACTIONS = {
     "_GetResult": f"{_UUID}\n---\nint8 status\n{{of}}_Result result",
     "_FeedbackMessage": f"{_UUID}\n{{of}}_Feedback feedback",
 }
-_OF_SERVICES = {
-    "_Event": "service_msgs/ServiceEventInfo info\n{of}_Request[<=1] request\n{of}_Response[<=1] response",
-}
+_OF_SERVICES = {"_Event": "service_msgs/ServiceEventInfo info\n{of}_Request[<=1] request\n{of}_Response[<=1] response"}
 _SERVICES_OF_ACTIONS = ("_SendGoal", "_GetResult")
 _HALVES = ("_Request", "_Response")
 _THIRDS = ("_Goal", "_Result", "_Feedback")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Container, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from rosld.adapters.model.errors import NotFound, Refused
 from rosld.adapters.model.names import action_of
@@ -280,6 +281,20 @@ class Graph:
     actions: Mapping[str, Action] = field(default_factory=dict)
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
 
+    def updated(self, **parts: Any) -> Graph:
+        """Return this graph as live with these parts; itself if nothing has changed. Equal parts are shared."""
+        for name, part in parts.items():
+            if isinstance(part, Mapping):
+                parts[name] = _shared(getattr(self, name), part)
+        graph = replace(self, state=Live(), **parts)
+        return self if graph == self else replace(graph, revision=self.revision + 1)
+
+    def as_stale(self, why: str) -> Graph:
+        """Return this graph as the last known one of a robot that is unreachable from now on."""
+        if isinstance(self.state, Stale):
+            return self
+        return replace(self, state=Stale(time.time_ns(), why), revision=self.revision + 1)
+
     def is_of_action(self, name: str) -> bool:
         """Whether a topic is part of an action: by its name in ROS 2, or as one of actionlib's five topics.
 
@@ -291,3 +306,11 @@ class Graph:
             return True
         parent, _, last = name.rpartition("/")
         return last in _ACTIONLIB and all(f"{parent}/{part}" in self.topics for part in _ACTIONLIB)
+
+
+def _shared(previous: Mapping[str, _V], values: Mapping[str, _V]) -> Mapping[str, _V]:
+    """Return these values, sorted; reuse equal previous values, and the mapping if all are equal."""
+    shared = {name: old if (old := previous.get(name)) == values[name] else values[name] for name in sorted(values)}
+    if len(shared) == len(previous) and all(previous.get(name) is value for name, value in shared.items()):
+        return previous
+    return freeze(shared)

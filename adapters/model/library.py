@@ -64,7 +64,7 @@ class TypeLibrary:
         self._nested: dict[str, dict[str, Mapping[str, str]]] = {}
         self._files: Mapping[tuple[str, str], Path] | None = None
         self._lock = threading.RLock()
-        self._learn_as: Mapping[str, Callable[[str, str, str | None], Schema]] = {
+        self.learn_as: Mapping[str, Callable[[str, str, str | None], Schema]] = {
             "msg": self.learn_message,
             "srv": self.learn_service,
             "action": self.learn_action,
@@ -125,7 +125,7 @@ class TypeLibrary:
             return half
         reason = "its definition is neither shipped with rosld nor in the given folders; add one with --types DIR"
         written = written_form(ref.name) if self._ros_version == 2 else ref.name.partition("/")[2].partition("/")[0]
-        learn = self._learn_as.get(written, self.learn_message)
+        learn = self.learn_as.get(written, self.learn_message)
         hash = ref.hash or self._nested_hash(ref.name)
         for text in chain(self._candidates(ref.name), self._nested_texts(ref.name)):
             try:
@@ -147,7 +147,8 @@ class TypeLibrary:
         if stored is not None and self._ros_version == 2:
             yield stored
         path = SHIPPED / package / kind / f"{short}.{kind}"
-        if _are_plain_names(package, kind, short) and path.is_file() and self._applies(package):
+        are_plain = all(part.isidentifier() and len(part) <= _MAX_NAME for part in (package, kind, short))
+        if are_plain and path.is_file() and package not in (_ROS2_ONLY if self._ros_version == 1 else _ROS1_ONLY):
             yield path.read_text("utf-8")
         if stored is not None and self._ros_version == 1:
             yield stored
@@ -191,10 +192,6 @@ class TypeLibrary:
         own = [texts_of.pop(schema.ref.name) for schema, texts_of in zip(schemas, texts, strict=True)]
         nested = {name: text for texts_of in texts for name, text in texts_of.items()}
         return "\n".join(["\n---\n".join(own), *_append(nested)])
-
-    def _applies(self, package: str) -> bool:
-        """Whether the shipped definitions of a package apply to this ROS version: some differ."""
-        return package not in (_ROS2_ONLY if self._ros_version == 1 else _ROS1_ONLY)
 
     def _index(self) -> Mapping[tuple[str, str], Path]:
         if self._files is None:
@@ -268,10 +265,6 @@ class TypeLibrary:
 
 _THIRDS = ("_Goal", "_Result", "_Feedback")
 _ACTIONLIB = ("std_msgs/msg/Header", "actionlib_msgs/msg/GoalID", "actionlib_msgs/msg/GoalStatus")
-
-
-def _are_plain_names(*parts: str) -> bool:
-    return all(part.isidentifier() and len(part) <= _MAX_NAME for part in parts)
 
 
 def _verify_hash(name: str, hash: str, expected: str | None) -> str:

@@ -14,6 +14,7 @@ ParameterValue: TypeAlias = (
 )
 """A scalar, a list, or a dict (a tree of parameters, or within a list just a dict)."""
 
+_MAX_TEXT = 4096
 _CLOSE = 1e-6
 """Tolerance of steps for doubles: rclpy's PARAM_REL_TOL; rclcpp is stricter."""
 
@@ -85,6 +86,18 @@ class Descriptor:
     constraints: str = ""
     range: Range | None = None
     choices: tuple[Choice, ...] = ()
+
+
+def shortened(text: str) -> str:
+    """Return a node's text with at most 4096 characters, all of which can be encoded."""
+    short = text if len(text) <= _MAX_TEXT else text[: _MAX_TEXT - 1] + "…"
+    return short.encode("utf-8", "replace").decode()
+
+
+def as_declared(value: ParameterValue, descriptor: Descriptor | None) -> ParameterValue:
+    """Return the value converted to the declared type if possible; the node checks other values."""
+    fit = None if descriptor is None or descriptor.type is None else coerce(value, descriptor.type)
+    return value if fit is None else fit
 
 
 def coerce(value: ParameterValue, type: ParameterType) -> ParameterValue | None:

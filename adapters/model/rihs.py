@@ -10,29 +10,21 @@ import hashlib
 import json
 from collections.abc import Mapping
 
-from rosld.adapters.model.schema import Array, Field, FieldType, MessageType, Nested, Primitive
+from rosld.adapters.model.schema import (
+    BOUNDED_STRINGS,
+    DUMMY,
+    PRIMITIVES,
+    Array,
+    Field,
+    FieldType,
+    MessageType,
+    Nested,
+    Primitive,
+)
 
 _NESTED = 1
-_IDS = {
-    "int8": 2,
-    "uint8": 3,
-    "int16": 4,
-    "uint16": 5,
-    "int32": 6,
-    "uint32": 7,
-    "int64": 8,
-    "uint64": 9,
-    "float32": 10,
-    "float64": 11,
-    "char": 3,
-    "bool": 15,
-    "byte": 16,
-    "string": 17,
-    "wstring": 18,
-}
-_BOUNDED = {"string": 21, "wstring": 22}
 _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
-DUMMY = Field("structure_needs_at_least_one_member", Primitive("uint8"), "structure_needs_at_least_one_member")
+_DUMMY = Field(DUMMY, Primitive("uint8"), DUMMY)
 
 _TIME = "builtin_interfaces/msg/Time"
 _INFO = "service_msgs/msg/ServiceEventInfo"
@@ -125,7 +117,7 @@ def _collect_nested(
 
 
 def describe_type(kind: MessageType) -> dict[str, object]:
-    return {"type_name": kind.name, "fields": [_field(field) for field in kind.fields or (DUMMY,)]}
+    return {"type_name": kind.name, "fields": [_field(field) for field in kind.fields or (_DUMMY,)]}
 
 
 def _field(field: Field) -> dict[str, object]:
@@ -149,4 +141,4 @@ def _field(field: Field) -> dict[str, object]:
 def _id(kind: Primitive | Nested) -> int:
     if isinstance(kind, Nested):
         return _NESTED
-    return _BOUNDED[kind.name] if kind.bound and kind.name in _BOUNDED else _IDS[kind.name]
+    return (BOUNDED_STRINGS if kind.bound and kind.name in BOUNDED_STRINGS else PRIMITIVES)[kind.name]

@@ -56,6 +56,30 @@ class TypeRef:
     hash: str | None = None
 
 
+PRIMITIVES: Mapping[str, int] = {
+    "int8": 2,
+    "uint8": 3,
+    "int16": 4,
+    "uint16": 5,
+    "int32": 6,
+    "uint32": 7,
+    "int64": 8,
+    "uint64": 9,
+    "float32": 10,
+    "float64": 11,
+    "char": 3,
+    "bool": 15,
+    "byte": 16,
+    "string": 17,
+    "wstring": 18,
+}
+"""Primitives, with their numbers in type_description_interfaces/msg/FieldType."""
+BOUNDED_STRINGS: Mapping[str, int] = {"string": 21, "wstring": 22}
+"""Numbers of strings with a bound."""
+DUMMY = "structure_needs_at_least_one_member"
+"""Field of types without fields."""
+
+
 @dataclass(frozen=True, slots=True)
 class Primitive:
     """A primitive: bool, byte, char, int8 ... uint64, float32, float64, string, wstring; `bound` limits a string."""

@@ -39,7 +39,7 @@ from rosld.adapters.model.mcap import MAGIC
 from rosld.adapters.recording import mcap, rosbag1
 from rosld.adapters.recording.bag import Bag, log
 from rosld.adapters.recording.part import WHOLE, Part
-from rosld.adapters.recording.player import Playback, PlayerSubscription, Position, TopicPlayer
+from rosld.adapters.recording.player import Playback, Position, TopicPlayer
 from rosld.adapters.recording.rosbag2 import SQLITE_MAGIC, Rosbag2, Sqlite
 from rosld.adapters.recording.storage import Damaged, OpenBudget, OpeningRefused, Storage
 
@@ -89,12 +89,7 @@ class RecordingAdapter(Adapter):
     """A recording as an `Adapter`. Starts playing when opened, by `clock` (monotonic ns)."""
 
     def __init__(
-        self,
-        path: Path,
-        options: AdapterOptions,
-        *,
-        clock: Callable[[], int] = time.monotonic_ns,
-        part: Part = WHOLE,
+        self, path: Path, options: AdapterOptions, *, clock: Callable[[], int] = time.monotonic_ns, part: Part = WHOLE
     ) -> None:
         """Serve `part` of the recording at a path. Raises ValueError for an invalid rate."""
         options = options if part.rate is None else replace(options, rate=part.rate)
@@ -183,7 +178,7 @@ class RecordingAdapter(Adapter):
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
         """Subscribe to a topic, whether or not it is recorded."""
-        return PlayerSubscription(self._player(topic), depth)
+        return self._player(topic).subscribe(depth)
 
     def age_ns(self, sample: Sample) -> int:
         """Return the recorded time since a message; a latched one of the previous loop is older by a loop."""

@@ -45,19 +45,15 @@ def learn(library: TypeLibrary, connection: RecordedConnection, ros_version: Ros
         return named, connection.odd
     try:
         if not connection.definition.strip() and ros_version == 2:
-            return _message_ref(library, named), None
+            schema = library.find(named)
+            if not isinstance(schema, MessageSchema):
+                raise ValueError("it is not a message type")
+            return schema.ref, None
         # RIHS01 also covers facts that the text lacks, so only an MD5 can prove the text
         proof = connection.hash if ros_version == 1 else None
         return library.learn_message(name, _text(name, connection), proof).ref, None
     except (ValueError, UnknownType) as error:
         return named, f"its type {name or '(none)'} cannot be used: {error}"
-
-
-def _message_ref(library: TypeLibrary, named: TypeRef) -> TypeRef:
-    schema = library.find(named)
-    if not isinstance(schema, MessageSchema):
-        raise ValueError("it is not a message type")
-    return schema.ref
 
 
 def _text(name: str, connection: RecordedConnection) -> str:
@@ -194,7 +190,10 @@ class Bag:
         self.end_ns = int(self.times[-1]) if self.count else 0
         self.streams, self._stream_of = self._as_streams()
         self.streams_by_topic = _grouped(self.streams, [stream.topic for stream in self.streams])
-        self.topics: Mapping[str, RecordedTopic] = MappingProxyType(self._as_topics())
+        members = _grouped(range(len(self._connections)), [each.topic for each in self._connections])
+        self.topics: Mapping[str, RecordedTopic] = MappingProxyType(
+            {name: self._topic(name, mine) for name, mine in members.items()}
+        )
         self.silent = tuple(each for each in storage.silent if each not in self.topics)
 
     def message(self, index: int) -> RecordedMessage:
@@ -207,7 +206,6 @@ class Bag:
         return RecordedMessage(index, stream.topic, self.sample(index, sequence), self._is_opening(index))
 
     def topic_of(self, index: int) -> str | None:
-        """Return the topic of message `index`, or None."""
         return self._stream(index).topic if 0 <= index < self.count else None
 
     def messages(self) -> Iterator[RecordedMessage]:
@@ -234,7 +232,6 @@ class Bag:
         return f"{zlib.crc32(f'{self.start_ns} {self.end_ns} {self.count}'.encode()):08x}"
 
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
-        """Return the times of the first and last message with indexes from `start` to `end` - 1."""
         found = self.times[start:end]
         return (int(found[0]), int(found[-1])) if len(found) else None
 
@@ -269,7 +266,6 @@ class Bag:
         return sorted(indexes)[:limit]
 
     def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
-        """Return the latest message of a topic at a time, or None. Raises Unreachable."""
         passed = int(np.searchsorted(self.times, time_ns, "right"))
         found = [
             int(stream.positions[count - 1])
@@ -292,7 +288,6 @@ class Bag:
         )
 
     def schema(self, ref: TypeRef) -> Schema:
-        """Return the schema of a type of this recording. Raises UnknownType."""
         return self._library.find(ref)
 
     def types(self) -> Sequence[TypeRef]:
@@ -318,21 +313,12 @@ class Bag:
         counts = np.bincount(np.asarray(stream_of, np.int64)[self._table.connections], minlength=len(numbers))
         parts = np.split(order, np.cumsum(counts)[:-1]) if len(numbers) else []
         members = _grouped(range(len(keys)), stream_of)
-        streams = tuple(
-            Stream(*key, self._types_of(members[number]), self._is_latched(members[number]), positions)
-            for (key, number), positions in zip(numbers.items(), parts, strict=True)
-        )
-        return streams, stream_of
-
-    def _types_of(self, connections: Iterable[int]) -> tuple[TypeRef, ...]:
-        return tuple(dict.fromkeys(ref for each in connections if (ref := self._types[each]).name))
-
-    def _is_latched(self, connections: Iterable[int]) -> bool:
-        return any(self._connections[each].latched for each in connections)
-
-    def _as_topics(self) -> dict[str, RecordedTopic]:
-        members = _grouped(range(len(self._connections)), [each.topic for each in self._connections])
-        return {name: self._topic(name, mine) for name, mine in members.items()}
+        streams: list[Stream] = []
+        for (key, number), positions in zip(numbers.items(), parts, strict=True):
+            types = dict.fromkeys(ref for each in members[number] if (ref := self._types[each]).name)
+            is_latched = any(self._connections[each].latched for each in members[number])
+            streams.append(Stream(*key, tuple(types), is_latched, positions))
+        return tuple(streams), stream_of
 
     def _topic(self, name: str, connections: Sequence[int]) -> RecordedTopic:
         """Return a topic, which is unreadable if none of its connections can be decoded."""

@@ -1,18 +1,23 @@
-"""Reading bytes at offsets in files and decompressed chunks, and a cache of chunks."""
+"""Reading bytes at offsets in files and decompressed chunks, and the base class of formats that consist of chunks."""
 
 from __future__ import annotations
 
 import bz2
 import sys
 import threading
+import zlib
+from abc import abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Any, ClassVar, NamedTuple, Protocol, cast
 
+import numpy as np
 from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+from numpy.typing import NDArray
 
-from rosld.adapters.recording.storage import Damaged
+from rosld.adapters.model import Encoding
+from rosld.adapters.recording.storage import Damaged, MessageTable, OpenBudget, RecordedConnection, Storage, concatenate
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -214,3 +219,104 @@ class ChunkCache:
 
 def _weight(source: BytesSource | Damaged) -> int:
     return source.size if isinstance(source, BytesSource) else 0
+
+
+class Chunk(NamedTuple):
+    """A chunk: start, size and compression of its bytes, and size and CRC (0 if unknown) of the uncompressed ones."""
+
+    at: int
+    size: int
+    compression: str
+    inflated: int
+    crc: int = 0
+
+
+class Scan:
+    """Results of scanning so far: connections by their number in the file, chunks, and tables of messages."""
+
+    def __init__(self, budget: OpenBudget, encoding: Encoding, kind: str) -> None:
+        self.budget = budget
+        self.numbers: dict[int, int] = {}
+        self.connections: list[RecordedConnection] = []
+        self.chunks: list[Chunk] = []
+        self.tables: list[MessageTable] = []
+        self.notes: list[str] = []
+        self.silent: tuple[str, ...] = ()
+        self._encoding = encoding
+        self._kind = kind
+
+    def add(self, number: int, connection: RecordedConnection) -> None:
+        """Add a connection, unless there is one of this number."""
+        if number not in self.numbers:
+            self.budget.spend(parts=1)
+            self.numbers[number] = len(self.connections)
+            self.connections.append(connection)
+
+    def connection(self, number: int) -> int:
+        """Return the index of connection `number`; an undescribed connection is added as an odd one."""
+        if number not in self.numbers:
+            odd = f"the recording does not describe its {self._kind} {number}"
+            self.add(number, RecordedConnection(f"/{self._kind}_{number}", "", self._encoding, odd=odd))
+        return self.numbers[number]
+
+    def table(self, number: int, place: int, times: NDArray[Any], offsets: NDArray[Any]) -> MessageTable:
+        """Return the table of a connection's messages in one place."""
+        connection = np.full(len(times), self.connection(number), np.int32)
+        places = np.full(len(times), place, np.int32)
+        return MessageTable(times.astype(np.int64), connection, places, offsets.astype(np.int64))
+
+
+def inflate(source: ByteSource, chunk: Chunk, budget: OpenBudget) -> bytes:
+    """Return the uncompressed bytes of a chunk. Raises Damaged."""
+    budget.work(min(chunk.inflated, MAX_PIECE))
+    data = decompress(chunk.compression, read_exactly(source, chunk.at, chunk.size), chunk.inflated)
+    if chunk.crc and zlib.crc32(data) != chunk.crc:
+        raise Damaged(f"the checksum of the chunk at {chunk.at} is wrong")
+    return data
+
+
+class ChunkedFile(Storage):
+    """An open file with an index and compressed chunks, numbered from place 1; it is read through without its index."""
+
+    encoding: ClassVar[Encoding]
+    kind: ClassVar[str]
+    """Name of a connection in the format."""
+
+    def __init__(self, path: Path, budget: OpenBudget) -> None:
+        self._file = RandomFile(path)
+        try:
+            begin = self._read_header(self._file)
+            scan = Scan(budget, self.encoding, self.kind)
+            try:
+                self._read_index(self._file, scan)
+            except Damaged as damage:
+                scan = Scan(budget, self.encoding, self.kind)
+                self._read_through(self._file, begin, scan)
+                scan.notes.append(f"its index cannot be used ({damage}), so it was read through")
+                if not scan.connections:
+                    raise Damaged(f"{damage}, and no complete {self.kind} was found in it either") from damage
+        except BaseException:
+            self._file.close()
+            raise
+        chunks = scan.chunks
+        self._cache = ChunkCache(lambda number: inflate(self._file, chunks[number], OpenBudget()))
+        self.connections, self.messages = scan.connections, concatenate(scan.tables)
+        self.places, self.notes, self.silent = 1 + len(chunks), tuple(scan.notes), scan.silent
+
+    @abstractmethod
+    def _read_header(self, file: RandomFile) -> int:
+        """Check the header, and return its end. Raises Damaged."""
+
+    @abstractmethod
+    def _read_index(self, file: RandomFile, scan: Scan) -> None:
+        """Scan the index. Raises Damaged."""
+
+    @abstractmethod
+    def _read_through(self, file: RandomFile, at: int, scan: Scan) -> None:
+        """Scan everything from `at` on."""
+
+    def _source(self, place: int) -> ByteSource:
+        return self._cache.get(place - 1) if place else self._file
+
+    def close(self) -> None:
+        self._file.close()

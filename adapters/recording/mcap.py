@@ -8,34 +8,24 @@ from __future__ import annotations
 
 import re
 import struct
-import zlib
 from collections.abc import Iterator
-from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from rosld.adapters.model import Encoding
 from rosld.adapters.model.mcap import MAGIC, OPENING, SILENT_TOPICS, Fields
 from rosld.adapters.recording.byte_source import (
-    MAX_PIECE,
     ByteSource,
     BytesSource,
-    ChunkCache,
+    Chunk,
+    ChunkedFile,
     RandomFile,
-    decompress,
+    Scan,
+    inflate,
     read_exactly,
 )
-from rosld.adapters.recording.storage import (
-    Contents,
-    Damaged,
-    MessageTable,
-    OpenBudget,
-    RecordedConnection,
-    RosVersion,
-    TableBuilder,
-    concatenate,
-)
+from rosld.adapters.recording.storage import Damaged, MessageTable, OpenBudget, RecordedConnection, TableBuilder
 
 _HEADER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX = 1, 3, 4, 5, 6, 7, 8
 _STATISTICS, _METADATA, _METADATA_INDEX, _DATA_END = 0x0B, 0x0C, 0x0D, 0x0F
@@ -60,22 +50,16 @@ class _Record(NamedTuple):
         return self.data_at + self.size
 
 
-class _Chunk(NamedTuple):
-    """A chunk: start, size and compression of its compressed bytes, and size and CRC of the uncompressed ones."""
-
-    at: int
-    size: int
-    compression: str
-    inflated: int
-    crc: int
-
-
 class _Schema(NamedTuple):
     """A schema record: the name of a type, the encoding of its definition, and the definition."""
 
     name: str
     encoding: str
     data: str
+
+
+_Schemas: TypeAlias = dict[int, _Schema]
+"""Schemas by their number in the file."""
 
 
 class _Fields(Fields):
@@ -85,117 +69,67 @@ class _Fields(Fields):
     errors = "replace"
 
 
-class _Scan:
-    """Results of scanning so far: schemas, channels as connections, chunks, and tables of messages."""
-
-    def __init__(self, budget: OpenBudget) -> None:
-        self.budget = budget
-        self.schemas: dict[int, _Schema] = {}
-        self.numbers: dict[int, int] = {}
-        self.connections: list[RecordedConnection] = []
-        self.chunks: list[_Chunk] = []
-        self.tables: list[MessageTable] = []
-        self.notes: list[str] = []
-        self.silent: tuple[str, ...] = ()
-
-    def describe(self, record: _Record, source: ByteSource) -> None:
-        """Add a schema or a channel."""
-        self.budget.spend(octets=record.size)
-        fields = _Fields(read_exactly(source, record.data_at, record.size))
-        number = fields.uint(2)
-        if record.op == _SCHEMA:
-            self.budget.spend(parts=1)
-            self.schemas.setdefault(number, _Schema(fields.text(), fields.text(), fields.text()))
-        elif number not in self.numbers:
-            self._add(number, _connection(self.schemas.get(fields.uint(2)), fields))
-
-    def connection(self, number: int) -> int:
-        """Return the index of channel `number`; an undescribed channel is added as an odd one."""
-        if number not in self.numbers:
-            odd = f"the recording does not describe its channel {number}"
-            self._add(number, RecordedConnection(f"/channel_{number}", "", Encoding.CDR, odd=odd))
-        return self.numbers[number]
-
-    def _add(self, number: int, connection: RecordedConnection) -> None:
-        self.budget.spend(parts=1)
-        self.numbers[number] = len(self.connections)
-        self.connections.append(connection)
+def _fields(source: ByteSource, record: _Record) -> _Fields:
+    return _Fields(read_exactly(source, record.data_at, record.size))
 
 
-class Mcap:
-    """An open MCAP file: a `Storage`."""
+class Mcap(ChunkedFile):
+    """An open MCAP file."""
 
-    def __init__(self, path: Path, budget: OpenBudget) -> None:
-        self._file = RandomFile(path)
-        try:
-            contents, self._chunks = _read(self._file, budget)
-        except BaseException:
-            self._file.close()
-            raise
-        self._cache = ChunkCache(self._load)
-        self.format = contents.format
-        self.ros_version = contents.ros_version
-        self.connections = contents.connections
-        self.messages = contents.messages
-        self.places = contents.places
-        self.notes = contents.notes
-        self.silent = contents.silent
+    format = "MCAP"
+    encoding = Encoding.CDR
+    kind = "channel"
 
     def read(self, place: int, offset: int) -> bytes:
         """Return the bytes of the message record at `offset` in the file or in a chunk. Raises Damaged."""
-        source: ByteSource = self._cache.get(place - 1) if place else self._file
+        source = self._source(place)
         record = _record_at(source, offset)
         if record.op != _MESSAGE or record.size < _MESSAGE_HEAD.size:
             raise Damaged(f"there is no message at {offset}")
         return read_exactly(source, record.data_at + _MESSAGE_HEAD.size, record.size - _MESSAGE_HEAD.size)
 
-    def close(self) -> None:
-        self._file.close()
+    def _read_header(self, file: RandomFile) -> int:
+        header = _record_at(file, len(MAGIC))
+        if header.op != _HEADER:
+            raise Damaged("it does not begin with a header")
+        self.ros_version = 1 if _fields(file, header).text() == "ros1" else 2
+        return header.end
 
-    def _load(self, chunk: int) -> bytes:
-        return _inflate(self._file, self._chunks[chunk], OpenBudget())
+    def _read_index(self, file: RandomFile, scan: Scan) -> None:
+        schemas: _Schemas = {}
+        indexes: list[_Fields] = []
+        counted: int | None = None
+        for record in _records(file, _summary(file), file.size - _FOOTER_SIZE):
+            scan.budget.work()
+            if record.op in (_SCHEMA, _CHANNEL):
+                _describe(record, file, schemas, scan)
+            elif record.op == _CHUNK_INDEX:
+                scan.budget.spend(parts=1, octets=record.size)
+                indexes.append(_fields(file, record))
+            elif record.op == _METADATA_INDEX:
+                scan.silent += _silent(file, _fields(file, record), scan.budget)
+            elif record.op == _STATISTICS:
+                counted = _fields(file, record).uint(8)
+        for index in indexes:
+            _chunk_by_index(file, index, schemas, scan)
+        messages = sum(len(each.times) for each in scan.tables)
+        if counted is None or messages != counted:
+            raise Damaged(f"it indexes {messages} messages, not {'a known number' if counted is None else counted}")
+
+    def _read_through(self, file: RandomFile, at: int, scan: Scan) -> None:
+        _walk(file, at, 0, {}, scan)
 
 
-def _read(file: RandomFile, budget: OpenBudget) -> tuple[Contents, list[_Chunk]]:
-    header = _record_at(file, len(MAGIC))
-    if header.op != _HEADER:
-        raise Damaged("it does not begin with a header")
-    profile = _Fields(read_exactly(file, header.data_at, header.size)).text()
-    try:
-        scan = _by_summary(file, budget)
-    except Damaged as damage:
-        scan = _by_walking(file, header.end, budget)
-        scan.notes.append(f"its index cannot be used ({damage}), so it was read through")
-        if not scan.connections:
-            raise Damaged(f"{damage}, and no complete channel was found in it either") from damage
-    version: RosVersion = 1 if profile == "ros1" else 2
-    messages = concatenate(scan.tables)
-    notes, places = tuple(scan.notes), 1 + len(scan.chunks)
-    return Contents("MCAP", version, scan.connections, messages, places, notes, scan.silent), scan.chunks
-
-
-def _by_summary(file: RandomFile, budget: OpenBudget) -> _Scan:
-    at = _summary(file)
-    scan = _Scan(budget)
-    indexes: list[_Fields] = []
-    counted: int | None = None
-    for record in _records(file, at, file.size - _FOOTER_SIZE):
-        budget.work()
-        if record.op in (_SCHEMA, _CHANNEL):
-            scan.describe(record, file)
-        elif record.op == _CHUNK_INDEX:
-            budget.spend(parts=1, octets=record.size)
-            indexes.append(_Fields(read_exactly(file, record.data_at, record.size)))
-        elif record.op == _METADATA_INDEX:
-            scan.silent += _silent(file, _Fields(read_exactly(file, record.data_at, record.size)), budget)
-        elif record.op == _STATISTICS:
-            counted = _Fields(read_exactly(file, record.data_at, record.size)).uint(8)
-    for index in indexes:
-        _chunk_by_index(file, index, scan)
-    messages = sum(len(each.times) for each in scan.tables)
-    if counted is None or messages != counted:
-        raise Damaged(f"it indexes {messages} messages, not {'a known number' if counted is None else counted}")
-    return scan
+def _describe(record: _Record, source: ByteSource, schemas: _Schemas, scan: Scan) -> None:
+    """Add a schema or a channel."""
+    scan.budget.spend(octets=record.size)
+    fields = _fields(source, record)
+    number = fields.uint(2)
+    if record.op == _SCHEMA:
+        scan.budget.spend(parts=1)
+        schemas.setdefault(number, _Schema(fields.text(), fields.text(), fields.text()))
+    else:
+        scan.add(number, _connection(schemas.get(fields.uint(2)), fields))
 
 
 def _summary(file: RandomFile) -> int:
@@ -215,13 +149,13 @@ def _silent(file: RandomFile, index: _Fields, budget: OpenBudget) -> tuple[str, 
         return ()
     record = _record_at(file, at)
     budget.spend(octets=record.size)
-    fields = _Fields(read_exactly(file, record.data_at, record.size))
+    fields = _fields(file, record)
     if record.op != _METADATA or fields.text() != SILENT_TOPICS:
         raise Damaged("metadata is not at its indexed position")
     return tuple(fields.texts())
 
 
-def _chunk_by_index(file: RandomFile, index: _Fields, scan: _Scan) -> None:
+def _chunk_by_index(file: RandomFile, index: _Fields, schemas: _Schemas, scan: Scan) -> None:
     index.uint(8), index.uint(8)
     at, _length = index.uint(8), index.uint(8)
     offsets = _Fields(index.octets())
@@ -234,30 +168,18 @@ def _chunk_by_index(file: RandomFile, index: _Fields, scan: _Scan) -> None:
             raise Damaged("a message index is not at the position in its chunk")
         scan.tables.append(_index_table(file, record, place, scan))
     if len(scan.tables) == before:
-        _walk(BytesSource(_inflate(file, scan.chunks[place - 1], scan.budget)), 0, place, scan)
+        _walk(BytesSource(inflate(file, scan.chunks[place - 1], scan.budget)), 0, place, schemas, scan)
 
 
-def _index_table(file: RandomFile, record: _Record, place: int, scan: _Scan) -> MessageTable:
-    fields = _Fields(read_exactly(file, record.data_at, record.size))
-    connection = scan.connection(fields.uint(2))
-    data = fields.octets()
+def _index_table(file: RandomFile, record: _Record, place: int, scan: Scan) -> MessageTable:
+    fields = _fields(file, record)
+    number, data = fields.uint(2), fields.octets()
     scan.budget.spend(messages=len(data) // _ENTRY.itemsize, parts=1)
     entries = np.frombuffer(data[: len(data) // _ENTRY.itemsize * _ENTRY.itemsize], _ENTRY)
-    return MessageTable(
-        entries["time"].astype(np.int64),
-        np.full(len(entries), connection, np.int32),
-        np.full(len(entries), place, np.int32),
-        entries["offset"].astype(np.int64),
-    )
+    return scan.table(number, place, entries["time"], entries["offset"])
 
 
-def _by_walking(file: RandomFile, at: int, budget: OpenBudget) -> _Scan:
-    scan = _Scan(budget)
-    _walk(file, at, 0, scan)
-    return scan
-
-
-def _walk(source: ByteSource, at: int, place: int, scan: _Scan) -> None:
+def _walk(source: ByteSource, at: int, place: int, schemas: _Schemas, scan: Scan) -> None:
     """Scan everything from `at` on; stop, with a note, if the records are truncated."""
     rows = TableBuilder()
     try:
@@ -266,30 +188,30 @@ def _walk(source: ByteSource, at: int, place: int, scan: _Scan) -> None:
             if record.op == _DATA_END:
                 break
             if record.op in (_SCHEMA, _CHANNEL):
-                scan.describe(record, source)
+                _describe(record, source, schemas, scan)
             elif record.op == _MESSAGE:
                 channel, _, time, _ = _MESSAGE_HEAD.unpack(read_exactly(source, record.data_at, _MESSAGE_HEAD.size))
                 scan.budget.spend(messages=1)
                 rows.add(time, scan.connection(channel), place, record.data_at - 9)
             elif record.op == _CHUNK and place == 0:
-                _walk_chunk(source, record, scan)
+                _walk_chunk(source, record, schemas, scan)
     except Damaged as damage:
         scan.notes.append(f"it ends early: {damage}")
     scan.tables.extend(rows.tables())
 
 
-def _walk_chunk(source: ByteSource, record: _Record, scan: _Scan) -> None:
+def _walk_chunk(source: ByteSource, record: _Record, schemas: _Schemas, scan: Scan) -> None:
     place = _place(source, record, scan)
     try:
-        data = _inflate(source, scan.chunks[place - 1], scan.budget)
+        data = inflate(source, scan.chunks[place - 1], scan.budget)
     except Damaged as damage:
         scan.budget.spend(parts=1)
         scan.notes.append(f"a chunk of it is damaged: {damage}")
     else:
-        _walk(BytesSource(data), 0, place, scan)
+        _walk(BytesSource(data), 0, place, schemas, scan)
 
 
-def _place(source: ByteSource, record: _Record, scan: _Scan) -> int:
+def _place(source: ByteSource, record: _Record, scan: Scan) -> int:
     if record.op != _CHUNK:
         raise Damaged("there is no chunk at the indexed position")
     scan.budget.spend(parts=1)
@@ -297,16 +219,8 @@ def _place(source: ByteSource, record: _Record, scan: _Scan) -> int:
     head.uint(8), head.uint(8)
     inflated, crc, compression, size = head.uint(8), head.uint(4), head.text(), head.uint(8)
     at = record.data_at + 8 + 8 + 8 + 4 + 4 + len(compression.encode()) + 8
-    scan.chunks.append(_Chunk(at, size, compression, inflated, crc))
+    scan.chunks.append(Chunk(at, size, compression, inflated, crc))
     return len(scan.chunks)
-
-
-def _inflate(source: ByteSource, chunk: _Chunk, budget: OpenBudget) -> bytes:
-    budget.work(min(chunk.inflated, MAX_PIECE))
-    data = decompress(chunk.compression, read_exactly(source, chunk.at, chunk.size), chunk.inflated)
-    if chunk.crc and zlib.crc32(data) != chunk.crc:
-        raise Damaged(f"the checksum of the chunk at {chunk.at} is wrong")
-    return data
 
 
 def _records(source: ByteSource, at: int, end: int) -> Iterator[_Record]:

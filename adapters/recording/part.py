@@ -30,13 +30,6 @@ class Moment(NamedTuple):
         return end_ns + self.ns if self.ns < 0 else start_ns + self.ns
 
 
-class Selection(NamedTuple):
-    """Rows of a part of a recording; the first ones are latched messages from before it."""
-
-    table: MessageTable
-    openings: int
-
-
 class Part(NamedTuple):
     """First and last time (None: those of the recording), inclusive, and playback rate (None: the configured one)."""
 
@@ -44,13 +37,16 @@ class Part(NamedTuple):
     end: Moment | None = None
     rate: float | None = None
 
-    def select(self, table: MessageTable, latched: Callable[[MessageTable, int], NDArray[np.int64]]) -> Selection:
-        """Return the selected rows of a table in recorded order. Raises Damaged if there are none.
+    def select(
+        self, table: MessageTable, latched: Callable[[MessageTable, int], NDArray[np.int64]]
+    ) -> tuple[MessageTable, int]:
+        """Return the selected rows in recorded order, and the number of latched messages that open them.
 
         `latched` returns the latched rows before a row: they are prepended, with the start of the part as their time.
+        Raises Damaged if there are none.
         """
         if (self.begin is None and self.end is None) or not len(table.times):
-            return Selection(table, 0)
+            return table, 0
         start, last = int(table.times[0]), int(table.times[-1])
         first = 0 if self.begin is None else int(np.searchsorted(table.times, self.begin.at(start, last), "left"))
         beyond = len(table.times)
@@ -62,7 +58,7 @@ class Part(NamedTuple):
         selected = table.rows(np.concatenate([opening, np.arange(first, beyond)]))
         if self.begin is not None:
             selected.times[: len(opening)] = self.begin.at(start, last)
-        return Selection(selected, len(opening))
+        return selected, len(opening)
 
 
 WHOLE = Part()

@@ -16,10 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import Struct
 
-from rosld.adapters.base import Watch
 from rosld.adapters.model import Sample, Unreachable
 from rosld.adapters.recording.bag import Bag, Stream, log
-from rosld.adapters.slots import LoopWatch, Watches
+from rosld.adapters.slots import Feed, LoopWatch
 
 
 class Position(NamedTuple):
@@ -87,11 +86,11 @@ class _View(NamedTuple):
     samples: tuple[Sample, ...]
 
 
-class TopicPlayer:
+class TopicPlayer(Feed):
     """Player of a topic; `elapsed` returns the time since the start, in ns."""
 
     def __init__(self, bag: Bag, streams: Sequence[Stream], playback: Playback, elapsed: Callable[[], int]) -> None:
-        self.watches = Watches()
+        super().__init__()
         self._bag = bag
         self._streams = streams
         self._positions = np.sort(np.concatenate([np.empty(0, np.int64), *(each.positions for each in streams)]))
@@ -113,7 +112,7 @@ class TopicPlayer:
 
     def watch(self, wake: Callable[[], None]) -> LoopWatch:
         """Wake when the topic's next message is due."""
-        watch = self.watches.add(wake)
+        watch = super().watch(wake)
         if self._timer is None:
             self._set_timer(self._next_change(self._elapsed()))
         return watch
@@ -163,11 +162,11 @@ class TopicPlayer:
 
     def _ring(self, due: int) -> None:
         self._timer = None
-        if not len(self.watches):
+        if not self.watches:
             return
         now = self._elapsed()
         if now >= due:
-            self.watches.notify()
+            self.notify()
             due = self._next_change(now)
         self._set_timer(due)
 
@@ -191,33 +190,3 @@ def _of_stream(stream: Stream, epoch: int, passed: int, depth: int) -> list[_Due
         epoch, count = epoch - 1, len(stream.positions)
     first = max(count - depth, 0)
     return [_Due(epoch, int(stream.positions[each]), each + 1) for each in range(first, count)]
-
-
-class PlayerSubscription:
-    """Subscription to one topic of a playing recording. After `close` it is empty and wakes nothing."""
-
-    def __init__(self, player: TopicPlayer, depth: int) -> None:
-        if depth < 1:
-            raise ValueError(f"a depth of {depth} holds no sample: it must be 1 or more")
-        self._player: TopicPlayer | None = player
-        self._depth = depth
-        self._watches: list[Watch] = []
-
-    def latest(self) -> Sequence[Sample]:
-        """Return the newest messages of each publisher at or before the current position."""
-        return () if self._player is None else self._player.latest(self._depth)
-
-    def watch(self, wake: Callable[[], None]) -> Watch:
-        """Wake on the event loop when the next message of the topic is due. Ends with the subscription."""
-        if self._player is None:
-            return LoopWatch(wake, {})
-        watch = self._player.watch(wake)
-        self._watches.append(watch)
-        return watch
-
-    def close(self) -> None:
-        """End the subscription. Idempotent."""
-        self._player = None
-        for watch in self._watches:
-            watch.close()
-        self._watches.clear()

@@ -8,30 +8,22 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from rosld.adapters.model import Encoding
 from rosld.adapters.recording.byte_source import (
-    MAX_PIECE,
     ByteSource,
     BytesSource,
-    ChunkCache,
+    Chunk,
+    ChunkedFile,
     RandomFile,
-    decompress,
+    Scan,
+    inflate,
     read_exactly,
 )
-from rosld.adapters.recording.storage import (
-    Contents,
-    Damaged,
-    MessageTable,
-    OpenBudget,
-    RecordedConnection,
-    TableBuilder,
-    concatenate,
-)
+from rosld.adapters.recording.storage import Damaged, MessageTable, RecordedConnection, TableBuilder
 
 MAGIC = b"#ROSBAG V"
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
@@ -65,63 +57,17 @@ class _Record(NamedTuple):
         return (value & 0xFFFFFFFF) * 10**9 + (value >> 32)
 
 
-class _Chunk(NamedTuple):
-    """A compressed chunk: start, size and compression of its bytes, and their uncompressed size."""
+class Rosbag1(ChunkedFile):
+    """An open ROS 1 bag."""
 
-    at: int
-    size: int
-    compression: str
-    inflated: int
-
-
-class _Scan:
-    """Results of scanning so far: connections by their number in the file, chunks, and tables of messages."""
-
-    def __init__(self, budget: OpenBudget) -> None:
-        self.budget = budget
-        self.numbers: dict[int, int] = {}
-        self.connections: list[RecordedConnection] = []
-        self.chunks: list[_Chunk] = []
-        self.tables: list[MessageTable] = []
-        self.notes: list[str] = []
-
-    def connection(self, number: int) -> int:
-        """Return the index of connection `number`; an undescribed connection is added as an odd one."""
-        if number not in self.numbers:
-            odd = f"the recording does not describe its connection {number}"
-            self.add(number, RecordedConnection(f"/connection_{number}", "", Encoding.ROS1, odd=odd))
-        return self.numbers[number]
-
-    def add(self, number: int, connection: RecordedConnection) -> None:
-        if number not in self.numbers:
-            self.budget.spend(parts=1, octets=len(connection.definition))
-            self.numbers[number] = len(self.connections)
-            self.connections.append(connection)
-
-
-class Rosbag1:
-    """An open ROS 1 bag: a `Storage`."""
-
-    silent: tuple[str, ...] = ()
-
-    def __init__(self, path: Path, budget: OpenBudget) -> None:
-        self._file = RandomFile(path)
-        try:
-            self._contents, self._chunks = _read(self._file, budget)
-        except BaseException:
-            self._file.close()
-            raise
-        self._cache = ChunkCache(self._load)
-        self.format = self._contents.format
-        self.ros_version = self._contents.ros_version
-        self.connections = self._contents.connections
-        self.messages = self._contents.messages
-        self.places = self._contents.places
-        self.notes = self._contents.notes
+    format = "ROS 1 bag 2.0"
+    ros_version = 1
+    encoding = Encoding.ROS1
+    kind = "connection"
 
     def read(self, place: int, offset: int) -> bytes:
         """Return the bytes of the message at `offset` in the file or in a chunk. Raises Damaged."""
-        source: ByteSource = self._cache.get(place - 1) if place else self._file
+        source = self._source(place)
         head = source.read_up_to(offset, 256)
         if (size := _header_size(head)) and _IS_MESSAGE in head[4 : size + 4] and len(head) >= size + 8:
             # fast path for nearly every message, without parsing the header
@@ -133,57 +79,46 @@ class Rosbag1:
             raise Damaged(f"there is no message at {offset}")
         return read_exactly(source, record.data_at, record.size)
 
-    def close(self) -> None:
-        self._file.close()
+    def _read_header(self, file: RandomFile) -> int:
+        line = file.read_up_to(0, 32).partition(b"\n")[0] + b"\n"
+        version = line.strip()[len(MAGIC) :].decode("ascii", "replace")
+        if version != "2.0":
+            raise Damaged(f"it is a bag of version {version}, and only 2.0 is read: convert it with `rosbag fix`")
+        self._header = _record_at(file, len(line))
+        if self._header.header.get(b"encryptor"):
+            raise Damaged("it is encrypted")
+        return self._header.end
 
-    def _load(self, chunk: int) -> bytes:
-        return _inflate(self._file, self._chunks[chunk], OpenBudget())
+    def _read_index(self, file: RandomFile, scan: Scan) -> None:
+        at = self._header.uint64(b"index_pos")
+        if at == 0:
+            raise Damaged("the recording was never finished")
+        chunk_infos: list[_Record] = []
+        for record in _records(file, at):
+            scan.budget.work()
+            if record.op == _CONNECTION:
+                _add_connection(file, record, scan)
+            elif record.op == _CHUNK_INFO:
+                scan.budget.spend(parts=1)
+                chunk_infos.append(record)
+        if len(chunk_infos) < self._header.uint32(b"chunk_count"):
+            raise Damaged(f"it lists {len(chunk_infos)} of {self._header.uint32(b'chunk_count')} chunks")
+        for info in chunk_infos:
+            _chunk_by_index(file, info, scan)
 
-
-def _read(file: RandomFile, budget: OpenBudget) -> tuple[Contents, list[_Chunk]]:
-    line = file.read_up_to(0, 32).partition(b"\n")[0] + b"\n"
-    version = line.strip()[len(MAGIC) :].decode("ascii", "replace")
-    if version != "2.0":
-        raise Damaged(f"it is a bag of version {version}, and only 2.0 is read: convert it with `rosbag fix`")
-    header = _record_at(file, len(line))
-    if header.header.get(b"encryptor"):
-        raise Damaged("it is encrypted")
-    try:
-        scan = _by_index(file, header, budget)
-    except Damaged as damage:
-        scan = _by_walking(file, header.end, budget)
-        scan.notes.append(f"its index cannot be used ({damage}), so it was read through")
-        if not scan.connections:
-            raise Damaged(f"{damage}, and it has no complete chunk either") from damage
-    return (
-        Contents(
-            "ROS 1 bag 2.0", 1, scan.connections, concatenate(scan.tables), 1 + len(scan.chunks), tuple(scan.notes)
-        ),
-        scan.chunks,
-    )
-
-
-def _by_index(file: RandomFile, header: _Record, budget: OpenBudget) -> _Scan:
-    at = header.uint64(b"index_pos")
-    if at == 0:
-        raise Damaged("the recording was never finished")
-    scan = _Scan(budget)
-    chunk_infos: list[_Record] = []
-    for record in _records(file, at):
-        budget.work()
-        if record.op == _CONNECTION:
-            scan.add(*_connection(file, record))
-        elif record.op == _CHUNK_INFO:
-            budget.spend(parts=1)
-            chunk_infos.append(record)
-    if len(chunk_infos) < header.uint32(b"chunk_count"):
-        raise Damaged(f"it lists {len(chunk_infos)} of {header.uint32(b'chunk_count')} chunks")
-    for info in chunk_infos:
-        _chunk_by_index(file, info, scan)
-    return scan
+    def _read_through(self, file: RandomFile, at: int, scan: Scan) -> None:
+        try:
+            for record in _records(file, at):
+                scan.budget.work()
+                if record.op == _CONNECTION:
+                    _add_connection(file, record, scan)
+                elif record.op == _CHUNK:
+                    _walk_chunk(file, record, *_place(record, scan), scan)
+        except Damaged as damage:
+            scan.notes.append(f"it ends early: {damage}")
 
 
-def _chunk_by_index(file: RandomFile, info: _Record, scan: _Scan) -> None:
+def _chunk_by_index(file: RandomFile, info: _Record, scan: Scan) -> None:
     record = _record_at(file, info.uint64(b"chunk_pos"))
     place, base = _place(record, scan)
     at = record.end
@@ -202,32 +137,14 @@ def _chunk_by_index(file: RandomFile, info: _Record, scan: _Scan) -> None:
         scan.tables.extend(tables)
 
 
-def _index_table(file: RandomFile, index: _Record, place: int, base: int, scan: _Scan) -> MessageTable:
+def _index_table(file: RandomFile, index: _Record, place: int, base: int, scan: Scan) -> MessageTable:
     scan.budget.spend(messages=index.size // _ENTRY.itemsize, parts=1)
     entries = np.frombuffer(read_exactly(file, index.data_at, index.size), _ENTRY)
-    return MessageTable(
-        entries["sec"].astype(np.int64) * 10**9 + entries["nsec"],
-        np.full(len(entries), scan.connection(index.uint32(b"conn")), np.int32),
-        np.full(len(entries), place, np.int32),
-        entries["offset"].astype(np.int64) + base,
-    )
+    times = entries["sec"].astype(np.int64) * 10**9 + entries["nsec"]
+    return scan.table(index.uint32(b"conn"), place, times, entries["offset"].astype(np.int64) + base)
 
 
-def _by_walking(file: RandomFile, at: int, budget: OpenBudget) -> _Scan:
-    scan = _Scan(budget)
-    try:
-        for record in _records(file, at):
-            budget.work()
-            if record.op == _CONNECTION:
-                scan.add(*_connection(file, record))
-            elif record.op == _CHUNK:
-                _walk_chunk(file, record, *_place(record, scan), scan)
-    except Damaged as damage:
-        scan.notes.append(f"it ends early: {damage}")
-    return scan
-
-
-def _place(record: _Record, scan: _Scan) -> tuple[int, int]:
+def _place(record: _Record, scan: Scan) -> tuple[int, int]:
     """Return the place of a chunk, and the base of its offsets: of uncompressed messages, offsets are in place 0."""
     if record.op != _CHUNK:
         raise Damaged(f"there is no chunk at the indexed position, at {record.data_at}")
@@ -235,16 +152,16 @@ def _place(record: _Record, scan: _Scan) -> tuple[int, int]:
     compression = _text(record.header, b"compression")
     if compression == "none":
         return 0, record.data_at
-    scan.chunks.append(_Chunk(record.data_at, record.size, compression, record.uint32(b"size")))
+    scan.chunks.append(Chunk(record.data_at, record.size, compression, record.uint32(b"size")))
     return len(scan.chunks), 0
 
 
-def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: _Scan) -> None:
+def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: Scan) -> None:
     """Find the messages and connections of a chunk by scanning; a damaged chunk is skipped, with a note."""
     rows = TableBuilder()
     try:
         if place:
-            data = _inflate(file, scan.chunks[place - 1], scan.budget)
+            data = inflate(file, scan.chunks[place - 1], scan.budget)
         else:
             scan.budget.work(record.size)
             data = read_exactly(file, record.data_at, record.size)
@@ -254,7 +171,7 @@ def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: 
             scan.budget.work()
             inner = _record_at(source, at)
             if inner.op == _CONNECTION:
-                scan.add(*_connection(source, inner))
+                _add_connection(source, inner, scan)
             elif inner.op == _MESSAGE:
                 scan.budget.spend(messages=1)
                 rows.add(inner.time(), scan.connection(inner.uint32(b"conn")), place, at + base)
@@ -263,11 +180,6 @@ def _walk_chunk(file: RandomFile, record: _Record, place: int, base: int, scan: 
         scan.budget.spend(parts=1)
         scan.notes.append(f"a chunk of it is damaged: {damage}")
     scan.tables.extend(rows.tables())
-
-
-def _inflate(file: RandomFile, chunk: _Chunk, budget: OpenBudget) -> bytes:
-    budget.work(min(chunk.inflated, MAX_PIECE))
-    return decompress(chunk.compression, read_exactly(file, chunk.at, chunk.size), chunk.inflated)
 
 
 def _records(source: ByteSource, at: int) -> Iterator[_Record]:
@@ -312,16 +224,18 @@ def _fields(data: bytes) -> dict[bytes, bytes]:
     return fields
 
 
-def _connection(source: ByteSource, record: _Record) -> tuple[int, RecordedConnection]:
-    """Return the number and description of a connection. An incomplete header makes it odd, not the file unreadable."""
+def _add_connection(source: ByteSource, record: _Record, scan: Scan) -> None:
+    """Add a connection to a scan. An incomplete header makes it odd, not the file unreadable."""
     number = record.uint32(b"conn")
+    if number in scan.numbers:
+        return
     try:
         fields = _fields(read_exactly(source, record.data_at, record.size))
         odd = None
     except Damaged as damage:
         fields, odd = {}, f"its connection header cannot be read: {damage}"
     md5 = _text(fields, b"md5sum")
-    return number, RecordedConnection(
+    connection = RecordedConnection(
         topic=_text(record.header, b"topic") or _text(fields, b"topic"),
         type=_text(fields, b"type"),
         encoding=Encoding.ROS1,
@@ -331,6 +245,8 @@ def _connection(source: ByteSource, record: _Record) -> tuple[int, RecordedConne
         latched=_text(fields, b"latching") == "1",
         odd=odd,
     )
+    scan.budget.spend(octets=len(connection.definition))
+    scan.add(number, connection)
 
 
 def _text(fields: Mapping[bytes, bytes], name: bytes) -> str:

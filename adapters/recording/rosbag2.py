@@ -26,7 +26,6 @@ from rosld.adapters.recording.storage import (
     OpenBudget,
     OpeningRefused,
     RecordedConnection,
-    RosVersion,
     Storage,
     concatenate,
 )
@@ -49,10 +48,8 @@ class Metadata(NamedTuple):
     hashes: Mapping[str, str] = {}
 
 
-class Rosbag2:
-    """An open folder of ROS 2 files: a `Storage` with the places of all its files."""
-
-    silent: tuple[str, ...] = ()
+class Rosbag2(Storage):
+    """An open folder of ROS 2 files, with the places of all its files."""
 
     def __init__(self, folder: Path, open_file: Callable[[Path, OpenBudget], Storage], budget: OpenBudget) -> None:
         metadata, notes = _metadata(folder, budget)
@@ -74,9 +71,13 @@ class Rosbag2:
         if not self._files:
             self.close()
             raise Damaged("; ".join(notes))
-        self.ros_version: RosVersion = self._files[0].ros_version
+        self.ros_version = self._files[0].ros_version
         self.format = f"ROS {self.ros_version} bag ({' + '.join(sorted({each.format for each in self._files}))})"
-        self.connections = [_hash(each, metadata) for file in self._files for each in file.connections]
+        self.connections = [
+            each if each.hash else each._replace(hash=metadata.hashes.get(each.topic) or None)
+            for file in self._files
+            for each in file.connections
+        ]
         self.notes = (*notes, *(note for file in self._files for note in file.notes))
         self._starts = np.cumsum([0, *(file.places for file in self._files)]).tolist()
         self.places = self._starts[-1]
@@ -214,10 +215,6 @@ def _files(folder: Path, metadata: Metadata) -> Sequence[Path]:
     return sorted(path for path in folder.iterdir() if path.name.endswith(_SUFFIXES) and path.is_file())
 
 
-def _hash(connection: RecordedConnection, metadata: Metadata) -> RecordedConnection:
-    return connection if connection.hash else connection._replace(hash=metadata.hashes.get(connection.topic) or None)
-
-
 SQLITE_MAGIC = b"SQLite format 3\0"
 _STEPS = 100_000
 """SQLite virtual machine instructions between checks of the budget."""
@@ -226,14 +223,10 @@ _STEP_WORK = 50
 _SYNTAXES = {"ros2msg": "msg", "ros2idl": "idl"}
 
 
-class Sqlite:
-    """An open `.db3` file: a `Storage` whose offsets are row numbers."""
+class Sqlite(Storage):
+    """An open `.db3` file, whose offsets are row numbers."""
 
     format = "ROS 2 bag (sqlite3)"
-    ros_version: RosVersion = 2
-    places = 1
-    notes: tuple[str, ...] = ()
-    silent: tuple[str, ...] = ()
 
     def __init__(self, path: Path, budget: OpenBudget) -> None:
         # immutable: neither lock nor journal is created, because the disk may be read-only

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple, Protocol, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from rosld.adapters.model import Encoding
@@ -104,57 +104,28 @@ def concatenate(tables: Iterable[MessageTable]) -> MessageTable:
     return MessageTable(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-class Storage(Protocol):
-    """An open recording of one format. `read` may be called from any thread.
+class Storage(ABC):
+    """An open recording of one format: its connections, to which the table of all messages (in any order) refers.
 
-    `notes` are sentences about defects of the file and how they were handled.
+    `ros_version`, that of the ROS that wrote it, determines the kind of type hashes. `places` counts those of the
+    table. `silent` are selected topics without a message, `notes` sentences about defects and how they were handled.
     """
 
-    @property
-    def format(self) -> str:
-        """Name of the format, for people."""
-
-    @property
-    def ros_version(self) -> RosVersion:
-        """Version of ROS that wrote the file, which determines the kind of type hashes."""
-
-    @property
-    def connections(self) -> Sequence[RecordedConnection]:
-        """Connections; the table refers to them by index."""
-
-    @property
-    def messages(self) -> MessageTable:
-        """All messages, in any order."""
-
-    @property
-    def places(self) -> int:
-        """The number of places, including the file itself."""
-
-    @property
-    def silent(self) -> Sequence[str]:
-        """Selected topics without a message."""
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """Defects of the file."""
-
-    def read(self, place: int, offset: int) -> bytes:
-        """Return the bytes of a message. Raises Damaged."""
-
-    def close(self) -> None:
-        """Close the file. Idempotent."""
-
-
-class Contents(Struct, frozen=True):
-    """Content of a file: the values of `Storage`."""
-
     format: str
-    ros_version: RosVersion
+    ros_version: RosVersion = 2
     connections: Sequence[RecordedConnection]
     messages: MessageTable
     places: int = 1
-    notes: tuple[str, ...] = ()
     silent: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @abstractmethod
+    def read(self, place: int, offset: int) -> bytes:
+        """Return the bytes of a message (thread-safe). Raises Damaged."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file. Idempotent."""
 
 
 MESSAGE_BYTES = 40

@@ -47,6 +47,7 @@ from rosld.adapters.ros1.publications import Publications
 from rosld.adapters.ros1.sources import Nodes, TopicReader
 from rosld.adapters.ros1.subscription import MessageFeed
 from rosld.adapters.ros1.types import Types
+from rosld.adapters.thread import wait_event
 
 _DEPTH = 256
 _TICK = 0.25
@@ -139,7 +140,7 @@ class Actions:
         self._numbers = itertools.count(1)
         self._ticking: asyncio.TimerHandle | None = None
 
-    def follow(self, system: SystemState) -> None:
+    def update(self, system: SystemState) -> None:
         """Update the publishers of the followed actions."""
         for action, followed in self._followed.items():
             for part, reader in followed.readers.items():
@@ -150,21 +151,16 @@ class Actions:
         for action in list(self._followed):
             self._stop(action)
 
-    async def start_following(self, action: str, until: float) -> None:
-        """Report all goals of an action until `stop_following`; waits for its server. Raises NotFound."""
+    async def follow(self, action: str, until: float) -> Callable[[], None]:
+        """Report all goals of an action until the returned function is called; wait for its server. Raises NotFound."""
         self._require(action)
         followed = self._begin(action)
         followed.followers += 1
-        left = until - asyncio.get_running_loop().time()
-        try:
-            await asyncio.wait_for(followed.status_event.wait(), max(left, 0.0))
-        except asyncio.TimeoutError:
-            pass
+        await wait_event(followed.status_event, until - asyncio.get_running_loop().time())
+        return partial(self._unfollow, action)
 
-    def stop_following(self, action: str) -> None:
-        """Remove a follower of an action."""
-        followed = self._followed.get(action)
-        if followed is not None:
+    def _unfollow(self, action: str) -> None:
+        if (followed := self._followed.get(action)) is not None:
             followed.followers -= 1
             self._stop_if_idle(action)
 
@@ -293,7 +289,7 @@ class Actions:
             for part, take in zip(_PARTS, takes, strict=True):
                 feed = MessageFeed(f"{action}/{part}", partial(take, action), _DEPTH)
                 followed.readers[part] = TopicReader(feed, self._nodes, self._types, 0)
-            self.follow(self._system())
+            self.update(self._system())
         if self._ticking is None:
             self._ticking = asyncio.get_running_loop().call_later(_TICK, self._tick)
         return followed

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from rosld.adapters.base import AdapterOptions, Sink
-from rosld.adapters.model import Graph, Master, RosError, TimedOut, Unreachable
+from rosld.adapters.model import Graph, Master, RosError, TimedOut, TypeRef, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.actions import Actions
-from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
+from rosld.adapters.ros1.graph import SystemState, compose
 from rosld.adapters.ros1.master import Hosts, MasterApi, MasterSnapshot, StaleRegistrations
 from rosld.adapters.ros1.parameters import Parameters, parts_of, with_parts
+from rosld.adapters.ros1.publication import Publication
 from rosld.adapters.ros1.publications import Publications, addresses
 from rosld.adapters.ros1.reconfigurable import Reconfigurables
 from rosld.adapters.ros1.services import Services
 from rosld.adapters.ros1.sources import Nodes, TopicReader
-from rosld.adapters.ros1.subscription import Feed
+from rosld.adapters.ros1.subscription import TopicFeed
 from rosld.adapters.ros1.types import EndpointFacts, Facts, Types
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
+from rosld.adapters.thread import Tasks, wait_event
 
 _EVERY = 1.0
 _SELDOM = 30.0
@@ -37,12 +39,12 @@ class Client:
     def __init__(
         self, uri: tuple[str, int], own_node: str, options: AdapterOptions, library: TypeLibrary, publish_graph: Sink
     ) -> None:
-        host, port = uri
+        host, port = self._address = uri
         self.graph = Graph(0, master=Master(f"http://{host}:{port}"), own_node=own_node)
         self._sink = publish_graph
         self._own_node = own_node
         self._hosts = Hosts(options.host_map, host)
-        client = XmlRpcClient(f"http://{host}:{port}", "/RPC2", self._dial(host, port), keep_alive=True)
+        client = XmlRpcClient(f"http://{host}:{port}", "/RPC2", self._dial, keep_alive=True)
         self.master = MasterApi(client, own_node)
         self.facts = Facts(self.refresh_soon)
         self.types = Types(library, self.refresh_soon)
@@ -58,7 +60,6 @@ class Client:
         self.reconfigurables = Reconfigurables(
             self._nodes, self.types, self.services, self.refresh_soon, self._parameters_changed
         )
-        self._removing: asyncio.Task[None] | None = None
         self._leftovers = StaleRegistrations(self.master, self._hosts, own_node, lambda: self.publications.uri)
         self._readers: dict[str, TopicReader] = {}
         self._epochs: dict[str, int] = {}
@@ -68,7 +69,7 @@ class Client:
         self._identity: tuple[int, ParameterValue | None] | None = None
         self._poll_requested = asyncio.Event()
         self._refreshing = False
-        self._tasks: list[asyncio.Task[None]] = []
+        self._removals, self._tasks = Tasks(), Tasks()
         self._checked: dict[str, float] = {}
         self._poll_lock = asyncio.Lock()
 
@@ -85,23 +86,22 @@ class Client:
             self._mark_stale(
                 Unreachable(f"no ROS 1 master yet: {error}; start roscore, or name another: ros1://HOST:PORT")
             )
-        loop = asyncio.get_running_loop()
-        self._tasks += [loop.create_task(self._watch_system()), loop.create_task(self._watch_parameters())]
+        self._tasks.begin(self._watch_system())
+        self._tasks.begin(self._watch_parameters())
 
     async def _first_poll(self) -> None:
         await self._poll()
-        if self._removing is not None:
-            await asyncio.wait([self._removing], timeout=_FIRST_PATIENCE)
+        await self._removals.wait(_FIRST_PATIENCE)
         await self.parameters.poll()
         self.refresh()
-        await self.services.wait_probed(1.0)
+        await self.services.probes.wait(1.0)
         await self.reconfigurables.wait_described(_FIRST_PATIENCE)
         self.refresh()
 
     async def close(self) -> None:
         """Unregister everything and stop; quick even if the master hangs."""
-        for task in self._tasks:
-            task.cancel()
+        self._removals.cancel()
+        self._tasks.cancel()
         for reader in self._readers.values():
             reader.close()
         self.actions.close()
@@ -116,6 +116,17 @@ class Client:
         except RosError as error:
             self._mark_stale(error)
         self.refresh()
+
+    async def advertise(self, topic: str, type: TypeRef, latch: bool, until: float) -> Publication:
+        """Publish a topic, wait for its subscribers, and update the graph."""
+        publication = await self.publications.advertise(topic, type, until)
+        await self.poll()
+        return publication
+
+    async def unadvertise(self, topic: str) -> None:
+        """Stop publishing a topic, and update the graph. Raises NotFound."""
+        await self.publications.unadvertise(topic)
+        await self.poll()
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], until: float) -> None:
         """Set parameters: those that nodes declare at the nodes, all others at the master. Raises Refused."""
@@ -142,9 +153,19 @@ class Client:
         """Rebuild the graph and announce changes. A stale graph remains unchanged."""
         self._refreshing = False
         if self._identity is not None:
-            self._show(compose(self.graph, self._observation(), self.facts, self.types.unreadable))
+            run_id = self.parameters.value("/run_id")
+            graph = compose(
+                self.graph,
+                self._system,
+                self.facts,
+                self.types.unreadable,
+                master=Master(self.master.uri, str(run_id) if run_id is not None else None),
+                simulated_time=self.parameters.value("/use_sim_time") is True,
+                parameters=self.reconfigurables.with_descriptors(self.parameters.graph_parameters),
+            )
+            self._show(graph)
 
-    def read(self, feed: Feed) -> None:
+    def read(self, feed: TopicFeed) -> None:
         """Start reading a topic."""
         reader = TopicReader(feed, self._nodes, self.types, self._epochs.get(feed.topic, 0))
         self._readers[feed.topic] = reader
@@ -153,12 +174,12 @@ class Client:
         if not publishers:
             self.poll_soon()
 
-    def deepen(self, topic: str) -> None:
+    def deepen(self, feed: TopicFeed) -> None:
         """Apply a new depth of a topic's feed."""
-        if reader := self._readers.get(topic):
+        if reader := self._readers.get(feed.topic):
             reader.deepen()
 
-    def stop_reading(self, feed: Feed) -> None:
+    def stop_reading(self, feed: TopicFeed) -> None:
         """Stop reading a topic."""
         reader = self._readers.get(feed.topic)
         if reader is not None and reader.feed is feed:
@@ -166,15 +187,11 @@ class Client:
             reader.close()
             self._epochs[feed.topic] = reader.next_epoch
 
-    def _dial(
-        self, host: str, port: int
-    ) -> Callable[[], asyncio.Future[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]:
-        async def dial() -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-            reader, writer = await self._hosts.streams(host, port)
-            self._local = writer.get_extra_info("sockname")[0]
-            return reader, writer
-
-        return lambda: asyncio.ensure_future(dial())
+    async def _dial(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        """Connect to the master, and note our address on the way to it."""
+        reader, writer = await self._hosts.streams(*self._address)
+        self._local = writer.get_extra_info("sockname")[0]
+        return reader, writer
 
     async def _watch_system(self) -> None:
         while True:
@@ -186,10 +203,7 @@ class Client:
             live = self._snapshot is not None  # an unreachable master has no load: notice its return soon
             pause = min(max(_EVERY, _SHARE * took), _SELDOM) - took if live else _EVERY
             await asyncio.sleep(_SOON)
-            try:
-                await asyncio.wait_for(self._poll_requested.wait(), max(pause - _SOON, 0.0))
-            except asyncio.TimeoutError:
-                pass
+            await wait_event(self._poll_requested, pause - _SOON)
             self._poll_requested.clear()
 
     async def _watch_parameters(self) -> None:
@@ -235,7 +249,7 @@ class Client:
         system = self._system
         for topic, reader in self._readers.items():
             reader.follow(system.publishers.get(topic, ()))
-        self.actions.follow(system)
+        self.actions.update(system)
         self.reconfigurables.follow(system)
         self.services.follow(system.services.items())
         self.publications.register_again(system.publishers, requested_at)
@@ -245,7 +259,7 @@ class Client:
         self._note_own(system)
         self._look_up_some(nodes)
         if due := self._leftovers.nodes_to_check(system.publishers):
-            self._removing = self._begin(self._remove_leftovers(due))
+            self._removals.begin(self._remove_leftovers(due))
 
     def _note_own(self, system: SystemState) -> None:
         for topic, publication in self.publications.by_topic.items():
@@ -263,13 +277,7 @@ class Client:
         chosen = [*new, *(node for node in oldest if now - self._checked[node] > _EVERY)]
         self._checked.update(dict.fromkeys(chosen, now))
         if chosen:
-            self._begin(self._look_up(chosen))
-
-    def _begin(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
-        """Run in the background until the client closes."""
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks = [each for each in self._tasks if not each.done()] + [task]
-        return task
+            self._tasks.begin(self._look_up(chosen))
 
     async def _look_up(self, nodes: Iterable[str]) -> None:
         for node in nodes:
@@ -287,17 +295,7 @@ class Client:
     def _mark_stale(self, error: RosError) -> None:
         self._snapshot = None
         self._identity = None
-        self._show(stale(self.graph, time.time_ns(), str(error)))
-
-    def _observation(self) -> Observation:
-        run_id = self.parameters.value("/run_id")
-        return Observation(
-            Master(self.master.uri, str(run_id) if run_id is not None else None),
-            self._own_node,
-            self._system,
-            self.reconfigurables.with_descriptors(self.parameters.graph_parameters),
-            self.parameters.value("/use_sim_time") is True,
-        )
+        self._show(self.graph.as_stale(str(error)))
 
     def _show(self, graph: Graph) -> None:
         if graph is not self.graph:

@@ -3,29 +3,14 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from msgspec import Struct, field
 
-from rosld.adapters.model import (
-    Action,
-    Endpoint,
-    GoalStatus,
-    Graph,
-    Live,
-    Master,
-    Node,
-    Parameter,
-    Service,
-    Stale,
-    Topic,
-    TypeRef,
-    freeze,
-)
-from rosld.adapters.ros1.tcpros import WireReader
-from rosld.adapters.ros1.types import EndpointFacts, Facts, ServiceFacts, message_type
+from rosld.adapters.model import Action, Endpoint, GoalStatus, Graph, Node, Service, Topic, TypeRef
+from rosld.adapters.ros1.tcpros import WireReader, text_field
+from rosld.adapters.ros1.types import EndpointFacts, Facts, ServiceFacts, type_name
 
 _TIME = struct.Struct("<II")
 _LENGTH = struct.Struct("<I")
@@ -131,20 +116,14 @@ def read_goal(data: bytes) -> tuple[str, bytes]:
 def goal_message(id: str, stamp_ns: int, goal: bytes) -> bytes:
     """Return an XActionGoal."""
     stamp = _TIME.pack(stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000)
-    return _LENGTH.pack(0) + stamp + _text("") + stamp + _text(id) + goal
+    return _LENGTH.pack(0) + stamp + text_field("") + stamp + text_field(id) + goal
 
 
 def cancel_message(id: str) -> bytes:
     """Return a GoalID that cancels this goal, or all goals if the id is empty."""
-    return _TIME.pack(0, 0) + _text(id)
+    return _TIME.pack(0, 0) + text_field(id)
 
 
-def _text(value: str) -> bytes:
-    data = value.encode("utf-8", "surrogateescape")
-    return _LENGTH.pack(len(data)) + data
-
-
-_V = TypeVar("_V")
 _NOTHING = EndpointFacts()
 _UNPROBED = ServiceFacts(None, "its type is not known yet: waiting for its node to report it")
 
@@ -164,55 +143,20 @@ class SystemState(Struct, frozen=True):
         }
 
 
-class Observation(Struct, frozen=True):
-    """All inputs of the graph except learnt facts."""
+def compose(
+    previous: Graph, system: SystemState, facts: Facts, unreadable: Mapping[TypeRef, str], **others: object
+) -> Graph:
+    """Return the graph of a system, which is `previous` itself if nothing changed; `others` are further parts of it."""
 
-    master: Master
-    own_node: str
-    system: SystemState = field(default_factory=SystemState)
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
-    simulated_time: bool = False
-
-
-def compose(previous: Graph, observation: Observation, facts: Facts, unreadable: Mapping[TypeRef, str]) -> Graph:
-    """Return the graph of an observation, which is `previous` itself if nothing changed."""
-    system = observation.system
-
-    def topic(name: str) -> Topic:
-        return _topic(name, system, facts, unreadable)
-
-    def service(name: str) -> Service:
-        fact = facts.services.get(name, _UNPROBED)
-        return Service(name, fact.type, system.services[name], fact.uncallable)
-
-    def node(name: str) -> Node:
-        return Node(name, facts.uris.get(name), facts.unreachable.get(name))
-
-    actions = actions_of(system.publishers, system.subscribers, system.topic_types)
-    graph = replace(
-        previous,
-        state=Live(),
-        master=observation.master,
-        own_node=observation.own_node,
-        simulated_time=observation.simulated_time,
-        nodes=_shared(previous.nodes, system.nodes(), node),
-        topics=_shared(previous.topics, _topic_names(system), topic),
-        services=_shared(previous.services, system.services, service),
-        actions=_shared(previous.actions, actions, lambda name: actions[name]),
-        parameters=_shared(previous.parameters, observation.parameters, lambda name: observation.parameters[name]),
+    known = ((name, facts.services.get(name, _UNPROBED)) for name in system.services)
+    topics = {*system.publishers, *system.subscribers}  # the master never forgets the types of former topics
+    return previous.updated(
+        nodes={name: Node(name, facts.uris.get(name), facts.unreachable.get(name)) for name in system.nodes()},
+        topics={name: _topic(name, system, facts, unreadable) for name in topics},
+        services={name: Service(name, fact.type, system.services[name], fact.uncallable) for name, fact in known},
+        actions=actions_of(system.publishers, system.subscribers, system.topic_types),
+        **others,
     )
-    return previous if graph == previous else replace(graph, revision=previous.revision + 1)
-
-
-def stale(previous: Graph, since_ns: int, why: str) -> Graph:
-    """Return the last known graph, marked as stale."""
-    if isinstance(previous.state, Stale):
-        return previous
-    return replace(previous, state=Stale(since_ns, why), revision=previous.revision + 1)
-
-
-def _topic_names(system: SystemState) -> set[str]:
-    return {*system.publishers, *system.subscribers}  # the master never forgets the types of former topics
 
 
 def _topic(name: str, system: SystemState, facts: Facts, unreadable: Mapping[TypeRef, str]) -> Topic:
@@ -234,18 +178,7 @@ def _types(stated: str | None, reported: list[TypeRef | None]) -> tuple[TypeRef,
     """Return every type in use: those stated by publishers and, while one is unknown, the master's."""
     types = dict.fromkeys(each for each in reported if each is not None)
     if None in reported or not reported:
-        name = message_type(stated) if stated else None
+        name = type_name(stated) if stated else None
         if name and all(each.name != name for each in types):
             types[TypeRef(name)] = None
     return tuple(types)
-
-
-def _shared(previous: Mapping[str, _V], names: Iterable[str], make: Callable[[str], _V]) -> Mapping[str, _V]:
-    """Return the values of these names, sorted; reuse equal previous values, and the mapping if all are equal."""
-    values: dict[str, _V] = {}
-    for name in sorted(names):
-        new, old = make(name), previous.get(name)
-        values[name] = old if old is not None and old == new else new
-    if len(values) == len(previous) and all(previous.get(name) is value for name, value in values.items()):
-        return previous
-    return freeze(values)

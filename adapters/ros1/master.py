@@ -7,8 +7,8 @@ import os
 import re
 import socket
 import time
-from collections.abc import Callable, Mapping
-from typing import NamedTuple, TypeVar
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Any, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 from msgspec import Struct
@@ -17,8 +17,9 @@ from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, Un
 from rosld.adapters.model.names import global_name
 from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.ros1.graph import SystemState
-from rosld.adapters.ros1.xmlrpc import Answer, XmlRpcClient, encode_call
+from rosld.adapters.ros1.xmlrpc import XmlRpcClient, encode_call
 
+_T = TypeVar("_T")
 _P = TypeVar("_P", bound=asyncio.BaseProtocol)
 _REMEMBER = 30.0
 _RESOLVE = 3.0
@@ -55,21 +56,26 @@ class Hosts:
 
     async def streams(self, host: str, port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         """Return streams connected to `port` of `host`. Raises Unreachable with the addresses tried."""
-        address = await self.resolve(host)
-        try:
-            return await asyncio.wait_for(asyncio.open_connection(address.ip, port), CONNECT)
-        except (OSError, asyncio.TimeoutError) as error:
-            raise Unreachable(_failure_text(host, port, address, error)) from error
+        return await self._open(host, port, asyncio.open_connection)
 
     async def connect(self, host: str, port: int, protocol: Callable[[], _P]) -> _P:
         """Return a protocol connected to `port` of `host`. Raises Unreachable with the addresses tried."""
-        address = await self.resolve(host)
         loop = asyncio.get_running_loop()
-        try:
-            _, connection = await asyncio.wait_for(loop.create_connection(protocol, address.ip, port), CONNECT)
-        except (OSError, asyncio.TimeoutError) as error:
-            raise Unreachable(_failure_text(host, port, address, error)) from error
+        _, connection = await self._open(host, port, lambda ip, port: loop.create_connection(protocol, ip, port))
         return connection
+
+    async def _open(self, host: str, port: int, open: Callable[[str, int], Coroutine[Any, Any, _T]]) -> _T:
+        address = await self.resolve(host)
+        try:
+            return await asyncio.wait_for(open(address.ip, port), CONNECT)
+        except (OSError, asyncio.TimeoutError) as error:
+            words = str(error) or "no answer"
+            if not address.guessed:
+                raise Unreachable(f"{host}:{port} does not answer ({words})") from error
+            raise Unreachable(
+                f"{address.guessed}, and at the master's host {address.ip} port {port} does not answer either "
+                f"({words}); name its address with --host-map {host}=IP"
+            ) from error
 
     async def resolve(self, host: str) -> Address:
         """Return the address of a host name, cached for half a minute."""
@@ -97,16 +103,6 @@ async def _first_ip(host: str) -> str:
     addresses = await asyncio.wait_for(loop.getaddrinfo(host, None, type=socket.SOCK_STREAM), _RESOLVE)
     family_first = sorted(addresses, key=lambda each: each[0] != socket.AF_INET)
     return str(family_first[0][4][0])
-
-
-def _failure_text(host: str, port: int, address: Address, error: BaseException) -> str:
-    words = str(error) or "no answer"
-    if address.guessed:
-        return (
-            f"{address.guessed}, and at the master's host {address.ip} port {port} does not answer either "
-            f"({words}); name its address with --host-map {host}=IP"
-        )
-    return f"{host}:{port} does not answer ({words})"
 
 
 LOOK = 5.0  # seconds without a response to a poll after which the master counts as lost
@@ -152,7 +148,9 @@ class MasterApi:
             raise Unreachable(f"the master at {self.uri} does not tell its state", words=words)
         try:
             publishers, subscribers, services = (_nodes_by_name(part) for part in _list(state.value))
-            return SystemState(publishers, subscribers, services, _types_by_name(types.value))
+            return SystemState(
+                publishers, subscribers, services, {name: str(each) for name, each in _pairs(types.value).items()}
+            )
         except ValueError as error:
             raise Unreachable(f"{self.uri} does not answer as a ROS 1 master does: {error}") from error
 
@@ -167,47 +165,31 @@ class MasterApi:
 
     async def lookup_node(self, node: str, timeout: float = LOOK) -> str:
         """Return a node's own URI. Raises NotFound."""
-        return str(await self._call("lookupNode", node, timeout=timeout))
+        return str(await self.call("lookupNode", node, timeout=timeout))
 
     async def lookup_service(self, service: str, timeout: float = LOOK) -> str:
         """Return a service's URI (`rosrpc://host:port`). Raises NotFound."""
-        return str(await self._call("lookupService", service, timeout=timeout))
+        return str(await self.call("lookupService", service, timeout=timeout))
 
     async def register_publisher(self, topic: str, type_name: str, uri: str, timeout: float) -> list[str]:
         """Register as a publisher; return the URIs of the topic's subscribers."""
-        value = await self._call("registerPublisher", topic, type_name, uri, timeout=timeout)
+        value = await self.call("registerPublisher", topic, type_name, uri, timeout=timeout)
         return [str(each) for each in value] if isinstance(value, list) else []
 
     async def unregister_publisher(self, topic: str, uri: str, timeout: float, *, node: str | None = None) -> None:
         """Unregister a publisher of ours, or of another `node`, at this URI. Does nothing if it is not registered."""
-        await self._call("unregisterPublisher", topic, uri, timeout=timeout, caller=node)
+        await self.call("unregisterPublisher", topic, uri, timeout=timeout, caller=node)
 
-    async def get_parameter(self, name: str, timeout: float) -> ParameterValue:
-        """Return a parameter's value, or a tree. Raises NotFound."""
-        return await self._call("getParam", name, timeout=timeout)
-
-    async def set_parameter(self, name: str, value: ParameterValue, timeout: float) -> None:
-        """Set a parameter."""
-        await self._call("setParam", name, value, timeout=timeout)
-
-    async def delete_parameter(self, name: str, timeout: float) -> None:
-        """Delete a parameter or a tree. Raises NotFound."""
-        await self._call("deleteParam", name, timeout=timeout)
-
-    async def _call(
+    async def call(
         self, method: str, *arguments: ParameterValue, timeout: float, caller: str | None = None
     ) -> ParameterValue:
+        """Return the value of a method of the Master or Parameter Server API. Raises NotFound, Refused."""
         answer = await self._client.call(method, caller or self._caller, *arguments, timeout=timeout)
+        if answer.code == -1:
+            raise NotFound(f"the master knows no {arguments[0]!r}", words=answer.words)
         if answer.code != 1:
-            raise _error(method, arguments[0], answer)
+            raise Refused(f"the master refused {method} of {arguments[0]!r}", words=answer.words, sent=Sent.YES)
         return answer.value
-
-
-def _error(method: str, subject: ParameterValue, answer: Answer) -> RosError:
-    """Return the error for a code other than 1: -1 is an unknown name, 0 a failure of the master."""
-    if answer.code == -1:
-        return NotFound(f"the master knows no {subject!r}", words=answer.words)
-    return Refused(f"the master refused {method} of {subject!r}", words=answer.words, sent=Sent.YES)
 
 
 def _list(value: ParameterValue) -> list[ParameterValue]:
@@ -216,18 +198,14 @@ def _list(value: ParameterValue) -> list[ParameterValue]:
     return value
 
 
-def _name(value: ParameterValue) -> str:
-    return global_name(str(value))
+def _pairs(value: ParameterValue) -> dict[str, ParameterValue]:
+    """Return the values of a list of pairs by global name. Raises ValueError."""
+    return {global_name(str(name)): each for name, each in map(_list, _list(value))}
 
 
 def _nodes_by_name(value: ParameterValue) -> Mapping[str, tuple[str, ...]]:
-    pairs = (_list(pair) for pair in _list(value))
-    return {_name(name): tuple(dict.fromkeys(_name(node) for node in _list(nodes))) for name, nodes in pairs}
-
-
-def _types_by_name(value: ParameterValue) -> Mapping[str, str]:
-    pairs = (_list(pair) for pair in _list(value))
-    return {_name(name): str(type_name) for name, type_name in pairs}
+    nodes = {name: (global_name(str(node)) for node in _list(each)) for name, each in _pairs(value).items()}
+    return {name: tuple(dict.fromkeys(each)) for name, each in nodes.items()}
 
 
 _NAME = re.compile(r"/rosld_\w*?_(?P<pid>\d+)(?:_(?P<number>\d+))?", re.ASCII)

@@ -11,6 +11,7 @@ import math
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from typing import NamedTuple
 
@@ -217,8 +218,8 @@ class Parameters:
         """Set parameters one by one, after checking all of them. Raises Refused naming the parameter."""
         self.check(values)
         for name, value in values.items():
-            with _WriteMark(self):
-                await self._master.set_parameter(name, value, _seconds_left(until))
+            with self._writing():
+                await self._master.call("setParam", name, value, timeout=_seconds_left(until))
                 self._update(assign(self.leaves, name, value))
 
     def check(self, values: Mapping[str, ParameterValue]) -> None:
@@ -230,7 +231,7 @@ class Parameters:
     def note_set(self, values: Mapping[str, ParameterValue]) -> None:
         """Record values that nodes have set at the master."""
         for name, value in values.items():
-            with _WriteMark(self):
+            with self._writing():
                 self._update(assign(self.leaves, name, value))
 
     async def delete(self, names: Sequence[str], until: float) -> None:
@@ -240,15 +241,12 @@ class Parameters:
                 raise Refused("the root of the parameters cannot be deleted; delete its children")
             self._check_settable(name)
         for name in names:
-            with _WriteMark(self):
-                await self._delete(name, until)
+            with self._writing():
+                try:
+                    await self._master.call("deleteParam", name, timeout=_seconds_left(until))
+                except NotFound as error:
+                    raise NotFound(f"there is no parameter {name}", words=error.words) from error
                 self._update(without(self.leaves, name))
-
-    async def _delete(self, name: str, until: float) -> None:
-        try:
-            await self._master.delete_parameter(name, _seconds_left(until))
-        except NotFound as error:
-            raise NotFound(f"there is no parameter {name}", words=error.words) from error
 
     def _check_settable(self, name: str) -> None:
         leaf = self.leaves.get(name)
@@ -258,13 +256,14 @@ class Parameters:
 
     async def _get(self, name: str, until: float) -> ParameterValue | None:
         try:
-            return await self._master.get_parameter(_plain_name(name), _seconds_left(until))
+            return await self._master.call("getParam", _plain_name(name), timeout=_seconds_left(until))
         except (NotFound, Refused):
             pass
         if not self._may_be_odd(name):
             return None
         try:
-            return find(await self._master.get_parameter("/", _seconds_left(until)), name[1:])
+            tree = await self._master.call("getParam", "/", timeout=_seconds_left(until))
+            return find(tree, name[1:])
         except NotFound:
             return None
 
@@ -280,9 +279,14 @@ class Parameters:
         if changed:
             self._changed(changed[:_MAX_HINTS])
 
-    def note_write(self) -> None:
-        """Mark the start or end of a write: trees requested before are outdated."""
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Mark trees as outdated that were requested before the end of a write."""
         self._writes += 1
+        try:
+            yield
+        finally:
+            self._writes += 1
 
 
 def _trees(named: Mapping[str, Leaf]) -> Iterator[str]:
@@ -294,19 +298,6 @@ def _trees(named: Mapping[str, Leaf]) -> Iterator[str]:
             while above:
                 yield above
                 above = above.rpartition("/")[0]
-
-
-class _WriteMark:
-    """Marks trees as outdated that were requested before the end of a write."""
-
-    def __init__(self, parameters: Parameters) -> None:
-        self._parameters = parameters
-
-    def __enter__(self) -> None:
-        self._parameters.note_write()
-
-    def __exit__(self, *_: object) -> None:
-        self._parameters.note_write()
 
 
 def _seconds_left(until: float) -> float:

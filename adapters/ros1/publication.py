@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections import deque
 from collections.abc import Collection, Iterable
 from typing import cast
@@ -11,6 +10,7 @@ from typing import cast
 from rosld.adapters.model import MessageSchema, TypeRef
 from rosld.adapters.ros1.tcpros import LENGTH, MAX_HEADER, BadFrame, Header, decode_header, encode_header, frame
 from rosld.adapters.ros1.types import ros_name
+from rosld.adapters.thread import wait_event
 
 _HIGH_WATER = 256 * 1024
 _MAX_QUEUED = 8 * 1024 * 1024
@@ -110,13 +110,7 @@ class Publication:
         while self.matched < count:
             if self.matched and patient is None:
                 patient = min(until, now() + patience)
-            left = (until if patient is None else patient) - now()
-            if left <= 0:
-                return
-            self._changed.clear()
-            try:
-                await asyncio.wait_for(self._changed.wait(), left)
-            except asyncio.TimeoutError:
+            if not await self._wait_changed(until if patient is None else patient):
                 return
 
     def links_to(self, nodes: Collection[str]) -> frozenset[SubscriberConnection]:
@@ -125,14 +119,15 @@ class Publication:
 
     async def connected_to(self, nodes: Collection[str], until: float) -> frozenset[SubscriberConnection]:
         """Wait until one of these nodes is connected, or until a time; return its connections."""
-        now = asyncio.get_running_loop().time
-        while not (links := self.links_to(nodes)) and now() < until:
-            self._changed.clear()
-            try:
-                await asyncio.wait_for(self._changed.wait(), until - now())
-            except asyncio.TimeoutError:
-                break
+        while not (links := self.links_to(nodes)) and await self._wait_changed(until):
+            pass
         return links
+
+    async def _wait_changed(self, until: float) -> bool:
+        """Wait until a subscriber connects or disconnects; return False when the time is up."""
+        self._changed.clear()
+        left = until - asyncio.get_running_loop().time()
+        return left > 0 and await wait_event(self._changed, left)
 
     def join(self, link: SubscriberConnection) -> None:
         """Add a connected subscriber."""
@@ -152,17 +147,14 @@ class Publication:
         A rospy subscriber that learns of a new registration before the end of the old connection considers itself
         connected (rospy's `_connect_topic`), and never connects again.
         """
-        now = asyncio.get_running_loop().time
-        until = now() + patience
+        until = asyncio.get_running_loop().time() + patience
         self._flush()
         for link in tuple(self._links):
             await link.wait_written(until)
         for link in tuple(self._links):
             link.end()
-        while self._links and (left := until - now()) > 0:
-            self._changed.clear()
-            with contextlib.suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(self._changed.wait(), left)
+        while self._links and await self._wait_changed(until):
+            pass
         for link in tuple(self._links):
             link.close()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 from weakref import WeakValueDictionary
 
@@ -23,6 +23,7 @@ from rosld.adapters.ros1.xmlrpc import (
     encode_fault,
     read_head,
 )
+from rosld.adapters.thread import Tasks
 
 _MAX_REQUEST = 1024 * 1024
 _MAX_CONNECTIONS = 200
@@ -180,8 +181,7 @@ class Publications:
         self._servers: Servers | None = None
         self._starting = asyncio.Lock()
         self._changing: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
-        self._registering: set[asyncio.Task[None]] = set()
-        self._reminding: set[asyncio.Task[None]] = set()
+        self._registering, self._reminding = Tasks(), Tasks()
 
     @property
     def uri(self) -> str | None:
@@ -209,7 +209,7 @@ class Publications:
                 publication, subscribers = await self._advertise(topic, type, until)
                 expected = max(1, len(subscribers))
                 if subscribers:
-                    self._begin(self._remind(publication, len(subscribers)), self._reminding)
+                    self._reminding.begin(self._remind(publication, len(subscribers)))
             elif not publication.carries(type):
                 raise Refused(
                     f"rosld publishes {topic} as {publication.ref.name} ({publication.ref.hash}), not {type.name}"
@@ -217,6 +217,15 @@ class Publications:
         # Outside of the lock, so that a topic whose subscribers never connect does not delay others.
         await publication.wait_matched(expected, until, _PATIENCE)
         return publication
+
+    def suitable(self, topic: str, type: TypeRef, latch: bool) -> Publication | None:
+        """Return the publication of a topic if it accepts messages of this type (thread-safe)."""
+        publication = self.by_topic.get(topic)
+        return publication if publication is not None and publication.carries(type) else None
+
+    def is_latched(self, publication: Publication, latch: bool) -> bool:
+        """Whether a message is latched: as requested."""
+        return latch
 
     async def unadvertise(self, topic: str) -> None:
         """Stop publishing. Raises NotFound."""
@@ -239,12 +248,11 @@ class Publications:
             if publication.registered_at is None or publication.registered_at >= requested_at:
                 continue
             if self._node not in listed.get(topic, ()) and not self._registering:
-                self._begin(self._register_again(publication), self._registering)
+                self._registering.begin(self._register_again(publication))
 
     async def close(self) -> None:
         """Unregister everything, within a second and a half even if the master hangs."""
-        for task in self._reminding:
-            task.cancel()
+        self._reminding.cancel()
         publications = list(self.by_topic.values())
         self.by_topic.clear()
         goodbyes = [self._master.unregister_publisher(each.topic, self.uri or "", _GOODBYE) for each in publications]
@@ -329,13 +337,7 @@ class Publications:
     def _leave_all(self, words: str) -> None:
         """Stop publishing everything after `rosnode kill` or the takeover of our name; a later publish starts again."""
         for topic in list(self.by_topic):
-            self._begin(self._leave(topic), self._registering)
-
-    def _begin(self, work: Coroutine[None, None, None], tasks: set[asyncio.Task[None]]) -> None:
-        """Run in the background and keep a reference in `tasks`."""
-        task = asyncio.get_running_loop().create_task(work)
-        tasks.add(task)
-        task.add_done_callback(tasks.discard)
+            self._registering.begin(self._leave(topic))
 
     async def _leave(self, topic: str) -> None:
         try:

@@ -1,7 +1,10 @@
 """Parameters with dynamic_reconfigure, which their nodes describe and set, so that changes take effect.
 
-The servers' topics are read without registering, like any topic. Nodes write accepted values to the master's tree, from
-which they are read like all parameters.
+A server in a namespace (`/camera`, or `/camera/driver`) has a service `set_parameters` and two latched topics:
+`parameter_descriptions` describes each parameter and its limits, `parameter_updates` has the values of all. The
+messages are the same everywhere, so they are read and written without their definitions. The topics are read without
+registering, like any topic. Nodes write accepted values to the master's tree, from which they are read like all
+parameters.
 """
 
 from __future__ import annotations
@@ -12,17 +15,17 @@ import math
 import re
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 from msgspec import Struct, field
 
 from rosld.adapters.model import Choice, Descriptor, Parameter, ParameterType, Range, Refused, Sent, TypeRef, coerce
-from rosld.adapters.model.parameter import ParameterValue
+from rosld.adapters.model.parameter import ParameterValue, shortened
 from rosld.adapters.ros1.graph import SystemState
 from rosld.adapters.ros1.services import Services
 from rosld.adapters.ros1.sources import Nodes, TopicReader
 from rosld.adapters.ros1.subscription import MessageFeed
-from rosld.adapters.ros1.tcpros import WireReader
+from rosld.adapters.ros1.tcpros import WireReader, text_field
 from rosld.adapters.ros1.types import Types
 
 Scalar: TypeAlias = "bool | int | float | str"
@@ -32,8 +35,6 @@ SERVICE = TypeRef("dynamic_reconfigure/srv/Reconfigure")
 _DESCRIPTION = "dynamic_reconfigure/ConfigDescription"
 _MAX_PARAMETERS = 10_000
 _MAX_CHOICES = 1_000
-_MAX_TEXT = 4096
-"""Maximum number of characters of a text."""
 _MAX_METHOD = 100_000
 _MAX_NESTED = 8
 _TYPES: Mapping[str, ParameterType] = {
@@ -50,35 +51,16 @@ _TOKEN = re.compile(
 """Tokens of Python values of dicts, lists, strings and numbers."""
 
 
-class Server(NamedTuple):
-    """A dynamic_reconfigure server: the namespace of its parameters, and its node."""
-
-    namespace: str
-    node: str
-
-
-class Description(NamedTuple):
-    """A parameter in a server's description, without its values."""
-
-    name: str
-    type: str
-    words: str
-    edit_method: str
-
-
 def servers_of(
     publishers: Mapping[str, tuple[str, ...]], services: Mapping[str, tuple[str, ...]], types: Mapping[str, str]
-) -> Iterator[Server]:
-    """Yield the servers in a system, given the nodes by topic and by service, and ROS 1's types of topics."""
+) -> Iterator[tuple[str, str]]:
+    """Yield namespaces and nodes of the servers, given the nodes by topic and by service, and the types of topics."""
     for topic, type in types.items():
         namespace, _, last = topic.rpartition("/")
         if type != _DESCRIPTION or last != DESCRIPTIONS or not publishers.get(topic):
             continue
         if providers := services.get(f"{namespace}/{SET}"):
-            yield Server(namespace, providers[0])
-
-
-# Reading
+            yield namespace, providers[0]
 
 
 def read_config(data: bytes) -> Mapping[str, Scalar]:
@@ -92,24 +74,30 @@ def read_descriptors(data: bytes) -> Mapping[str, Descriptor]:
     groups = reader.array(lambda: _group(reader), _MAX_PARAMETERS)
     greatest, least = _config(reader), _config(reader)
     return {
-        one.name: _descriptor(one, _TYPES[one.type], least.get(one.name), greatest.get(one.name))
+        name: Descriptor(
+            _TYPES[type],
+            shortened(words),
+            range=_range(_TYPES[type], least.get(name), greatest.get(name)),
+            choices=tuple(_choices(_TYPES[type], edit_method)),
+        )
         for group in groups
-        for one in group
-        if one.type in _TYPES
+        for name, type, words, edit_method in group
+        if type in _TYPES
     }
 
 
-def _group(reader: WireReader) -> list[Description]:
+def _group(reader: WireReader) -> list[tuple[str, str, str, str]]:
     reader.text(), reader.text()
     descriptions = reader.array(lambda: _description(reader), _MAX_PARAMETERS)
     reader.int32(), reader.int32()
     return descriptions
 
 
-def _description(reader: WireReader) -> Description:
+def _description(reader: WireReader) -> tuple[str, str, str, str]:
+    """Return name, type, description and edit method of a parameter."""
     name, type = reader.text(), reader.text()
     reader.length()
-    return Description(name, type, reader.text(), reader.text())
+    return name, type, reader.text(), reader.text()
 
 
 def _config(reader: WireReader) -> Mapping[str, Scalar]:
@@ -123,17 +111,6 @@ def _config(reader: WireReader) -> Mapping[str, Scalar]:
 def _values(reader: WireReader) -> tuple[Callable[[], Scalar], ...]:
     """Return the readers of the values in a Config, in the order of its fields."""
     return reader.bool, reader.int32, reader.text, reader.float64
-
-
-def _descriptor(
-    description: Description, type: ParameterType, least: Scalar | None, greatest: Scalar | None
-) -> Descriptor:
-    return Descriptor(
-        type,
-        _shortened(description.words),
-        range=_range(type, least, greatest),
-        choices=tuple(_choices(type, description.edit_method)),
-    )
 
 
 def _range(type: ParameterType, least: Scalar | None, greatest: Scalar | None) -> Range | None:
@@ -181,22 +158,14 @@ def _python_value(text: str) -> object:
 
 
 def _words(value: object) -> str:
-    return _shortened(value) if isinstance(value, str) else ""
-
-
-def _shortened(text: str) -> str:
-    short = text if len(text) <= _MAX_TEXT else text[: _MAX_TEXT - 1] + "…"
-    return short.encode("utf-8", "replace").decode()
-
-
-# Writing
+    return shortened(value) if isinstance(value, str) else ""
 
 
 def request_of(values: Mapping[str, Scalar]) -> bytes:
     """Return a dynamic_reconfigure/Reconfigure request that sets only these parameters, by local name."""
     kinds: dict[type, list[bytes]] = {bool: [], int: [], str: [], float: []}
     for name, value in values.items():
-        kinds[type(value)].append(_text(name) + _ENCODERS[type(value)](value))
+        kinds[type(value)].append(text_field(name) + _ENCODERS[type(value)](value))
     return b"".join(map(_array, kinds.values())) + _array(())
 
 
@@ -205,15 +174,10 @@ def _array(elements: Iterable[bytes]) -> bytes:
     return struct.pack("<I", len(encoded)) + b"".join(encoded)
 
 
-def _text(value: object) -> bytes:
-    data = str(value).encode("utf-8", "surrogateescape")
-    return struct.pack("<I", len(data)) + data
-
-
 _ENCODERS: Mapping[type, Callable[[object], bytes]] = {
     bool: lambda value: struct.pack("<?", value),
     int: lambda value: struct.pack("<i", value),
-    str: _text,
+    str: lambda value: text_field(str(value)),
     float: lambda value: struct.pack("<d", value),
 }
 
@@ -256,15 +220,15 @@ class Reconfigurables:
 
     def follow(self, system: SystemState) -> None:
         """Update the set of servers and their publishers."""
-        servers = {one.namespace: one for one in servers_of(system.publishers, system.services, system.topic_types)}
+        servers = dict(servers_of(system.publishers, system.services, system.topic_types))
         for namespace in self._followed.keys() - servers.keys():
             self._stop(namespace)
-        for namespace, server in servers.items():
+        for namespace, node in servers.items():
             followed = self._followed.get(namespace)
-            if followed is None or followed.node != server.node:
+            if followed is None or followed.node != node:
                 if followed is not None:
                     self._stop(namespace)
-                followed = self._followed[namespace] = self._begin(server)
+                followed = self._followed[namespace] = self._begin(namespace, node)
             for part, reader in followed.readers.items():
                 reader.follow(system.publishers.get(f"{namespace}/{part}", ()))
 
@@ -318,9 +282,8 @@ class Reconfigurables:
                 scalars[own] = fit
         return scalars
 
-    def _begin(self, server: Server) -> _FollowedServer:
-        followed = _FollowedServer(server.node)
-        namespace = server.namespace
+    def _begin(self, namespace: str, node: str) -> _FollowedServer:
+        followed = _FollowedServer(node)
 
         def take_description(data: bytes) -> None:
             followed.descriptors = read_descriptors(data)

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from rosld.adapters.model import NotFound, Refused, RosError, Sent, TimedOut, TypeRef, UnknownType, Unreachable
 from rosld.adapters.ros1.master import Hosts, MasterApi, host_and_port
 from rosld.adapters.ros1.tcpros import MAX_HEADER, BadFrame, Header, decode_header, encode_header, frame, read_frame
-from rosld.adapters.ros1.types import Facts, ServiceFacts, Types, service_type
+from rosld.adapters.ros1.types import Facts, ServiceFacts, Types, type_name
+from rosld.adapters.thread import Tasks
 
 _AT_ONCE = 4
 _PROBE = 5.0
@@ -32,7 +33,8 @@ class Services:
         self._known_facts = facts
         self._probed: dict[str, tuple[tuple[str, ...], float]] = {}
         self._few = asyncio.Semaphore(_AT_ONCE)
-        self._probes: set[asyncio.Task[None]] = set()
+        self.probes = Tasks()
+        """Pending requests for types."""
 
     def follow(self, services: Iterable[tuple[str, tuple[str, ...]]]) -> None:
         """Request the types of services (with providers) that are new, have moved, or could not be reached."""
@@ -44,18 +46,11 @@ class Services:
             unknown = self._known_facts.services.get(name, ServiceFacts()).type is None
             if probed is None or probed[0] != providers or (unknown and now - probed[1] > _PROBE_PAUSE):
                 self._probed[name] = providers, now
-                probe = asyncio.get_running_loop().create_task(self._probe(name))
-                self._probes.add(probe)
-                probe.add_done_callback(self._probes.discard)
+                self.probes.begin(self._probe(name))
 
     def forget(self) -> None:
         """Request the types of all services again at the next poll."""
         self._probed.clear()
-
-    async def wait_probed(self, patience: float) -> None:
-        """Wait until pending requests for types have ended, for at most `patience` seconds."""
-        if self._probes:
-            await asyncio.wait(tuple(self._probes), timeout=patience)
 
     async def call(self, service: str, type: TypeRef, request: bytes, until: float) -> bytes:
         """Return the response of a service. Raises Refused with the node's message, TimedOut, Unreachable, NotFound."""
@@ -77,7 +72,8 @@ class Services:
     async def _call(self, service: str, type: TypeRef, request: bytes, progress: list[Sent]) -> bytes:
         reader, writer = await self._connect(service)
         try:
-            hello = {"callerid": self._caller, "service": service, "md5sum": await self._md5(type), "persistent": "0"}
+            md5 = type.hash or (await self._types.service(type)).ref.hash or "*"
+            hello = {"callerid": self._caller, "service": service, "md5sum": md5, "persistent": "0"}
             writer.write(encode_header(hello))
             header = decode_header(await read_frame(reader, MAX_HEADER))
             if "error" in header:
@@ -94,19 +90,12 @@ class Services:
             raise Refused(f"{service} failed", words=words, sent=Sent.YES)
         return answer
 
-    async def _md5(self, type: TypeRef) -> str:
-        return type.hash or (await self._types.service(type)).ref.hash or "*"
-
     async def _connect(self, service: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        uri = await self._look_up(service)
-        host, port = host_and_port(uri, "rosrpc")
-        return await self._hosts.streams(host, port)
-
-    async def _look_up(self, service: str) -> str:
         try:
-            return await self._master.lookup_service(service)
+            uri = await self._master.lookup_service(service)
         except NotFound as error:
             raise NotFound(f"there is no service {service}", words=error.words) from error
+        return await self._hosts.streams(*host_and_port(uri, "rosrpc"))
 
     async def _probe(self, service: str) -> None:
         async with self._few:
@@ -133,7 +122,7 @@ class Services:
         """Return the facts in a service's header, and whether its definition is known."""
         if "error" in header:
             return ServiceFacts(None, f"its node refuses to tell its type: {header['error']}")
-        name = service_type(header.get("type", ""))
+        name = type_name(header.get("type", ""), "srv")
         if name is None:
             return ServiceFacts(None, f"its node reports the type {header.get('type', '')[:80]!r}")
         ref = TypeRef(name, header.get("md5sum"))

@@ -7,9 +7,9 @@ from collections.abc import Awaitable, Callable, Iterable, Sequence
 
 from rosld.adapters.model import Refused, RosError, TypeRef, Unreachable
 from rosld.adapters.ros1.master import Hosts, host_and_port
-from rosld.adapters.ros1.subscription import Feed, Slot
+from rosld.adapters.ros1.subscription import Slot, TopicFeed
 from rosld.adapters.ros1.tcpros import Deliver, Frame, FrameReceiver, Header, encode_header
-from rosld.adapters.ros1.types import EndpointFacts, Facts, Types, message_type
+from rosld.adapters.ros1.types import EndpointFacts, Facts, Types, type_name
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 
 _TIMEOUT = 5.0
@@ -25,12 +25,7 @@ class Nodes:
     """
 
     def __init__(
-        self,
-        caller: str,
-        hosts: Hosts,
-        facts: Facts,
-        look_up: Callable[[str], Awaitable[str]],
-        message_limit: int,
+        self, caller: str, hosts: Hosts, facts: Facts, look_up: Callable[[str], Awaitable[str]], message_limit: int
     ) -> None:
         self.caller = caller
         self.message_limit = message_limit
@@ -59,29 +54,19 @@ class Nodes:
 class PublisherReader:
     """Reader of one publisher of one topic, which reconnects when the connection is lost."""
 
-    def __init__(self, feed: Feed, slot: Slot, nodes: Nodes, types: Types, next_epoch: Callable[[], int]) -> None:
+    def __init__(self, feed: TopicFeed, slot: Slot, nodes: Nodes, types: Types, next_epoch: Callable[[], int]) -> None:
         self.slot = slot
         self._feed = feed
         self._nodes = nodes
         self._types = types
         self._next_epoch = next_epoch
-        self._receiver: FrameReceiver | None = None
+        self.receiver: FrameReceiver | None = None
         self._guessed = False
 
     @property
     def is_connected(self) -> bool:
         """Whether messages can be received now."""
-        return self._receiver is not None and self._receiver.ready.done()
-
-    def deepen(self, depth: int) -> None:
-        """Store this number of the newest samples from now on."""
-        if self._receiver is not None:
-            self._receiver.depth = depth
-
-    def fit_buffer(self) -> None:
-        """Adapt the kernel's buffer to the incoming rate."""
-        if self._receiver is not None:
-            self._receiver.fit_buffer()
+        return self.receiver is not None and self.receiver.ready.done()
 
     async def run(self) -> None:
         """Read until cancelled."""
@@ -111,7 +96,7 @@ class PublisherReader:
             await receiver.closed
         finally:
             receiver.close()
-            self._receiver = None
+            self.receiver = None
         return receiver.failure
 
     async def _connect(self, uri: str) -> FrameReceiver:
@@ -125,7 +110,7 @@ class PublisherReader:
             host, port, lambda: FrameReceiver(self._hello(), self._accept, limit)
         )
         receiver.depth = self._feed.depth
-        self._receiver = receiver
+        self.receiver = receiver
         try:
             await asyncio.wait_for(receiver.ready, _TIMEOUT)
         except BaseException:
@@ -149,7 +134,7 @@ class PublisherReader:
             raise Refused(f"{self.slot.publisher} refuses", words=header["error"])
         if self._guessed and header.get("callerid", self.slot.publisher) != self.slot.publisher:
             raise Unreachable(f"another node responds for {self.slot.publisher} at the master's host: use --host-map")
-        name = message_type(header.get("type", ""))
+        name = type_name(header.get("type", ""))
         if name is None:
             raise Refused(f"{self.slot.publisher} names no type of messages", words=header.get("type"))
         ref = TypeRef(name, header.get("md5sum"))
@@ -168,7 +153,7 @@ class PublisherReader:
 class TopicReader:
     """Reader of one topic for its feed, with a source for each publisher that the master lists."""
 
-    def __init__(self, feed: Feed, nodes: Nodes, types: Types, first_epoch: int) -> None:
+    def __init__(self, feed: TopicFeed, nodes: Nodes, types: Types, first_epoch: int) -> None:
         self.feed = feed
         self.next_epoch = first_epoch
         self._nodes = nodes
@@ -196,12 +181,14 @@ class TopicReader:
     def deepen(self) -> None:
         """Apply the feed's new depth."""
         for source, _ in self._sources.values():
-            source.deepen(self.feed.depth)
+            if source.receiver is not None:
+                source.receiver.depth = self.feed.depth
 
     def fit_buffers(self) -> None:
         """Adapt the kernel's buffers to the incoming rates; called about once a second."""
         for source, _ in self._sources.values():
-            source.fit_buffer()
+            if source.receiver is not None:
+                source.receiver.fit_buffer()
 
     def close(self) -> None:
         """Stop reading."""

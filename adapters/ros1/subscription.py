@@ -9,43 +9,35 @@ import asyncio
 import contextlib
 import operator
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from msgspec import Struct
 
 from rosld.adapters.model import Encoding, Sample, TypeRef
 from rosld.adapters.ros1.tcpros import Frame
+from rosld.adapters.slots import received_ns
+from rosld.adapters.thread import LiveFeed
 
 
-class Value:
-    """A received frame, which is converted to a sample on first use."""
+class Value(Struct, eq=False):
+    """A received frame, which is converted to a sample on first use: most are replaced before anybody reads them."""
 
-    __slots__ = ("_sample", "data", "epoch", "latched", "publisher", "received_ns", "schema", "sequence")
-
-    def __init__(
-        self, data: Frame, schema: TypeRef, publisher: str, received_ns: int, sequence: int, epoch: int, latched: bool
-    ) -> None:
-        self.data = data
-        self.schema = schema
-        self.publisher = publisher
-        self.received_ns = received_ns
-        self.sequence = sequence
-        self.epoch = epoch
-        self.latched = latched
-        self._sample: Sample | None = None
+    data: Frame
+    schema: TypeRef
+    publisher: str
+    received_ns: int
+    sequence: int
+    epoch: int
+    latched: bool
+    _sample: Sample | None = None
 
     def sample(self) -> Sample:
         """Return the sample, always the same object."""
         if self._sample is None:
-            self._sample = Sample(
-                bytes(self.data),
-                Encoding.ROS1,
-                self.schema,
-                self.publisher,
-                self.received_ns,
-                self.sequence,
-                self.epoch,
-                self.latched,
-            )
-            self.data = self._sample.data
+            data = self.data = bytes(self.data)
+            origin = self.schema, self.publisher, self.received_ns, self.sequence, self.epoch, self.latched
+            self._sample = Sample(data, Encoding.ROS1, *origin)
         return self._sample
 
 
@@ -80,62 +72,53 @@ class Slot:
         self.sequence = 0
 
 
-class Feed:
+class TopicFeed(LiveFeed):
     """Messages received on one topic, for all its subscriptions.
 
     The reading thread replaces `slots` and their values, and calls `arrived`; everything else belongs to the server's
-    event loop. `own` maps topics to rosld's own publications.
+    event loop.
     """
 
     caller_suffix = ""
     """Suffix of the node name in the connections' caller id."""
 
-    def __init__(self, topic: str, server: asyncio.AbstractEventLoop, own: Mapping[str, Slot]) -> None:
-        self.topic = topic
-        self.depth = 1
+    def __init__(self, topic: str, changed: Callable[[Any], None] = lambda _: None) -> None:
+        super().__init__(topic, changed)
         self.slots: tuple[Slot, ...] = ()
-        self.subscriptions: list[TopicSubscription] = []
-        self._server = server
-        self._own = own
-        self._watches: tuple[WakingWatch, ...] = ()
+        self._server = asyncio.get_running_loop()
         self._woken = False
+        self._values: tuple[tuple[Value | Sample, ...], ...] = ()
+        self._views: dict[int, Sequence[Sample]] = {}
 
-    def values(self) -> tuple[tuple[Value, ...], ...]:
-        """Return the newest values of each publisher, including rosld."""
-        own = self._own.get(self.topic)
-        slots = self.slots if own is None else (*self.slots, own)
-        return tuple([slot.values for slot in slots])
+    def latest(self, depth: int = 1) -> Sequence[Sample]:
+        """Return the newest samples of each publisher, including rosld; the same object if nothing is new."""
+        values: tuple[tuple[Value | Sample, ...], ...] = (*[slot.values for slot in self.slots], self.own)
+        if not _same(values, self._values):
+            self._values = values
+            self._views = {each: self._view(each, view) for each, view in self._views.items()}
+        if depth not in self._views:
+            self._views[depth] = self._view(depth, ())
+        return self._views[depth]
+
+    def _view(self, depth: int, before: Sequence[Sample]) -> Sequence[Sample]:
+        newest = [value for values in self._values for value in values[-depth:]]
+        found = [value.sample() if isinstance(value, Value) else value for value in newest]
+        samples = tuple(sorted(found, key=received_ns))
+        return before if _same(samples, before) else samples
 
     def arrived(self) -> None:
         """Wake the watches; called on the reading thread for each batch, so it is cheap without watches."""
-        if self._watches and not self._woken:
+        if self.watches and not self._woken:
             self._woken = True
-            try:
+            with contextlib.suppress(RuntimeError):  # the server's event loop has ended
                 self._server.call_soon_threadsafe(self._wake)
-            except RuntimeError:  # the server's event loop has ended
-                pass
-
-    def arrived_here(self) -> None:
-        """Wake the watches for a sample of rosld; called on the server's event loop."""
-        if self._watches and not self._woken:
-            self._woken = True
-            self._server.call_soon(self._wake)
-
-    def watch(self, watch: WakingWatch) -> None:
-        """Add a watch."""
-        self._watches = (*self._watches, watch)
-
-    def unwatch(self, watch: WakingWatch) -> None:
-        """Remove a watch."""
-        self._watches = tuple(each for each in self._watches if each is not watch)
 
     def _wake(self) -> None:
         self._woken = False
-        for watch in self._watches:
-            watch.wake()
+        self.notify()
 
 
-class MessageFeed(Feed):
+class MessageFeed(TopicFeed):
     """Messages received on one topic for the reading thread itself, each passed on once.
 
     `take` raises ValueError for unreadable messages, which are skipped.
@@ -145,7 +128,7 @@ class MessageFeed(Feed):
     """rospy publishers silently drop the older of two connections with the same caller id."""
 
     def __init__(self, topic: str, take: Callable[[bytes], None], depth: int) -> None:
-        super().__init__(topic, asyncio.get_running_loop(), {})
+        super().__init__(topic)
         self.depth = depth
         self._take = take
         self._positions: dict[Slot, tuple[int, int]] = {}
@@ -161,60 +144,6 @@ class MessageFeed(Feed):
             if slot.values:
                 self._positions[slot] = slot.values[-1].epoch, slot.values[-1].sequence
         self._positions = {slot: position for slot, position in self._positions.items() if slot in self.slots}
-
-
-class WakingWatch:
-    def __init__(self, feed: Feed, wake: Callable[[], None]) -> None:
-        self._feed = feed
-        self.wake = wake
-        feed.watch(self)
-
-    def close(self) -> None:
-        """Stop waking. Idempotent."""
-        self._feed.unwatch(self)
-
-
-class TopicSubscription:
-    """A subscription to a topic; implements `Subscription`."""
-
-    def __init__(self, feed: Feed, depth: int, release: Callable[[TopicSubscription], None]) -> None:
-        self.feed = feed
-        self.depth = depth
-        self._release = release
-        self._closed = False
-        self._values: tuple[tuple[Value, ...], ...] = ()
-        self._latest: Sequence[Sample] = ()
-        self._watches: list[WakingWatch] = []
-
-    def latest(self) -> Sequence[Sample]:
-        """Return the newest `depth` samples of each publisher, oldest first; the same object if nothing is new."""
-        values = self.feed.values()
-        if not _same(values, self._values):
-            self._values = values
-            newest = [value for each in values for value in each[-self.depth :]]
-            newest.sort(key=_received_ns)
-            samples = [value.sample() for value in newest]
-            if not _same(samples, self._latest):
-                self._latest = tuple(samples)
-        return self._latest
-
-    def watch(self, wake: Callable[[], None]) -> WakingWatch:
-        """Call `wake` on the server's event loop after new messages."""
-        watch = WakingWatch(self.feed, wake)
-        self._watches.append(watch)
-        return watch
-
-    def close(self) -> None:
-        """End the subscription. Idempotent."""
-        if not self._closed:
-            self._closed = True
-            for watch in self._watches:
-                watch.close()
-            self._release(self)
-
-
-def _received_ns(value: Value) -> int:
-    return value.received_ns
 
 
 def _same(these: Sequence[object], those: Sequence[object]) -> bool:

@@ -380,6 +380,12 @@ _T = TypeVar("_T")
 _BOOL, _LENGTH, _INT32, _FLOAT64 = struct.Struct("<?"), struct.Struct("<I"), struct.Struct("<i"), struct.Struct("<d")
 
 
+def text_field(value: str) -> bytes:
+    """Return a string field."""
+    data = value.encode("utf-8", "surrogateescape")
+    return _LENGTH.pack(len(data)) + data
+
+
 class WireReader:
     """Reads the fields of a message in order. Methods raise ValueError if the message is truncated."""
 

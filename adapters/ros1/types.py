@@ -17,16 +17,10 @@ from rosld.adapters.model.library import TypeLibrary
 _ROS_NAME = re.compile(r"([A-Za-z]\w*)/([A-Za-z]\w*)\Z", re.ASCII)
 
 
-def message_type(ros_name: str) -> str | None:
+def type_name(ros_name: str, kind: str = "msg") -> str | None:
     """Return `std_msgs/msg/String` for `std_msgs/String`, or None for an invalid name."""
     match = _ROS_NAME.match(ros_name)
-    return f"{match[1]}/msg/{match[2]}" if match else None
-
-
-def service_type(ros_name: str) -> str | None:
-    """Return `std_srvs/srv/Trigger` for `std_srvs/Trigger`, or None for an invalid name."""
-    match = _ROS_NAME.match(ros_name)
-    return f"{match[1]}/srv/{match[2]}" if match else None
+    return f"{match[1]}/{kind}/{match[2]}" if match else None
 
 
 def ros_name(name: str) -> str:

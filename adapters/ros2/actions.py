@@ -10,17 +10,31 @@ import asyncio
 import math
 import secrets
 import time
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any, cast
 
 from msgspec import Struct, field
 
-from rosld.adapters.model import Action, GoalEvent, GoalId, GoalStatus, NotFound, Qos, Refused, RosError, Sent
+from rosld.adapters.base import Sink
+from rosld.adapters.model import (
+    Action,
+    GoalEvent,
+    GoalId,
+    GoalStatus,
+    Graph,
+    NotFound,
+    Qos,
+    Refused,
+    RosError,
+    Sent,
+    TypeRef,
+)
 from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.message_classes import deserialize, make_message, serialize
 from rosld.adapters.ros2.middleware import Participant, Reader
 from rosld.adapters.ros2.wait_set import Waiter
+from rosld.adapters.thread import Tasks
 
 _STATUS = "action_msgs/msg/GoalStatusArray"
 _CANCEL = "action_msgs/srv/CancelGoal"
@@ -32,11 +46,7 @@ _STATUSES = {
     5: GoalStatus.CANCELED,
     6: GoalStatus.ABORTED,
 }
-_CANCELED_NOT = {
-    1: "the server refuses to cancel it",
-    2: "the server does not know it",
-    3: "it has ended already",
-}
+_CANCELED_NOT = {1: "the server refuses to cancel it", 2: "the server does not know it", 3: "it has ended already"}
 _HEAD, _UUID = 4, 16
 _FEEDBACK_DEPTH = 32
 _RESULT = 5.0
@@ -76,38 +86,42 @@ class _ActionState(Struct):
 
 
 class Actions:
-    """Actions of a system; `report` is called with events of their goals."""
+    """Actions of a system with the current `graph`; events of their goals are reported to the sink."""
 
     def __init__(
-        self, participant: Participant, calls: Calls, waiter: Waiter, report: Callable[[GoalId, GoalEvent], None]
+        self, participant: Participant, calls: Calls, waiter: Waiter, graph: Callable[[], Graph], sink: Sink
     ) -> None:
         self._participant = participant
         self._calls = calls
         self._waiter = waiter
-        self._report = report
+        self._graph = graph
+        self._sink = sink
         self._loop = asyncio.get_running_loop()
         self._states: dict[str, _ActionState] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Tasks()
 
-    async def send(self, action: Action, goal: bytes, until: float) -> GoalId:
-        """Send a goal. Raises Refused if it is rejected, TimedOut, Unreachable, UnknownType."""
-        type = _type_of(action)
+    async def send(self, action: str, type: TypeRef, goal: bytes, until: float) -> GoalId:
+        """Send a goal. Raises Refused if it is rejected, TimedOut, Unreachable, UnknownType, NotFound."""
+        existing = self._action(action)
+        if existing.type is not None and existing.type.name != type.name:
+            raise Refused(f"{action} has the type {existing.type.name}, not {type.name}")
+        kind = _type_of(existing)
         try:
-            message = deserialize(f"{type}_Goal", goal)
+            message = deserialize(f"{kind}_Goal", goal)
         except ValueError as error:
-            raise Refused(f"no goal was sent to {action.name}: {error}") from error
-        state = self._listen(action.name, type)
+            raise Refused(f"no goal was sent to {action}: {error}") from error
+        state = self._listen(action, kind)
         id = secrets.token_bytes(_UUID)
         state.goals[id.hex()] = entry = _Goal(own=True, pending=[])
         try:
             await self._wait_for_server(state, min(until, self._loop.time() + _MATCH_WAIT))
             fields: dict[str, object] = {"goal_id": _uuid(id), "goal": message}
-            request = make_message(f"{type}_SendGoal", fields, "Request")
+            request = make_message(f"{kind}_SendGoal", fields, "Request")
             answer = cast(
-                Any, await self._calls.call(f"{action.name}/_action/send_goal", f"{type}_SendGoal", request, until)
+                Any, await self._calls.call(f"{action}/_action/send_goal", f"{kind}_SendGoal", request, until)
             )
             if not answer.accepted:
-                raise Refused(f"{action.name} rejected the goal; ROS 2 does not provide a reason", sent=Sent.YES)
+                raise Refused(f"{action} rejected the goal; ROS 2 does not provide a reason", sent=Sent.YES)
         except BaseException:
             state.goals.pop(id.hex(), None)
             self._leave(state)
@@ -116,11 +130,12 @@ class Actions:
         events, entry.pending = entry.pending or [], None
         for event in (GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True), *events):
             self._event(state, id.hex(), event)
-        self._begin(self._end(state, id.hex(), entry, math.inf))
-        return GoalId(action.name, id.hex())
+        self._tasks.begin(self._end(state, id.hex(), entry, math.inf))
+        return GoalId(action, id.hex())
 
     async def cancel(self, goal: GoalId, until: float) -> None:
         """Request the cancellation of a goal. Raises Refused, NotFound, TimedOut, Unreachable."""
+        self._action(goal.action)
         try:
             id = bytes.fromhex(goal.id)
         except ValueError:
@@ -139,8 +154,9 @@ class Actions:
     async def cancel_all(self, action: str, until: float) -> None:
         """Request the cancellation of all goals of an action, with a zero id and no time (CancelGoal.srv).
 
-        Raises Refused, TimedOut, Unreachable.
+        Raises Refused, TimedOut, Unreachable, NotFound.
         """
+        self._action(action)
         answer = await self._request_cancellation(action, bytes(_UUID), until)
         if answer.return_code == 1:
             words = _CANCELED_NOT[1]
@@ -151,9 +167,9 @@ class Actions:
         request = make_message(_CANCEL, {"goal_info": info}, "Request")
         return await self._calls.call(f"{action}/_action/cancel_goal", _CANCEL, request, until)
 
-    async def follow(self, action: Action, until: float) -> Callable[[], None]:
+    async def follow(self, action: str, until: float) -> Callable[[], None]:
         """Report all goals of an action until the returned function is called. Waits for their current status."""
-        state = self._listen(action.name, _type_of(action))
+        state = self._listen(action, _type_of(self._action(action)))
         state.followers += 1
         await self._wait_for_server(state, until)
         enough = min(until, self._loop.time() + _STATUS_WAIT)
@@ -168,8 +184,9 @@ class Actions:
 
         return stop
 
-    def drop_missing_servers(self, actions: Mapping[str, Action]) -> None:
+    def drop_missing_servers(self) -> None:
         """End the goals of servers that have disappeared."""
+        actions = self._graph().actions
         for state in list(self._states.values()):
             action = actions.get(state.name)
             if action is None or not action.servers:
@@ -182,11 +199,16 @@ class Actions:
 
     def close(self) -> None:
         """Stop following all actions."""
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel()
         for state in list(self._states.values()):
             self._close(state)
         self._states.clear()
+
+    def _action(self, name: str) -> Action:
+        action = self._graph().actions.get(name)
+        if action is None:
+            raise NotFound(f"there is no action {name}")
+        return action
 
     def _listen(self, name: str, type: str) -> _ActionState:
         state = self._states.get(name)
@@ -249,7 +271,7 @@ class Actions:
             goal.status = status
             self._event(state, id, GoalEvent(time.time_ns(), status, own=goal.own))
         elif not goal.own:  # the result of our own goal is requested on its acceptance
-            self._begin(self._end(state, id, goal, self._loop.time() + _RESULT, status))
+            self._tasks.begin(self._end(state, id, goal, self._loop.time() + _RESULT, status))
 
     def _take_feedback(self, state: _ActionState) -> None:
         while (message := state.feedback.take()) is not None:
@@ -286,12 +308,7 @@ class Actions:
         if goal is not None and goal.pending is not None:
             goal.pending.append(event)
             return
-        self._report(GoalId(state.name, id), event)
-
-    def _begin(self, coroutine: Coroutine[Any, Any, None]) -> None:
-        task = self._loop.create_task(coroutine)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._sink.goal_changed(GoalId(state.name, id), event)
 
 
 def _is_over(goal: _Goal) -> bool:

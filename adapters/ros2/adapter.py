@@ -2,38 +2,90 @@
 
 from __future__ import annotations
 
-import itertools
-import time
-from collections import deque
+import importlib
+import re
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from functools import partial
+from urllib.parse import parse_qsl
 
-from msgspec import Struct, field
+from msgspec import Struct
 
-from rosld.adapters.base import AdapterOptions, Capabilities, Published, Sink, Watch
-from rosld.adapters.model import (
-    Encoding,
-    GoalId,
-    Kind,
-    Operation,
-    Ref,
-    RosError,
-    Sample,
-    Schema,
-    TypeRef,
-    Unreachable,
-)
+from rosld.adapters.base import AdapterOptions, Capabilities, Sink
+from rosld.adapters.model import Encoding, Operation, RosError, Schema, TypeRef, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.parameter import ParameterValue
-from rosld.adapters.ros2.feeds import Feed, TopicSubscription
+from rosld.adapters.ros2.feeds import TopicFeed
 from rosld.adapters.ros2.graph import nodes_using, type_in_use
-from rosld.adapters.ros2.publications import Publication
-from rosld.adapters.ros2.source import Source, read_source, require_rclpy
 from rosld.adapters.ros2.system import System, unique_name
 from rosld.adapters.ros2.types import definition_folders
 from rosld.adapters.ros2.values import operations_on
 from rosld.adapters.thread import IoThread, ThreadAdapter, thread_time
+
+_DOMAINS = range(233)
+_NAMESPACE = re.compile(r"(/[A-Za-z_]\w*)+\Z", re.ASCII)
+_OPTIONS = ("domain", "namespace")
+
+HOW_TO_GET_IT = (
+    "ROS 2 is reached through rclpy, which this Python does not have: source the robot's ROS in this shell "
+    "(`source /opt/ros/jazzy/setup.bash`; in a venv made with --system-site-packages), or install it from PyPI "
+    'with `pip install ".[ros2-jazzy]"` or `".[ros2-kilted]"` in a clone of rosld'
+)
+
+
+class Source(Struct, frozen=True):
+    """A domain (None: ROS_DOMAIN_ID or 0), and the namespace of our own nodes in it."""
+
+    domain: int | None = None
+    namespace: str = "/"
+
+
+def read_source(text: str) -> Source:
+    """Return the source in `ros2`, `ros2:` or `ros2:?domain=42&namespace=/robot1`.
+
+    Raises ValueError with a sentence for the user.
+    """
+    rest = text.removeprefix("ros2").removeprefix(":").removeprefix("//")
+    if rest and not rest.startswith("?"):
+        raise ValueError(f"{text!r} names no ROS 2 system: write ros2: or ros2:?domain=42&namespace=/robot1")
+    try:
+        pairs = parse_qsl(rest[1:], keep_blank_values=True, strict_parsing=bool(rest[1:]))
+    except ValueError as error:
+        raise ValueError(f"the options of {text!r} cannot be read: write ros2:?domain=42&namespace=/robot1") from error
+    for name, _ in pairs:
+        if name not in _OPTIONS:
+            raise ValueError(f"{name!r} is not an option of ros2: the options are {' and '.join(_OPTIONS)}")
+    if len({name for name, _ in pairs}) < len(pairs):
+        raise ValueError(f"an option is given twice in {text!r}")
+    options = dict(pairs)
+    return Source(
+        _domain(options["domain"]) if "domain" in options else None, _namespace(options.get("namespace", "/"))
+    )
+
+
+def _domain(text: str) -> int:
+    if not (text.isascii() and text.isdigit()) or int(text) not in _DOMAINS:
+        raise ValueError(f"domain={text!r} is not a ROS domain: use a number from 0 to {_DOMAINS[-1]}")
+    return int(text)
+
+
+def _namespace(text: str) -> str:
+    if text != "/" and (not _NAMESPACE.match(text) or "__" in text):
+        raise ValueError(f"namespace={text!r} is not a valid namespace: use one such as /robot1")
+    return text
+
+
+def require_rclpy() -> None:
+    """Raise ValueError, with instructions, if rclpy is missing or cannot be loaded."""
+    try:
+        importlib.import_module("rclpy.node")
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "rclpy":
+            raise ValueError(
+                f"rclpy is installed but lacks {error.name}: is ROS fully sourced in this shell?"
+            ) from error
+        raise ValueError(HOW_TO_GET_IT) from error
+    except ImportError as error:
+        raise ValueError(f"rclpy is installed but cannot be loaded: {error}; is ROS sourced in this shell?") from error
 
 
 def adapter(source: str, options: AdapterOptions) -> Ros2Adapter:
@@ -46,16 +98,7 @@ def adapter(source: str, options: AdapterOptions) -> Ros2Adapter:
     return Ros2Adapter(read, options)
 
 
-class _OwnMessages(Struct):
-    """Newest messages that rosld published on a topic, and their count."""
-
-    ref: TypeRef
-    epoch: int
-    samples: deque[Sample] = field(default_factory=lambda: deque(maxlen=1))
-    sequence: int = 0
-
-
-class Ros2Adapter(ThreadAdapter[System]):
+class Ros2Adapter(ThreadAdapter[System, TopicFeed]):
     """A ROS 2 system, reached through rclpy."""
 
     capabilities = Capabilities(
@@ -65,12 +108,9 @@ class Ros2Adapter(ThreadAdapter[System]):
     def __init__(self, source: Source, options: AdapterOptions) -> None:
         library = TypeLibrary(ros_version=2, folders=definition_folders(options.types))
         super().__init__(library, f"{source.namespace.rstrip('/')}/{unique_name()}")
-        self._source = source
+        self._domain = source.domain
         self._options = options
-        self._feeds: dict[str, Feed] = {}
         self._epochs: dict[str, int] = {}
-        self._own: dict[str, _OwnMessages] = {}
-        self._own_epochs = itertools.count()
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
         """Join the domain and discover the system. Raises Unreachable if the middleware cannot be started."""
@@ -83,9 +123,10 @@ class Ros2Adapter(ThreadAdapter[System]):
 
         async def begin() -> System:
             try:
-                system = System(self._source, self._graph, self._options, self._library, sink)
+                system = System(self._domain, self._graph, self._options, self._library, sink)
             except Exception as error:
-                raise Unreachable(f"ROS 2's middleware cannot be started: {_one_line(error)}") from error
+                words = " ".join(str(error).split()) or type(error).__name__
+                raise Unreachable(f"ROS 2's middleware cannot be started: {words}") from error
             await system.open(until)
             return system
 
@@ -96,120 +137,24 @@ class Ros2Adapter(ThreadAdapter[System]):
             self._thread = None
             raise
 
-    def allows(self, ref: Ref) -> frozenset[Operation]:
-        """Return the operations of ROS 2 on a thing: topics with conflicting or unknown types are not writable."""
-        graph = self.graph
-        if ref.kind is Kind.TOPIC:
-            topic = graph.topics.get(ref.name)
-            if topic is None:
-                return frozenset({Operation.PUBLISH})
-            writable = len({each.name for each in topic.types}) <= 1 and topic.unreadable is None
-            return frozenset({Operation.SUBSCRIBE, *([Operation.PUBLISH] if writable else [])})
-        if ref.kind is Kind.SERVICE:
-            service = graph.services.get(ref.name)
-            return frozenset({Operation.CALL} if service is not None and service.uncallable is None else ())
-        if ref.kind is Kind.ACTION:
-            action = graph.actions.get(ref.name)
-            usable = action is not None and action.servers and action.unusable is None
-            return frozenset({Operation.SEND_GOAL} if usable else ())
-        if ref.kind is Kind.NODE:
-            node = graph.nodes.get(ref.name)
-            movable = node is not None and node.lifecycle is not None and node.lifecycle.transitions
-            return frozenset({Operation.CHANGE_STATE} if movable else ())
-        if ref.kind is Kind.PARAMETER:
-            if (parameter := graph.parameters.get(ref.name)) is not None:
-                return operations_on(parameter.descriptor)
-            owned = self._system is not None and self._system.parameters.owner_of(ref.name) is not None
-            return frozenset({Operation.SET_PARAMETER} if owned else ())
-        return frozenset()
+    def _parameter_operations(self, name: str) -> frozenset[Operation]:
+        if (parameter := self.graph.parameters.get(name)) is not None:
+            return operations_on(parameter.descriptor)
+        owned = self._system is not None and self._system.parameters.owner_of(name) is not None
+        return frozenset({Operation.SET_PARAMETER} if owned else ())
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
-        """Return the schema of a type. Raises UnknownType."""
         _, system = self._running()
         graph = self.graph
         search = system.types.schema(type_in_use(graph, ref), nodes_using(graph, ref), thread_time(deadline))
         return await self._schema_in_time(ref.name, search, deadline)
-
-    async def subscribe(self, topic: str, *, depth: int = 1) -> TopicSubscription:
-        """Subscribe to a topic; messages are taken only when they are read."""
-        thread, system = self._running()
-        depth = max(1, depth)
-        feed = self._feeds.get(topic)
-        if feed is None:
-            epoch = self._epochs.get(topic, -1) + 1
-            feed = self._feeds[topic] = Feed(topic, self.graph.own_node, epoch, system.waiter)
-            feed.deepen(depth)
-            for sample in self._own[topic].samples if topic in self._own else ():
-                feed.add_own_sample(sample)
-            thread.post(partial(system.read, feed))
-        subscription = TopicSubscription(feed, depth, self._release)
-        feed.subscriptions.append(subscription)
-        self._set_depth(feed)
-        return subscription
-
-    async def publish(
-        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
-    ) -> Published:
-        """Publish a message, advertising the topic first if necessary. Raises Refused, Unreachable, UnknownType.
-
-        With a connected subscriber, this neither waits nor changes threads: messages are queued for the thread, with
-        one wake-up for many.
-        """
-        thread, system = self._running()
-        publication = system.publications.by_topic.get(topic)
-        if publication is None or not publication.carries(type) or not system.publications.suits(publication, latch):
-            publication = await self._advertise(topic, type, latch, deadline)
-        elif not publication.matched:
-            await thread.run(publication.wait_matched(1, thread_time(deadline), 0.0))
-        self._keep_own(publication, data)
-        thread.post(partial(publication.send, data))
-        return Published(publication.matched)
-
-    async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
-        """Create a writer that suits the readers, and wait for one. Raises Refused, Unreachable, UnknownType."""
-        _, system = self._running()
-        publication = system.publications.by_topic.get(topic)
-        latch = publication is not None and publication.latched
-        if publication is None or not publication.carries(type) or not system.publications.suits(publication, latch):
-            await self._advertise(topic, type, latch, deadline)
-
-    async def unadvertise(self, topic: str) -> None:
-        """Stop advertising. Raises NotFound if rosld does not advertise the topic."""
-        thread, system = self._running()
-        self._own.pop(topic, None)
-        if (feed := self._feeds.get(topic)) is not None:
-            feed.forget_own()
-        await thread.run(system.publications.unadvertise(topic))
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """Call a service. Raises Refused, TimedOut, Unreachable, NotFound; ROS 2's nodes give no error messages."""
         thread, system = self._running()
         return await thread.run(system.call(service, type, request, thread_time(deadline)))
 
-    async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
-        """Send a goal. Raises Refused if it is rejected, TimedOut, Unreachable, NotFound."""
-        thread, system = self._running()
-        return await thread.run(system.send_goal(action, type, goal, thread_time(deadline)))
-
-    async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
-        """Request the cancellation of a goal. Raises Refused, TimedOut, Unreachable, NotFound."""
-        thread, system = self._running()
-        await thread.run(system.cancel_goal(goal, thread_time(deadline)))
-
-    async def cancel_goals(self, action: str, *, deadline: float) -> None:
-        """Request the cancellation of all goals of an action. Raises Refused, TimedOut, Unreachable, NotFound."""
-        thread, system = self._running()
-        await thread.run(system.cancel_goals(action, thread_time(deadline)))
-
-    async def follow_goals(self, action: str, *, deadline: float) -> Watch:
-        """Report all goals of an action to the sink. Raises NotFound."""
-        thread, system = self._running()
-        watch = ExitStack()
-        watch.callback(thread.post, await thread.run(system.follow_goals(action, thread_time(deadline))))
-        return watch
-
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
-        """Request a transition of a managed node. Raises Refused, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
         await thread.run(system.change_state(node, transition, thread_time(deadline)))
 
@@ -228,47 +173,11 @@ class Ros2Adapter(ThreadAdapter[System]):
         thread, system = self._running()
         await thread.run(system.parameters.delete(names, thread_time(deadline)))
 
-    async def _advertise(self, topic: str, type: TypeRef, latch: bool, deadline: float) -> Publication:
-        """Advertise a topic, and update the graph."""
-        thread, system = self._running()
-        self._require_type(topic, type)
-        return await thread.run(system.publications.advertise(topic, type, latch, thread_time(deadline)))
+    def _new_feed(self, topic: str, system: System) -> TopicFeed:
+        epoch = self._epochs.get(topic, -1) + 1
+        return TopicFeed(topic, self.graph.own_node, epoch, system.waiter, partial(self._apply, topic))
 
-    def _keep_own(self, publication: Publication, data: bytes) -> None:
-        """Store a published message as a sample of rosld before `publish` returns."""
-        topic = publication.topic
-        own = self._own.get(topic)
-        if own is None or own.ref != publication.ref:
-            own = self._own[topic] = _OwnMessages(publication.ref, next(self._own_epochs))
-        feed = self._feeds.get(topic)
-        depth = feed.depth if feed else 1
-        if own.samples.maxlen != depth:
-            own.samples = deque(own.samples, maxlen=depth)
-        own.sequence += 1
-        node = self.graph.own_node
-        now = time.time_ns()
-        sample = Sample(data, Encoding.CDR, own.ref, node, now, own.sequence, own.epoch, publication.latched)
-        own.samples.append(sample)
-        if feed:
-            feed.own = node
-            feed.add_own_sample(sample)
-
-    def _release(self, subscription: TopicSubscription) -> None:
-        feed = subscription.feed
-        feed.subscriptions.remove(subscription)
-        if feed.subscriptions:
-            return
-        self._feeds.pop(feed.topic, None)
-        self._epochs[feed.topic] = feed.epoch
-        if self._thread is not None and self._system is not None:
-            self._thread.post(partial(self._system.stop_reading, feed))
-
-    def _set_depth(self, feed: Feed) -> None:
-        depth = max(each.depth for each in feed.subscriptions)
-        if depth > feed.depth and self._thread is not None and self._system is not None:
-            feed.deepen(depth)
-            self._thread.post(partial(self._system.deepen, feed))
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    def _apply(self, topic: str, feed: TopicFeed) -> None:
+        self._epochs[topic] = feed.epoch
+        feed.resize()
+        super()._apply(topic, feed)

@@ -11,14 +11,15 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from typing import Any
 
 from msgspec import Struct, field
 
-from rosld.adapters.base import Watch
 from rosld.adapters.model import Encoding, Sample, TypeRef
 from rosld.adapters.ros2.middleware import Reader, ReceivedMessage
 from rosld.adapters.ros2.wait_set import Waiter
-from rosld.adapters.slots import LoopWatch, Watches
+from rosld.adapters.slots import LoopWatch, received_ns
+from rosld.adapters.thread import LiveFeed
 
 _ECHO_NS = 250_000_000
 _ECHOES = 64
@@ -63,24 +64,14 @@ class _Stream(Struct):
 
 
 class _Streams:
-    """Newest samples of each publisher of one topic; `own` is our publishing node."""
+    """Newest samples of each other publisher of one topic."""
 
-    def __init__(self, own: str, epoch: int) -> None:
-        self.own = own
+    def __init__(self, epoch: int) -> None:
         self.depth = 1
         self.epoch = epoch
         self._by_publisher: dict[str, _Stream] = {}
         self._views: dict[int, tuple[Sample, ...]] = {}
-
-    def put_own(self, sample: Sample) -> None:
-        """Add a message that we published."""
-        self._stream(self.own, sample.epoch).samples.append(sample)
-        self._views.clear()
-
-    def forget_own(self) -> None:
-        """Forget the messages that we published."""
-        if self._by_publisher.pop(self.own, None) is not None:
-            self._views.clear()
+        self._own: tuple[Sample, ...] = ()
 
     def put(self, message: ReceivedMessage, name: str, publishers: Publishers, latched: bool) -> bool:
         """Add a message of the publisher with this name; return whether it is new."""
@@ -108,17 +99,18 @@ class _Streams:
         self._views.clear()
         return True
 
-    def latest(self, depth: int, publishers: Publishers) -> Sequence[Sample]:
-        """Return the newest `depth` samples of each publisher by time of receipt; the same object if nothing is new."""
+    def latest(self, depth: int, publishers: Publishers, own: tuple[Sample, ...]) -> Sequence[Sample]:
+        """Return the newest `depth` samples of each publisher and of ours; the same object if nothing is new."""
+        if own is not self._own:
+            self._own = own
+            self._views.clear()
         view = self._views.get(depth)
         if view is None:
-            newest = [
-                sample for stream in self._current_streams(publishers) for sample in tuple(stream.samples)[-depth:]
-            ]
-            view = self._views[depth] = tuple(sorted(newest, key=_received_ns))
+            newest = [sample for samples in self._current(publishers) for sample in samples[-depth:]]
+            view = self._views[depth] = tuple(sorted(newest, key=received_ns))
         return view
 
-    def deepen(self, depth: int) -> None:
+    def resize(self, depth: int) -> None:
         """Store this number of the newest samples from now on."""
         self.depth = depth
         for stream in self._by_publisher.values():
@@ -143,15 +135,15 @@ class _Streams:
             stream = self._by_publisher[name] = _Stream(epoch, deque(maxlen=self.depth))
         return stream
 
-    def _current_streams(self, publishers: Publishers) -> list[_Stream]:
-        """Return the streams of current publishers, and the latest one of a former publisher, until a newer message."""
-        here = {*publishers.nodes, self.own}
-        present = [stream for name, stream in self._by_publisher.items() if name in here and stream.samples]
-        former = [stream for name, stream in self._by_publisher.items() if name not in here and stream.samples]
+    def _current(self, publishers: Publishers) -> list[tuple[Sample, ...]]:
+        """Return the samples of current publishers, and the latest ones of a former one, until a newer message."""
+        present = [self._own] if self._own else []
+        former: list[tuple[Sample, ...]] = []
+        for name, stream in self._by_publisher.items():
+            if stream.samples:
+                (present if name in publishers.nodes else former).append(tuple(stream.samples))
         last = max(former, key=_newest, default=None)
-        if last is None or any(_newest(stream) >= _newest(last) for stream in present):
-            return present
-        return [*present, last]
+        return present if last is None or any(_newest(each) >= _newest(last) for each in present) else [*present, last]
 
 
 class _Echoes:
@@ -174,40 +166,25 @@ class _Echoes:
         return False
 
 
-class Feed:
-    """Incoming messages of one topic, for all its subscriptions; `own` is the node of rosld's own messages."""
+class TopicFeed(LiveFeed):
+    """Incoming messages of one topic, for all its subscriptions."""
 
-    def __init__(self, topic: str, own: str, epoch: int, waiter: Waiter) -> None:
-        self.topic = topic
+    def __init__(self, topic: str, own_node: str, epoch: int, waiter: Waiter, changed: Callable[[Any], None]) -> None:
+        super().__init__(topic, changed)
         self.publishers = Publishers()
-        self.subscriptions: list[TopicSubscription] = []
-        self.watches = Watches()
         self._waiter = waiter
         self._server = asyncio.get_running_loop()
         self._reader: Reader | None = None
-        self._streams = _Streams(own, epoch)
+        self._own_node = own_node
+        self._streams = _Streams(epoch)
         self._echoes = _Echoes()
         self._taking = threading.Lock()
         self._last_publishers = self.publishers
 
     @property
-    def depth(self) -> int:
-        """Number of newest samples stored per publisher."""
-        return self._streams.depth
-
-    @property
     def epoch(self) -> int:
         """Newest epoch of the publishers."""
         return self._streams.epoch
-
-    @property
-    def own(self) -> str:
-        """Our publishing node."""
-        return self._streams.own
-
-    @own.setter
-    def own(self, node: str) -> None:
-        self._streams.own = node
 
     @property
     def reader(self) -> Reader | None:
@@ -223,36 +200,27 @@ class Feed:
             self._server.call_soon_threadsafe(self._rearm)
         return before
 
-    def add_own_sample(self, sample: Sample) -> None:
-        """Add a message that we published, and expect its echo. Called on the server's event loop."""
-        self._echoes.note(sample)
-        self._streams.put_own(sample)
-        self.watches.notify()
+    def put_own(self, own: tuple[Sample, ...]) -> None:
+        """Replace the messages of rosld, and expect the echoes of new ones."""
+        for sample in own:
+            if all(sample is not each for each in self.own):
+                self._echoes.note(sample)
+        super().put_own(own)
 
-    def forget_own(self) -> None:
-        """Forget our messages after we stopped publishing."""
-        self._streams.forget_own()
-
-    def latest(self, depth: int) -> Sequence[Sample]:
+    def latest(self, depth: int = 1) -> Sequence[Sample]:
         """Return the newest `depth` samples of each publisher by time of receipt; the same object if nothing is new."""
         self._drain()
-        return self._streams.latest(depth, self._last_publishers)
+        return self._streams.latest(depth, self._last_publishers, self.own)
 
-    def deepen(self, depth: int) -> None:
-        """Store this number of the newest samples from now on."""
-        self._streams.deepen(depth)
+    def resize(self) -> None:
+        """Store as many of the newest samples as the subscriptions need from now on."""
+        self._streams.resize(self.depth)
 
     def watch(self, wake: Callable[[], None]) -> LoopWatch:
         """Wake on the event loop after new messages."""
-        watch = self.watches.add(wake)
+        watch = super().watch(wake)
         self._rearm()
         return watch
-
-    def close(self) -> None:
-        """Stop reading and waking."""
-        reader = self._reader
-        if reader is not None:
-            self._waiter.disarm(reader.handle)
 
     def _drain(self) -> bool:
         """Take available messages; return whether there were new ones."""
@@ -273,7 +241,7 @@ class Feed:
 
     def _put(self, message: ReceivedMessage, publishers: Publishers, latched: bool) -> bool:
         name = self._sender(message, publishers)
-        if name == self.own or self._echoes.take(message):
+        if name == self._own_node or self._echoes.take(message):
             return False
         return self._streams.put(message, name, publishers, latched)
 
@@ -286,49 +254,16 @@ class Feed:
     def _rearm(self) -> None:
         """Request notification of the next message, if there are watches."""
         reader = self._reader
-        if reader is not None and len(self.watches):
+        if reader is not None and self.watches:
             self._waiter.arm(reader.handle, "reader", self._on_message)
 
     def _on_message(self) -> None:
-        if not len(self.watches):
+        if not self.watches:
             return
         if self._drain():
-            self.watches.notify()
+            self.notify()
         self._rearm()
 
 
-class TopicSubscription:
-    """A subscription to a topic; implements `Subscription`."""
-
-    def __init__(self, feed: Feed, depth: int, release: Callable[[TopicSubscription], None]) -> None:
-        self.feed = feed
-        self.depth = depth
-        self._release = release
-        self._closed = False
-        self._watches: list[LoopWatch] = []
-
-    def latest(self) -> Sequence[Sample]:
-        """Return the newest `depth` samples of each publisher, oldest first; the same object if nothing is new."""
-        return () if self._closed else self.feed.latest(self.depth)
-
-    def watch(self, wake: Callable[[], None]) -> Watch:
-        """Call `wake` on the server's event loop after new messages."""
-        watch = self.feed.watch(wake)
-        self._watches.append(watch)
-        return watch
-
-    def close(self) -> None:
-        """End the subscription. Idempotent."""
-        if not self._closed:
-            self._closed = True
-            for watch in self._watches:
-                watch.close()
-            self._release(self)
-
-
-def _received_ns(sample: Sample) -> int:
-    return sample.received_ns
-
-
-def _newest(stream: _Stream) -> int:
-    return stream.samples[-1].received_ns
+def _newest(samples: tuple[Sample, ...]) -> int:
+    return samples[-1].received_ns

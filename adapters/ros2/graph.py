@@ -1,4 +1,4 @@
-"""Computation graph from the middleware's view of the system, its discovery, and nodes that have left."""
+"""Computation graph: discovered through the middleware, and composed sharing unchanged parts with the previous one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 from msgspec import Struct, field
 
@@ -23,12 +22,11 @@ from rosld.adapters.model import (
     Stale,
     Topic,
     TypeRef,
-    freeze,
 )
 from rosld.adapters.model.names import action_of
 from rosld.adapters.ros2.middleware import DiscoveredEndpoint, Names, Participant
+from rosld.adapters.thread import wait_event
 
-_V = TypeVar("_V")
 _SEND_GOAL = "/_action/send_goal"
 _FEEDBACK = "/_action/feedback"
 
@@ -83,25 +81,15 @@ def compose(previous: Graph, observation: Observation, inputs: GraphInputs) -> G
     }
     if inputs.advertised:
         nodes[inputs.own_node] = Node(inputs.own_node)
-    graph = replace(
-        previous,
-        state=Live(),
+    return previous.updated(
         own_node=inputs.own_node,
         simulated_time=inputs.simulated_time,
-        nodes=_shared(previous.nodes, nodes),
-        topics=_shared(previous.topics, topics),
-        services=_shared(previous.services, services),
-        actions=_shared(previous.actions, actions),
-        parameters=_shared(previous.parameters, inputs.parameters),
+        nodes=nodes,
+        topics=topics,
+        services=services,
+        actions=actions,
+        parameters=inputs.parameters,
     )
-    return previous if graph == previous else replace(graph, revision=previous.revision + 1)
-
-
-def stale(previous: Graph, since_ns: int, why: str) -> Graph:
-    """Return the last known graph, marked as stale."""
-    if isinstance(previous.state, Stale):
-        return previous
-    return replace(previous, state=Stale(since_ns, why), revision=previous.revision + 1)
 
 
 def foreign_nodes(observation: Observation, hidden_node: str) -> tuple[str, ...]:
@@ -121,7 +109,10 @@ def _topics(observation: Observation, inputs: GraphInputs) -> dict[str, Topic]:
 
 
 def _topic(
-    name: str, publishers: list[DiscoveredEndpoint], subscribers: list[DiscoveredEndpoint], inputs: GraphInputs
+    name: str,
+    publishers: list[DiscoveredEndpoint],
+    subscribers: list[DiscoveredEndpoint],
+    inputs: GraphInputs,
 ) -> Topic:
     refs = dict.fromkeys(each.type for each in (*publishers, *subscribers))
     hashed = {ref.name for ref in refs if ref.hash is not None}
@@ -170,15 +161,11 @@ def _actions(
     for name, types in typed.items():
         servers, clients = (of.get(name + _SEND_GOAL, ()) for of in (providers, callers))
         if servers or clients:
-            type = _action_type(types)
+            kinds = {each.removesuffix("_SendGoal").removesuffix("_FeedbackMessage") for each in types}
+            type = kinds.pop() if len(kinds) == 1 else None
             words = inputs.problems(type) if type else f"it has the types {', '.join(types)}"
             actions[name] = Action(name, TypeRef(type) if type else None, servers, clients, words)
     return actions
-
-
-def _action_type(types: tuple[str, ...]) -> str | None:
-    names = {each.removesuffix("_SendGoal").removesuffix("_FeedbackMessage") for each in types}
-    return names.pop() if len(names) == 1 else None
 
 
 def _by_service(by_node: Mapping[str, Names], inputs: GraphInputs) -> dict[str, tuple[str, ...]]:
@@ -188,17 +175,6 @@ def _by_service(by_node: Mapping[str, Names], inputs: GraphInputs) -> dict[str, 
             for service in by_node[node]:
                 nodes_by_service.setdefault(service, []).append(node)
     return {service: tuple(nodes) for service, nodes in nodes_by_service.items()}
-
-
-def _shared(previous: Mapping[str, _V], values: Mapping[str, _V]) -> Mapping[str, _V]:
-    """Return these values, sorted; reuse equal previous values, and the mapping if all are equal."""
-    shared: dict[str, _V] = {}
-    for name in sorted(values):
-        new, old = values[name], previous.get(name)
-        shared[name] = old if old is not None and old == new else new
-    if len(shared) == len(previous) and all(previous.get(name) is value for name, value in shared.items()):
-        return previous
-    return freeze(shared)
 
 
 def type_in_use(graph: Graph, ref: TypeRef) -> TypeRef:
@@ -244,11 +220,11 @@ class LiveGraph:
             self._note_leave(graph)
             self._show(graph)
         else:
-            self._show(stale(self._last_whole(), time.time_ns(), "none of its nodes is visible any more"))
+            self._show(self._last_whole().as_stale("none of its nodes is visible any more"))
 
     def mark_stale(self, reason: str) -> None:
         """Mark the graph as stale, with a reason."""
-        self._show(stale(self.current, time.time_ns(), reason))
+        self._show(self.current.as_stale(reason))
 
     def _show(self, graph: Graph) -> None:
         if graph is not self.current:
@@ -302,10 +278,7 @@ class Discovery:
 
     async def pause(self) -> None:
         """Wait until the next poll is due."""
-        try:
-            await asyncio.wait_for(self._poll_requested.wait(), min(max(_EVERY, _SHARE * self._took), _ALL))
-        except asyncio.TimeoutError:
-            pass
+        await wait_event(self._poll_requested, min(max(_EVERY, _SHARE * self._took), _ALL))
         self._poll_requested.clear()
 
     async def poll(self, topics: Sequence[str] = ()) -> None:
@@ -338,7 +311,8 @@ class Discovery:
                 await asyncio.sleep(0)
         self._counts = {name: count for name, count in self._counts.items() if name in topics}
         providers, callers = before.providers, before.callers
-        if whole or sorted(nodes) != sorted(before.nodes) or services != before.services or self._unprovided(services):
+        is_unprovided = not services.keys() <= {service for of in providers.values() for service in of}
+        if whole or sorted(nodes) != sorted(before.nodes) or services != before.services or is_unprovided:
             foreign = foreign_nodes(Observation(nodes), participant.hidden_name)
             providers = {node: participant.services_of(node) for node in foreign}
             callers = {node: participant.clients_of(node) for node in foreign}
@@ -350,7 +324,3 @@ class Discovery:
         return any(
             not each.node for of in (observation.publishers, observation.subscribers) for each in of.get(topic, ())
         )
-
-    def _unprovided(self, services: Names) -> bool:
-        provided = {service for of in self.observation.providers.values() for service in of}
-        return not services.keys() <= provided

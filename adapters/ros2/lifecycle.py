@@ -29,6 +29,7 @@ from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.message_classes import class_problem, deserialize, make_message
 from rosld.adapters.ros2.middleware import Names, Participant, Reader
 from rosld.adapters.ros2.wait_set import Waiter
+from rosld.adapters.thread import Tasks
 
 _STATE = "lifecycle_msgs/srv/GetState"
 _TRANSITIONS = "lifecycle_msgs/srv/GetAvailableTransitions"
@@ -71,7 +72,8 @@ class Lifecycles(Struct):
     by_node: Mapping[str, Lifecycle] = field(default_factory=dict)
     """Lifecycles by node; the same object until one changes."""
     _managed: dict[str, _ManagedNode] = field(default_factory=dict)
-    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    queries: Tasks = field(default_factory=Tasks)
+    """Pending queries of nodes."""
     _few: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(_AT_ONCE))
     _loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
 
@@ -88,11 +90,6 @@ class Lifecycles(Struct):
             if not entry.is_querying and now >= entry.query_at:
                 self._query_soon(node, entry)
         self._refresh_list()
-
-    async def wait_settled(self, seconds: float) -> None:
-        """Wait until pending queries have ended, for at most `seconds`."""
-        if self._tasks:
-            await asyncio.wait(tuple(self._tasks), timeout=seconds)
 
     async def change(self, node: str, label: str, until: float) -> None:
         """Request a transition of a node; its new state is known when this returns or raises.
@@ -131,8 +128,7 @@ class Lifecycles(Struct):
 
     def close(self) -> None:
         """Stop querying and following nodes."""
-        for task in self._tasks:
-            task.cancel()
+        self.queries.cancel()
         for entry in self._managed.values():
             self._leave(entry)
         self._managed.clear()
@@ -175,9 +171,7 @@ class Lifecycles(Struct):
 
     def _query_soon(self, node: str, entry: _ManagedNode) -> None:
         entry.is_querying = True
-        task = self._loop.create_task(self._query(node, entry))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self.queries.begin(self._query(node, entry))
 
     async def _query(self, node: str, entry: _ManagedNode) -> None:
         try:

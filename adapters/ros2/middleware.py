@@ -1,6 +1,6 @@
 """Participant in a ROS 2 system: subscriptions, publishers, clients, and the middleware's view of the system.
 
-Besides `message_classes` and `profiles`, only this module uses rclpy, which is imported on first use.
+Besides `message_classes`, `profiles` and `wait_set`, only this module uses rclpy, which is imported on first use.
 
 Contexts are our own, not rclpy's global one, so that no signal handlers are changed. Topics are read as bytes from the
 middleware's own history; there is no executor. All used parts of rclpy exist in Humble and later releases.
@@ -10,14 +10,11 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
-from msgspec import Struct
-
 from rosld.adapters.model import Qos, TypeRef
-from rosld.adapters.model.names import global_name
 from rosld.adapters.ros2.message_classes import message_class
 from rosld.adapters.ros2.profiles import profile_of_qos, qos_of_profile
 
@@ -59,15 +56,6 @@ class ReceivedMessage(NamedTuple):
     gid: bytes | None
 
 
-class ParameterChange(Struct, frozen=True):
-    """Event of a node: parameters that were added (`new`), changed or deleted."""
-
-    node: str
-    set: tuple[str, ...]
-    deleted: tuple[str, ...]
-    new: tuple[str, ...] = ()
-
-
 class Reader:
     """A subscription whose messages are taken as bytes. `take` is thread-safe."""
 
@@ -84,7 +72,7 @@ class Reader:
         try:
             with self.handle:
                 message = self._take(self._type, True)
-        except _invalid_handle():
+        except invalid_handle():
             return None
         if message is None:
             return None
@@ -105,34 +93,6 @@ class Reader:
 
     def close(self) -> None:
         self._node.destroy_subscription(self._subscription)
-
-
-class ParameterEvents:
-    """The subscription to `/parameter_events`."""
-
-    def __init__(self, node: Any) -> None:
-        kind = message_class("rcl_interfaces/msg/ParameterEvent")
-        profile = profile_of_qos(Qos("best_effort", "volatile", "keep_last", 1000))
-        self._subscription = node.create_subscription(kind, "/parameter_events", _ignore, profile)
-        self.handle: Handle = self._subscription.handle
-
-    def take(self) -> ParameterChange | None:
-        """Return the next change in the history, or None."""
-        try:
-            with self.handle:
-                message = self._subscription.handle.take_message(self._subscription.msg_type, False)
-        except _invalid_handle():
-            return None
-        if message is None:
-            return None
-        event = message[0]
-        values = (*event.new_parameters, *event.changed_parameters)
-        return ParameterChange(
-            global_name(event.node),
-            tuple(each.name for each in values),
-            tuple(each.name for each in event.deleted_parameters),
-            tuple(each.name for each in event.new_parameters),
-        )
 
 
 class Writer:
@@ -181,56 +141,12 @@ class Client:
         try:
             with self.handle:
                 header, response = self._client.handle.take_response(self._client.srv_type.Response)
-        except _invalid_handle():
+        except invalid_handle():
             return None
         return None if header is None else (int(header.request_id.sequence_number), response)
 
     def close(self) -> None:
         self._node.destroy_client(self._client)
-
-
-class Wakeup:
-    """A guard condition, which wakes a wait set from any thread."""
-
-    def __init__(self, context: Any) -> None:
-        guard = importlib.import_module("rclpy.guard_condition").GuardCondition
-        self._guard = guard(None, None, context=context)
-        self.handle: Handle = self._guard.handle
-
-    def trigger(self) -> None:
-        try:
-            self._guard.trigger()
-        except _invalid_handle():
-            pass  # nobody is waiting any more
-
-    def close(self) -> None:
-        self._guard.destroy()
-
-
-class WaitSet:
-    """Waits until one of several handles is ready."""
-
-    def __init__(self, context: Any) -> None:
-        self._context = context
-        self._implementation = importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation
-        self._room = (0, 0)
-        self._set: Any = None
-
-    def wait(self, readers: Sequence[Handle], clients: Sequence[Handle], wakeup: Handle, seconds: float) -> set[int]:
-        """Return the pointers of the handles that are ready. The handles must be entered."""
-        room = (_room(len(readers)), _room(len(clients)))
-        if self._set is None or room != self._room:
-            self._set = self._implementation.WaitSet(room[0], 1, 0, room[1], 0, 0, self._context.handle)
-            self._room = room
-        self._set.clear_entities()
-        for reader in readers:
-            self._set.add_subscription(reader)
-        for client in clients:
-            self._set.add_client(client)
-        self._set.add_guard_condition(wakeup)
-        self._set.wait(int(seconds * 1e9))
-        ready = self._set.get_ready_entities
-        return {*(ready("subscription") if readers else ()), *(ready("client") if clients else ())}
 
 
 class Participant:
@@ -249,14 +165,6 @@ class Participant:
         self._visible: Any = None
         self.hidden_name = _full_name(name, namespace)
         self.visible_name: str | None = None
-
-    def wakeup(self) -> Wakeup:
-        """Return a new guard condition."""
-        return Wakeup(self.context)
-
-    def wait_set(self) -> WaitSet:
-        """Return a new wait set."""
-        return WaitSet(self.context)
 
     def node_names(self) -> tuple[str, ...]:
         """Return the visible nodes, including ours; a name is repeated if several nodes have it."""
@@ -326,10 +234,6 @@ class Participant:
         """Return a new client of a service. Raises UnknownType, ValueError."""
         return Client(self._hidden, self._hidden.create_client(message_class(type), service))
 
-    def parameter_events(self) -> ParameterEvents:
-        """Return a subscription to the parameter changes of all nodes."""
-        return ParameterEvents(self._hidden)
-
     def close(self) -> None:
         """Leave the system."""
         self.hide()
@@ -345,7 +249,7 @@ class Participant:
 
 
 @cache
-def _invalid_handle() -> Any:
+def invalid_handle() -> Any:
     """Return the class of the error about a destroyed handle."""
     return importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation.InvalidHandle
 
@@ -392,11 +296,6 @@ def _endpoint(info: Any) -> DiscoveredEndpoint:
 
 def _full_name(name: str, namespace: str) -> str:
     return f"{namespace.rstrip('/')}/{name}"
-
-
-def _room(count: int) -> int:
-    """Return a capacity with some reserve, so that a wait set can be reused."""
-    return 0 if count == 0 else 1 << (count - 1).bit_length()
 
 
 def _ignore(_: object) -> None:

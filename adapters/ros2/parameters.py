@@ -12,24 +12,14 @@ from typing import Any, cast
 
 from msgspec import Struct, field
 
-from rosld.adapters.model import (
-    Descriptor,
-    NotFound,
-    Parameter,
-    Refused,
-    RosError,
-    Sent,
-    TimedOut,
-    Unreachable,
-    coerce,
-    freeze,
-)
-from rosld.adapters.model.names import segments
-from rosld.adapters.model.parameter import ParameterValue
+from rosld.adapters.model import Descriptor, NotFound, Parameter, Refused, RosError, Sent, TimedOut, Unreachable, freeze
+from rosld.adapters.model.names import global_name, segments
+from rosld.adapters.model.parameter import ParameterValue, as_declared
 from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.message_classes import make_message
-from rosld.adapters.ros2.middleware import Names, ParameterChange
+from rosld.adapters.ros2.middleware import Names
 from rosld.adapters.ros2.values import Tag, descriptor_of, from_message, to_fields
+from rosld.adapters.thread import Tasks
 
 _SERVICES = {
     "list_parameters": "rcl_interfaces/srv/ListParameters",
@@ -76,7 +66,8 @@ class Parameters(Struct):
     owners: dict[str, _Owner] = field(default_factory=dict)
     unreachable: dict[str, str] = field(default_factory=dict)
     _listed: Mapping[str, Parameter] = field(default_factory=dict)
-    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    queries: Tasks = field(default_factory=Tasks)
+    """Pending queries of nodes."""
     _few: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(_AT_ONCE))
 
     @property
@@ -102,22 +93,20 @@ class Parameters(Struct):
             owner.describes = _provides(providers, node, "describe_parameters")
             if not owner.is_querying and now >= owner.query_at:
                 owner.is_querying = True
-                self._begin(self._list(node, owner))
+                self.queries.begin(self._list(node, owner))
         self._refresh_list()
 
-    async def wait_settled(self, seconds: float) -> None:
-        """Wait until pending queries have ended, for at most `seconds`."""
-        if self._tasks:
-            await asyncio.wait(tuple(self._tasks), timeout=seconds)
-
-    def event(self, change: ParameterChange) -> None:
-        """Process an event of a node about its parameters."""
-        owner = self.owners.get(change.node)
+    def event(self, event: Any) -> None:
+        """Process a rcl_interfaces/ParameterEvent of a node."""
+        node = global_name(event.node)
+        new, deleted = ([each.name for each in of] for of in (event.new_parameters, event.deleted_parameters))
+        set = [*new, *(each.name for each in event.changed_parameters)]
+        owner = self.owners.get(node)
         if owner is not None:
-            self._apply_changes(change.node, owner, change.set, change.deleted, change.new)
-            if "use_sim_time" in change.set:
+            self._apply_changes(node, owner, set, deleted, new)
+            if "use_sim_time" in set:
                 owner.query_at = 0.0
-        self.changed([f"{change.node}/{name}" for name in (*change.set, *change.deleted)])
+        self.changed([f"{node}/{name}" for name in (*set, *deleted)])
 
     def owner_of(self, name: str) -> tuple[str, str] | None:
         """Return node and parameter for a name: the known pair, else the longest node name that is a prefix."""
@@ -148,7 +137,8 @@ class Parameters(Struct):
         by_node: dict[str, dict[str, tuple[str, ParameterValue]]] = {}
         for name, value in values.items():
             node, parameter = self._owner(name)
-            value = self._as_declared(name, value)
+            if (existing := self._listed.get(name)) is not None:
+                value = as_declared(value, existing.descriptor)
             if value != []:
                 to_fields(name, value)
             by_node.setdefault(node, {})[parameter] = name, value
@@ -165,18 +155,6 @@ class Parameters(Struct):
                 node, parameter = self._owner(leaf)
                 by_node.setdefault(node, []).append(parameter)
         await _all_done(*(self._delete(node, parameters, until) for node, parameters in by_node.items()))
-
-    def close(self) -> None:
-        """Cancel pending queries."""
-        for task in self._tasks:
-            task.cancel()
-
-    def _as_declared(self, name: str, value: ParameterValue) -> ParameterValue:
-        """Return the value converted to the declared type if possible; the node checks other values."""
-        existing = self._listed.get(name)
-        type = None if existing is None or existing.descriptor is None else existing.descriptor.type
-        fit = None if type is None else coerce(value, type)
-        return value if fit is None else fit
 
     def _owner(self, name: str) -> tuple[str, str]:
         found = self.owner_of(name)
@@ -269,7 +247,7 @@ class Parameters(Struct):
         is_running = bool(owner.new)
         owner.new = owner.names.intersection(owner.new.union(added, new))
         if owner.new and not is_running and owner.describes:
-            self._begin(self._describe_new(node, owner))
+            self.queries.begin(self._describe_new(node, owner))
 
     async def _list(self, node: str, owner: _Owner) -> None:
         loop = asyncio.get_running_loop()
@@ -278,8 +256,7 @@ class Parameters(Struct):
             async with self._few:
                 names = await self._names(node, loop.time() + _PATIENCE)
                 simulated, descriptors = await _all(
-                    self._simulated(node, names, loop.time() + _PATIENCE),
-                    self._describe(node, owner, names),
+                    self._simulated(node, names, loop.time() + _PATIENCE), self._describe(node, owner, names)
                 )
         except (RosError, ValueError) as error:
             self._retry_later(owner)
@@ -366,11 +343,6 @@ class Parameters(Struct):
         }
         if names != self._listed:
             self._listed = freeze(names)
-
-    def _begin(self, coroutine: Any) -> None:
-        task = asyncio.get_running_loop().create_task(coroutine)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
 
 
 def _provides(providers: Mapping[str, Names], node: str, service: str) -> bool:

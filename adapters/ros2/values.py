@@ -8,7 +8,7 @@ from enum import IntEnum
 from typing import Any
 
 from rosld.adapters.model import Descriptor, Operation, ParameterType, Range, Refused
-from rosld.adapters.model.parameter import ParameterValue
+from rosld.adapters.model.parameter import ParameterValue, shortened
 
 _INT64 = range(-(2**63), 2**63)
 
@@ -109,22 +109,9 @@ def _check(name: str, value: object) -> None:
             raise Refused(f"the parameter {name} cannot be set: its text contains a NUL, where ROS 2 would truncate it")
 
 
-_LONGEST = 4096
-"""Maximum number of characters of a text."""
-
 _READ = frozenset({Operation.GET_PARAMETER})
 _WRITE = _READ | {Operation.SET_PARAMETER}
-_TYPES: Mapping[int, ParameterType] = {
-    Tag.BOOL: ParameterType.BOOLEAN,
-    Tag.INTEGER: ParameterType.INTEGER,
-    Tag.DOUBLE: ParameterType.DOUBLE,
-    Tag.STRING: ParameterType.STRING,
-    Tag.BYTE_ARRAY: ParameterType.BYTE_ARRAY,
-    Tag.BOOL_ARRAY: ParameterType.BOOLEAN_ARRAY,
-    Tag.INTEGER_ARRAY: ParameterType.INTEGER_ARRAY,
-    Tag.DOUBLE_ARRAY: ParameterType.DOUBLE_ARRAY,
-    Tag.STRING_ARRAY: ParameterType.STRING_ARRAY,
-}
+_TYPES: Mapping[int, ParameterType] = dict(zip(list(Tag)[1:], ParameterType, strict=True))  # both in ROS 2's order
 
 
 def operations_on(descriptor: Descriptor | None) -> frozenset[Operation]:
@@ -140,18 +127,13 @@ def descriptor_of(message: Any) -> Descriptor | None:
     type = None if dynamic else _TYPES.get(message.type)
     descriptor = Descriptor(
         type,
-        _text(message.description),
+        shortened(message.description),
         bool(message.read_only),
         dynamic,
-        _text(message.additional_constraints),
+        shortened(message.additional_constraints),
         _range(type, message),
     )
     return None if descriptor == Descriptor() else descriptor
-
-
-def _text(text: str) -> str:
-    short = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
-    return short.encode("utf-8", "replace").decode()
 
 
 def _range(type: ParameterType | None, message: Any) -> Range | None:

@@ -6,13 +6,14 @@ A handle is armed for a single notification, so that many messages cost one wake
 from __future__ import annotations
 
 import asyncio
+import importlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
-from rosld.adapters.ros2.middleware import Handle, Participant
+from rosld.adapters.ros2.middleware import Handle, Participant, invalid_handle
 
 _AT_MOST = 1.0
 
@@ -21,8 +22,11 @@ class Waiter:
     """Waits in a separate thread. `arm` and `disarm` are thread-safe."""
 
     def __init__(self, participant: Participant) -> None:
-        self._wakeup = participant.wakeup()
-        self._set = participant.wait_set()
+        self._context = participant.context
+        guard = importlib.import_module("rclpy.guard_condition").GuardCondition
+        self._guard = guard(None, None, context=self._context)
+        self._room = (0, 0)
+        self._set: Any = None
         self._armed: dict[int, tuple[Handle, Literal["reader", "client"], Callable[[], None]]] = {}
         self._lock = threading.Lock()
         self._stopping = False
@@ -35,22 +39,43 @@ class Waiter:
         """Call `ready` once, on the running event loop, when something can be taken."""
         with self._lock:
             self._armed[id(handle)] = handle, kind, partial(_call_soon, asyncio.get_running_loop(), ready)
-        self._wakeup.trigger()
+        self._wake()
 
     def disarm(self, handle: Handle) -> None:
         """Stop notifications about a handle."""
         with self._lock:
             removed = self._armed.pop(id(handle), None)
         if removed is not None:
-            self._wakeup.trigger()
+            self._wake()
 
     def stop(self, timeout: float) -> None:
         """End the thread; wait at most `timeout` seconds."""
         self._stopping = True
-        self._wakeup.trigger()
+        self._wake()
         if self._thread.is_alive():
             self._thread.join(timeout)
-        self._wakeup.close()
+        self._guard.destroy()
+
+    def _wake(self) -> None:
+        with suppress(invalid_handle()):  # nobody is waiting any more
+            self._guard.trigger()
+
+    def _wait_for(self, readers: Sequence[Handle], clients: Sequence[Handle]) -> set[int]:
+        """Return the pointers of the handles that are ready. The handles must be entered."""
+        room = (_room(len(readers)), _room(len(clients)))
+        if self._set is None or room != self._room:
+            rclpy = importlib.import_module("rclpy.impl.implementation_singleton").rclpy_implementation
+            self._set = rclpy.WaitSet(room[0], 1, 0, room[1], 0, 0, self._context.handle)
+            self._room = room
+        self._set.clear_entities()
+        for reader in readers:
+            self._set.add_subscription(reader)
+        for client in clients:
+            self._set.add_client(client)
+        self._set.add_guard_condition(self._guard.handle)
+        self._set.wait(int(_AT_MOST * 1e9))
+        ready = self._set.get_ready_entities
+        return {*(ready("subscription") if readers else ()), *(ready("client") if clients else ())}
 
     def _run(self) -> None:
         while not self._stopping:
@@ -70,10 +95,10 @@ class Waiter:
                 else:
                     entered[key] = handle
             try:
-                stack.enter_context(self._wakeup.handle)
+                stack.enter_context(self._guard.handle)
                 readers = [handle for key, handle in entered.items() if armed[key][1] == "reader"]
                 clients = [handle for key, handle in entered.items() if armed[key][1] == "client"]
-                ready = self._set.wait(readers, clients, self._wakeup.handle, _AT_MOST)
+                ready = self._wait_for(readers, clients)
             except Exception:  # the context was shut down
                 self._stopping = True
                 return []
@@ -93,3 +118,8 @@ class Waiter:
 def _call_soon(loop: asyncio.AbstractEventLoop, ready: Callable[[], None]) -> None:
     with suppress(RuntimeError):  # the loop has ended
         loop.call_soon_threadsafe(ready)
+
+
+def _room(count: int) -> int:
+    """Return a capacity with some reserve, so that a wait set can be reused."""
+    return 0 if count == 0 else 1 << (count - 1).bit_length()

@@ -20,28 +20,8 @@ from rosld.adapters.rover.drive import CAPACITY, CELLS, Motion, wheel_speeds
 from rosld.adapters.rover.navigation import Journey, JourneyEnd, Pose, remaining_length
 from rosld.adapters.rover.planner import RESOLUTION, grid_of
 from rosld.adapters.rover.settings import NODE, Settings
-from rosld.adapters.rover.simulation import LogLine, Severity, State
+from rosld.adapters.rover.simulation import LogLine, State
 from rosld.adapters.rover.world import WALL_HEIGHT, World
-
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_TRUECOLOUR = 2
-_QUICK = 1
-"""Compression level: the fastest is enough for large areas of one colour."""
-
-
-def png_file(image: NDArray[np.uint8]) -> bytes:
-    """Return the PNG file of an image with the axes row, column, and colour (red, green, blue)."""
-    rows, columns, _ = image.shape
-    lines = np.zeros((rows, 1 + 3 * columns), dtype=np.uint8)  # each starts with its filter type: 0 is none
-    lines[:, 1:] = image.reshape(rows, -1)
-    header = struct.pack(">IIBBBBB", columns, rows, 8, _TRUECOLOUR, 0, 0, 0)
-    data = zlib.compress(lines.tobytes(), _QUICK)
-    return _SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", data) + _chunk(b"IEND", b"")
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
 
 WIDTH = 160
 HEIGHT = 120
@@ -95,6 +75,26 @@ def scan(world: World, motion: Motion) -> NDArray[np.float32]:
     return np.where(distances <= FARTHEST, distances, np.inf).astype(np.float32)
 
 
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_TRUECOLOUR = 2
+_QUICK = 1
+"""Compression level: the fastest is enough for large areas of one colour."""
+
+
+def png_file(image: NDArray[np.uint8]) -> bytes:
+    """Return the PNG file of an image with the axes row, column, and colour (red, green, blue)."""
+    rows, columns, _ = image.shape
+    lines = np.zeros((rows, 1 + 3 * columns), dtype=np.uint8)  # each starts with its filter type: 0 is none
+    lines[:, 1:] = image.reshape(rows, -1)
+    header = struct.pack(">IIBBBBB", columns, rows, 8, _TRUECOLOUR, 0, 0, 0)
+    data = zlib.compress(lines.tobytes(), _QUICK)
+    return _SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", data) + _chunk(b"IEND", b"")
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
 Fields: TypeAlias = "Mapping[str, object]"
 
 MAP, ODOM, BASE, LASER, CAMERA = "map", "odom", "base_link", "laser", "camera_optical_frame"
@@ -111,7 +111,6 @@ _CHARGING, _DISCHARGING, _FULL = 1, 2, 4
 _HEALTH_GOOD, _HEALTH_DEAD = 1, 3
 _LITHIUM_ION = 2
 _OK, _WARN, _ERROR = 0, 1, 2
-_LEVELS: Mapping[Severity, int] = {Severity.INFO: 20, Severity.WARN: 30, Severity.ERROR: 40}
 
 
 class View(NamedTuple):
@@ -302,7 +301,7 @@ def log(line: LogLine, time_ns: int) -> Fields:
     """Return a rcl_interfaces/Log."""
     return {
         "stamp": time_fields(time_ns),
-        "level": _LEVELS[line.severity],
+        "level": line.severity.value,
         "name": NODE.strip("/"),
         "msg": line.text,
         "file": "",

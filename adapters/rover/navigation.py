@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from enum import Enum
 from typing import Any
 
+from rosld.adapters.model import GoalStatus
 from rosld.adapters.rover.drive import RADIUS, Limits, Motion, Velocity, is_blocked_ahead, wrap_angle
 from rosld.adapters.rover.planner import Point, find_path, grid_of, path_length
 from rosld.adapters.rover.world import World
@@ -20,14 +20,6 @@ _AHEAD = 0.3
 """Maximum radians between heading and path for driving; for larger angles the rover turns first."""
 _LOOK_AHEAD = 0.25
 _QUATERNION_TOLERANCE = 0.1
-
-
-class Outcome(Enum):
-    """Outcome of a goal (action_msgs/msg/GoalStatus)."""
-
-    SUCCEEDED = "succeeded"
-    CANCELED = "canceled"
-    ABORTED = "aborted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +50,7 @@ class JourneyEnd:
     """A goal that has ended, with its outcome and a message."""
 
     id: str
-    outcome: Outcome
+    outcome: GoalStatus
     message: str
 
 
@@ -128,19 +120,19 @@ def velocity_towards(journey: Journey, motion: Motion, limits: Limits) -> Veloci
 def end_of(journey: Journey, motion: Motion, world: World, is_empty: bool) -> JourneyEnd | None:
     """Return the end of the goal, or None while it is pursued. The map may lack obstacles."""
     if journey.is_canceling:
-        return JourneyEnd(journey.id, Outcome.CANCELED, "canceled")
+        return JourneyEnd(journey.id, GoalStatus.CANCELED, "canceled")
     if is_empty:
-        return JourneyEnd(journey.id, Outcome.ABORTED, "the battery is empty")
+        return JourneyEnd(journey.id, GoalStatus.ABORTED, "the battery is empty")
     if journey.problem is not None:
-        return JourneyEnd(journey.id, Outcome.ABORTED, journey.problem)
+        return JourneyEnd(journey.id, GoalStatus.ABORTED, journey.problem)
     if not journey.corners:
         is_aligned = abs(wrap_angle(journey.goal.heading - motion.heading)) < _ALIGNED_WITHIN
-        return JourneyEnd(journey.id, Outcome.SUCCEEDED, "arrived") if is_aligned else None
+        return JourneyEnd(journey.id, GoalStatus.SUCCEEDED, "arrived") if is_aligned else None
     distance = min(_LOOK_AHEAD, math.dist((motion.x, motion.y), journey.corners[0]))
     if motion.velocity.speed > 0 and (motion.is_bumped or is_blocked_ahead(world, motion, distance)):
         place = f"({motion.x:.2f}, {motion.y:.2f})"
         return JourneyEnd(
-            journey.id, Outcome.ABORTED, f"an obstacle that is not on the map blocks the way ahead of {place}"
+            journey.id, GoalStatus.ABORTED, f"an obstacle that is not on the map blocks the way ahead of {place}"
         )
     return None
 

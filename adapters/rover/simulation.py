@@ -13,11 +13,11 @@ from enum import Enum
 from typing import NamedTuple
 from urllib.parse import parse_qsl
 
+from rosld.adapters.model import GoalStatus
 from rosld.adapters.rover.drive import RADIUS, STANDSTILL, Battery, Motion, Velocity, drain, drive, is_blocked_ahead
 from rosld.adapters.rover.navigation import (
     Journey,
     JourneyEnd,
-    Outcome,
     Pose,
     depart,
     drop_passed_corners,
@@ -38,11 +38,11 @@ _STOP_DISTANCE = 0.2
 
 
 class Severity(Enum):
-    """Severity of a log line."""
+    """Severity of a log line (rcl_interfaces/msg/Log)."""
 
-    INFO = "info"
-    WARN = "warn"
-    ERROR = "error"
+    INFO = 20
+    WARN = 30
+    ERROR = 40
 
 
 class LogLine(NamedTuple):
@@ -133,7 +133,7 @@ def changes(before: State, after: State, settings: Settings) -> tuple[LogLine, .
     if before.is_docked and not after.is_docked:
         lines.append(LogLine(Severity.INFO, "the rover left the dock"))
     for end in after.ended[len(before.ended) :]:
-        severity = Severity.ERROR if end.outcome is Outcome.ABORTED else Severity.INFO
+        severity = Severity.ERROR if end.outcome is GoalStatus.ABORTED else Severity.INFO
         lines.append(LogLine(severity, f"goal {end.outcome.value}: {end.message}"))
     return tuple(lines)
 
@@ -196,7 +196,7 @@ class Simulation:
         self.advance(now)
         state = self.state
         if state.journey is not None:
-            end = JourneyEnd(state.journey.id, Outcome.ABORTED, "another goal took its place")
+            end = JourneyEnd(state.journey.id, GoalStatus.ABORTED, "another goal took its place")
             self._set_state(replace(state, ended=(*state.ended, end)))
         self.state = replace(self.state, journey=depart(id, goal, self.state.motion, self.world))
         self._lines.append(LogLine(Severity.INFO, f"navigating to ({goal.x:g}, {goal.y:g})"))

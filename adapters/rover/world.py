@@ -82,10 +82,7 @@ class World:
 
     def clearance(self, x: float, y: float) -> float:
         """Return the distance of a point from the nearest shape, 0 inside one."""
-        return min(
-            min(box.distance(x, y) for box in self.boxes),
-            min(disc.distance(x, y) for disc in self.discs),
-        )
+        return min(min(box.distance(x, y) for box in self.boxes), min(disc.distance(x, y) for disc in self.discs))
 
     def cast(self, x: float, y: float, angles: NDArray[np.float64]) -> Hits:
         """Return the hits of rays from a point in these directions (radians, counterclockwise from x)."""

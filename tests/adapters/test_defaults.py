@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from rosld.adapters.model import MessageSchema, TypeRef
-from rosld.adapters.model.description import definition_of
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.ros2.types import definition_of
 from tests.adapters.test_learnt_types import Described, Field, FieldType
 from tests.ros2 import distros
 

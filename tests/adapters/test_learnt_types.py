@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 from rosld.adapters.model import ActionSchema, Array, MessageSchema, Primitive, ServiceSchema, TypeRef, UnknownType
-from rosld.adapters.model.description import definition_of
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
-from rosld.adapters.model.rihs import DUMMY, describe_type  # the same structure, which determines the hash
+from rosld.adapters.model.rihs import describe_type  # the same structure, which determines the hash
+from rosld.adapters.model.schema import DUMMY
+from rosld.adapters.ros2.types import definition_of
 
 GRIP = f"""Tip left
 Tip right
@@ -133,5 +134,5 @@ def test_a_description_that_cannot_be_a_definition_is_refused() -> None:
     ):
         with pytest.raises(ValueError, match=r"description of|field type id|no name in a"):
             definition_of("made_up/msg/All", told)
-    empty = Described("std_msgs/msg/Empty", [Field(DUMMY.name, FieldType(3))])
+    empty = Described("std_msgs/msg/Empty", [Field(DUMMY, FieldType(3))])
     assert definition_of("std_msgs/msg/Empty", [empty]), "its member is not shown"

@@ -10,7 +10,7 @@ from typing import Any
 
 import httpx
 
-from rosld.adapters.rover.adapter import CMD_VEL, DOCK, LATCHED, NAVIGATE_TO, PERIODIC, SET_LIGHTS
+from rosld.adapters.rover.graph import CMD_VEL, DOCK, LATCHED, NAVIGATE_TO, PERIODIC, SET_LIGHTS
 from tests.adapters.ros1 import system as ros1
 from tests.processes import Process
 from tests.ros2 import system as ros2

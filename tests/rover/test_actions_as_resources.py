@@ -10,7 +10,7 @@ import httpx
 import pytest
 import rdflib
 
-from rosld.adapters.rover.adapter import NAVIGATE_TO
+from rosld.adapters.rover.graph import NAVIGATE_TO
 from tests.rover.conftest import StartRover
 from tests.rover.rovers import UNDER_WAY, Rover
 from tests.stopping import release

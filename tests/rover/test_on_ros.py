@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from rosbags import rosbag2
 from rosbags.highlevel import AnyReader
 
-from rosld.adapters.rover.adapter import CMD_VEL, LATCHED, NAVIGATE_TO, PERIODIC, SET_LIGHTS
+from rosld.adapters.rover.graph import CMD_VEL, LATCHED, NAVIGATE_TO, PERIODIC, SET_LIGHTS
 from tests.adapters.ros1 import system as ros1
 from tests.rover.rovers import STANDSTILL, Rover, running
 from tests.server.history.mcap_files import decode, read

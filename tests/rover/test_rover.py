@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rosld.adapters.rover.adapter import CMD_VEL, DOCK, LATCHED, PERIODIC
+from rosld.adapters.rover.graph import CMD_VEL, DOCK, LATCHED, PERIODIC
 from rosld.adapters.rover.messages import BEAMS, HEIGHT, WIDTH
 from tests.rover.conftest import StartRover
 from tests.rover.rovers import Rover

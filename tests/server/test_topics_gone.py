@@ -65,7 +65,7 @@ def test_once_a_node_has_it_again_it_is_read_as_a_new_one(robot: MadeUp) -> None
     with served(robot, first_value_wait=0.1) as http:
         assert http.get(TOPIC, headers={"Accept": "application/json"}).json() == {"data": "x"}
         robot.forget(NAME)
-        until(lambda: slot.subscriptions == 0, "it is not subscribed to any more")
+        until(lambda: not slot.subscriptions, "it is not subscribed to any more")
         robot.topic(NAME, STRING)
         assert http.get(TOPIC, headers={"Accept": "application/json"}).json() is None
         robot.publishes(NAME, {"data": "anew"})

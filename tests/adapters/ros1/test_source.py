@@ -7,11 +7,11 @@ import re
 import pytest
 
 from rosld.adapters.base import AdapterOptions
-from rosld.adapters.model import Graph, Master, Stale, TypeRef
+from rosld.adapters.model import Graph, Stale, TypeRef
 from rosld.adapters.registry import adapter_for
 from rosld.adapters.ros1 import Ros1Adapter
 from rosld.adapters.ros1.adapter import master_address, node_name
-from rosld.adapters.ros1.graph import Observation, SystemState, compose, stale
+from rosld.adapters.ros1.graph import SystemState, compose
 from rosld.adapters.ros1.publications import addresses
 from rosld.adapters.ros1.types import EndpointFacts, Facts
 
@@ -44,10 +44,9 @@ def test_what_the_user_says_is_advertised_before_what_ros_says_before_what_is_gu
     assert addresses(None, "127.0.0.1", {}) == ["127.0.0.1"]
 
 
-def observed(**topics: tuple[str, ...]) -> Observation:
+def observed(**topics: tuple[str, ...]) -> SystemState:
     types = {f"/{name}": "std_msgs/String" for name in topics}
-    system = SystemState({f"/{name}": nodes for name, nodes in topics.items()}, {}, {}, types)
-    return Observation(Master("http://m:1"), "/rosld", system)
+    return SystemState({f"/{name}": nodes for name, nodes in topics.items()}, {}, {}, types)
 
 
 def no_facts() -> Facts:
@@ -79,8 +78,9 @@ def test_what_all_publishers_say_of_themselves_is_believed_before_the_masters_wo
 
 def test_a_stale_graph_keeps_what_is_known_and_its_first_reason() -> None:
     graph = compose(Graph(0), observed(a=("/n",)), no_facts(), {})
-    gone = stale(graph, 5, "why")
-    assert gone.state == Stale(5, "why")
+    gone = graph.as_stale("why")
+    assert isinstance(gone.state, Stale)
+    assert gone.state.why == "why"
     assert gone.topics is graph.topics
-    assert stale(gone, 9, "later") is gone
+    assert gone.as_stale("later") is gone
     assert compose(gone, observed(a=("/n",)), no_facts(), {}).revision == gone.revision + 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from rosld.adapters.model import Endpoint, Graph, Live, Parameter, Qos, Stale, TypeRef
-from rosld.adapters.ros2.graph import GraphInputs, Observation, compose, stale
+from rosld.adapters.ros2.graph import GraphInputs, Observation, compose
 from rosld.adapters.ros2.middleware import DiscoveredEndpoint
 
 STRING = TypeRef("std_msgs/msg/String", "RIHS01_aa")
@@ -61,7 +61,8 @@ def test_two_types_of_a_topic_are_a_conflict_but_one_without_its_hash_is_none() 
 
 def test_a_system_that_cannot_be_seen_keeps_its_last_graph() -> None:
     graph = compose(Graph(0), SEEN, KNOWN)
-    gone = stale(graph, 7, "gone")
-    assert (gone.state, gone.topics, gone.revision) == (Stale(7, "gone"), graph.topics, 2)
-    assert stale(gone, 8, "gone") is gone
+    gone = graph.as_stale("gone")
+    assert isinstance(gone.state, Stale)
+    assert (gone.state.why, gone.topics, gone.revision) == ("gone", graph.topics, 2)
+    assert gone.as_stale("later") is gone
     assert compose(gone, SEEN, KNOWN).state == Live()

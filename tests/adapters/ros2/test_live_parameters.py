@@ -132,7 +132,7 @@ async def asked(node: Node) -> Parameters:
     }
     parameters = Parameters(node, lambda names: None)  # type: ignore[arg-type]
     parameters.follow({"/n": services}, ())
-    await parameters.wait_settled(10)
+    await parameters.queries.wait(10)
     return parameters
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.ros2 import adapter
-from rosld.adapters.ros2.source import Source, read_source
+from rosld.adapters.ros2.adapter import Source, read_source
 
 
 def test_a_source_names_a_domain_and_a_namespace_and_nonsense_is_told_in_a_sentence_that_names_it() -> None:

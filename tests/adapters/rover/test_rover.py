@@ -27,7 +27,7 @@ from rosld.adapters.model import (
     TypeRef,
 )
 from rosld.adapters.rover import rover_adapter
-from rosld.adapters.rover.adapter import CMD_VEL, LATCHED, PERIODIC
+from rosld.adapters.rover.graph import CMD_VEL, LATCHED, PERIODIC
 from rosld.adapters.rover.messages import HEIGHT, WIDTH, encode, pose_stamped
 from rosld.adapters.rover.navigation import Pose
 from rosld.adapters.rover.simulation import read_source

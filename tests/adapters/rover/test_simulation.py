@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rosld.adapters.model import GoalStatus
 from rosld.adapters.rover.drive import STANDSTILL, Velocity
-from rosld.adapters.rover.navigation import Declined, Outcome, Pose, check_goal, heading_of
+from rosld.adapters.rover.navigation import Declined, Pose, check_goal, heading_of
 from rosld.adapters.rover.settings import DEFAULTS
 from rosld.adapters.rover.simulation import DOCK, MAX_STEPS, STEP, Severity, Simulation, Start
 
@@ -24,7 +25,7 @@ def texts(simulation: Simulation, severity: Severity) -> str:
     return "; ".join(line.text for line in simulation.take_log() if line.severity is severity)
 
 
-def ended(simulation: Simulation, now: float, patience: float = 60.0) -> tuple[Outcome, str]:
+def ended(simulation: Simulation, now: float, patience: float = 60.0) -> tuple[GoalStatus, str]:
     """Return how the current goal ends, observed as often as a clock would."""
     for turn in range(round(patience / 0.05)):
         simulation.advance(now + 0.05 * turn)
@@ -126,7 +127,7 @@ def test_it_charges_at_the_dock_until_it_drives_away() -> None:
 def test_a_goal_is_reached_with_its_heading() -> None:
     simulation = begun()
     simulation.navigate("a", Pose(3.0, -1.5, -1.0), 0.0)
-    assert ended(simulation, 0.0) == (Outcome.SUCCEEDED, "arrived")
+    assert ended(simulation, 0.0) == (GoalStatus.SUCCEEDED, "arrived")
     motion = simulation.state.motion
     assert math.dist((motion.x, motion.y), (3.0, -1.5)) < 0.1
     assert math.isclose(motion.heading, -1.0, abs_tol=0.05)
@@ -139,22 +140,22 @@ def test_a_goal_fails_in_words() -> None:
         simulation = begun()
         simulation.navigate("a", Pose(x, y, 0.0), 0.0)
         outcome, message = ended(simulation, 0.0)
-        assert outcome is Outcome.ABORTED
+        assert outcome is GoalStatus.ABORTED
         assert words in message
 
 
 def test_a_goal_ends_when_the_battery_does_when_it_is_canceled_and_when_another_comes() -> None:
     weak = begun(battery=0.001)
     weak.navigate("a", Pose(4.4, -3.4, 0.0), 0.0)
-    assert ended(weak, 0.0) == (Outcome.ABORTED, "the battery is empty")
+    assert ended(weak, 0.0) == (GoalStatus.ABORTED, "the battery is empty")
     simulation = begun()
     simulation.navigate("a", Pose(4.4, -3.4, 0.0), 0.0)
     assert not simulation.cancel("b", 0.5)
     assert simulation.cancel("a", 0.5)
-    assert ended(simulation, 0.6) == (Outcome.CANCELED, "canceled")
+    assert ended(simulation, 0.6) == (GoalStatus.CANCELED, "canceled")
     simulation.navigate("c", Pose(4.4, -3.4, 0.0), 1.0)
     simulation.navigate("d", Pose(0.0, 0.0, 0.0), 1.5)
-    assert ended(simulation, 1.5) == (Outcome.ABORTED, "another goal took its place")
+    assert ended(simulation, 1.5) == (GoalStatus.ABORTED, "another goal took its place")
 
 
 def test_a_command_does_not_end_a_goal() -> None:

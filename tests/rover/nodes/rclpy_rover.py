@@ -30,20 +30,21 @@ from rosld_rover.action import NavigateTo
 from running import begun, run
 from std_srvs.srv import SetBool, Trigger
 
-from rosld.adapters.rover.adapter import (
+from rosld.adapters.model import GoalStatus
+from rosld.adapters.rover.graph import (
     CMD_VEL,
-    CMD_VEL_TYPE,
     DOCK,
     LATCHED,
     LIGHTS,
     NAVIGATE_TO,
     PERIODIC,
     SET_LIGHTS,
+    TOPICS,
     Latched,
     Periodic,
 )
 from rosld.adapters.rover.messages import View, navigation_feedback, navigation_result
-from rosld.adapters.rover.navigation import Declined, JourneyEnd, Outcome, goal_of, velocity_of
+from rosld.adapters.rover.navigation import Declined, JourneyEnd, goal_of, velocity_of
 from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS, Declaration, problem_of
 from rosld.adapters.rover.simulation import LogLine, Severity, Simulation, Start, read_source
 
@@ -123,7 +124,7 @@ class Rover(Node):
             self.declare_parameter(name, declared.default, descriptor_of(declared))
         self.add_on_set_parameters_callback(self.judge)
         self.add_post_set_parameters_callback(self.configure)
-        self.create_subscription(class_of(CMD_VEL_TYPE), CMD_VEL, self.command, 10)
+        self.create_subscription(class_of(TOPICS[CMD_VEL]), CMD_VEL, self.command, 10)
         self.create_service(SetBool, SET_LIGHTS, self.switch_lights)
         self.create_service(Trigger, DOCK, self.dock)
         self.actions = ActionServer(
@@ -174,7 +175,7 @@ class Rover(Node):
         id = bytes(handle.goal_id.uuid).hex()
         ended: JourneyEnd = await self.ends[id]
         del self.goals[id], self.ends[id]
-        ways = {Outcome.SUCCEEDED: handle.succeed, Outcome.ABORTED: handle.abort}
+        ways = {GoalStatus.SUCCEEDED: handle.succeed, GoalStatus.ABORTED: handle.abort}
         ways.get(ended.outcome, handle.canceled)()
         result = navigation_result(ended, self.simulation.state.motion, time.time_ns())
         return fill(NavigateTo.Result(), result)
@@ -189,7 +190,7 @@ class Rover(Node):
         for name, each in PERIODIC.items():
             if now >= self.due.get(name, now) and self.voices[name].get_subscription_count():
                 self.say(name, each)
-                period = 1 / each.rate(self.simulation.settings)
+                period = each.period(self.simulation.settings)
                 self.due[name] = max(self.due.get(name, now), now - PERIOD) + period
         self.tell_of_goals(now)
         for line in self.simulation.take_log():

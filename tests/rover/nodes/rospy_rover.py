@@ -22,19 +22,20 @@ from genpy.dynamic import generate_dynamic
 from roslib.message import get_message_class
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
-from rosld.adapters.rover.adapter import (
+from rosld.adapters.model import GoalStatus
+from rosld.adapters.rover.graph import (
+    ACTIONS,
     CMD_VEL,
-    CMD_VEL_TYPE,
     DOCK,
     LATCHED,
     LIGHTS,
     NAVIGATE_TO,
-    NAVIGATE_TO_TYPE,
     PERIODIC,
     SET_LIGHTS,
+    TOPICS,
 )
 from rosld.adapters.rover.messages import View, navigation_feedback, navigation_result
-from rosld.adapters.rover.navigation import Declined, Outcome, goal_of, velocity_of
+from rosld.adapters.rover.navigation import Declined, goal_of, velocity_of
 from rosld.adapters.rover.settings import DEFAULTS, PARAMETERS
 from rosld.adapters.rover.simulation import Severity, Simulation, read_source
 
@@ -153,7 +154,7 @@ class Rover:
         self.values = dict(DEFAULTS)
         self.due = {}
         self.goals = {}
-        classes = action_classes(NAVIGATE_TO_TYPE)
+        classes = action_classes(ACTIONS[NAVIGATE_TO])
         self.result, self.feedback = classes["Result"], classes["Feedback"]
         self.publishers = {
             name: rospy.Publisher(name, class_of(each.type), queue_size=5, latch=name in LATCHED)
@@ -163,7 +164,7 @@ class Rover:
             self.say(name, LATCHED[name])
         rospy.set_param("~wheel_separation", DEFAULTS["wheel_separation"])
         self.server = Server(config_type(), self.configure)
-        rospy.Subscriber(CMD_VEL, class_of(CMD_VEL_TYPE), self.command, queue_size=10)
+        rospy.Subscriber(CMD_VEL, class_of(TOPICS[CMD_VEL]), self.command, queue_size=10)
         rospy.Service(SET_LIGHTS, SetBool, self.switch_lights)
         rospy.Service(DOCK, Trigger, self.dock)
         self.actions = actionlib.ActionServer(NAVIGATE_TO, classes["Action"], self.navigate, self.cancel, False)
@@ -215,9 +216,7 @@ class Rover:
             for name, each in PERIODIC.items():
                 if now >= self.due.get(name, now) and self.publishers[name].get_num_connections():
                     self.say(name, each)
-                    self.due[name] = max(self.due.get(name, now), now - PERIOD) + 1 / each.rate(
-                        self.simulation.settings
-                    )
+                    self.due[name] = max(self.due.get(name, now), now - PERIOD) + each.period(self.simulation.settings)
             self.tell_of_goals(now)
             for line in self.simulation.take_log():
                 LOG[line.severity](line.text)
@@ -227,7 +226,7 @@ class Rover:
         for ended in self.simulation.take_ended():
             handle = self.goals.pop(ended.id)
             result = fill(self.result(), navigation_result(ended, motion, time_ns))
-            ways = {Outcome.SUCCEEDED: handle.set_succeeded, Outcome.ABORTED: handle.set_aborted}
+            ways = {GoalStatus.SUCCEEDED: handle.set_succeeded, GoalStatus.ABORTED: handle.set_aborted}
             ways.get(ended.outcome, handle.set_canceled)(result, ended.message)
         if journey is not None and now >= self.due.get(NAVIGATE_TO, now):
             self.due[NAVIGATE_TO] = now + FEEDBACK_PERIOD

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 import inspect
 import json
 import signal
@@ -293,7 +294,7 @@ class MadeUp:
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
         self.reads.update(names)
         found = {name: trees.read_name(self._parameters, name) for name in names}
-        return {name: trees.deep_copy(value) for name, value in found.items() if value is not None}
+        return {name: copy.deepcopy(value) for name, value in found.items() if value is not None}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         self.sets.append(values)

@@ -1,4 +1,4 @@
-"""Publications of rosld: one writer per topic, with a profile that all its subscribers accept.
+"""Topics that rosld publishes, and those that it reads, with profiles that match all other endpoints.
 
 Created on the ROS thread; the number of matched subscribers is available on any thread.
 """
@@ -6,16 +6,19 @@ Created on the ROS thread; the number of matched subscribers is available on any
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections import Counter
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 from rosld.adapters.base import AdapterOptions
-from rosld.adapters.model import Graph, NotFound, Qos, Refused, TypeRef, UnknownType
+from rosld.adapters.model import Endpoint, Graph, NotFound, Qos, Refused, TypeRef, UnknownType
+from rosld.adapters.ros2.feeds import Publishers, TopicFeed
 from rosld.adapters.ros2.graph import nodes_using
-from rosld.adapters.ros2.middleware import Participant, Reader, Writer
-from rosld.adapters.ros2.profiles import is_compatible, override_for, publishing_profile
+from rosld.adapters.ros2.middleware import DiscoveredEndpoint, Participant, Reader, Writer
+from rosld.adapters.ros2.profiles import is_compatible, override_for, publishing_profile, reading_profile
 from rosld.adapters.ros2.types import Types
+from rosld.adapters.thread import Tasks
 
 _PAUSE = 0.005
 _PATIENCE = 0.5
@@ -69,7 +72,7 @@ class Publication:
         if left > 0 and self.matched:
             await asyncio.sleep(min(left, _SETTLING))
 
-    def send(self, data: bytes) -> None:
+    def send(self, data: bytes, latch: bool) -> None:
         """Publish a message; one that the middleware refuses is lost, as on a broken connection."""
         try:
             self.writer.publish(data)
@@ -78,7 +81,7 @@ class Publication:
 
 
 class Publications:
-    """The topics that rosld publishes. Belongs to the ROS thread, except for `suits` and reading `by_topic`.
+    """The topics that rosld publishes. Belongs to the ROS thread, except for `suitable` and `is_latched`.
 
     `graph` returns the current graph, `reader_of` rosld's own reader of a topic, and `poll` updates a topic's endpoints
     in the graph.
@@ -117,7 +120,7 @@ class Publications:
             publication = self._by_topic.get(topic)
             if publication is not None and not publication.carries(type):
                 raise Refused(f"rosld publishes {topic} as {publication.ref.name}, not {type.name}")
-            if publication is None or not self.suits(publication, latch):
+            if publication is None or not self._suits(publication, latch):
                 publication = await self._advertise(topic, type, latch, until)
                 existing = self._graph().topics.get(topic)
                 expected = max(1, len(existing.subscribers) if existing else 0)
@@ -126,8 +129,18 @@ class Publications:
         await publication.wait_settled(until)
         return publication
 
-    def suits(self, publication: Publication, latch: bool) -> bool:
-        """Whether all subscribers still accept a publication's profile (thread-safe)."""
+    def suitable(self, topic: str, type: TypeRef, latch: bool) -> Publication | None:
+        """Return the publication of a topic if it accepts messages of this type, and all subscribers its profile."""
+        publication = self.by_topic.get(topic)
+        if publication is None or not publication.carries(type) or not self._suits(publication, latch):
+            return None
+        return publication
+
+    def is_latched(self, publication: Publication, latch: bool) -> bool:
+        """Whether a message is latched: as its publication is."""
+        return publication.latched
+
+    def _suits(self, publication: Publication, latch: bool) -> bool:
         required = self._profile(publication.topic, latch or publication.latched)
         return replace(required, depth=publication.qos.depth) == publication.qos
 
@@ -172,3 +185,107 @@ class Publications:
         self._by_topic[topic] = publication
         await self._poll((topic,))
         return publication
+
+
+_CHECK_SECONDS = 5.0
+"""Maximum seconds for checking whether messages of a type can be decoded."""
+
+
+class Readers:
+    """Readers of feeds. `refresh_soon` is called when a topic is found to be unreadable. Belongs to the ROS thread."""
+
+    def __init__(
+        self, participant: Participant, types: Types, options: AdapterOptions, refresh_soon: Callable[[], None]
+    ) -> None:
+        self._participant = participant
+        self._types = types
+        self._options = options
+        self._refresh_soon = refresh_soon
+        self._feeds: dict[str, TopicFeed] = {}
+        self._checked_types: set[TypeRef] = set()
+        self._checks = Tasks()
+
+    def reader_of(self, topic: str) -> Reader | None:
+        """Return the reader of a topic, or None."""
+        feed = self._feeds.get(topic)
+        return feed.reader if feed is not None else None
+
+    def add(self, feed: TopicFeed) -> None:
+        """Read a topic, starting with the next `follow`."""
+        self._feeds[feed.topic] = feed
+
+    def remove(self, feed: TopicFeed) -> None:
+        """Stop reading a topic."""
+        if self._feeds.get(feed.topic) is feed:
+            del self._feeds[feed.topic]
+        if (reader := feed.read_with(None)) is not None:
+            reader.close()
+
+    def close(self) -> None:
+        """Stop reading all topics."""
+        for feed in self._feeds.values():
+            if (reader := feed.read_with(None)) is not None:
+                reader.close()
+
+    def follow_all(self, graph: Graph, endpoints_of: Callable[[str], Sequence[DiscoveredEndpoint]]) -> None:
+        """Read all topics with profiles that match their current publishers, returned by `endpoints_of`."""
+        for feed in list(self._feeds.values()):
+            self.follow(feed, graph, endpoints_of(feed.topic))
+
+    def follow(self, feed: TopicFeed, graph: Graph, discovered: Sequence[DiscoveredEndpoint]) -> None:
+        """Read a feed's topic with a profile that matches its current publishers."""
+        if self._feeds.get(feed.topic) is not feed:
+            return
+        others = [each for each in discovered if each.node != graph.own_node]
+        publishers = self._publishers(feed.topic, graph, [each for each in others if each.node])
+        if publishers != feed.publishers:
+            feed.publishers = publishers
+        type = publishers.type
+        if feed.topic not in graph.topics or type is None or self._types.problem(type.name) is not None:
+            return
+        self._check_type(type, graph)
+        endpoints = [Endpoint(each.node, qos=each.qos) for each in others]
+        profile = reading_profile(endpoints, feed.depth, override_for(feed.topic, self._options.qos))
+        reader = feed.reader
+        if reader is not None and reader.qos.depth >= profile.depth:
+            profile = replace(profile, depth=reader.qos.depth)
+        if reader is None or reader.qos != profile:
+            self._read_with(feed, type, profile)
+
+    def _check_type(self, type: TypeRef, graph: Graph) -> None:
+        """Check once whether messages of a type can be decoded; if not, its topics are marked as unreadable."""
+        if type in self._checked_types:
+            return
+        self._checked_types.add(type)
+        loop = asyncio.get_running_loop()
+
+        async def check() -> None:
+            try:
+                await self._types.schema(type, nodes_using(graph, type), loop.time() + _CHECK_SECONDS)
+            except UnknownType as error:
+                self._types.note_problem(type.name, error.sentence)
+                self._refresh_soon()
+
+        self._checks.begin(check())
+
+    def _read_with(self, feed: TopicFeed, type: TypeRef, profile: Qos) -> None:
+        try:
+            reader: Reader | None = self._participant.reader(feed.topic, type.name, profile)
+        except Exception:  # a name that ROS 2 does not allow, or a profile that the middleware refuses
+            return
+        if (before := feed.read_with(reader)) is not None:
+            before.close()
+
+    def _publishers(self, name: str, graph: Graph, discovered: Sequence[DiscoveredEndpoint]) -> Publishers:
+        topic = graph.topics.get(name)
+        types = {each.node: self._types.with_hash(each.type) for each in discovered}
+        first = next(iter(types.values()), None)
+        if first is None and topic is not None and topic.types:
+            first = self._types.with_hash(topic.types[0])
+        return Publishers(
+            Counter(each.node for each in discovered),
+            {each.gid: each.node for each in discovered if each.gid},
+            types,
+            frozenset(each.node for each in discovered if each.qos.durability == "transient_local"),
+            first,
+        )

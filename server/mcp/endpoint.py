@@ -113,8 +113,19 @@ class Mcp:
             exchange.auth = await self._authenticator.authenticate(exchange.header("authorization"))
             if exchange.agent == ANONYMOUS and not exchange.permissions.rights.rules:
                 raise not_visible(ANONYMOUS)
-        self._admission.admit(exchange)
+        if not _is_stop(exchange):
+            self._admission.admit(exchange)
         return _McpResponse(await self._service.served(), exchange.agent.name)
+
+
+def _is_stop(exchange: Exchange) -> bool:
+    """Whether a request calls the tool `stop`, which is exempt from the limits of clients, as the stop itself is.
+
+    Its header fields say so since 2026-07-28; the SDK refuses a body that says otherwise.
+    """
+    fields = ("mcp-method", "mcp-name", "mcp-protocol-version")
+    method, name, version = (exchange.header(each) or "" for each in fields)
+    return (method, name) == ("tools/call", "stop") and version >= "2026"
 
 
 class _McpResponse(Response):

@@ -36,6 +36,7 @@ def create_server(
     """
     tools = Tools(space, transport, settings, authorization)
     subscriptions = Subscriptions(tools)
+    schemas = {each.name: each.input_schema for each in tools.listed}
 
     async def list_tools(context: Context, params: object) -> types.ListToolsResult:
         return types.ListToolsResult(tools=tools.listed)
@@ -45,6 +46,7 @@ def create_server(
         title="rosld",
         version=rosld.__version__,
         instructions=INSTRUCTIONS,
+        get_tool_input_schema=schemas.get,  # else the SDK lists all tools with each call
         on_list_tools=list_tools,
         on_call_tool=tools.call,
         on_list_resources=subscriptions.list_resources,

@@ -8,13 +8,14 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from urllib.parse import quote
 
+import orjson
 from mcp import types
 from mcp.server.subscriptions import InMemorySubscriptionBus, ListenHandler, ResourceUpdated
 from mcp.shared.exceptions import MCPError
 
-from rosld.server.mcp.results import fit, render
+from rosld.server.mcp.results import DATA, fit
 from rosld.server.mcp.tools import Context, Refusal, Tools, with_query
-from rosld.server.mcp.transport import Answer, Caller
+from rosld.server.mcp.transport import Caller
 from rosld.server.runtime.tasks import end_tasks
 
 MAX_SUBSCRIPTIONS = 32
@@ -67,7 +68,9 @@ class Subscriptions:
     async def read(self, context: Context, params: types.ReadResourceRequestParams) -> types.ReadResourceResult:
         """Return a resource: a picture of an image, else JSON. Raises MCPError."""
         uri = str(params.uri)
-        answer = await self._get(self._tools.caller(context), self._url(uri), f"image/jpeg, {_JSON};q=0.9, */*;q=0.1")
+        answer = await self._tools.get(
+            self._tools.caller(context), self._url(uri), f"image/jpeg, {_JSON};q=0.9, */*;q=0.1"
+        )
         media_type = (answer.field("content-type") or "").partition(";")[0]
         if answer.status >= 400:
             data, _ = fit(self._tools.value(answer), self._tools.space.base, 1000)
@@ -79,8 +82,8 @@ class Subscriptions:
             contents = types.BlobResourceContents(uri=uri, mime_type=media_type, blob=blob)
         else:
             data, is_cut = fit(self._tools.value(answer), self._tools.space.base, self._tools.budget)
-            text = render({"data": data, **({"cut": f"Shortened; GET {uri}"} if is_cut else {})}, is_error=False)
-            contents = types.TextResourceContents(uri=uri, mime_type="text/plain", text=text)
+            whole = {"note": DATA, "data": data, **({"cut": f"Shortened; GET {uri}"} if is_cut else {})}
+            contents = types.TextResourceContents(uri=uri, mime_type=_JSON, text=orjson.dumps(whole).decode())
         return types.ReadResourceResult(contents=[contents])
 
     async def listen(
@@ -127,15 +130,12 @@ class Subscriptions:
         if count > MAX_SUBSCRIPTIONS:
             raise MCPError(types.INVALID_PARAMS, f"A client can subscribe to {MAX_SUBSCRIPTIONS} URLs at most.")
 
-    async def _get(self, caller: Caller, url: str, accept: str) -> Answer:
-        return await self._tools.get(caller, url, accept)
-
     async def _watch(self, caller: Caller, uri: str, url: str, notify: Callable[[str], Awaitable[None]]) -> None:
         """Notify of every change of a URL, until cancelled or the agent may no longer read it."""
         known: str | None = None
         while True:
             query = "" if known is None else f"after={quote(known, safe='')}&timeout={_WAIT_SECONDS}"
-            answer = await self._get(caller, with_query(url, query), _JSON)
+            answer = await self._tools.get(caller, with_query(url, query), _JSON)
             if answer.status in (401, 403):
                 return
             tag = answer.field("etag")

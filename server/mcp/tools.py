@@ -40,7 +40,8 @@ _BODIES = {"PATCH": "application/merge-patch+json"}
 _STEP_SECONDS = 5.0
 """Seconds between reports of progress while a tool waits."""
 _MAX_WAIT = 600.0
-_MAX_URL = 500
+_MAX_URL = _MAX_REASON = 500
+_MAX_QUESTION = 2000
 _MAX_TEXT = 20_000
 """Maximum number of characters of a document that is not JSON."""
 _UNSAFE = re.compile(r"[\x00-\x20\x7f]")
@@ -69,7 +70,7 @@ def _text(description: str, **more: Json) -> Json:
 
 
 _URL = _text("A URL of this server. A relative one, such as /topics/odom, is below its base.", minLength=1)
-_REASON = _text("Why you do this, in a sentence: it is recorded for people.", maxLength=500)
+_REASON = _text("Why you do this, in a sentence: it is recorded for people.", maxLength=_MAX_REASON)
 TOOLS = (
     Tool(
         "find",
@@ -178,7 +179,7 @@ class Tools:
         self.transport = transport
         self._authorization = authorization
         self.budget = settings.mcp_budget
-        self._may_write = settings.mcp == "write" or settings.auth is not None or authorization is not None
+        self._may_write = settings.mcp == "write" or settings.auth is not None
         self._approved = tuple(map(Glob, settings.mcp_approve))
         self._secret = secrets.token_bytes(32)
         self._background: set[asyncio.Task[None]] = set()
@@ -220,7 +221,8 @@ class Tools:
         try:
             if tool is None:
                 raise Refusal(f"There is no such tool; there are {', '.join(self._tools)}.")
-            _check(tool, arguments)
+            if tool.name != "stop":  # no error of a model prevents a stop
+                _check(tool, arguments)
             if tool.name == "act":
                 return await self._act(context, params, arguments)
             run: Callable[[Context, Arguments], Awaitable[Any]] = getattr(self, f"_{tool.name}")
@@ -298,7 +300,7 @@ class Tools:
             if not self._may_write:
                 raise Refusal("Models may only read here: the server was started without --mcp write. `dry_run` works.")
             if any(glob.matches(path_at(location)) for glob in self._approved):
-                asked = await self._approval(context, params, arguments)
+                asked = await self._approval(context, params, {**arguments, "url": url})
                 if asked is not None:
                     return asked
         query = {"for": _word(arguments["for"])} if "for" in arguments else {}
@@ -340,8 +342,9 @@ class Tools:
         capabilities = context.session.client_capabilities
         if capabilities is None or capabilities.elicitation is None:
             raise Refusal("A person must approve this write, and your client cannot ask one (elicitation).")
-        shown = json.dumps(arguments.get("body"))[:1000]
-        message = f"{arguments['method']} {arguments['url']} {shown}\nReason given: {arguments['reason']}"
+        message = json.dumps(arguments, ensure_ascii=False)
+        if len(message) > _MAX_QUESTION:
+            raise Refusal("A person must approve this write, and it is too long to be shown to one.")
         question = types.ElicitRequestFormParams(message=message, requested_schema=_APPROVAL)
         if context.protocol_version in MODERN_PROTOCOL_VERSIONS:
             state = hmac.digest(self._secret, json.dumps(arguments, sort_keys=True).encode(), "sha256").hex()
@@ -358,9 +361,10 @@ class Tools:
         return None
 
     async def _stop(self, context: Context, arguments: Arguments) -> Any:
-        caller, url, reason = self.caller(context), self.space.stop, arguments.get("reason")
+        caller, url = self.caller(context), self.space.stop
+        reason = str(arguments.get("reason", ""))[:_MAX_REASON].encode(errors="replace").decode()
         fields = caller.fields(reason, [("accept", _JSON), ("content-type", _JSON)])
-        body = b"" if not reason else json.dumps({"reason": reason}).encode()
+        body = json.dumps({"reason": reason}).encode()
         return self._read(url, await self.transport.send(caller, "POST", url, fields, body))
 
     # --- results

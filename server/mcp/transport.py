@@ -13,6 +13,7 @@ from urllib.parse import unquote, urlsplit
 from msgspec import Struct
 from starlette.types import ASGIApp, Message
 
+from rosld.server.http.problem import one_line
 from rosld.server.middleware.audit import CLIENT, REASON
 
 Fields = Sequence[tuple[str, str]]
@@ -42,8 +43,9 @@ class Caller(Struct, frozen=True):
 
     def fields(self, reason: str | None, others: Fields) -> list[tuple[str, str]]:
         """Return the header fields of a request, with those for its receipt."""
-        named = (("authorization", self.authorization), (CLIENT, self.client), (REASON, reason))
-        return [*others, *((name, " ".join(value.split())) for name, value in named if value)]
+        words = ((CLIENT, self.client), (REASON, reason))
+        fields = [*others, *((name, one_line(value)) for name, value in words if value)]
+        return fields if self.authorization is None else [*fields, ("authorization", self.authorization)]
 
 
 class Transport(Protocol):

@@ -128,8 +128,9 @@ async def test_nothing_arrives_outside_the_limits_and_each_refusal_says_why(limi
 
 def commands(http: httpx.Client) -> list[float]:
     """Return the speeds that were sent to the robot."""
-    found = http.get("/topics/cmd_vel?series=linear.x&format=json")
-    return [row[1] for row in found.json().get("rows", [])] if found.status_code == 200 else []
+    found: list[float] = http.get("/topics/cmd_vel?series=linear.x&format=json").raise_for_status().json()["value"]
+    assert found
+    return found
 
 
 async def test_no_word_of_the_robot_is_in_what_the_tools_say_of_themselves(serve: Callable[..., Any]) -> None:

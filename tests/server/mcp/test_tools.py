@@ -13,6 +13,7 @@ import httpx
 import pytest
 from mcp import types
 from mcp.client.stdio import StdioServerParameters
+from mcp.client.streamable_http import create_mcp_http_client, streamable_http_client
 from mcp.shared.exceptions import MCPError
 
 from rosld.ontology.urls import Space
@@ -21,6 +22,7 @@ from rosld.server.mcp.protocol import create_server
 from rosld.server.mcp.transport import LocalTransport
 from rosld.server.settings import Settings
 from tests.server.mcp.model import VERSIONS, Model, model
+from tests.waiting import until
 
 pytestmark = pytest.mark.filterwarnings("ignore::mcp.MCPDeprecationWarning")
 AIRCRAFT = "/resources/aircraft/"
@@ -90,8 +92,8 @@ async def test_a_model_drives_the_rover_sends_it_somewhere_is_refused_and_stops_
         _, picture = driver.last.content
         assert (picture.type, picture.mime_type) == ("image", "image/jpeg")
         twist = {"method": "POST", "url": "/topics/cmd_vel", "body": {"linear": {"x": 0.5}}}
-        plan = await driver.done("act", **twist, for_=2, dry_run=True, reason="Try")
-        assert "receipt" not in plan
+        offered = await driver.done("offers", url="/topics/cmd_vel")
+        assert {"PUT", "POST"} <= {each["method"] for each in offered["data"]["do"]}
         await driver.done("act", **twist, for_=2.2, reason="A metre ahead")
         drove = await driver.done("wait", url="/topics/odom", until="pose.pose.position.x >= 0.9", timeout=20)
         assert drove["met"]
@@ -115,9 +117,11 @@ async def test_models_only_read_unless_they_are_allowed_to_write(serve: Callable
     async with model(f"{server.url}mcp") as reader:
         start = {"method": "POST", "url": f"{AIRCRAFT}start", "reason": "Take off"}
         assert "--mcp write" in await reader.refused("act", **start)
-        assert (await reader.done("act", **start, dry_run=True))["data"]["dryRun"]
+        plan = await reader.done("act", **start, dry_run=True)
+        assert (plan["data"]["dryRun"], "receipt" in plan) == (True, False)
         assert (await reader.done("look", url=AIRCRAFT))["data"] == {"power": "off"}
-        assert (await reader.done("stop", reason="Enough"))["data"]["stopped"]
+        stopped = await reader.done("stop", reason="\0 Enough " + "x" * 5000, typo=1)
+        assert stopped["data"]["stopped"]
 
 
 AUTH = """
@@ -137,13 +141,41 @@ async def test_tokens_decide_what_a_model_may_do(serve: Callable[..., Any], tmp_
     ping = {"json": {"jsonrpc": "2.0", "id": 1, "method": "ping"}}
     assert http.post("/mcp", **ping).status_code == 401
     assert http.post("/mcp", **ping, headers={"Authorization": "Bearer wrong"}).status_code == 401
-    bridge = ["-m", "rosld", "mcp", server.url]
+    for version in VERSIONS:
+        client = create_mcp_http_client(headers={"Authorization": f"Bearer {token}"})
+        async with client, model(streamable_http_client(f"{server.url}mcp", http_client=client), version) as anna:
+            await anna.done("act", method="POST", url=f"{AIRCRAFT}start", reason="Take off")
+            await anna.refused("look", url="/topics/aircraft/engine/speed")
+            await anna.refused("act", method="PUT", url="/data/notes", body={}, reason="Note")
+            await anna.done("act", method="POST", url=f"{AIRCRAFT}stop", reason="Land")
+    bridge = ["-m", "rosld", "mcp", server.url, "--mcp", "write"]
     command = StdioServerParameters(command=sys.executable, args=bridge, env={**os.environ, "ROSLD_TOKEN": token})
     async with model(command) as anna:
         await anna.done("act", method="POST", url=f"{AIRCRAFT}start", reason="Take off")
         await anna.refused("look", url="/topics/aircraft/engine/speed")
-        await anna.refused("act", method="PUT", url="/data/notes", body={}, reason="Note")
     assert json_at(http, AIRCRAFT, Authorization=f"Bearer {token}") == {"power": "on"}
+
+
+def test_a_client_at_its_limit_can_still_stop(serve: Callable[..., Any]) -> None:
+    http = serve("aircraft", "--limit-loopback", "--setting", "client_rate", "0.5").http
+    meta = {
+        f"io.modelcontextprotocol/{name}": value
+        for name, value in (("protocolVersion", VERSIONS[0]), ("clientCapabilities", {}))
+    }
+    fields = {
+        "Accept": "application/json, text/event-stream",
+        "MCP-Protocol-Version": VERSIONS[0],
+        "Mcp-Method": "tools/call",
+    }
+
+    def call(tool: str, named: str) -> httpx.Response:
+        params = {"name": tool, "arguments": {}, "_meta": meta}
+        body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": params}
+        return http.post("/mcp", json=body, headers={**fields, "Mcp-Name": named})
+
+    until(lambda: call("find", "find").status_code == 429, "the limit")
+    assert call("find", "stop").json()["error"]
+    assert call("stop", "stop").json()["result"]["structuredContent"]["data"]["stopped"]
 
 
 def test_the_endpoint_says_why_it_is_not_there(serve: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:

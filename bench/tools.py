@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -100,8 +101,9 @@ def sender(url: str, method: str, path: str, body: bytes, fields: Mapping[str, s
     return send
 
 
-def measure(pid: int, send: Callable[[], None], calls: int) -> float:
-    """Return the CPU microseconds of a request beyond those of the idle server."""
+def measure(pid: int, connect: Callable[[], Callable[[], None]], calls: int) -> float:
+    """Return the CPU microseconds of a request."""
+    send = connect()
     begin = cpu(pid)
     for _ in range(calls):
         send()
@@ -120,12 +122,12 @@ def main() -> None:
         display.getresponse().read()
         before = memory(pid)
         requests = {
-            "GET": (pid, sender(url, "GET", PATH, b"", {"Accept": "application/json"})),
-            "empty tool": (empty, sender(bare, "POST", "mcp", BODY, FIELDS)),
-            "look": (pid, sender(url, "POST", "mcp", BODY, FIELDS)),
+            "GET": (pid, partial(sender, url, "GET", PATH, b"", {"Accept": "application/json"})),
+            "empty tool": (empty, partial(sender, bare, "POST", "mcp", BODY, FIELDS)),
+            "look": (pid, partial(sender, url, "POST", "mcp", BODY, FIELDS)),
         }
-        for _, send in requests.values():
-            send()
+        for _, connect in requests.values():
+            connect()()
         print(f"memory: {before} MB, with the first call of a tool {memory(pid)} MB")
         rounds = [{name: measure(*each, calls) for name, each in requests.items()} for _ in range(ROUNDS)]
         for name in requests:

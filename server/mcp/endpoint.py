@@ -32,7 +32,7 @@ _OFF = "Tools for language models are switched off here: start the server with -
 
 
 class McpService:
-    """The protocol's server, created with the first request: its libraries take 50 MB and half a second."""
+    """The protocol's server, created with the first request: its libraries take 40 MB and a second of CPU."""
 
     def __init__(self, space: Space, settings: Settings) -> None:
         self.space = space

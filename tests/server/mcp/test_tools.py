@@ -306,6 +306,26 @@ async def test_cancelling_a_call_cancels_the_goal_that_it_sent(version: str) -> 
     assert seen == [("POST", "/actions/go", b"Go"), ("DELETE", "/goals/7", why)]
 
 
+async def test_tools_say_what_they_change_and_return(serve: Callable[..., Any]) -> None:
+    async with model(f"{serve('aircraft').url}mcp") as pilot:
+        tools = {each.name: each for each in (await pilot.client.list_tools()).tools}
+    assert list(tools) == ["find", "look", "offers", "query", "wait", "act", "stop"]
+    assert [name for name, each in tools.items() if not each.annotations.read_only_hint] == ["act", "stop"]
+    assert [name for name, each in tools.items() if each.annotations.destructive_hint] == ["act"]
+    assert all(each.output_schema["type"] == "object" for each in tools.values())
+
+
+async def test_long_results_are_cut_and_say_so(serve: Callable[..., Any]) -> None:
+    server = serve("rover", "--setting", "mcp_budget", "600")
+    async with model(f"{server.url}mcp") as reader:
+        scan = await reader.done("look", url="/topics/scan")
+        assert scan["data"]["ranges"][-1] == "... (360 items in all)"
+        assert scan["cut"].endswith(f"GET {server.url}topics/scan")
+        odometry = await reader.done("look", url="/topics/odom")
+        assert {"repeated": 0.0, "times": 6} in odometry["data"]["pose"]["covariance"]
+        assert reader.read < 1800
+
+
 async def test_prompts_contain_the_words_of_the_user(serve: Callable[..., Any]) -> None:
     async with model(f"{serve('aircraft').url}mcp") as pilot:
         assert len((await pilot.client.list_prompts()).prompts) == 4

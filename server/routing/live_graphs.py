@@ -28,7 +28,7 @@ from rosld.server.hypermedia.type_inference import is_bulky
 from rosld.server.policies import active_limits, stored_queries
 from rosld.server.resources.bag_messages import BagMessage
 from rosld.server.resources.complex_resource import ComplexResource
-from rosld.server.resources.namespaces import namespaces
+from rosld.server.resources.namespaces import NamespaceContainer, namespaces
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
 from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import TypeResource
@@ -60,6 +60,7 @@ _LISTS = frozenset({rdf.first.value, rdf.rest.value})
 _CLASSES = frozenset({ros.Message.value, ros.Elided.value})
 _TOPIC = frozenset(term.value for term in (ros.latest, ros.latestFrom, ros.unreadable, ros.words))
 _PROPERTY = frozenset(term.value for term in (rdf.value, ros.unreadable, ros.words, ros.readsFrom))
+_READ_AT_ONCE = (TopicResource, NamespaceContainer)
 _RATE = StatedTerms(frozenset({ros.rate.value}), frozenset())
 _BRIEF = StatedTerms(frozenset({ros.briefValue.value, ros.rate.value}), frozenset())
 _PARAMETER = StatedTerms(frozenset({ros.value.value}), frozenset())
@@ -230,7 +231,7 @@ class RobotGraphs:
             return
         for name in self._session.topics.subscribed():
             if needs.may_match(url := self._session.space.topic(name), _RATE):
-                yield LiveDocument(url, self._factory.topic(name), subscribes=False)
+                yield LiveDocument(url, self._factory.topic(name), is_named=True, subscribes=False)
 
     def _recorded_messages(self, needs: Needs) -> Iterator[LiveDocument]:
         """Yield the recorded messages that a query names: all others are selected by `ros:past`."""
@@ -249,13 +250,14 @@ class RobotGraphs:
         A document that does not exist now has no entry; unreadable ones are returned with the reason.
         """
         topics = [one for one in documents if isinstance(one.resource, TopicResource)]
-        due = [one for one in documents if one.subscribes and not isinstance(one.resource, TopicResource)]
+        listings = [one for one in documents if one.subscribes and isinstance(one.resource, NamespaceContainer)]
+        due = [one for one in documents if one.subscribes and not isinstance(one.resource, _READ_AT_ONCE)]
         parameters = [one for one in due if isinstance(one.resource, ParameterResource | ParameterTree)]
         others = [one for one in due if not isinstance(one.resource, ParameterResource | ParameterTree)]
         found = LiveGraphs({one.url: None for one in documents if not one.subscribes}, {})
         await self._read_others(topics, others, deadline, found)
         await self._read_parameters(parameters, deadline, found)
-        await self._read_topics(topics, found)
+        await self._read_at_once([*topics, *listings], found)
         return found
 
     async def _read_others(
@@ -326,8 +328,8 @@ class RobotGraphs:
             if (entry := _of_parameter(one.resource, values.get(_name(one)))) is not None:
                 found.entries[one.url] = entry
 
-    async def _read_topics(self, documents: Sequence[LiveDocument], found: LiveGraphs) -> None:
-        """Read topics in one iteration of the loop, in which no message arrives.
+    async def _read_at_once(self, documents: Sequence[LiveDocument], found: LiveGraphs) -> None:
+        """Read topics and their listings in one iteration of the loop, in which no message arrives: both have rates.
 
         If something must be fetched first (the type of a message), all of them are read again.
         """
@@ -336,9 +338,13 @@ class RobotGraphs:
             turns: list[None] = []
             asyncio.get_running_loop().call_soon(turns.append, None)
             for one in documents:
-                assert isinstance(one.resource, TopicResource)
+                resource = one.resource
                 try:
-                    found.entries[one.url] = _entry_of(one.url, await one.resource.state_of(known(one.resource.name)))
+                    if isinstance(resource, TopicResource):
+                        state = await resource.state_of(known(resource.name))
+                    else:
+                        state = await resource.state()
+                    found.entries[one.url] = _entry_of(one.url, state)
                 except (Problem, RosError):  # it no longer exists
                     found.entries.pop(one.url, None)
             if turns:

@@ -13,6 +13,7 @@ from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
 from tests.server.robots.asking import TYPES
 from tests.server.robots.made_up import MadeUp, served
+from tests.waiting import until
 
 pytestmark = pytest.mark.slow
 
@@ -150,3 +151,11 @@ def test_data_of_clients_about_live_resources_hides_none_of_them(http: httpx.Cli
     assert http.put("/data/claims/2", content=other, headers=TURTLE).is_success
     assert [ask(http, query) for query in queries] == before
     assert len(ask(http, f"SELECT DISTINCT ?t {{ ?t ros:hasMessageType {FLOAT} OPTIONAL {{ ?t ros:rate ?r }} }}")) == 2
+
+
+def test_a_topic_has_one_rate_at_a_time_although_its_listing_says_it_too(http: httpx.Client) -> None:
+    until(lambda: ask(http, f"SELECT ?r {{ {SPEED} ros:latest ?m ; ros:rate ?r }}"), "a rate")
+    for attempt in range(30):
+        graphs = ask(http, f"SELECT ?g ?r {{ GRAPH ?g {{ {SPEED} ros:rate ?r }} }} # {attempt}")
+        rates = ask(http, f"SELECT ?t ?r {{ ?t a ros:Topic ; ros:rate ?r }} # {attempt}")
+        assert (len(graphs), len({row[1] for row in graphs}), len(rates)) == (2, 1, 1)

@@ -63,7 +63,8 @@ def _types(relation: NamedNode, types: tuple[TypeRef | str, ...], space: Space) 
 class SearchResult(Struct, frozen=True):
     """A search result: `kind` is the kind of resource in a word, `match` the part that matched.
 
-    `field` is the path of the matching field. `resource` is the equivalent URL below `/resources/`.
+    `field` is the path of the matching field. `resource` is the equivalent URL below `/resources/`, `offer` that of
+    what can be sent to it, or None.
     """
 
     member: MemberOutline
@@ -71,6 +72,19 @@ class SearchResult(Struct, frozen=True):
     match: str
     field: str | None = None
     resource: str | None = None
+    offer: str | None = None
+
+
+class SearchOutline(NamedTuple):
+    """What a search found: the number of matches, whether they match all words, and the best results.
+
+    `about` has the URLs of what the robot has instead, by concept.
+    """
+
+    total: int
+    is_complete: bool
+    results: Sequence[SearchResult]
+    about: Mapping[str, str]
 
 
 def search_template(space: Space) -> str:
@@ -100,9 +114,15 @@ def search_triples(subject: NamedNode, space: Space) -> list[Triple]:
     ]
 
 
-_RESULTS = NodeShape[int]("SearchResults", "what was found", schema_org.ItemList, *SOURCE).with_properties(
+def _words_about(found: SearchOutline) -> str | None:
+    return None if found.is_complete or not found.results else "These match some of the words."
+
+
+_RESULTS = NodeShape[SearchOutline]("SearchResults", "what was found", schema_org.ItemList, *SOURCE).with_properties(
     one(dcterms.title, kinds.TEXT),
-    one(schema_org.numberOfItems, kinds.COUNT, lambda total: total),
+    one(schema_org.numberOfItems, kinds.COUNT, lambda found: found.total),
+    optional(schema_org.description, kinds.TEXT, _words_about),
+    many(schema_org.about, kinds.IRI),
     many(schema_org.itemListElement, kinds.IRI.where("sh:class schema:ListItem")),
 )
 _RESULT = NodeShape[tuple[int, SearchResult]](
@@ -115,11 +135,14 @@ _RESULT = NodeShape[tuple[int, SearchResult]](
 )
 
 
-def search_document(url: str, query: str, total: int, results: Sequence[SearchResult], space: Space) -> Document:
-    """Return the results, the best first, as a schema:ItemList with positions; `total` is the number of all matches."""
-    items = {NamedNode(f"{url}#{number}"): (number, result) for number, result in enumerate(results, 1)}
+def search_document(url: str, query: str, found: SearchOutline, space: Space) -> Document:
+    """Return the results, the best first, as a schema:ItemList with positions."""
+    items = {NamedNode(f"{url}#{number}"): (number, result) for number, result in enumerate(found.results, 1)}
     title, elements = (dcterms.title, text(f"Search: {query}")), statements(schema_org.itemListElement, items)
-    triples = _RESULTS.triples(NamedNode(url), total, space, title, *elements)
+    about = {concept: NamedNode(each) for concept, each in found.about.items()}
+    instead = statements(schema_org.about, about.values())
+    triples = _RESULTS.triples(NamedNode(url), found, space, title, *elements, *instead)
+    triples += [Triple(each, schema_org.keywords, Literal(concept)) for concept, each in about.items()]
     for node, item in items.items():
         triples += _RESULT.triples(node, item, space)
         member, resource = item[1].member, item[1].resource

@@ -150,7 +150,8 @@ prov = Namespace(
 # Schema.org, for open domains and ranges and for ordered lists.
 schema_org = Namespace(
     "https://schema.org/",
-    "domainIncludes rangeIncludes ItemList ListItem itemListElement numberOfItems position item name",
+    "domainIncludes rangeIncludes ItemList ListItem itemListElement numberOfItems position item name about "
+    "description keywords",
 )
 # Hydra, for URL templates.
 hydra = Namespace(

@@ -721,6 +721,9 @@ class _schema_org(Namespace):
     position: NamedNode
     item: NamedNode
     name: NamedNode
+    about: NamedNode
+    description: NamedNode
+    keywords: NamedNode
 
 schema_org: _schema_org
 

@@ -229,6 +229,7 @@ class QueryPage(Struct, frozen=True):
 class SearchPage(Struct, frozen=True):
     """The page at `/find`: a search box and the results, the best first; `total` is the number of all matches.
 
+    `is_complete` is whether they match all words. `about` has the URLs of what the robot has instead, by concept.
     `pictures` replace the values of results, by URL.
     """
 
@@ -237,6 +238,8 @@ class SearchPage(Struct, frozen=True):
     query: str = ""
     results: tuple[SearchResult, ...] = ()
     total: int = 0
+    is_complete: bool = True
+    about: Mapping[str, str] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()
     pictures: Mapping[str, Thumbnail] = field(default_factory=dict)
 

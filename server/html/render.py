@@ -323,6 +323,7 @@ def render_search(page: SearchPage) -> bytes:
             for result, anchor, types in found
             if anchor is not None
         ],
+        about=[(concept, anchor) for concept, url in page.about.items() if (anchor := page.site.anchor(url))],
     )
 
 
@@ -354,7 +355,7 @@ def _found_by(result: SearchResult) -> str:
     """Return the matching part of a result if its name does not show it."""
     if result.field is not None:
         return f"{result.match} {result.field}"
-    return result.match if result.match in ("text", "type") else ""
+    return result.match if result.match in ("text", "type", "meaning") else ""
 
 
 def render_plot(page: PlotPage) -> bytes:

@@ -145,7 +145,7 @@ CONVENTIONS = Conventions(
 """Default conventions: common names of getters and setters, and the services that ROS gives every node."""
 
 
-def _every_node_has(parameter: Parameter) -> bool:
+def every_node_has(parameter: Parameter) -> bool:
     """Whether a parameter is one that ROS 2 gives every node."""
     owner = parameter.node
     return owner is not None and _OF_ROS_2.fullmatch(parameter.name.removeprefix(f"{owner}/")) is not None
@@ -205,7 +205,7 @@ def catalogue(graph: Graph, schema_of: SchemaOf, conventions: Conventions = CONV
     parameters = {
         parameter.name: ParameterSource(parameter.name)
         for parameter in graph.parameters.values()
-        if not _every_node_has(parameter)
+        if not every_node_has(parameter)
     }
     getters = _by_property(services, conventions.getters, _getter)
     setters = _by_property(services, conventions.setters, _setter)

@@ -17,6 +17,7 @@ from rosld.adapters.base import Capabilities
 from rosld.adapters.model import Graph, RosError, Schema, TypeRef
 from rosld.ontology.describe_views import (
     MemberOutline,
+    SearchOutline,
     SearchResult,
     search_document,
     search_template,
@@ -50,24 +51,18 @@ from rosld.server.resources.namespaces import listed_graph, namespaces, things_o
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
+from rosld.server.rest.responses import offer_url
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey
-from rosld.server.search.index import (
-    Catalog,
-    Entry,
-    EntryKind,
-    Hit,
-    Match,
-    SearchIndex,
-    SearchResults,
-    catalog_of,
-    terms_of,
-)
+from rosld.server.search.catalog import catalog_of
+from rosld.server.search.index import Catalog, Entry, EntryKind, Hit, Match, SearchIndex, SearchResults
 from rosld.server.search.near_names import NearNames
+from rosld.server.search.thesaurus import PHRASES
+from rosld.server.search.words import Query, read_query
 from rosld.server.storage.record import Record
 from rosld.server.storage.record_documents import unpack_prefix
 
@@ -144,15 +139,20 @@ class Finder:
         self._of_kept: _Index | None = None
         self._making = asyncio.Lock()
 
-    async def find(self, terms: Sequence[str], permissions: Permissions, limit: int) -> SearchResults:
-        """Return at most `limit` readable entries that match all terms, best first."""
+    async def find(self, query: Query, permissions: Permissions, limit: int) -> SearchResults:
+        """Return at most `limit` readable entries that match all terms, or as many as possible, best first."""
         async with self._making:
             self._of_robot = await self._robot_index(self._of_robot)
             self._of_kept = await self._kept_index(self._of_kept)
         may_read: Callable[[str], bool] | None = None if permissions.is_unrestricted else permissions.may_read
-        found = [each.index.find(terms, limit, may_read) for each in (self._of_robot, self._of_kept)]
-        hits = sorted((hit for each in found for hit in each.hits), key=lambda hit: hit.rank)
-        return SearchResults(hits[:limit], sum(each.total for each in found))
+        found = [each.index.find(query, limit, may_read) for each in (self._of_robot, self._of_kept)]
+        complete = [each for each in found if each.hits and each.is_complete]
+        best = complete if complete and query.commands is None else found
+        hits = sorted((hit for each in best for hit in each.hits), key=lambda hit: hit.rank)
+        concepts = () if hits else found[0].concepts
+        return SearchResults(
+            hits[:limit], sum(each.total for each in best), all(each.is_complete for each in best), concepts
+        )
 
     async def _robot_index(self, known: _Index | None) -> _Index:
         tree = await self._affordances.tree()
@@ -160,7 +160,7 @@ class Finder:
         version = (IdentityKey(graph), IdentityKey(tree), self._session.schemas.count)
         if known is not None and known.version == version:
             return known
-        make = partial(_index_of_robot, self._session.space, self._session.schemas, graph, tree)
+        make = partial(_index_of_robot, self._session, graph, tree)
         names = len(graph.topics) + len(graph.services) + len(graph.parameters)
         return _Index(version, await asyncio.to_thread(make) if names > _MANY_NAMES else make())
 
@@ -168,11 +168,14 @@ class Finder:
         version = self._documents.records.version
         if known is not None and known.version == version:
             return known
-        return _Index(version, SearchIndex(Catalog(await kept_entries(self._documents, self._queries))))
+        entries = await kept_entries(self._documents, self._queries)
+        return _Index(version, SearchIndex(Catalog(entries), by_meaning=False))
 
 
-def _index_of_robot(space: Space, schemas: Schemas, graph: Graph, tree: ResourceTree) -> SearchIndex:
-    return SearchIndex(catalog_of(graph, partial(_schema_at_hand, schemas), tree, space))
+def _index_of_robot(session: Session, graph: Graph, tree: ResourceTree) -> SearchIndex:
+    writes = session.adapter.capabilities.writes and not session.settings.read_only
+    find_schema, permitted = partial(_schema_at_hand, session.schemas), session.settings.allow_publish
+    return SearchIndex(catalog_of(graph, find_schema, tree, session.space, writes=writes, allow_publish=permitted))
 
 
 def _schema_at_hand(schemas: Schemas, ref: TypeRef) -> Schema | None:
@@ -235,7 +238,7 @@ MAX_BYTES = 5000
 """Maximum size in bytes of results in JSON; values are omitted before results."""
 _PARAMETER_SECONDS = 0.3
 """Seconds to wait for the values of matching parameters."""
-_QUERY = QueryParameter("q", "Words to search for in names, types, their fields, titles, units and descriptions.")
+_QUERY = QueryParameter("q", "Words of names, types, fields, titles, units and descriptions, or a question.")
 _VALUES = QueryParameter(
     "values",
     "Whether to subscribe briefly to the topics found, except images, clouds, maps and scans.",
@@ -252,6 +255,8 @@ _CLASSES: Mapping[EntryKind, NamedNode] = {
 _KEPT = frozenset({EntryKind.QUERY, EntryKind.MAPPING, EntryKind.DOCUMENT})
 """Kinds of entries with a path instead of a ROS name."""
 NOTHING_AT_HAND = LatestValue(None)
+_MAX_ABOUT = 1000
+"""Maximum size in bytes of what there is instead, if nothing is found."""
 _RESULTS: JsonSchema = json_object(
     {
         "query": TEXT,
@@ -272,11 +277,16 @@ _RESULTS: JsonSchema = json_object(
                     "value": {},
                     "rate": NUMBER,
                     "resource": URI,
+                    "offer": URI,
                 },
             ),
         },
     },
-    {"template": TEXT},
+    {
+        "template": TEXT,
+        "matched": {"type": "string", "enum": ["all", "some"]},
+        "about": json_array(json_object({"concept": TEXT, "url": URI})),
+    },
 )
 
 
@@ -305,14 +315,15 @@ class FindResource(Resource):
         self.property_reader = property_reader
         self._finder = finder
         self._results: Sequence[SearchResult] = ()
+        self._about: Mapping[str, str] = {}
         self._pictures: Mapping[str, Thumbnail] = {}
-        self._total = 0
+        self._found = SearchResults((), 0)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the search for `?q=` with the agent's permissions. Raises a 400 Problem for too many words."""
         query = " ".join(exchange.query.get("q", "").split())
         try:
-            terms_of(query)
+            read_query(query, PHRASES)
         except ValueError as error:
             raise Problem(400, f"?q= is too long: {error}. Send fewer.") from error
         subscribes = exchange.query_flag("values")
@@ -325,15 +336,26 @@ class FindResource(Resource):
     async def state(self) -> State:
         if not self._text:
             return State(self.document, self._plain)
-        hits, self._total = await self._finder.find(terms_of(self._text), self._permissions, MAX_RESULTS)
-        self._results = await self._results_of(hits)
+        self._found = await self._finder.find(read_query(self._text, PHRASES), self._permissions, MAX_RESULTS)
+        self._results = await self._results_of(self._found.hits)
+        self._about = self._about_robot()
         plain = self._plain()
-        describe = partial(search_document, self.url, self._text, self._total, self._results, self.space)
+        results = SearchOutline(self._found.total, self._found.is_complete, self._results, self._about)
+        describe = partial(search_document, self.url, self._text, results, self.space)
         return State(describe, lambda: plain, digest(plain))
 
     def document(self) -> Document:
         """Return the description of the search without results."""
         return unasked_document(self.url, self.space)
+
+    def _about_robot(self) -> dict[str, str]:
+        """Return the URL of the best entry for each concept that the robot has, as many as fit."""
+        found, room = dict[str, str](), _MAX_ABOUT
+        for concept, entry in self._found.concepts:
+            room -= len(orjson.dumps({"concept": concept, "url": entry.url})) + 1
+            if room > 0:
+                found[concept] = entry.url
+        return found
 
     async def _results_of(self, hits: Sequence[Hit]) -> Sequence[SearchResult]:
         """Return the results, each with its latest value if available."""
@@ -347,7 +369,8 @@ class FindResource(Resource):
         name = None if entry.kind in _KEPT else entry.name
         member = MemberOutline(entry.url, _CLASSES.get(entry.kind), name, entry.types, latest.rate, latest.json)
         resource = entry.resource if entry.resource and self._permissions.may_read(entry.resource) else None
-        return SearchResult(member, entry.kind.value, hit.match.label, hit.field, resource)
+        offer = offer_url(entry.url) if entry.is_writable else None
+        return SearchResult(member, entry.kind.value, hit.match.label, hit.field, resource, offer)
 
     async def _values(self, entries: Sequence[Entry]) -> Mapping[str, LatestValue]:
         """Return the latest values by URL: of subscribed topics, of parameters, and cached ones of getters."""
@@ -387,9 +410,13 @@ class FindResource(Resource):
 
     def _plain(self) -> bytes:
         """Return the results as plain JSON: as many as fit, then as many values as fit."""
-        head = {"query": self._text, "total": self._total}
+        head: dict[str, object] = {"query": self._text, "total": self._found.total}
         if not self._text:
             return orjson.dumps({**head, "template": search_template(self.space), "results": []})
+        if self._results:
+            head["matched"] = "all" if self._found.is_complete else "some"
+        else:
+            head["about"] = [{"concept": concept, "url": url} for concept, url in self._about.items()]
         room = MAX_BYTES - len(orjson.dumps({**head, "results": []}))
         texts = [_json(result, value=False) for result in self._results]
         while sum(map(len, texts)) + len(texts) > room:
@@ -405,8 +432,9 @@ class FindResource(Resource):
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         url = self.url if self._text else f"{self.space.base}find"
-        found = tuple(self._results)
-        return render_search(SearchPage(site, url, self._text, found, self._total, tuple(notices), self._pictures))
+        found, total, complete = tuple(self._results), self._found.total, self._found.is_complete
+        told = SearchPage(site, url, self._text, found, total, complete, self._about, tuple(notices), self._pictures)
+        return render_search(told)
 
     @property
     def query(self) -> str:
@@ -436,5 +464,6 @@ def _json(result: SearchResult, *, value: bool = True) -> bytes:
         "value": orjson.Fragment(member.value) if value and member.value is not None else None,
         "rate": member.rate,
         "resource": result.resource,
+        "offer": result.offer,
     }
     return orjson.dumps({name: each for name, each in members.items() if each is not None})

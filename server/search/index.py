@@ -1,33 +1,18 @@
-"""The search index: words, the ranking of matches, and the entries of a robot's graph and resources."""
+"""The search index: entries, their matches by words and by meaning, and the ranking of matches."""
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import Enum, IntEnum
-from functools import lru_cache
 from heapq import nsmallest
+from itertools import islice
 from typing import NamedTuple, TypeAlias
 
 from msgspec import Struct
 
-from rosld.adapters.model import (
-    Array,
-    Descriptor,
-    FieldType,
-    Graph,
-    MessageSchema,
-    Nested,
-    Primitive,
-    Schema,
-    TypeRef,
-    halves_of,
-)
-from rosld.ontology.urls import Space
-from rosld.server.hypermedia.conditions import url_of
-from rosld.server.hypermedia.mapping import ComplexResource
-from rosld.server.hypermedia.resource_tree import ResourceTree
+from rosld.server.search.thesaurus import CONCEPTS, KNOWN, MARKS, WORDS, Concept, concepts_of_type, marked_concepts
+from rosld.server.search.words import MIN_CORRECTED, Query, corrections, stem, words_of
 
 
 class EntryKind(Enum):
@@ -49,6 +34,7 @@ class Entry(Struct, frozen=True):
 
     `name` is a ROS name, or the path of a stored document. `types` are the names of its ROS types, usually one. `texts`
     are titles, descriptions and units. `resource` is the URL of the equivalent resource below `/resources/`.
+    `is_writable` is whether it can be written to or invoked, `is_internal` whether ROS gives every node such a name.
     """
 
     kind: EntryKind
@@ -57,6 +43,8 @@ class Entry(Struct, frozen=True):
     types: tuple[str, ...] = ()
     texts: tuple[str, ...] = ()
     resource: str | None = None
+    is_writable: bool = False
+    is_internal: bool = False
 
 
 class Catalog(Struct, frozen=True):
@@ -66,32 +54,6 @@ class Catalog(Struct, frozen=True):
     fields: Mapping[str, Sequence[str]] = {}
 
 
-_RUN = re.compile(r"[^\W\d_]+|\d+")
-
-
-@lru_cache(maxsize=16384)
-def words_of(text: str) -> tuple[str, ...]:
-    """Return the words of a name or a sentence, in lower case, each once.
-
-    `image_raw`, `BatteryState`, `IMUData` and `scan2` have two words each.
-    """
-    return tuple(dict.fromkeys(word.casefold() for run in _RUN.findall(text) for word in _humps(run)))
-
-
-def _humps(run: str) -> Iterator[str]:
-    """Yield the words of a run of letters: one begins with a capital after a lower-case letter, or before one."""
-    start = 0
-    for index in range(1, len(run)):
-        is_last_capital = run[index - 1].isupper() and run[index : index + 2].istitle() and len(run) > index + 1
-        if run[index].isupper() and (run[index - 1].islower() or is_last_capital):
-            yield run[start:index]
-            start = index
-    yield run[start:]
-
-
-MAX_WORDS = 8
-MAX_CHARACTERS = 200
-"""Maximum numbers of words and characters of a query; `terms_of` rejects more."""
 _MIN_PART = 3
 """Minimum number of characters of a term that is searched within words."""
 _KIND_ORDER = {kind: order for order, kind in enumerate(EntryKind)}
@@ -105,24 +67,28 @@ class Match(IntEnum):
     NAME_PREFIX = 2
     SEGMENT_PREFIX = 3
     WORD = 4
-    WORD_PREFIX = 5
-    TEXT = 6
-    PART = 7
-    FIELD = 8
-    FIELD_PREFIX = 9
-    TYPE = 10
-    TYPE_PREFIX = 11
+    TYPE_MEANING = 5
+    NAME_MEANING = 6
+    WORD_PREFIX = 7
+    TEXT = 8
+    PART = 9
+    FIELD_MEANING = 10
+    FIELD = 11
+    FIELD_PREFIX = 12
+    TYPE = 13
+    TYPE_PREFIX = 14
 
     @property
     def label(self) -> str:
-        """Label for clients: `name`, `prefix`, `word`, `text`, `part`, `field` or `type`."""
+        """Label for clients: `name`, `prefix`, `word`, `meaning`, `text`, `part`, `field` or `type`."""
         return _LABELS[self]
 
 
 _LABELS = {
     Match.NAME: "name", Match.SEGMENT: "name", Match.NAME_PREFIX: "prefix", Match.SEGMENT_PREFIX: "prefix",
     Match.WORD: "word", Match.WORD_PREFIX: "word", Match.TEXT: "text", Match.PART: "part", Match.FIELD: "field",
-    Match.FIELD_PREFIX: "field", Match.TYPE: "type", Match.TYPE_PREFIX: "type",
+    Match.FIELD_PREFIX: "field", Match.TYPE: "type", Match.TYPE_PREFIX: "type", Match.TYPE_MEANING: "meaning",
+    Match.NAME_MEANING: "meaning", Match.FIELD_MEANING: "meaning",
 }  # fmt: skip
 
 
@@ -142,6 +108,7 @@ _PREFIX = {
     _Place.LAST_SEGMENT: Match.NAME_PREFIX, _Place.SEGMENT: Match.SEGMENT_PREFIX, _Place.WORD: Match.WORD_PREFIX,
     _Place.TEXT: Match.TEXT,
 }  # fmt: skip
+_MEANING = dict.fromkeys(_Place, Match.NAME_MEANING) | {_Place.TEXT: Match.TEXT}
 
 
 Rank: TypeAlias = tuple[int, int, int, int, str]
@@ -158,24 +125,33 @@ class Hit(NamedTuple):
 
 
 class SearchResults(NamedTuple):
-    """The best matching entries, and the number of all."""
+    """The best matching entries, the number of all, and whether they match all terms of the query.
 
-    hits: list[Hit]
+    `concepts` are what the robot has instead if nothing matches, each with the best entry for it.
+    """
+
+    hits: Sequence[Hit]
     total: int
+    is_complete: bool = True
+    concepts: Sequence[tuple[str, Entry]] = ()
 
 
 _Fits: TypeAlias = dict[int, Match]
 """Matches of a term, by the numbers of entries."""
 
 
-def terms_of(query: str) -> tuple[str, ...]:
-    """Return the terms of a query. Raises ValueError if there are too many."""
-    if len(query) > MAX_CHARACTERS:
-        raise ValueError(f"it has {len(query)} characters, but the limit is {MAX_CHARACTERS}")
-    terms = tuple(dict.fromkeys(query.casefold().split()))
-    if len(terms) > MAX_WORDS:
-        raise ValueError(f"it has {len(terms)} words, but the limit is {MAX_WORDS}")
-    return terms
+_READ_AND_WRITTEN = (EntryKind.PARAMETER, EntryKind.RESOURCE)
+"""Kinds of entries that tell something even if they can be written to."""
+_ENOUGH = 3
+"""Number of matches of all words of a question below which matches of some follow: `is the battery low`."""
+_CONTRARY = 5
+"""Points of an entry that reports where the query commands, or commands where it asks."""
+_INTERNAL = 20
+"""Points of what ROS gives every node, and of nodes, unless their own name is asked for."""
+_MAX_BEST = 10
+"""Maximum number of entries that are tried as the best for a concept: the first may not be readable."""
+_MISSING = 1000
+"""Points of a term that does not match."""
 
 
 class SearchIndex:
@@ -184,7 +160,8 @@ class SearchIndex:
     Entries are numbered in tie-breaking order, so that thousands of matches are sorted by two integers.
     """
 
-    def __init__(self, catalog: Catalog) -> None:
+    def __init__(self, catalog: Catalog, *, by_meaning: bool = True) -> None:
+        self._by_meaning = by_meaning
         self._entries = sorted(catalog.entries, key=_tie)
         self._names = [entry.name.casefold() for entry in self._entries]
         self._places: dict[str, dict[int, _Place]] = {}
@@ -193,32 +170,114 @@ class SearchIndex:
                 known = self._places.setdefault(word, {})
                 known[number] = min(place, known.get(number, place))
         self._ordered = sorted(self._places)
+        self._stems: dict[str, list[str]] = {}
+        for word in self._ordered:
+            self._stems.setdefault(stem(word), []).append(word)
         self._fields = {name: tuple(fields) for name, fields in catalog.fields.items()}
         self._by_type: dict[str, list[int]] = {}
         for number, entry in enumerate(self._entries):
             for name in entry.types:
                 self._by_type.setdefault(name, []).append(number)
+        self._marked = {name: marked_concepts(map(_own_name, (name, *self._paths(name)))) for name in self._by_type}
+        self._carriers: dict[str, _Fits] = {}
+        self._best: dict[str, list[Entry]] | None = None
+        commands = [entry.is_writable or any(map(_is_command, entry.types)) for entry in self._entries]
+        asked = {n for n, each in enumerate(self._entries) if commands[n] and each.kind not in _READ_AND_WRITTEN}
+        self._contrary = {True: {n for n, each in enumerate(commands) if not each}, False: asked, None: set[int]()}
+        self._internal = {number for number, entry in enumerate(self._entries) if entry.is_internal}
 
-    def find(self, terms: Sequence[str], limit: int, may_read: Callable[[str], bool] | None = None) -> SearchResults:
-        """Return the entries that match all terms and may be read, best first, at most `limit` of them."""
-        fits = [self._fits(term) for term in terms]
-        shared = set(fits[0]).intersection(*fits[1:]) if fits else set[int]()
-        if may_read is not None:
-            shared = {number for number in shared if may_read(self._entries[number].url)}
-        best = nsmallest(limit, ((sum(fit[number] for fit in fits), number) for number in shared))
-        return SearchResults([self._hit(number, points, terms, fits) for points, number in best], len(shared))
+    def find(self, query: Query, limit: int, may_read: Callable[[str], bool] | None = None) -> SearchResults:
+        """Return the entries that match all terms, or as many as possible, and may be read, at most `limit` of them.
+
+        The best come first: those that do what the query commands, or tell what it asks, then the names of others.
+        """
+        fits = [self._fits(term) for term in query.terms]
+        whole = self._readable(set(fits[0]).intersection(*fits[1:]) if fits else (), may_read)
+        certain = (number for number in whole if len(fits) == 1 or _is_certain(number, fits))
+        enough = 1 if query.commands is None or len(fits) == 1 else _ENOUGH
+        has_enough = len(list(islice(certain, enough))) == enough
+        shared = whole if has_enough else self._readable(set[int]().union(*fits), may_read)
+        points = {number: sum(fit.get(number, _MISSING) for fit in fits) for number in shared}
+        for number in self._contrary[query.commands] & points.keys():
+            points[number] += _CONTRARY
+        for number in self._internal & points.keys():
+            matches = [fit[number] for fit in fits if number in fit]
+            points[number] += _INTERNAL if max(matches) > Match.NAME and min(matches) != Match.TYPE_MEANING else 0
+        for word in query.dropped:
+            places = self._places.get(word, {})
+            for number in places.keys() & points.keys():
+                points[number] -= places[number] != _Place.TEXT
+        best = nsmallest(limit, ((each, number) for number, each in points.items()))
+        hits = [self._hit(number, each, query.terms, fits) for each, number in best]
+        return SearchResults(hits, len(shared), len(shared) == len(whole), () if hits else self._concepts(may_read))
+
+    def _concepts(self, may_read: Callable[[str], bool] | None) -> list[tuple[str, Entry]]:
+        """Return the best entry for each concept, if there is one that may be read."""
+        if self._best is None:
+            self._best = {}
+            for concept in CONCEPTS:
+                fits, others = self._carriers_of(concept), self._internal | self._contrary[concept.commands]
+                best = nsmallest(_MAX_BEST, ((fits[number], number) for number in fits if number not in others))
+                self._best[concept.name] = [self._entries[number] for _, number in best]
+        readable = {name: [e for e in each if may_read is None or may_read(e.url)] for name, each in self._best.items()}
+        return [(name, entries[0]) for name, entries in readable.items() if entries]
+
+    def _readable(self, numbers: Iterable[int], may_read: Callable[[str], bool] | None) -> set[int]:
+        return {number for number in numbers if may_read is None or may_read(self._entries[number].url)}
+
+    def _paths(self, type: str) -> Sequence[str]:
+        return self._fields.get(type, ())
 
     def _hit(self, number: int, points: int, terms: Sequence[str], fits: Sequence[_Fits]) -> Hit:
         entry = self._entries[number]
-        match, term = max((fit[number], term) for fit, term in zip(fits, terms, strict=True))
-        field = self._field(entry, term) if match in (Match.FIELD, Match.FIELD_PREFIX) else None
-        return Hit((points, *_tie(entry)), entry, match, field)
+        match, term = max((fit[number], term) for fit, term in zip(fits, terms, strict=True) if number in fit)
+        if match.label not in ("field", "meaning"):
+            return Hit((points, *_tie(entry)), entry, match, None)
+        found = [self._type_fit(name, term) for name in entry.types]
+        exact, path = min(((one, path) for one, path in found if one is not None), default=(match, None))
+        if match == exact == Match.FIELD_MEANING:
+            path = self._meant_field(entry, term)
+        return Hit((points, *_tie(entry)), entry, exact, path)
 
-    def _field(self, entry: Entry, term: str) -> str | None:
-        found = (self._type_fit(name, term) for name in entry.types)
-        return next((path for match, path in found if match in (Match.FIELD, Match.FIELD_PREFIX)), None)
+    def _meant_field(self, entry: Entry, term: str) -> str | None:
+        """Return the path of a field that means the same as a term, or None."""
+        concepts = {*WORDS.get(stem(term), ())}
+        paths = (path for name in entry.types for path in self._paths(name))
+        return next((path for path in paths if not concepts.isdisjoint(marked_concepts([_own_name(path)]))), None)
 
     def _fits(self, term: str) -> _Fits:
+        """Return the best match of a term in each entry, with a typing error corrected if there is none."""
+        found = self._known_fits(term)
+        if found or len(term) < MIN_CORRECTED:
+            return found
+        return _best({}, *map(self._known_fits, corrections(term, KNOWN, self._places)))
+
+    def _known_fits(self, term: str) -> _Fits:
+        """Return the best match of a term in each entry: of itself, of what it means, or of its stem."""
+        direct, root = self._direct_fits(term), stem(term)
+        others = [self._carriers_of(concept) for concept in WORDS.get(root, ()) if self._by_meaning]
+        if not direct:
+            others += [_at(self._places[word], _EXACT) for word in self._stems.get(root, ())]
+        return _best(direct, *others)
+
+    def _carriers_of(self, concept: Concept) -> _Fits:
+        """Return the matches of a concept, by types, by the words of names, and by the words of fields."""
+        found = self._carriers.get(concept.name)
+        if found is None:
+            typed = [name for name in self._by_type if concept in concepts_of_type(name)]
+            marked = [name for name, concepts in self._marked.items() if concept in concepts]
+            words = [
+                word for root, concepts in MARKS.items() if concept in concepts for word in self._stems.get(root, ())
+            ]
+            found = self._carriers[concept.name] = _best(
+                {},
+                *(dict.fromkeys(self._by_type[name], Match.TYPE_MEANING) for name in typed),
+                *(dict.fromkeys(self._by_type[name], Match.FIELD_MEANING) for name in marked),
+                *(_at(self._places[word], _MEANING) for word in words),
+            )
+        return found
+
+    def _direct_fits(self, term: str) -> _Fits:
         """Return the best match of a term in each entry; a term of several words (`image_raw`) needs all of them."""
         if "/" in term:
             return self._path_fits(term)
@@ -226,7 +285,7 @@ class SearchIndex:
         parts = words_of(term)
         if found or len(parts) < 2:
             return found
-        each = [self._fits(part) for part in parts]
+        each = [self._direct_fits(part) for part in parts]
         return {number: max(fits[number] for fits in each) for number in set(each[0]).intersection(*each[1:])}
 
     def _word_fits(self, term: str) -> _Fits:
@@ -268,8 +327,8 @@ class SearchIndex:
     def _type_fit(self, name: str, term: str) -> tuple[Match | None, str | None]:
         """Return the match of a term in a type: a field's name (with its path), else a word of the type's name."""
         prefix: str | None = None
-        for path in self._fields.get(name, ()):
-            own = path.rpartition(".")[2].removesuffix("[]").casefold()
+        for path in self._paths(name):
+            own = _own_name(path).casefold()
             words = words_of(own)
             if own == term or term in words:
                 return Match.FIELD, path
@@ -281,6 +340,38 @@ class SearchIndex:
         if term in words or name.rpartition("/")[2].casefold() == term:
             return Match.TYPE, None
         return (Match.TYPE_PREFIX, None) if any(word.startswith(term) for word in words) else (None, None)
+
+
+def _at(places: Mapping[int, _Place], matches: Mapping[_Place, Match]) -> _Fits:
+    return {number: matches[place] for number, place in places.items()}
+
+
+def _best(first: _Fits, *others: _Fits) -> _Fits:
+    """Return the best match of each entry; `first` itself if there are no others."""
+    others = tuple(filter(None, others))
+    if not others:
+        return first
+    found = dict(first)
+    for fits in others:
+        for number, match in fits.items():
+            if number not in found or match < found[number]:
+                found[number] = match
+    return found
+
+
+def _is_certain(number: int, fits: Sequence[_Fits]) -> bool:
+    """Whether an entry matches all terms by more than fields that may mean them."""
+    return all(fit[number] != Match.FIELD_MEANING for fit in fits)
+
+
+def _own_name(path: str) -> str:
+    """Return the last part of the name of a type, or of the path of a field."""
+    return path.rpartition("/")[2].rpartition(".")[2].removesuffix("[]")
+
+
+def _is_command(type: str) -> bool:
+    concepts = concepts_of_type(type)
+    return bool(concepts) and all(concept.commands for concept in concepts)
 
 
 def _tie(entry: Entry) -> tuple[int, int, int, str]:
@@ -296,109 +387,3 @@ def _places(entry: Entry) -> Iterator[tuple[str, _Place]]:
     for text in entry.texts:
         for word in words_of(text):
             yield word, _Place.TEXT
-
-
-_MAX_FIELDS = 400
-"""Maximum number of indexed fields of a type."""
-_MAX_DEPTH = 8
-STOP_TEXT = "Stop the whole robot: emergency stop, halt"
-
-
-def catalog_of(
-    graph: Graph, find_schema: Callable[[TypeRef], Schema | None], tree: ResourceTree, space: Space
-) -> Catalog:
-    """Return the catalog of a graph and its resources, with the fields of cached types."""
-    found = [*_graph_entries(graph, tree, space), *_resource_entries(graph, tree, space)]
-    refs = {ref for topic in graph.topics.values() for ref in topic.types}
-    refs |= {service.type for service in graph.services.values() if service.type is not None}
-    refs |= {action.type for action in graph.actions.values() if action.type is not None}
-    schemas = {ref.name: schema for ref in refs if (schema := find_schema(ref)) is not None}
-    return Catalog(tuple(found), {name: field_paths(schema) for name, schema in schemas.items()})
-
-
-def field_paths(schema: Schema) -> tuple[str, ...]:
-    """Return the field paths of a type (`pose.position.x`, `status[].level`); of a service those of both messages."""
-    found: list[str] = []
-    for half in halves_of(schema):
-        for path in _paths(half, Nested(half.ref.name), "", 0):
-            found.append(path)
-            if len(found) == _MAX_FIELDS:
-                return tuple(found)
-    return tuple(dict.fromkeys(found))
-
-
-def _paths(schema: MessageSchema, kind: FieldType, prefix: str, depth: int) -> Iterator[str]:
-    """Yield the fields of a type before those of its fields, so that the shortest path of a name comes first."""
-    if isinstance(kind, Array):
-        kind, prefix = kind.element, f"{prefix}[]"
-    if isinstance(kind, Primitive) or depth > _MAX_DEPTH:
-        return
-    start = f"{prefix}." if prefix else ""
-    fields = schema.types[kind.name].fields
-    yield from (start + field.name for field in fields)
-    for field in fields:
-        yield from _paths(schema, field.type, start + field.name, depth + 1)
-
-
-def _graph_entries(graph: Graph, tree: ResourceTree, space: Space) -> Iterator[Entry]:
-    """Yield the entries of names in the graph, each with a resource of the same name."""
-    properties, actions = set(tree.properties), set(tree.actions)
-
-    def resource(name: str, among: set[str]) -> str | None:
-        return url_of(name, space) if name in among else None
-
-    for name, topic in graph.topics.items():
-        types = tuple(ref.name for ref in topic.types)
-        own = resource(name, properties)
-        yield Entry(EntryKind.TOPIC, name, space.topic(name), types, _property_texts(tree, name, own), own)
-    for name, service in graph.services.items():
-        types = () if service.type is None else (service.type.name,)
-        yield Entry(EntryKind.SERVICE, name, space.service(name), types, (), resource(name, actions))
-    for name, action in graph.actions.items():
-        types = () if action.type is None else (action.type.name,)
-        yield Entry(EntryKind.ACTION, name, space.action(name), types, (), resource(name, actions))
-    for name, parameter in graph.parameters.items():
-        own = resource(name, properties) if name not in graph.topics else None
-        texts = (*_property_texts(tree, name, own), *_declared_texts(parameter.descriptor))
-        yield Entry(EntryKind.PARAMETER, name, space.parameter(name), (), texts, own)
-    for name in graph.nodes:
-        yield Entry(EntryKind.NODE, name, space.node(name))
-
-
-def _resource_entries(graph: Graph, tree: ResourceTree, space: Space) -> Iterator[Entry]:
-    """Yield the resources without a name in the graph: properties of getters and setters, mapped ones, and paths."""
-    yield Entry(EntryKind.RESOURCE, "/stop", space.stop, (), (STOP_TEXT,))
-    for name in tree.properties:
-        if name not in graph.topics and name not in graph.parameters:
-            url = url_of(name, space)
-            yield Entry(EntryKind.RESOURCE, name, url, (), _property_texts(tree, name, url))
-    for name in tree.actions:
-        if name not in graph.services and name not in graph.actions:
-            yield Entry(EntryKind.RESOURCE, name, url_of(name, space))
-    for path in tree.paths:
-        if path != "/":
-            mapped = tree.mapping_set.resources.get(path)
-            yield Entry(EntryKind.RESOURCE, path, url_of(path, space), (), _complex_texts(mapped))
-
-
-def _complex_texts(mapped: ComplexResource | None) -> tuple[str, ...]:
-    return () if mapped is None or mapped.title is None else (mapped.title,)
-
-
-def _property_texts(tree: ResourceTree, name: str, url: str | None) -> tuple[str, ...]:
-    """Return the texts of a mapping about a property: its relation, unit, and kind of quantity."""
-    plan = None if url is None else tree.property(name)
-    mapped = None if plan is None else plan.mapped
-    if mapped is None:
-        return ()
-    terms = (mapped.predicate, mapped.measure.unit, mapped.measure.quantity_kind)
-    return (mapped.name, *(local_name(term.value) for term in terms if term is not None))
-
-
-def _declared_texts(descriptor: Descriptor | None) -> Sequence[str]:
-    return () if descriptor is None else tuple(filter(None, (descriptor.description, descriptor.constraints)))
-
-
-def local_name(iri: str) -> str:
-    """Return the local name of an IRI: `M-PER-SEC` for QUDT's metres per second."""
-    return iri.rstrip("/#").rpartition("#")[2].rpartition("/")[2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import islice
 
-from rosld.server.search.index import words_of
+from rosld.server.search.words import words_of
 
 MAX_NEAR = 5
 """Maximum number of suggested names."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -93,13 +94,14 @@ def test_results_say_what_they_are_and_by_what_they_were_found(robot: MadeUp, se
         ("resource", "/battery/"),
         ("service", "/battery/reset"),
         ("parameter", "/robot/low_battery"),
+        ("resource", "/power/"),
     ]
     topic = results["topic", "/power/battery"]
     assert topic["value"]["percentage"] == 0.5
     assert topic["resource"] == f"{base}resources/power/battery"
     assert results["parameter", "/robot/low_battery"]["value"] == 0.25
     assert results["service", "/battery/reset"]["resource"] == f"{base}resources/battery/reset"
-    [odom] = find(http, "position")
+    odom = find(http, "position")[0]
     assert (odom["match"], odom["field"]) == ("field", "pose.pose.position")
     level = find(http, "level")
     assert (level[0]["kind"], level[0]["url"]) == ("resource", f"{base}resources/lights/level")
@@ -144,6 +146,54 @@ def test_queries_and_documents_are_found_by_title_and_new_names_at_once(robot: M
     assert names(find(http, "gripper")) == ["/gripper"]
 
 
+def test_a_question_that_nothing_answers_whole_finds_what_has_most_of_its_words(
+    robot: MadeUp, serving: Serving
+) -> None:
+    robot.topic("/juice", "sensor_msgs/msg/BatteryState")
+    robot.topic("/front/door", "std_msgs/msg/Float64")
+    http = serving()
+    told = found(http, "How much battery is there behind the front door?")
+    assert (told["matched"], names(told["results"][:3])) == ("some", ["/front/door", "/juice", "/front/"])
+    assert (told["results"][1]["match"], "offer" in told["results"][1]) == ("meaning", False)
+    told = found(http, "batery")
+    assert (told["matched"], names(told["results"])) == ("all", ["/juice"])
+    assert "some of the words" in http.get("/find?q=battery+door", headers=RDF).text
+    assert "some of the words" not in http.get("/find?q=door", headers=RDF).text
+
+
+def test_what_does_comes_before_what_tells_if_the_question_commands_and_says_where_its_offer_is(
+    robot: MadeUp, serving: Serving
+) -> None:
+    robot.topic("/a", "nav_msgs/msg/Odometry")
+    robot.topic("/z/soll", "geometry_msgs/msg/Twist", published=False, heard=True)
+    robot.offer("/z/get_loggers", "std_srvs/srv/Trigger", lambda _: {"success": True})
+    http = serving()
+    assert names(find(http, "drive")) == ["/z/soll", "/a"]
+    assert names(find(http, "how fast does it drive")[:2]) == ["/a", "/z/soll"]
+    offered = {one["name"]: one.get("offer") for one in find(http, "drive")}
+    assert offered == {"/z/soll": f"{http.base_url}topics/z/soll?offer", "/a": None}
+    assert names(find(http, "z"))[-1] == "/z/get_loggers", "what every node has comes last"
+
+
+def test_if_nothing_is_found_the_answer_says_what_there_is(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/juice", "sensor_msgs/msg/BatteryState")
+    robot.topic("/soll", "geometry_msgs/msg/Twist", published=False, heard=True)
+    http = serving()
+    told = found(http, "xylophone")
+    base = http.base_url
+    about = {each["concept"]: each["url"] for each in told["about"]}
+    assert (told["results"], about["battery"], about["drive"]) == ([], f"{base}topics/juice", f"{base}topics/soll")
+    assert len(json.dumps(told["about"])) <= 1000
+    assert "about" not in found(http, "juice")
+    said = {(each.subject, each.predicate, each.object) for each in triples(http.get("/find?q=xylophone", headers=RDF))}
+    for concept, url in about.items():
+        assert (NamedNode(f"{base}find?q=xylophone"), schema_org.about, NamedNode(url)) in said
+        assert (NamedNode(url), schema_org.keywords, Literal(concept)) in said
+    assert re.search(
+        r"<dt>battery</dt>\s*<dd><a href=\"/topics/juice\"", http.get("/find?q=xylophone", headers=HTML).text
+    )
+
+
 def test_a_search_subscribes_to_nothing(robot: MadeUp, serving: Serving) -> None:
     robot.topic("/battery", "sensor_msgs/msg/BatteryState", {})
     robot.variable("/lights/level", "Byte", value=3)
@@ -155,7 +205,7 @@ def test_a_search_subscribes_to_nothing(robot: MadeUp, serving: Serving) -> None
 
 def test_hundreds_of_topics_are_told_by_the_best_twenty_in_five_kilobytes(many: httpx.Client) -> None:
     told = found(many, "image")
-    assert (told["total"], len(told["results"])) == (16 + 8, MAX_RESULTS)
+    assert (told["total"], len(told["results"])) == (16 + 8 + 8 * 3, MAX_RESULTS), "whatever cameras have, last"
     assert names(told["results"][:8]) == [f"/camera_{number}/image_raw" for number in range(1, 9)]
     assert names(find(many, "battery_3 state"))[0] == "/battery_3/state"
     assert names(find(many, "wheel_7")) == ["/wheel_7/", "/wheel_7/odom", "/wheel_7/current", "/wheel_7/velocity"]
@@ -204,9 +254,9 @@ def test_rdf_json_and_the_page_say_the_same_in_the_same_order(many: httpx.Client
 
 
 def test_whatever_is_searched_for_is_answered_unless_it_is_too_much(many: httpx.Client) -> None:
-    for query, words in (("x" * 201, "201 characters"), (" ".join("abcdefghi"), "9 words")):
+    for query, words in (("x" * 201, "201 characters"), (" ".join("bcdefghjk"), "9 words")):
         assert words in detail(many.get("/find", params={"q": query}), 400)
-    for query in ("", " ", "no such thing", "\u202e</script>", '"', "%00", "a/b?c#d&e=f"):
+    for query in ("", " ", "xyzzy", "\u202e</script>", '"', "%00", "a/b?c#d&e=f"):
         assert found(many, query)["total"] == 0
         for accept in (RDF, HTML, {"Accept": "application/ld+json"}, {"Accept": "application/rdf+xml"}):
             answer = many.get("/find", params={"q": query}, headers=accept)

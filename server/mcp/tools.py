@@ -42,6 +42,9 @@ _STEP_SECONDS = 5.0
 _MAX_WAIT = 600.0
 _MAX_URL = _MAX_REASON = 500
 _MAX_QUESTION = 2000
+_MAX_PICTURE = 100_000
+_WIDTH = 640
+"""Width in pixels to which larger pictures are reduced."""
 _MAX_TEXT = 20_000
 """Maximum number of characters of a document that is not JSON."""
 _UNSAFE = re.compile(r"[\x00-\x20\x7f]")
@@ -245,8 +248,11 @@ class Tools:
         return self._read(url, await self.get(self.caller(context), url, _JSON))
 
     async def _look(self, context: Context, arguments: Arguments) -> Any:
-        url = self.url(arguments["url"])
-        answer = await self.get(self.caller(context), url, _ACCEPTS[arguments.get("format", "auto")])
+        url, caller = self.url(arguments["url"]), self.caller(context)
+        accept = _ACCEPTS[arguments.get("format", "auto")]
+        answer = await self.get(caller, url, accept)
+        if len(answer.body or b"") > _MAX_PICTURE and answer.field("content-type") == _PICTURE and "width=" not in url:
+            answer = await self.get(caller, with_query(url, f"width={_WIDTH}"), accept)
         return self._read(url, answer)
 
     async def _offers(self, context: Context, arguments: Arguments) -> Any:

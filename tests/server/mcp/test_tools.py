@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import base64
+import io
 import os
 import sys
 from collections.abc import Callable
@@ -16,6 +18,7 @@ from mcp.client.stdio import StdioServerParameters
 from mcp.client.streamable_http import streamable_http_client
 from mcp.shared._httpx_utils import create_mcp_http_client
 from mcp.shared.exceptions import MCPError
+from PIL import Image
 
 from rosld.ontology.urls import Space
 from rosld.server.auth.tokens import token_digest
@@ -304,6 +307,15 @@ async def test_cancelling_a_call_cancels_the_goal_that_it_sent(version: str) -> 
         await asyncio.wait_for(cancelled.wait(), 30)
     why = b"The client cancelled the call that began this."
     assert seen == [("POST", "/actions/go", b"Go"), ("DELETE", "/goals/7", why)]
+
+
+async def test_large_pictures_are_made_smaller(serve: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rosld.server.mcp.tools._MAX_PICTURE", 1000)
+    monkeypatch.setattr("rosld.server.mcp.tools._WIDTH", 80)
+    async with model(f"{serve('rover').url}mcp") as reader:
+        await reader.done("look", url="/topics/camera/image_raw")
+        picture = Image.open(io.BytesIO(base64.b64decode(reader.last.content[1].data)))
+    assert picture.size == (80, 60)
 
 
 async def test_tools_say_what_they_change_and_return(serve: Callable[..., Any]) -> None:

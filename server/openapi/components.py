@@ -109,6 +109,7 @@ _SHARED = (
         "If present, with any value: the SHACL shape of the RDF that can be written here.",
         allowEmptyValue=True,
     ),
+    parameter("offer", "If present: the offer, which says what can be read and done here.", allowEmptyValue=True),
     parameter(
         "until",
         "A condition on the value, such as `data >= 300 and status = 'on'`: wait until it holds, or "

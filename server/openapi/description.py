@@ -15,6 +15,7 @@ from rosld.server.events.query_params import EVENT_STREAM
 from rosld.server.hypermedia.json_schema import TEXT, Json, JsonSchema
 from rosld.server.openapi.components import Components, body_content, content, headers, or_plan, parameter, reference
 from rosld.server.openapi.path_collector import DescribedPath
+from rosld.server.rest.formats import OFFER_TYPE
 from rosld.server.rest.path_item import (
     FIELD_READS,
     MAX_PART,
@@ -292,7 +293,7 @@ class _Writer:
         """Yield the successful responses by status (4.8.16)."""
         if method == "GET":
             plain = self._shared(path, path.item.plain)
-            read = (*path.item.reads, EVENT_STREAM) if path.item.streams else path.item.reads
+            read = (*path.item.reads, OFFER_TYPE, EVENT_STREAM) if path.item.streams else path.item.reads
             answer: dict[str, Json] = {
                 "description": "OK.",
                 "headers": headers("ETag", "Link", "Allow"),

@@ -118,7 +118,7 @@ class PathItem(Struct, frozen=True):
             *(("page",) if self.is_paged else ()),
             *(("shape",) if self.has_shape else ()),
             *(("until",) if self.has_value else ()),
-            *(("after", "timeout", "rate") if self.streams else ()),
+            *(("offer", "after", "timeout", "rate") if self.streams else ()),
         )
         own = {each.name for each in self.query}
         return tuple(name for name in names if name not in own)

@@ -83,6 +83,7 @@ def test_a_goal_is_created_streamed_and_has_a_result_also_in_the_dataset(plane: 
     assert answer.json() | {"feedback": None} == {
         "id": goal.rpartition("/")[2],
         "url": goal,
+        "offer": f"{goal}?offer",
         "sentBy": "anybody",
         "ended": None,
         "action": "/aircraft/fly",

@@ -99,7 +99,7 @@ def update(server: Server, name: str, number: int) -> httpx.Response:
 
 
 def update_by_query(server: Server, name: str, number: int) -> httpx.Response:
-    body = f"INSERT {{ GRAPH <{server.http.base_url}data/{name}> {{ {triples(number)} }} }} WHERE {{}}"
+    body = f"INSERT {{ GRAPH <{server.http.base_url}data/{name}> {{ {triples(number)} }} }} WHERE {{ BIND(1 AS ?one) }}"
     return server.http.post("/sparql", content=body, headers=UPDATE)
 
 

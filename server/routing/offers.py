@@ -47,8 +47,9 @@ _MAX_INPUT = 1500
 """Maximum number of bytes of a schema; deeper objects of larger ones are left open."""
 _WRITES: tuple[Method, ...] = ("PUT", "POST", "PATCH", "DELETE")
 _UNMENTIONED = frozenset({"format", "latch", *(each.name for each in (*OF_EVERY_WRITE, *STRICTNESS))})
-_OTHER_READS = ("field", "series", "at", "width", "below")
-"""Parameters of GET for a part of the value, its past, or a smaller picture."""
+_PAST = frozenset({"series", "at"})
+_OTHER_READS = frozenset({"field", "width", "below"}) | _PAST
+"""Parameters of GET for a part of the value, a smaller picture, or the recorded past."""
 _WIDE = 1_000_000
 """Bounds from here on belong to the type rather than to the value."""
 
@@ -90,7 +91,7 @@ class Offers:
             "url": resource.url,
             "is": item.summary,
             **_type(state, forms.values()),
-            **_read(item, state),
+            **_read(resource, item, state),
             **self._writes(resource, state, item, methods, forms, schemas),
             **_refusal(exchange, resource, item, methods),
             **_contents(resource, state),
@@ -170,7 +171,7 @@ def _known_type(session: Session, ref: TypeRef) -> RosType | None:
     return session.schemas.find_cached(ref) or session.schemas.find_cached_by_name(ref.name)
 
 
-def _read(item: PathItem, state: State | None) -> Mapping[str, Json]:
+def _read(resource: Resource, item: PathItem, state: State | None) -> Mapping[str, Json]:
     """Return what reading gives: the value if it is small, else its size, and the other media types."""
     if state is None:
         return {"read": {"types": list[Json](item.reads)}}
@@ -188,7 +189,9 @@ def _read(item: PathItem, state: State | None) -> Mapping[str, Json]:
     others = [each for each in item.reads if each not in OFFERS and each.startswith("image/")]
     if others:
         read["types"] = cast(Json, others)
-    if names := [f"?{each.name}=" for each in item.query if each.name in _OTHER_READS]:
+    has_past = any("timegate" in link.rel for link in resource.links)
+    known = _OTHER_READS if has_past else _OTHER_READS - _PAST
+    if names := [f"?{each.name}=" for each in item.query if each.name in known]:
         read["also"] = cast(Json, names)
     if item.has_value:
         read["wait"] = f"?until={_condition(cast(Json, state.json_value))}&timeout=60"

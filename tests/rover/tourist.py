@@ -96,6 +96,26 @@ def battery(tourist: Tourist) -> float:
     return percentage
 
 
+def picture(tourist: Tourist) -> bytes:
+    """Return a small picture of the camera, in a media type of its offer."""
+    found = tourist.find("what does the camera see", lambda result: result["kind"] == "topic")
+    offered = tourist.offer(found["url"])
+    assert "?width=" in offered["read"]["also"]
+    answer = tourist.ask("GET", f"{offered['url']}?width=120", accept=offered["read"]["types"][0])
+    assert answer.headers["content-type"].startswith("image/"), answer.text
+    return answer.content
+
+
+def last_minute(tourist: Tourist) -> list[Any]:
+    """Return where the robot was in the last minute, in few points."""
+    found = tourist.find("odometry", lambda result: result["kind"] == "topic")
+    offered = tourist.offer(found["url"])
+    assert "?series=" in offered["read"]["also"]
+    query = {"series": "pose.pose.position.x", "from": "-60", "points": "20"}
+    series: list[Any] = tourist.ask("GET", offered["url"], params=query).json()["time"]
+    return series
+
+
 def low_battery(tourist: Tourist) -> float:
     """Wait until the battery falls below 20 %."""
     found = tourist.find("battery", lambda result: "BatteryState" in result.get("type", ""))

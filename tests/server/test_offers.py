@@ -182,3 +182,29 @@ def test_an_agent_is_offered_what_it_may_do(serve: Callable[..., Served], tmp_pa
     assert {each["method"] for each in may} == {"PUT", "POST"}
     assert "POST" not in http.get("/resources/?offer", headers=reader).json().get("offers", {})
     assert http.get("/topics/odom?offer").status_code == 401
+
+
+def test_who_knows_offers_flies_the_aircraft_to_300_and_90_in_eight_requests(serve: Callable[..., Served]) -> None:
+    """It knows one URL: the entry leads to the search, that to what can be invoked and set, and offers say how."""
+    http = serve("aircraft").http
+    sizes = list[int]()
+
+    def ask(method: str, url: str, **more: Any) -> Any:
+        answer = http.request(method, url, headers=JSON, **more)
+        assert answer.is_success, answer.text
+        sizes.append(len(answer.content) + len(answer.request.content))
+        return answer.json() if answer.content else None
+
+    search = ask("GET", "/?offer=")["search"]
+    start = next(one for one in ask("GET", search, params={"q": "start"})["results"] if "resource" in one)
+    ask("POST", start["resource"])
+    speed = next(one for one in ask("GET", search, params={"q": "speed"})["results"] if "resource" in one)
+    offered = ask("GET", f"{speed['resource']}?offer=")
+    for wanted in (300, 90):
+        assert offered["input"]["minimum"] <= wanted <= offered["input"]["maximum"]
+        [change] = offered["do"]
+        ask(change["method"], offered["url"], json=wanted)
+        reached = ask("GET", offered["url"], params={"until": f"value = {wanted}", "timeout": "60"})
+        assert reached == wanted
+    assert len(sizes) <= 9
+    assert sum(sizes) <= 8000, sizes

@@ -163,7 +163,7 @@ def opened(path: Path, data: bytes) -> RecordingAdapter:
 
     async def open_it() -> RecordingAdapter:
         adapter = RecordingAdapter(path, AdapterOptions())
-        await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + 5)
+        await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + 30)
         return adapter
 
     return asyncio.run(open_it())

@@ -32,8 +32,7 @@ def test_what_is_typed_is_found_and_opened(tab: Any, http: httpx.Client) -> None
     tab.open(f"{http.base_url}topics/")
     tab.run(FOCUS)
     tab.type("image")
-    tab.until(f"{LINKS}.length === 1")
-    assert tab.run(LINKS) == ["/camera/image_raw sensor_msgs/msg/Image"]
+    tab.until(f"{LINKS}[0] === '/camera/image_raw sensor_msgs/msg/Image'")
     tab.leave("document.querySelector('.suggestions a').click()")
     assert tab.run("location.pathname") == "/topics/camera/image_raw"
 

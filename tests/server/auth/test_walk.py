@@ -96,7 +96,7 @@ def test_every_form_and_every_link_that_an_agent_is_shown_is_one_that_it_may_fol
     wrong = []
     while waiting and len(seen) < 150:
         path = waiting.pop()
-        if path in seen:
+        if path in seen or path == "/.well-known/wot":  # it lists what may ever be on offer
             continue
         seen.add(path)
         answer = guarded[agent].get(path, headers={"Accept": "application/n-triples"})

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import pytest
 
 HERE = Path(__file__).parent
-EXACT = re.compile(r"\d+(\.\d+)+")
+EXACT = re.compile(r"\d+(\.\d+)+(-alpha\.\d+)?")
 
 
 def test_packages_for_node_are_of_exact_versions() -> None:

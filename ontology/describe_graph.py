@@ -123,7 +123,7 @@ _SERVICES: Mapping[str, str] = {
 }
 """Single resources among the routes, by name below the base, with their labels."""
 _GUIDES: Mapping[str, str] = {"?offer": "Offer", "llms.txt": "Guide for language models"}
-"""What tells an agent how to go on, by reference."""
+"""Guides for agents, by reference below the base, with their labels."""
 
 
 _GRAPH = NodeShape[Graph]("Graph", "a computation graph", ros.Graph, *CONTAINER_TYPES).with_properties(

@@ -76,7 +76,7 @@ class SearchResult(Struct, frozen=True):
 
 
 class SearchOutline(NamedTuple):
-    """What a search found: the number of matches, whether they match all words, and the best results.
+    """The results of a search: the number of matches, whether they match all words, and the best ones.
 
     `about` has the URLs of what the robot has instead, by concept.
     """

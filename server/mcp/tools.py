@@ -22,12 +22,13 @@ from rosld.ontology.urls import Location, Space
 from rosld.server.auth.rules import Glob, path_at
 from rosld.server.mcp.results import Json, fit, render
 from rosld.server.mcp.transport import Answer, Caller, Transport
+from rosld.server.rest.formats import OFFER_TYPE
+from rosld.server.rest.responses import offer_url
 from rosld.server.settings import Settings
 
 Context: TypeAlias = ServerRequestContext[Any, Any]
 Arguments: TypeAlias = Mapping[str, Any]
 _JSON = "application/json"
-_OFFER = "application/vnd.rosld.offer+json"
 _PICTURE = "image/jpeg"
 _ACCEPTS = {
     "auto": f"{_PICTURE}, {_JSON};q=0.9, */*;q=0.1",
@@ -256,8 +257,8 @@ class Tools:
         return self._read(url, answer)
 
     async def _offers(self, context: Context, arguments: Arguments) -> Any:
-        url = with_query(self.url(arguments["url"]), "offer")
-        return self._read(url, await self.get(self.caller(context), url, f"{_OFFER}, {_JSON};q=0.9"))
+        url = offer_url(self.url(arguments["url"]))
+        return self._read(url, await self.get(self.caller(context), url, f"{OFFER_TYPE}, {_JSON};q=0.9"))
 
     async def _query(self, context: Context, arguments: Arguments) -> Any:
         caller, sparql, name = self.caller(context), arguments.get("sparql"), arguments.get("name")

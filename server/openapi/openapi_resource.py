@@ -11,7 +11,6 @@ from starlette.responses import Response
 
 from rosld import __version__
 from rosld.adapters.model import Graph, RosError, TypeRef
-from rosld.adapters.model import Schema as RosType
 from rosld.server.auth import enforcement
 from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.permissions import Permissions
@@ -197,7 +196,7 @@ class OpenApiResource(Resource):
         graph, capabilities = self.session.graph, self.session.adapter.capabilities
         version = self._version(graph)
         hides = capabilities.hidden_names and not hidden
-        schemas = MessageSchemas(partial(_known_type, self.session.schemas), self.session.lifting)
+        schemas = MessageSchemas(self.session.schemas.find_similar, self.session.lifting)
         collector = PathCollector(
             self.space,
             listed_graph(graph, capabilities) if hides else graph,
@@ -237,7 +236,7 @@ async def _in_turns(paths: Iterable[DescribedPath]) -> tuple[DescribedPath, ...]
 
 async def _learn_types(schemas: Schemas, graph: Graph) -> None:
     """Fetch the types in use, as far as the robot sends them in time."""
-    unknown = [ref for ref in used_types(graph) if _known_type(schemas, ref) is None]
+    unknown = [ref for ref in used_types(graph) if schemas.find_similar(ref) is None]
     if not unknown:
         return
 
@@ -251,7 +250,3 @@ async def _learn_types(schemas: Schemas, graph: Graph) -> None:
     _, late = await asyncio.wait(tasks, timeout=_PATIENCE)
     for task in late:
         task.cancel()
-
-
-def _known_type(schemas: Schemas, ref: TypeRef) -> RosType | None:
-    return schemas.find_cached(ref) or schemas.find_cached_by_name(ref.name)

@@ -14,7 +14,7 @@ from msgspec import Struct
 from pyoxigraph import NamedNode
 
 from rosld.adapters.base import Capabilities
-from rosld.adapters.model import Graph, RosError, Schema, TypeRef
+from rosld.adapters.model import Graph, RosError
 from rosld.ontology.describe_views import (
     MemberOutline,
     SearchOutline,
@@ -54,7 +54,6 @@ from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.responses import offer_url
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
-from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey
@@ -174,12 +173,8 @@ class Finder:
 
 def _index_of_robot(session: Session, graph: Graph, tree: ResourceTree) -> SearchIndex:
     writes = session.adapter.capabilities.writes and not session.settings.read_only
-    find_schema, permitted = partial(_schema_at_hand, session.schemas), session.settings.allow_publish
+    find_schema, permitted = session.schemas.find_similar, session.settings.allow_publish
     return SearchIndex(catalog_of(graph, find_schema, tree, session.space, writes=writes, allow_publish=permitted))
-
-
-def _schema_at_hand(schemas: Schemas, ref: TypeRef) -> Schema | None:
-    return schemas.find_cached(ref) or schemas.find_cached_by_name(ref.name)
 
 
 _IN_GRAPH = frozenset({"nodes", "topics", "services", "actions", "parameters"})
@@ -433,8 +428,8 @@ class FindResource(Resource):
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         url = self.url if self._text else f"{self.space.base}find"
         found, total, complete = tuple(self._results), self._found.total, self._found.is_complete
-        told = SearchPage(site, url, self._text, found, total, complete, self._about, tuple(notices), self._pictures)
-        return render_search(told)
+        page = SearchPage(site, url, self._text, found, total, complete, self._about, tuple(notices), self._pictures)
+        return render_search(page)
 
     @property
     def query(self) -> str:

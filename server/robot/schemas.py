@@ -33,9 +33,13 @@ class Schemas:
         """Return a cached schema of this name with any hash."""
         return self._named.get(name)
 
+    def find_similar(self, ref: TypeRef) -> Schema | None:
+        """Return the cached schema of a type, or one of its name with another hash, or None."""
+        return self._known.get(ref) or self._named.get(ref.name)
+
     def definition_of(self, ref: TypeRef) -> str:
         """Return the cached definition of a message type, or an empty string."""
-        found = self.find_cached(ref) or self.find_cached_by_name(ref.name)
+        found = self.find_similar(ref)
         return found.definition if isinstance(found, MessageSchema) else ""
 
     def add(self, ref: TypeRef, schema: Schema) -> None:

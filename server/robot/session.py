@@ -206,7 +206,7 @@ class Session:
         action = self.graph.actions.get(name)
         if action is None or action.type is None:
             return None
-        found = self.schemas.find_cached(action.type) or self.schemas.find_cached_by_name(action.type.name)
+        found = self.schemas.find_similar(action.type)
         return found if isinstance(found, ActionSchema) else None
 
 

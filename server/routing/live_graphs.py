@@ -218,7 +218,7 @@ class RobotGraphs:
         found: list[StatedTerms] = [StatedTerms(_TOPIC | _MESSAGE, _CLASSES)]
         bulky = False
         for ref in topic.types:
-            schema = schemas.find_cached(ref) or schemas.find_cached_by_name(ref.name)
+            schema = schemas.find_similar(ref)
             if not isinstance(schema, MessageSchema):
                 return _ANYTHING, False
             bulky |= is_bulky(schema)

@@ -7,15 +7,12 @@ page does) and its state. So it is of the current moment, and within the permiss
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from itertools import chain, islice
 from typing import cast
 
 import orjson
 from starlette.responses import Response
 
-from rosld.adapters.model import Schema as RosType
-from rosld.adapters.model import TypeRef
 from rosld.ontology.vocab import ldp
 from rosld.server.auth import enforcement
 from rosld.server.html.cockpit_form import Method
@@ -30,7 +27,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, OFFER_TYPE, OFFERS
 from rosld.server.rest.path_item import OF_EVERY_WRITE, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import Resource
-from rosld.server.rest.responses import bytes_response, resource_headers
+from rosld.server.rest.responses import bytes_response, offer_url, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.routing.representations import redacted_state
@@ -45,6 +42,8 @@ _SHORT = 40
 """Minimum number of bytes of a schema that others refer to."""
 _MAX_INPUT = 1500
 """Maximum number of bytes of a schema; deeper objects of larger ones are left open."""
+_DEPTHS = (99, 6, 4, 3, 2, 1)
+"""Numbers of levels that a schema keeps, tried until it is small enough."""
 _WRITES: tuple[Method, ...] = ("PUT", "POST", "PATCH", "DELETE")
 _UNMENTIONED = frozenset({"format", "latch", *(each.name for each in (*OF_EVERY_WRITE, *STRICTNESS))})
 _PAST = frozenset({"series", "at"})
@@ -80,7 +79,7 @@ class Offers:
     async def offer(self, exchange: Exchange, resource: Resource) -> bytes:
         """Return the offer of a resource for the agent. Raises the Problems of its state, and RosError."""
         state = await _state(exchange, resource)
-        schemas = MessageSchemas(partial(_known_type, self._session), self._session.lifting)
+        schemas = MessageSchemas(self._session.schemas.find_similar, self._session.lifting)
         item = resource.path_item(schemas)
         place = enforcement.location_of(exchange.request.scope, self._session.space)
         methods = resource.methods() - resource.withheld
@@ -167,10 +166,6 @@ def _type(state: State | None, forms: Iterable[Form]) -> Mapping[str, Json]:
     return {} if name is None else {"type": name.removesuffix("_Goal").removesuffix("_Request")}
 
 
-def _known_type(session: Session, ref: TypeRef) -> RosType | None:
-    return session.schemas.find_cached(ref) or session.schemas.find_cached_by_name(ref.name)
-
-
 def _read(resource: Resource, item: PathItem, state: State | None) -> Mapping[str, Json]:
     """Return what reading gives: the value if it is small, else its size, and the other media types."""
     if state is None:
@@ -184,8 +179,9 @@ def _read(resource: Resource, item: PathItem, state: State | None) -> Mapping[st
     if data == b"null":
         return {"read": {"value": None}}
     read: dict[str, Json] = {"bytes": len(data)}
+    value: Json = orjson.loads(data)
     if len(data) <= MAX_VALUE:
-        read["value"] = cast(Json, orjson.loads(data))
+        read["value"] = value
     others = [each for each in item.reads if each not in OFFERS and each.startswith("image/")]
     if others:
         read["types"] = cast(Json, others)
@@ -194,7 +190,7 @@ def _read(resource: Resource, item: PathItem, state: State | None) -> Mapping[st
     if names := [f"?{each.name}=" for each in item.query if each.name in known]:
         read["also"] = cast(Json, names)
     if item.has_value:
-        read["wait"] = f"?until={_condition(cast(Json, state.json_value))}&timeout=60"
+        read["wait"] = f"?until={_condition(value)}&timeout=60"
     return {"read": read}
 
 
@@ -251,7 +247,7 @@ def _contents(resource: Resource, state: State | None) -> Mapping[str, Json]:
         writable = [each.affordance.url for each in state.view.members if each.affordance.write]
         invocable = [each.url for each in state.view.actions if each.request is not None]
         parts: dict[str, Sequence[str]] = {"PUT": writable, "POST": invocable, "GET": state.view.children}
-        return {"offers": {method: [f"{url}?offer" for url in urls] for method, urls in parts.items() if urls}}
+        return {"offers": {method: [offer_url(url) for url in urls] for method, urls in parts.items() if urls}}
     if state.is_large or not resource.url.partition("?")[0].endswith("/"):
         return {}
     members = list[Json]()
@@ -274,12 +270,12 @@ def compact(schema: JsonSchema) -> JsonSchema:
 
     Time stamps, defaults that are zero, empty or false, and the bounds of wide types are left out.
     """
-    found = cast(JsonSchema, _plain(schema, 99))
-    for depth in (6, 4, 3, 2, 1):
-        if len(orjson.dumps(_shared(found))) <= _MAX_INPUT:
+    found: JsonSchema = {}
+    for depth in _DEPTHS:
+        found = _shared(cast(JsonSchema, _plain(schema, depth)))
+        if len(orjson.dumps(found)) <= _MAX_INPUT:
             break
-        found = cast(JsonSchema, _plain(schema, depth))
-    return _shared(found)
+    return found
 
 
 def _plain(schema: Json, depth: int) -> Json:
@@ -359,14 +355,10 @@ def _parts(schema: Json) -> Iterator[Json]:
     return parts(schema)
 
 
-def _resolved(schema: Json, by_key: Mapping[str, JsonSchema]) -> JsonSchema:
-    """Return a schema with referenced ones in place."""
-    if not isinstance(schema, dict):
-        return {}
+def _resolved(schema: JsonSchema, by_key: Mapping[str, JsonSchema]) -> JsonSchema:
+    """Return a schema, or the one that it refers to."""
     reference = schema.get("$ref")
-    if isinstance(reference, str):
-        return by_key.get(reference.rpartition("/")[2], {})
-    return schema
+    return by_key.get(reference.rpartition("/")[2], {}) if isinstance(reference, str) else schema
 
 
 def example(schema: JsonSchema) -> Json:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests.server.auth.conftest import rule, token, tokens
 
 pytestmark = pytest.mark.slow
 
@@ -49,32 +50,18 @@ def test_node_wot_reads_every_property_and_hears_of_changes(
     assert heard["heard"][-1] == "off"
 
 
-TOKEN = "of-the-pilot"
-
-
 @pytest.fixture
 def auth(tmp_path: Path) -> Path:
-    """Rules for one agent with TOKEN, who may read and command everything."""
+    """Rules for one agent, the pilot, who may read and command everything."""
     path = tmp_path / "auth.toml"
-    path.write_text(
-        f"""
-        [[token]]
-        agent = "pilot"
-        sha256 = "sha256:{hashlib.sha256(TOKEN.encode()).hexdigest()}"
-        created = "2026-11-28"
-        [[rule]]
-        agents = ["pilot"]
-        modes = ["read", "control"]
-        paths = ["/**"]
-        """
-    )
+    path.write_text(tokens("pilot") + rule("pilot", "read control", "/**"))
     return path
 
 
 def test_node_wot_sends_its_token_where_clients_are_authenticated(
     start_server: Callable[..., Any], run_node: Callable[..., Any], auth: Path
 ) -> None:
-    code, lines = run_node("things.mjs", start_server("aircraft", "--auth", str(auth)).url, TOKEN)
+    code, lines = run_node("things.mjs", start_server("aircraft", "--auth", str(auth)).url, token("pilot"))
     assert code == 0, lines
     assert lines[0]["security"] == ["bearer_sc"]
     assert len(lines[0]["values"]) == 13
@@ -84,8 +71,8 @@ def test_node_wot_sends_its_token_where_clients_are_authenticated(
 def test_the_playground_finds_nothing_wrong_with_any_thing_description(
     start_server: Callable[..., Any], run_node: Callable[..., Any], auth: Path, robot: str
 ) -> None:
-    for arguments, token in (((), ()), (("--auth", str(auth)), (TOKEN,))):
-        code, lines = run_node("playground.mjs", start_server(robot, *arguments).url, *token)
+    for arguments, credentials in (((), ()), (("--auth", str(auth)), (token("pilot"),))):
+        code, lines = run_node("playground.mjs", start_server(robot, *arguments).url, *credentials)
         assert code == 0, lines
         assert len(lines) > 2
         assert all((each["json"], each["schema"], each["failed"]) == ("passed", "passed", []) for each in lines), lines

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +10,7 @@ import httpx
 import pytest
 from jsonschema import Draft202012Validator
 
+from tests.server.auth.conftest import rule, token, tokens
 from tests.server.conftest import Served
 from tests.stopping import release
 from tests.waiting import until
@@ -36,19 +36,7 @@ SPEED_LIMIT = """
     sh:property [ sh:path twist:linear ; sh:node [ sh:property [ sh:path vector:x ; sh:maxInclusive 0.4 ] ] ] .
 """
 
-AGENTS = {"reader": ("read",), "driver": ("read", "control")}
-AUTH = "\n".join(
-    f'''
-[[token]]
-agent = "{name}"
-sha256 = "sha256:{hashlib.sha256(f"{name}-of-the-rover".encode()).hexdigest()}"
-created = "2026-11-28"
-[[rule]]
-agents = ["{name}"]
-modes = {list(modes)}
-paths = ["/**"]'''
-    for name, modes in AGENTS.items()
-)
+AUTH = tokens("reader", "driver") + rule("reader", "read", "/**") + rule("driver", "read control", "/**")
 
 
 @pytest.fixture(scope="module")
@@ -172,10 +160,10 @@ def test_the_offer_has_the_bounds_of_limits(serve: Callable[..., Served], tmp_pa
 
 
 def test_an_agent_is_offered_what_it_may_do(serve: Callable[..., Served], tmp_path: Any) -> None:
-    tokens = tmp_path / "auth.toml"
-    tokens.write_text(AUTH)
-    http = serve("rover", "--auth", str(tokens)).http
-    reader, driver = ({"Authorization": f"Bearer {name}-of-the-rover"} for name in AGENTS)
+    rules = tmp_path / "auth.toml"
+    rules.write_text(AUTH)
+    http = serve("rover", "--auth", str(rules)).http
+    reader, driver = ({"Authorization": f"Bearer {token(name)}"} for name in ("reader", "driver"))
     assert "do" not in http.get("/topics/cmd_vel?offer", headers=reader).json()
     assert "refuses" not in http.get("/topics/cmd_vel?offer", headers=reader).json()
     may = http.get("/topics/cmd_vel?offer", headers=driver).json()["do"]

@@ -201,7 +201,7 @@ class Settings:
     mcp: str = setting(
         "read",
         "What language models may do with the tools at /mcp: 'off', 'read', or 'write' (with --auth, 'read' permits "
-        "what their token does). The stop is always permitted. Needs the extra rosld[mcp].",
+        "what their token does). The stop is always permitted. Needs the extra mcp.",
         metavar="WHAT",
     )
     mcp_approve: tuple[str, ...] = setting(

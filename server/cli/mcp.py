@@ -16,6 +16,7 @@ from rosld.ontology.urls import Space
 from rosld.server import settings as declared
 from rosld.server.cli import data_folder
 from rosld.server.cli.failure import Failure, end_signals, user_errors
+from rosld.server.mcp.endpoint import NEEDS_SDK
 from rosld.server.mcp.transport import RemoteTransport, Transport
 from rosld.server.serving.http_server import configure_logging, run
 from rosld.server.serving.lifespan import lifespan
@@ -31,7 +32,7 @@ def serve_tools(source: str, settings: Settings) -> None:
     if settings.mcp == "off":
         raise Failure("--mcp off: choose read or write")
     if importlib.util.find_spec("mcp") is None:
-        raise Failure("tools for language models need the Model Context Protocol SDK: pip install 'rosld[mcp]'")
+        raise Failure(NEEDS_SDK)
     importlib.import_module("rosld.server.mcp.protocol")  # takes a second, which would pause the loop
     is_running = source.startswith(("http://", "https://"))
     with user_errors():

@@ -24,10 +24,7 @@ from rosld.server.runtime.tasks import end_tasks
 from rosld.server.settings import Settings
 
 SEGMENT = "mcp"
-_MISSING = (
-    "Tools for language models need the Model Context Protocol SDK: install it with pip install 'rosld[mcp]', and "
-    "restart the server."
-)
+NEEDS_SDK = "tools for language models need the Model Context Protocol SDK: pip install '.[mcp]' in a clone of rosld"
 _OFF = "Tools for language models are switched off here: start the server with --mcp read or --mcp write."
 
 
@@ -61,7 +58,7 @@ class McpService:
                 raise Problem(503, "The server is shutting down.", headers={"Retry-After": "10"})
             if self._serve is None:
                 if importlib.util.find_spec("mcp") is None:
-                    raise Problem(404, _MISSING)
+                    raise Problem(404, f"{NEEDS_SDK[0].upper()}{NEEDS_SDK[1:]}, and restart the server.")
                 # On a thread: the loop must not wait for the import.
                 module = await asyncio.to_thread(importlib.import_module, "rosld.server.mcp.protocol")
                 sessions = module.Sessions(self.space, self.transport(), self.settings)

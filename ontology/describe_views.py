@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
-from urllib.parse import quote
 
 from msgspec import Struct
 from pyoxigraph import Literal, NamedNode, Triple
@@ -12,6 +11,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 from rosld.adapters.model import TypeRef
 from rosld.ontology import kinds
 from rosld.ontology.document import Document
+from rosld.ontology.geometry import frame_iri
 from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
 from rosld.ontology.triples import RDF_SOURCE, Statement, date_time_literal, double, statements, text, triples_about
 from rosld.ontology.urls import Space
@@ -253,7 +253,7 @@ def frames_document(url: str, frames: Sequence[Frame], types: str) -> Document:
     """Return the frames of a robot; `types` is the namespace of message types."""
 
     def node(name: str) -> NamedNode:
-        return NamedNode(f"{url}#{quote(name.encode('utf-8', 'replace'), safe='/')}")
+        return NamedNode(frame_iri(url, name))
 
     triples = triples_about(
         NamedNode(url),

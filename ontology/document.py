@@ -6,13 +6,24 @@ that writes it. Serialization (`ontology/serialize.py`) joins both.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 from msgspec import Struct
-from pyoxigraph import Triple
+from pyoxigraph import RdfFormat, Triple, parse
 
 from rosld.adapters.model import Message
+from rosld.ontology.geometry import (
+    Geometry,
+    geometry_jsonld,
+    geometry_ntriples,
+    geometry_of,
+    geometry_turtle,
+    has_place,
+)
 from rosld.ontology.lift import Lifter
+from rosld.ontology.vocab import geo, sf
 
 
 class Envelope(NamedTuple):
@@ -26,7 +37,8 @@ class Envelope(NamedTuple):
 class LiftedMessage(Struct, frozen=True, eq=False):
     """A message within a document: `node` is its fragment (`#message`); the link to it is among the triples.
 
-    `source` is the URL of its bytes (`?field=`) if that is not the document itself.
+    `source` is the URL of its bytes (`?field=`) if that is not the document itself. With `frames`, the URL of the
+    robot's frames, a message that states a place has a geometry.
     """
 
     node: str
@@ -34,34 +46,64 @@ class LiftedMessage(Struct, frozen=True, eq=False):
     message: Message
     envelope: Envelope | None = None
     source: str | None = None
+    frames: str | None = None
+
+    @property
+    def prefixes(self) -> Mapping[str, str]:
+        """The prefixes of its Turtle."""
+        may_have_geometry = self.frames is not None and has_place(self.lifter.schema)
+        return _with_geometry(self.lifter) if may_have_geometry else self.lifter.prefixes
+
+    def _geometry(self) -> Geometry | None:
+        return geometry_of(self.lifter.schema, self.message) if self.frames is not None else None
 
     def turtle(self, document: Document) -> str:
         """Return Turtle statements, relative to `document`."""
-        return self.lifter.turtle(
+        text = self.lifter.turtle(
             self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
             source=self.source,
         )  # fmt: skip
+        found = self._geometry()
+        if found is None or self.frames is None:
+            return text
+        if not _PREFIXES.keys().isdisjoint(self.lifter.prefixes):  # packages with these names
+            return text + geometry_ntriples(document.url + self.node, found, self.frames)
+        return text + geometry_turtle(self.node, found, self.frames)
 
     def jsonld(self, document: Document) -> str:
         """Return a JSON-LD node object (text), relative to `document`."""
-        return self.lifter.jsonld(
+        text = self.lifter.jsonld(
             self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
             source=self.source,
         )  # fmt: skip
+        found = self._geometry()
+        if found is None or self.frames is None:
+            return text
+        return f"{text[:-1]},{geometry_jsonld(self.node, found, self.frames)}}}"
 
     def ntriples(self, document: Document, end: str = " .\n") -> str:
         """Return N-Triples lines; with a graph in `end`, N-Quads."""
-        return self.lifter.ntriples(
+        text = self.lifter.ntriples(
             self.message, document.url, self.node, end=end, envelope=self.envelope,
             simulated_time=document.simulated_time, source=self.source,
         )  # fmt: skip
+        found = self._geometry()
+        if found is None or self.frames is None:
+            return text
+        return text + geometry_ntriples(document.url + self.node, found, self.frames, end)
 
     def triples(self, document: Document) -> list[Triple]:
         """Return the triples as terms."""
-        return self.lifter.triples(
-            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
-            source=self.source,
-        )  # fmt: skip
+        # Parsing N-Triples costs less than creating the terms one by one from Python.
+        return [quad.triple for quad in parse(self.ntriples(document), RdfFormat.N_TRIPLES)]
+
+
+_PREFIXES = {"geo": geo.iri, "sf": sf.iri}
+
+
+@lru_cache(maxsize=1024)
+def _with_geometry(lifter: Lifter) -> Mapping[str, str]:
+    return {**_PREFIXES, **lifter.prefixes}
 
 
 class Document(Struct, frozen=True):

@@ -32,9 +32,9 @@ from rosld.ontology.lexical import BINARIES, NUMBERS, parse_boolean, parse_date_
 from rosld.ontology.literals import DTYPES, STRINGS
 from rosld.ontology.names import type_names
 from rosld.ontology.violations import Findings, Path
-from rosld.ontology.vocab import rdf, ros, xsd
+from rosld.ontology.vocab import geo, rdf, ros, xsd
 
-IGNORED = frozenset({ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime, ros.rate})
+IGNORED = frozenset({ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime, ros.rate, geo.hasGeometry})
 """Predicates that the server adds to messages and ignores when they are sent back."""
 
 Reader: TypeAlias = Callable[[Term, Path, "GraphReading"], object]

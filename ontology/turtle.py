@@ -188,7 +188,7 @@ def _with_messages(
     """
     current = dict(prefixes)
     for message in document.messages:
-        wanted = message.lifter.prefixes
+        wanted = message.prefixes
         clash = {prefix: iri for prefix, iri in wanted.items() if current.get(prefix, iri) != iri}
         for prefix, iri in wanted.items():
             if prefix not in current:

@@ -214,6 +214,11 @@ class Space(Struct, frozen=True):
         """Return the URL of a cockpit: `cockpit/default`."""
         return self.url("cockpit", (name,))
 
+    @property
+    def frames(self) -> str:
+        """The URL of the frames of the robot."""
+        return self.base + "frames"
+
     def bag(self, name: str) -> str:
         """Return the URL of a recording, a container of its parts."""
         return self.container("bags", (name,))

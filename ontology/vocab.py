@@ -159,6 +159,9 @@ hydra = Namespace(
     "IriTemplate IriTemplateMapping BasicRepresentation freetextQuery mapping property required search template "
     "variable variableRepresentation",
 )
+# GeoSPARQL 1.1, and its classes of Simple Features.
+geo = Namespace("http://www.opengis.net/ont/geosparql#", "Geometry hasGeometry asWKT wktLiteral")
+sf = Namespace("http://www.opengis.net/ont/sf#", "LineString Point Polygon")
 # QUDT, for units and kinds of quantity.
 qudt = Namespace("http://qudt.org/schema/qudt/", "hasUnit hasQuantityKind")
 # Solid Notifications.
@@ -176,6 +179,8 @@ activity = Namespace(
 _PREFIXES = {"mapping": "map", "schema_org": "schema", "activity": "as"}
 PREFIXES: Mapping[str, str] = {
     **{_PREFIXES.get(name, name): each.iri for name, each in list(globals().items()) if isinstance(each, Namespace)},
+    "geof": "http://www.opengis.net/def/function/geosparql/",
+    "uom": "http://www.opengis.net/def/uom/OGC/1.0/",
     "unit": "http://qudt.org/vocab/unit/",
     "quantitykind": "http://qudt.org/vocab/quantitykind/",
     "skos": "http://www.w3.org/2004/02/skos/core#",

@@ -742,6 +742,21 @@ class _hydra(Namespace):
 
 hydra: _hydra
 
+class _geo(Namespace):
+    Geometry: NamedNode
+    hasGeometry: NamedNode
+    asWKT: NamedNode
+    wktLiteral: NamedNode
+
+geo: _geo
+
+class _sf(Namespace):
+    LineString: NamedNode
+    Point: NamedNode
+    Polygon: NamedNode
+
+sf: _sf
+
 class _qudt(Namespace):
     hasUnit: NamedNode
     hasQuantityKind: NamedNode

@@ -34,10 +34,10 @@ from rosld.ontology.json_leaves import stated_default
 from rosld.ontology.literals import DATATYPES, STRINGS, base64_length
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, boolean, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import rdf, rdfs, ros, sh, xsd
+from rosld.ontology.vocab import geo, rdf, rdfs, ros, sh, xsd
 from rosld.shapes.writer import ShapesWriter, list_of, within
 
-SERVER_MANAGED = (rdf.type, ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime)
+SERVER_MANAGED = (rdf.type, ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime, geo.hasGeometry)
 """Properties of message nodes besides their fields."""
 
 SHACL_SHACL = "http://www.w3.org/ns/shacl-shacl#"

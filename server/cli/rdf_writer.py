@@ -87,7 +87,9 @@ class Lifting:
         except ValueError as error:
             return DescribedMessage(recorded, None, str(error))
         envelope = Envelope(sample.received_ns, sample.sequence, self._publisher(sample.publisher))
-        return DescribedMessage(recorded, LiftedMessage("#message", reader.lifter, message, envelope))
+        return DescribedMessage(
+            recorded, LiftedMessage("#message", reader.lifter, message, envelope, frames=self._space.frames)
+        )
 
     def _reader(self, ref: TypeRef) -> Reader | str:
         """Return the schema and lifter of a type, or why its messages are unreadable."""

@@ -68,7 +68,7 @@ class FramesResource(Resource):
     links = (RESOURCE, RDF_SOURCE)
 
     def __init__(self, space: Space, adapter: AuditedAdapter, scene: Scene) -> None:
-        super().__init__(space, f"{space.base}frames")
+        super().__init__(space, space.frames)
         self.adapter = adapter
         self.scene = scene
         self._nodes: Sequence[FrameNode] = ()

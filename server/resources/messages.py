@@ -64,7 +64,7 @@ def lift_sample(space: Space, lifting: LiftSettings, one: DecodedSample) -> Lift
     assert one.message is not None
     publisher = space.node(one.sample.publisher) if one.sample.publisher else None
     envelope = Envelope(one.sample.received_ns, one.sample.sequence, publisher)
-    return LiftedMessage("#message", lifter(one.schema, lifting), one.message, envelope)
+    return LiftedMessage("#message", lifter(one.schema, lifting), one.message, envelope, frames=space.frames)
 
 
 async def field_response(schemas: Schemas, sample: Sample, path: str) -> Response:

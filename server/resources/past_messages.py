@@ -13,6 +13,7 @@ from rosld.adapters.model import MessageSchema, RosError, TypeRef
 from rosld.ontology.column_lift import ColumnLifter, column_lifter
 from rosld.ontology.describe_topics import MESSAGE
 from rosld.ontology.document import Envelope
+from rosld.ontology.geometry import TERMS, geometry_ntriples, geometry_of, has_place
 from rosld.ontology.lift import Lifter, partial_lifter
 from rosld.ontology.literals import date_time, quote
 from rosld.ontology.urls import Space
@@ -316,7 +317,11 @@ class _Reading:
         if block.rows is not None and self._only is not None and not record_text.is_more:
             channel = block.channel
             schema = self._schema(recording, channel.type)
-            lifter = None if schema is None else self._column_lifter(schema, record_text.topic(channel.topic))
+            lifter = (
+                None
+                if schema is None or self._is_placed(schema)
+                else self._column_lifter(schema, record_text.topic(channel.topic))
+            )
             if schema is not None and lifter is not None:
                 columns = columns_of(block.rows, schema, channel.encoding, lifter.paths)
                 if columns is not None:
@@ -328,6 +333,10 @@ class _Reading:
                     return
         for message in block.messages():
             yield self._lift(recording, message, record_text), 1
+
+    def _is_placed(self, schema: MessageSchema) -> bool:
+        """Whether the query needs geometries, and messages of this type have one."""
+        return (self._only is None or not self._only.isdisjoint(TERMS)) and has_place(schema)
 
     def _lifter(self, schema: MessageSchema) -> Lifter:
         return partial_lifter(schema, self._session.lifting, self._only, is_linked=self._is_linked)
@@ -357,6 +366,8 @@ class _Reading:
         lifted = self._lifter(schema).ntriples(
             decoded, url, MESSAGE, envelope=envelope, simulated_time=self._graph.simulated_time
         )
+        if self._is_placed(schema) and (place := geometry_of(schema, decoded)) is not None:
+            lifted += geometry_ntriples(url + MESSAGE, place, self._session.space.frames, only=self._only)
         return f"{record_text.of_record(url, message)}{lifted}"
 
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from rosld.adapters.model import Array, Graph, MessageSchema, Nested, ParameterValue, RosError, Topic
+from rosld.ontology import geometry
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import rdf, ros
@@ -376,7 +377,7 @@ def _named_topics(space: Space, graph: Graph, needs: Needs) -> Iterable[Topic]:
 @lru_cache(maxsize=4096)
 def _terms_of_messages(schema: MessageSchema, space: Space) -> StatedTerms:
     """Return the fields and classes of a message and of all nested ones."""
-    kinds = schema.types.values()
+    kinds, is_placed = schema.types.values(), geometry.has_place(schema)
     fields = {space.property_of(kind.name, field.name) for kind in kinds for field in kind.fields}
     has_lists = any(
         isinstance(field.type, Array) and isinstance(field.type.element, Nested)
@@ -384,8 +385,11 @@ def _terms_of_messages(schema: MessageSchema, space: Space) -> StatedTerms:
         for field in kind.fields
     )
     return StatedTerms(
-        frozenset(fields) | _MESSAGE | (_LISTS if has_lists else frozenset()),
-        _CLASSES | {space.class_of(kind.name) for kind in kinds},
+        frozenset(fields)
+        | _MESSAGE
+        | (_LISTS if has_lists else frozenset())
+        | (geometry.TERMS if is_placed else set()),
+        _CLASSES | {space.class_of(kind.name) for kind in kinds} | (geometry.CLASSES if is_placed else set()),
     )
 
 

@@ -21,6 +21,7 @@ from urllib.parse import unquote
 from msgspec import Struct, field
 from msgspec.structs import replace
 
+from rosld.ontology import geometry
 from rosld.ontology.vocab import ldp, rdf, ros
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
@@ -44,11 +45,13 @@ _LINK, _RECEIVED, _NAME, _TYPE, _OF_RECORD = (
     frozenset({each.value}) for each in (ros.past, ros.received, ros.name, ros.hasMessageType, ros.recordedMessage)
 )
 _NOTHING = frozenset[str]()
-_WITHIN = frozenset(each.value for each in (rdf.first, rdf.rest, ros.latest, ros.latestFrom, ros.recordedMessage))
+_WITHIN = geometry.TERMS.union(
+    each.value for each in (rdf.first, rdf.rest, ros.latest, ros.latestFrom, ros.recordedMessage)
+)
 """Predicates from a node to another node of the same message, in addition to the fields of types."""
 _CLASS = frozenset({rdf.type.value})
-_CLASSES = frozenset(each.value for each in (ros.Record, ros.Elided, ldp.Resource, ldp.RDFSource))
-PREDICATES = frozenset(
+_CLASSES = geometry.CLASSES.union(each.value for each in (ros.Record, ros.Elided, ldp.Resource, ldp.RDFSource))
+PREDICATES = geometry.TERMS.union(
     each.value
     for each in (
         ros.past, ros.received, ros.sequence, ros.sentBy, ros.dateTime, ros.elidedLength, ros.bytes, ros.unreadable,

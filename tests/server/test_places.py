@@ -1,0 +1,60 @@
+"""Places of messages over HTTP: geometries of topics and recordings, in documents and queries."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.waiting import until
+
+pytestmark = pytest.mark.slow
+
+PLACE = "?m geo:hasGeometry ?g . ?g a geo:Geometry, sf:Point ; geo:asWKT ?wkt"
+
+
+@pytest.fixture(scope="module")
+def rover(start_server: Callable[..., Any]) -> httpx.Client:
+    """Start a rover with a history of ten odometries at least."""
+    http: httpx.Client = start_server("rover:", "--history", "*").http
+    count = "SELECT (COUNT(*) AS ?n) WHERE { </topics/odom> ros:past ?m }"
+    until(lambda: int(ask(http, count)[0][0]) > 10, "some odometry")
+    return http
+
+
+def ask(http: httpx.Client, query: str) -> list[list[str]]:
+    """Return the rows of a SELECT."""
+    answer = http.post("/sparql", data={"query": query}, headers={"Accept": "text/csv"})
+    assert answer.status_code == 200, answer.text
+    return list(csv.reader(io.StringIO(answer.text)))[1:]
+
+
+def test_a_query_finds_the_places_of_topics_by_terms_of_geosparql_alone(rover: httpx.Client) -> None:
+    rows = ask(rover, f"SELECT ?m ?wkt {{ {PLACE} }}")
+    frames = f"{rover.base_url}frames#"
+    assert (f"{rover.base_url}topics/odom#message", f"<{frames}odom> POINT ZM(") in {
+        (message, wkt.partition("(")[0] + "(") for message, wkt in rows
+    }
+
+
+def test_the_past_and_recordings_have_the_same_places(rover: httpx.Client) -> None:
+    x = "<https://w3id.org/rosld/types/nav_msgs/msg/Odometry#pose>/<https://w3id.org/rosld/types/geometry_msgs/msg/PoseWithCovariance#pose>/<https://w3id.org/rosld/types/geometry_msgs/msg/Pose#position>/<https://w3id.org/rosld/types/geometry_msgs/msg/Point#x>"
+    rows = ask(rover, f"SELECT ?m ?wkt ?x {{ </topics/odom> ros:past ?m . {PLACE} . ?m {x} ?x }} LIMIT 5")
+    assert len(rows) == 5
+    for message, wkt, number in rows:
+        assert float(wkt.partition("(")[2].split()[0]) == float(number)
+        turtle = rover.get(message.partition("#")[0], headers={"Accept": "text/turtle"}).text
+        assert f'geo:asWKT "{wkt}"^^geo:wktLiteral' in turtle
+    assert ask(rover, "SELECT ?g { </topics/odom> ros:past ?m . ?m geo:hasGeometry ?g } LIMIT 1")
+
+
+def test_a_place_is_ignored_when_a_message_is_sent_back(rover: httpx.Client) -> None:
+    url = "/topics/odom"
+    body = rover.get(url, headers={"Accept": "text/turtle"}).text
+    assert "geo:hasGeometry" in body
+    answer = rover.put(f"{url}?dry-run=true", content=body, headers={"Content-Type": "text/turtle"})
+    assert "hasGeometry" not in answer.text

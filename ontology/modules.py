@@ -19,9 +19,11 @@ VERSION = "0.2.0"
 CORE = "core"
 OWN = (CORE, "types", "interaction", "recording", "server", "mapping", "aircraft")
 """Modules that define terms."""
+DATA = ("units",)
+"""Modules that state facts about types."""
 ALIGNMENTS = tuple(f"align-{name}" for name in ("sosa", "prov", "wot", "ldp", "dcat", "ease", "cora"))
 """Modules that relate these terms to other vocabularies."""
-MODULES = (*OWN, *ALIGNMENTS)
+MODULES = (*OWN, *DATA, *ALIGNMENTS)
 _NAMESPACES = (ros.iri, mapping.iri, av.iri)
 _DECLARED = (ros.iri, owl.iri, rdf.iri, rdfs.iri)
 """Namespaces of classes that the core, as served, may state as types of terms."""

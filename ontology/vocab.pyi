@@ -296,6 +296,7 @@ class _ros(Namespace):
     variant: NamedNode
     hasField: NamedNode
     hasConstant: NamedNode
+    unitUnknown: NamedNode
     fieldType: NamedNode
     position: NamedNode
     arrayLength: NamedNode

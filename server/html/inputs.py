@@ -20,7 +20,7 @@ from rosld.ontology.describe_types import definition_text
 from rosld.ontology.json_leaves import stated_default
 from rosld.ontology.literals import STRINGS, base64_text
 from rosld.ontology.neutral_message import HEADER
-from rosld.server.html.labels import unit_symbol
+from rosld.ontology.units import symbol_of
 from rosld.server.html.view import escape_controls
 from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape
 
@@ -310,7 +310,7 @@ def scalar_input(shape: ScalarShape | OpenShape, label: str, path: str, value: J
 
 def unit_text(measure: Measure) -> str:
     """Return the symbol of a unit; empty where there is none."""
-    return "" if measure.unit is None else escape_controls(unit_symbol(measure.unit.value))
+    return "" if measure.unit is None else escape_controls(symbol_of(measure.unit.value))
 
 
 def _plain_text(kind: Primitive, value: Json) -> str:

@@ -12,9 +12,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 from pyoxigraph import NamedNode
 
+from rosld.ontology.units import symbol_of
 from rosld.ontology.vocab import ros
 from rosld.server.html.forms import DeleteForm, Form, ValueForm, message_form
-from rosld.server.html.labels import NameGroup, capitalize, group_names, label, split_words, unit_symbol
+from rosld.server.html.labels import NameGroup, capitalize, group_names, label, split_words
 from rosld.server.html.page import Csrf, Offer
 from rosld.server.html.site import Anchor, Site, readable_path
 from rosld.server.html.values import brief_text, iri_view, plain_value, value_view
@@ -257,7 +258,7 @@ def _brief(value: Value, view: View) -> str:
 
 def _unit(affordance: PropertyAffordance, site: Site) -> Anchor | None:
     unit = None if isinstance(affordance.shape, MessageShape) else affordance.shape.measure.unit
-    symbol = escape_controls(unit_symbol(unit.value)) if unit is not None else ""
+    symbol = escape_controls(symbol_of(unit.value)) if unit is not None else ""
     if unit is None or not symbol:
         return None
     return Anchor(site.href(unit.value) or "", symbol, unit.value, external=True)

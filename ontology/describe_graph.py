@@ -11,6 +11,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Endpoint, Graph, Lifecycle, LifecycleState, Live, Master, Node, Stale, Topic, names
 from rosld.ontology import kinds
+from rosld.ontology.describe_body import body_links, body_sources
 from rosld.ontology.describe_topics import endpoints_of
 from rosld.ontology.describe_views import search_triples
 from rosld.ontology.document import Document
@@ -145,6 +146,7 @@ _GRAPH = NodeShape[Graph]("Graph", "a computation graph", ros.Graph, *CONTAINER_
 _ROBOT = NodeShape[str]("Robot", "the machine", sosa.Platform, cora.Robot).with_properties(
     one(rdfs.label, kinds.TEXT, lambda name: name),
     many(sosa.hosts, kinds.IRI, minimum=1),
+    optional(ros.hasBody, kinds.IRI),
 )
 _MASTER = NodeShape[Master]("Master", "a master", ros.Master).with_properties(
     optional(ros.uri, kinds.URI, lambda master: master.uri),
@@ -162,7 +164,9 @@ def entry_document(
     entry, title = NamedNode(space.base), text(f"The computation graph ({system})")
     master = NamedNode(f"{space.base}#master") if graph.master else None
     triples = _GRAPH.triples(entry, graph, space, (dcterms.title, title), (ros.hasMaster, master), *graph_state(graph))
-    triples += _ROBOT.triples(NamedNode(f"{space.base}#robot"), name, space, (sosa.hosts, entry))
+    robot = f"{space.base}#robot"
+    triples += _ROBOT.triples(NamedNode(robot), name, space, (sosa.hosts, entry))
+    triples += body_links(robot, ros.hasBody, body_sources(graph), space)
     if master and graph.master:
         triples += _MASTER.triples(master, graph.master, space)
     triples += _section_triples(graph, space)

@@ -13,6 +13,7 @@ from pyoxigraph import NamedNode, Triple
 from rosld.adapters.model import Endpoint, Graph, Qos, Topic, TypeRef, mismatch_count, mismatches
 from rosld.adapters.model.qos import Mismatch
 from rosld.ontology import kinds
+from rosld.ontology.describe_body import Source, body_links, sources_of_topic
 from rosld.ontology.describe_holds import holdable as holdable_at
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.names import is_namespace
@@ -49,7 +50,7 @@ def topic_document(
     nodes = [NamedNode(url + message.node) for message in named]
     several = len(nodes) > 1 or len(topic.publishers) > 1
     triples = [
-        *_description(topic, space, is_namespace(topic.name, graph.topics), holdable),
+        *_description(topic, space, is_namespace(topic.name, graph.topics), holdable, sources_of_topic(topic, graph)),
         *triples_about(
             subject,
             (ros.unreadable, text(unreadable or topic.unreadable)),
@@ -100,6 +101,7 @@ _TOPIC = NodeShape[Topic]("Topic", "a topic", ros.Topic, *SOURCE, is_listed=True
     optional(ros.latest, kinds.MESSAGE),
     many(ros.latestFrom, kinds.MESSAGE),
     optional(ros.heldBy, kinds.HOLD),
+    optional(ros.describesBody, kinds.IRI),
     many(td.hasActionAffordance, kinds.ACTION_AFFORDANCE),
 )
 _ENDPOINT = NodeShape[tuple[Endpoint, Topic]]("Endpoint", "a publisher or a subscriber", ros.Endpoint).with_properties(
@@ -131,7 +133,9 @@ _MISMATCH = NodeShape[Mismatch]("QosMismatch", "a mismatch of quality of service
 
 
 @lru_cache(maxsize=4096)
-def _description(topic: Topic, space: Space, is_namespace: bool, holdable: bool) -> tuple[Triple, ...]:
+def _description(
+    topic: Topic, space: Space, is_namespace: bool, holdable: bool, of_body: tuple[Source, ...]
+) -> tuple[Triple, ...]:
     """Return the part of the document that does not change with messages."""
     url = space.topic(topic.name)
     endpoints = dict(
@@ -153,6 +157,7 @@ def _description(topic: Topic, space: Space, is_namespace: bool, holdable: bool)
         (ros.qosMismatchCount, integer(mismatch_count(topic.publishers, topic.subscribers) if pairs else None)),
         (ros.namespace, NamedNode(url + "/") if is_namespace else None),
     )
+    triples += body_links(url, ros.describesBody, of_body, space)
     for described in endpoints.values():
         triples += described
     for node, pair in pairs.items():

@@ -17,7 +17,7 @@ from rosld.ontology.vocab import av, mapping, owl, rdf, rdfs, ros
 ROOT = "https://w3id.org/rosld"
 VERSION = "0.2.0"
 CORE = "core"
-OWN = (CORE, "types", "interaction", "recording", "server", "mapping", "aircraft")
+OWN = (CORE, "types", "interaction", "recording", "body", "server", "mapping", "aircraft")
 """Modules that define terms."""
 DATA = ("units",)
 """Modules that state facts about types."""

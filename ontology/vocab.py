@@ -126,7 +126,7 @@ wotsec = Namespace(
 # SOSA, 2023 edition.
 sosa = Namespace(
     "http://www.w3.org/ns/sosa/",
-    "Observation Platform hasResult hosts hasSimpleResult madeBySensor observedProperty resultTime",
+    "Observation Platform Sensor hasResult hosts hasSimpleResult isHostedBy madeBySensor observedProperty resultTime",
 )
 # TREE, for collections in pages.
 tree = Namespace(
@@ -138,7 +138,8 @@ ldes = Namespace("https://w3id.org/ldes#", "EventStream timestampPath versionOfP
 # Memento (RFC 7089).
 memento = Namespace("http://mementoweb.org/ns#", "Memento TimeMap memento mementoDatetime original timegate")
 # The Core Ontology for Robotics and Automation (IEEE 1872-2015).
-cora = Namespace("http://purl.org/ieee1872-owl/cora-bare#", "Robot")
+cora = Namespace("http://purl.org/ieee1872-owl/cora-bare#", "Robot robotPart")
+rparts = Namespace("http://purl.org/ieee1872-owl/rparts#", "robotSensingPart")
 # HTTP in RDF.
 htv = Namespace("http://www.w3.org/2011/http#", "Request Response methodName requestURI statusCodeValue")
 # PROV-O.
@@ -163,7 +164,7 @@ hydra = Namespace(
 geo = Namespace("http://www.opengis.net/ont/geosparql#", "Geometry hasGeometry asWKT wktLiteral")
 sf = Namespace("http://www.opengis.net/ont/sf#", "LineString Point Polygon")
 # QUDT, for units and kinds of quantity.
-qudt = Namespace("http://qudt.org/schema/qudt/", "hasUnit hasQuantityKind")
+qudt = Namespace("http://qudt.org/schema/qudt/", "QuantityValue hasUnit hasQuantityKind numericValue")
 # Solid Notifications.
 notify = Namespace(
     "http://www.w3.org/ns/solid/notifications#",

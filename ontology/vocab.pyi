@@ -57,6 +57,33 @@ class _ros(Namespace):
     requestShape: NamedNode
     responseShape: NamedNode
     bytes: NamedNode
+    Body: NamedNode
+    Link: NamedNode
+    Joint: NamedNode
+    MountedSensor: NamedNode
+    hasBody: NamedNode
+    describedBy: NamedNode
+    describesBody: NamedNode
+    hasLink: NamedNode
+    rootLink: NamedNode
+    hasJoint: NamedNode
+    hasMountedSensor: NamedNode
+    mountedOn: NamedNode
+    sensorType: NamedNode
+    frame: NamedNode
+    mass: NamedNode
+    jointType: NamedNode
+    parentLink: NamedNode
+    childLink: NamedNode
+    axis: NamedNode
+    originTranslation: NamedNode
+    originRotation: NamedNode
+    lowerLimit: NamedNode
+    upperLimit: NamedNode
+    velocityLimit: NamedNode
+    effortLimit: NamedNode
+    mimics: NamedNode
+    descriptionProblem: NamedNode
     ManagedNode: NamedNode
     hasMaster: NamedNode
     uri: NamedNode
@@ -282,6 +309,7 @@ class _ros(Namespace):
     gridHeight: NamedNode
     matchedBy: NamedNode
     at: NamedNode
+    indexOf: NamedNode
     length: NamedNode
     min: NamedNode
     max: NamedNode
@@ -636,9 +664,11 @@ wotsec: _wotsec
 class _sosa(Namespace):
     Observation: NamedNode
     Platform: NamedNode
+    Sensor: NamedNode
     hasResult: NamedNode
     hosts: NamedNode
     hasSimpleResult: NamedNode
+    isHostedBy: NamedNode
     madeBySensor: NamedNode
     observedProperty: NamedNode
     resultTime: NamedNode
@@ -679,8 +709,14 @@ memento: _memento
 
 class _cora(Namespace):
     Robot: NamedNode
+    robotPart: NamedNode
 
 cora: _cora
+
+class _rparts(Namespace):
+    robotSensingPart: NamedNode
+
+rparts: _rparts
 
 class _htv(Namespace):
     Request: NamedNode
@@ -759,8 +795,10 @@ class _sf(Namespace):
 sf: _sf
 
 class _qudt(Namespace):
+    QuantityValue: NamedNode
     hasUnit: NamedNode
     hasQuantityKind: NamedNode
+    numericValue: NamedNode
 
 qudt: _qudt
 

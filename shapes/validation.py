@@ -12,6 +12,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
 from rosld.ontology import (
     describe_activities,
     describe_bags,
+    describe_body,
     describe_graph,
     describe_holds,
     describe_services,
@@ -29,6 +30,7 @@ from rosld.shapes.terms import TripleView
 _MODULES = (
     describe_activities,
     describe_bags,
+    describe_body,
     describe_graph,
     describe_holds,
     describe_services,

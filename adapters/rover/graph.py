@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from importlib.resources import files
 from types import MappingProxyType
 from typing import NamedTuple, cast
 
@@ -47,6 +48,14 @@ DOCK = "/dock"
 _HERTZ = 20.0
 
 
+_URDF = (files("rosld.adapters.rover") / "rover.urdf").read_text("utf-8")
+
+
+def robot_description(view: View) -> Fields:
+    """Return a std_msgs/String: the links, joints and sensors of the rover in URDF."""
+    return {"data": _URDF}
+
+
 class Periodic(NamedTuple):
     """A topic that is published periodically: its type, a function for its message, and the rate in hertz."""
 
@@ -85,6 +94,7 @@ LATCHED: Mapping[str, Latched] = MappingProxyType(
         "/map": Latched("nav_msgs/msg/OccupancyGrid", occupancy_grid),
         "/tf_static": Latched("tf2_msgs/msg/TFMessage", fixed_transforms),
         LIGHTS: Latched("std_msgs/msg/Bool", lights),
+        "/robot_description": Latched("std_msgs/msg/String", robot_description),
     }
 )
 

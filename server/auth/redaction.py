@@ -67,6 +67,8 @@ class _Redaction:
     def triples(self) -> list[Triple]:
         before = self._document.triples
         parts = self._hidden_parts()
+        if NamedNode(self._own) in parts:
+            return []
         orders = self._orders_of_hidden()
         unreadable = self._values_read_from_hidden()
         after = [
@@ -117,11 +119,15 @@ class _Redaction:
                 yield "/" + "/".join(place.segments)
 
     def _hidden_parts(self) -> frozenset[_Term]:
-        """Return the fragments and blank nodes that are about something hidden, such as the steps of a stop."""
+        """Return the fragments and blank nodes that are about something hidden, such as the steps of a stop.
+
+        A body is hidden as a whole if one of its descriptions is.
+        """
         return frozenset(
             each.subject
             for each in self._document.triples
-            if each.predicate in _ABOUT and _is_part(each.subject, self._own) and self._is_hidden(each.object)
+            if (each.predicate == ros.describedBy or (each.predicate in _ABOUT and _is_part(each.subject, self._own)))
+            and self._is_hidden(each.object)
         )
 
     def _values_read_from_hidden(self) -> frozenset[_Term]:

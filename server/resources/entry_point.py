@@ -10,6 +10,7 @@ from pyoxigraph import NamedNode
 from starlette.responses import Response
 
 from rosld.adapters.model import Graph, Stale
+from rosld.ontology.describe_body import body_sources, body_url
 from rosld.ontology.describe_graph import SECTIONS, ServerProblems, entry_document, graph_state, problem_statements
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, text, triples_about
@@ -40,6 +41,7 @@ from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.runtime.watchdog import Pauses, Watchdog
 from rosld.server.space.drawing import can_place
 
+_BODY = "Links, joints and sensors, by the description of the robot."
 _COCKPIT = "What the robot is like and can do, on one page of panels."
 _DIAGNOSTICS = "What the parts of the robot report."
 _SPACE = "Scans, maps, paths and frames, seen from above."
@@ -98,6 +100,9 @@ class EntryResource(Resource):
             counts.append(EntryCount("Diagnostics", None, f"{space.base}diagnostics", _DIAGNOSTICS))
         if any(can_place(ref.name) for topic in graph.topics.values() for ref in topic.types):
             counts.append(EntryCount("Space", None, f"{space.base}space", _SPACE))
+        sources = body_sources(graph)
+        if sources and all(site.may("GET", each.url(space)) for each in sources):
+            counts.append(EntryCount("Body", None, body_url(space), _BODY))
         counts.append(EntryCount("Graph", None, f"{space.base}graph", "Who talks to whom, drawn."))
         routes = ("types", "mappings", "data", "calls", *goals, "holds", "queries")
         counts += [

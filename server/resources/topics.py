@@ -16,6 +16,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Graph, Kind, MessageSchema, Operation, RosError, Sample, Topic
 from rosld.ontology.body import parse_json
+from rosld.ontology.describe_body import sources_of_topic
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
@@ -240,6 +241,7 @@ class TopicResource(PublishingResource):
         version = (
             *(IdentityKey(topic), IdentityKey(view), graph.simulated_time, hold and hold.id, self.is_holdable),
             is_recorded(self.history, self.name),
+            sources_of_topic(topic, graph),
         )
         known = self.states.find(self.url, version)
         if known is None:
@@ -264,7 +266,8 @@ class TopicResource(PublishingResource):
             return lifter(newest.schema, self.session.lifting).json(newest.message, self.url)
 
         hold, can = self.holds.find_by_topic(self.name), self.is_holdable
-        key = f"{topic!r}{view.version_key()}{hold and hold.id}{can}{[one.reason for one in decoded]}"
+        of_body = sources_of_topic(topic, self.session.graph)
+        key = f"{topic!r}{view.version_key()}{hold and hold.id}{can}{[one.reason for one in decoded]}{of_body or ''}"
         token = digest(key.encode("utf-8", "replace"))
         recorded = bool(self.session.adapter.recordings)  # recorded times would give a wrong Age (RFC 9111 5.1)
         received = view.newest.received_ns if view.newest and not recorded else None

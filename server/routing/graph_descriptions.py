@@ -9,6 +9,7 @@ from itertools import chain, product
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import Graph, MessageSchema, Parameter, Schema, TypeRef, halves_of
+from rosld.ontology.describe_body import sources_of_topic
 from rosld.ontology.describe_graph import (
     container_document,
     entry_document,
@@ -107,7 +108,7 @@ class GraphDescriptions:
             can = self._factory.topic(topic.name).is_holdable
             yield _graph_entry(
                 space.topic(topic.name),
-                (topic, hold and hold.id, can),
+                (topic, hold and hold.id, can, sources_of_topic(topic, graph)),
                 partial(topic_document, topic, space, graph, holdable=can, hold=hold.id if hold else None),
             )
         for service in graph.services.values():

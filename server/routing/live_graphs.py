@@ -16,7 +16,7 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from rosld.adapters.model import Array, Graph, MessageSchema, Nested, ParameterValue, RosError, Topic
-from rosld.ontology import geometry
+from rosld.ontology import describe_body, geometry
 from rosld.ontology.document import Document
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import rdf, ros
@@ -65,6 +65,7 @@ _READ_AT_ONCE = (TopicResource, NamespaceContainer)
 _RATE = StatedTerms(frozenset({ros.rate.value}), frozenset())
 _BRIEF = StatedTerms(frozenset({ros.briefValue.value, ros.rate.value}), frozenset())
 _PARAMETER = StatedTerms(frozenset({ros.value.value}), frozenset())
+_BODY = StatedTerms(describe_body.PREDICATES, describe_body.CLASSES)
 _ANYTHING = StatedTerms()
 
 
@@ -152,7 +153,7 @@ class RobotGraphs:
     def _documents(self, graph: Graph, tree: ResourceTree | None, needs: Needs) -> Iterator[LiveDocument]:
         yield from self._topics(graph, needs)
         by_term = replace(needs, patterns=frozenset(one for one in needs.patterns if one.predicates is not None))
-        others = chain(self._parameters(graph), self._listings(graph), () if tree is None else self._resources(tree))
+        others = chain(self._parameters(graph), self._listings(graph), self._bodies(graph), self._below(tree))
         for url, terms, make, by_name in others:
             if needs.may_match(url, terms):
                 is_named = url in needs.documents
@@ -194,9 +195,15 @@ class RobotGraphs:
             url = self._session.space.container("topics", path)
             yield _Candidate(url, _BRIEF, partial(self._factory.namespace, "topics", path))
 
-    def _resources(self, tree: ResourceTree) -> Iterator[_Candidate]:
+    def _bodies(self, graph: Graph) -> Iterator[_Candidate]:
+        if describe_body.body_sources(graph):
+            yield _Candidate(describe_body.body_url(self._session.space), _BODY, self._factory.body)
+
+    def _below(self, tree: ResourceTree | None) -> Iterator[_Candidate]:
         """Yield the resources below `/resources/`, except actions that are always offered."""
         space, factory = self._session.space, self._factory
+        if tree is None:
+            return
         for path in tree.paths:
             plan = tree.complex(path)
             if plan is not None and plan.is_conditional:

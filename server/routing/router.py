@@ -18,6 +18,7 @@ from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.bag_routes import bag_route
 from rosld.server.resources.bags import Bags
+from rosld.server.resources.body import BodyResource
 from rosld.server.resources.cockpit_panels import CockpitSources, QueryTables
 from rosld.server.resources.cockpits import cockpit_route
 from rosld.server.resources.complex_resource import ComplexResource
@@ -101,6 +102,9 @@ class ResourceFactory:
 
     def namespace(self, kind: str, path: tuple[str, ...]) -> NamespaceContainer:
         return NamespaceContainer(self.session, self.states, self.latest_values, kind, path)
+
+    def body(self) -> BodyResource:
+        return BodyResource(self.session, self.states)
 
     def graph(self) -> GraphResource:
         return GraphResource(self.session, self.services.instance_id)
@@ -274,6 +278,7 @@ class Router:
             ".well-known": partial(_thing_route, factory),
             "stop": single_route(factory.stop),
             "graph": single_route(factory.graph),
+            "body": single_route(factory.body),
             "diagnostics": single_route(lambda: DiagnosticsResource(session, history, level_times)),
             "llms.txt": single_route(lambda: GuideResource(space, session.name, read_only=settings.read_only)),
             "ontology": partial(ontology_route, space, states),

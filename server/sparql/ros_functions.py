@@ -73,6 +73,16 @@ def element_at(array: Term, index: Term) -> Term:
     return _term(elements[position], numeric=_is_numeric(elements))
 
 
+def index_of(array: Term, value: Term) -> Term:
+    """`ros:indexOf(?array, ?value)`: the index from 0 of the first element that is this term."""
+    elements = _array(array)
+    numeric = _is_numeric(elements)
+    for index, element in enumerate(elements):
+        if _term(element, numeric=numeric) == value:
+            return Literal(index)
+    raise _NoAnswer
+
+
 def length(array: Term) -> Term:
     """`ros:length(?array)`: the number of elements."""
     return Literal(len(_array(array)))
@@ -183,6 +193,7 @@ _LASTING: Mapping[str, Function] = {
     iri.value: _guard(function)
     for iri, function in (
         (ros.at, element_at),
+        (ros.indexOf, index_of),
         (ros.length, length),
         (ros.min, minimum),
         (ros.max, maximum),

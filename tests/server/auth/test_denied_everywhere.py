@@ -120,6 +120,7 @@ SAMPLES: Mapping[str, tuple[str, ...]] = {
     "space": ("/space", "/space?show=topics/zq7x9_scan", "/space?view=3d", "/space?frame=zq7x9_frame"),
     "status": ("/status",),
     "frames": ("/frames",),
+    "body": ("/body",),
     "acl": ("/acl",),
 }  # fmt: skip
 """Start of the crawl in each route: a new route has to be added here."""
@@ -191,6 +192,9 @@ class Secretive(MadeUp):
         self.topic("/zq7x9_speed", "std_msgs/msg/Float64", {"data": NUMBER}, heard=True)
         self.topic("/zq7x9_words", "std_msgs/msg/String", {"data": "zq7x9said"}, heard=True, published=False)
         self.topic("/open_words", "std_msgs/msg/String", heard=True, published=False)
+        urdf = {"data": '<robot name="zq7x9_robot"><link name="zq7x9_link"/></robot>'}
+        self.topic("/zq7x9/robot_description", "std_msgs/msg/String", urdf)
+        self.topic("/joints", "sensor_msgs/msg/JointState", {"name": ["open"], "position": [1.0]})
         self.topic("/battery", "sensor_msgs/msg/BatteryState", {"voltage": 12.0})
         self.topic("/zq7x9_battery", "sensor_msgs/msg/BatteryState", {"voltage": NUMBER})
         scan = {"angle_max": 1.0, "angle_increment": 0.5, "range_max": 9000.0, "ranges": [1.0, NUMBER, 2.0]}

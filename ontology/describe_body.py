@@ -1,0 +1,256 @@
+"""Documents of bodies: the links, joints and sensors that robot descriptions (URDF) state."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from pyoxigraph import Literal, NamedNode, Triple
+
+from rosld.adapters.model import Graph, Topic, names
+from rosld.ontology import kinds
+from rosld.ontology.document import Document
+from rosld.ontology.geometry import frame_iri
+from rosld.ontology.kinds import Kind
+from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
+from rosld.ontology.triples import Statement, double, statements, text, triples_about
+from rosld.ontology.urdf import JOINT_TYPES, Joint, Link, MountedSensor, UnreadableUrdf, Urdf, Vector, read_urdf
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import PREFIXES, cora, dcterms, qudt, rdf, rdfs, ros, rparts, sosa
+
+NAME = "robot_description"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+_STRING = "std_msgs/msg/String"
+_PUBLISHER = "robot_state_publisher"
+_MAX_SOURCES = 32
+
+
+class Source(NamedTuple):
+    """A topic or a parameter (`route`) with a robot description; `namespace` is that of the robot's names."""
+
+    route: str
+    name: str
+    namespace: str
+
+    def url(self, space: Space) -> str:
+        return space.topic(self.name) if self.route == "topics" else space.parameter(self.name)
+
+
+def body_url(space: Space) -> str:
+    """Return the URL of the body."""
+    return f"{space.base}body"
+
+
+def body_sources(graph: Graph) -> tuple[Source, ...]:
+    """Return the source of each robot's description: a published topic, or else a parameter.
+
+    In ROS 2 several nodes may have the parameter; that of `robot_state_publisher` comes first.
+    """
+    found: dict[str, Source] = {}
+    for topic in graph.topics.values():
+        is_sent = bool(topic.publishers) or not topic.subscribers
+        if is_sent and topic.name.endswith(f"/{NAME}") and topic.type is not None and topic.type.name == _STRING:
+            namespace = _parent(topic.name)
+            found[namespace] = Source("topics", topic.name, namespace)
+    parameters = [each for each in graph.parameters.values() if each.name.endswith(f"/{NAME}")]
+    for parameter in sorted(parameters, key=lambda each: (_PUBLISHER not in each.name, each.name)):
+        holder = _parent(parameter.name)
+        namespace = _parent(holder) if parameter.node == holder else holder
+        found.setdefault(namespace, Source("parameters", parameter.name, namespace))
+    return tuple(found[each] for each in sorted(found)[:_MAX_SOURCES])
+
+
+def _parent(name: str) -> str:
+    """Return the namespace of a name without its last slash: that of `/a/b` is `/a`, that of `/a` is empty."""
+    return name.rpartition("/")[0]
+
+
+def sources_of_topic(topic: Topic, graph: Graph) -> tuple[Source, ...]:
+    """Return the sources of the body if the messages of a topic describe it: its description, or states of joints."""
+    is_of_joints = topic.type is not None and topic.type.name == JOINT_STATE
+    sources = body_sources(graph) if is_of_joints or topic.name.endswith(f"/{NAME}") else ()
+    return sources if is_of_joints or any(each[:2] == ("topics", topic.name) for each in sources) else ()
+
+
+def body_links(subject: str, relation: NamedNode, sources: Sequence[Source], space: Space) -> list[Triple]:
+    """Return a link to the body if it has sources; these are stated too, as they decide who may see the link."""
+    body = NamedNode(body_url(space))
+    if not sources:
+        return []
+    return [Triple(NamedNode(subject), relation, body), *triples_about(body, *_described_by(sources, space))]
+
+
+def _described_by(sources: Sequence[Source], space: Space) -> list[Statement]:
+    return statements(ros.describedBy, (NamedNode(each.url(space)) for each in sources))
+
+
+_QUANTITY = kinds.IRI.where("sh:class qudt:QuantityValue")
+_VECTOR: Kind[Vector] = Kind(
+    lambda vector: Literal(json.dumps(vector, separators=(",", ":")), datatype=rdf.JSON), "sh:datatype rdf:JSON"
+)
+
+_BODY = NodeShape[Sequence[Source]]("Body", "a body", ros.Body, *SOURCE).with_properties(
+    one(dcterms.title, kinds.TEXT),
+    many(ros.describedBy, kinds.IRI, minimum=1),
+    many(ros.rootLink, kinds.node("Link")),
+    many(ros.hasLink, kinds.node("Link")),
+    many(ros.hasJoint, kinds.node("Joint")),
+    many(ros.hasMountedSensor, kinds.node("MountedSensor")),
+    optional(ros.unreadable, kinds.TEXT),
+    many(ros.descriptionProblem, kinds.TEXT),
+)
+_LINK = NodeShape[Link]("Link", "a link", ros.Link).with_properties(
+    one(ros.name, kinds.TEXT, lambda link: link.name),
+    one(rdfs.label, kinds.TEXT, lambda link: link.name),
+    one(ros.frame, kinds.IRI.where('sh:pattern "/frames#"')),
+    one(cora.robotPart, kinds.IRI),
+    optional(ros.mass, _QUANTITY),
+)
+_JOINT = NodeShape[Joint]("Joint", "a joint", ros.Joint).with_properties(
+    one(ros.name, kinds.TEXT, lambda joint: joint.name),
+    one(rdfs.label, kinds.TEXT, lambda joint: joint.name),
+    one(
+        ros.jointType,
+        kinds.TEXT.where(f"sh:in ( {' '.join(json.dumps(each) for each in JOINT_TYPES)} )"),
+        lambda joint: joint.type,
+    ),
+    one(ros.parentLink, kinds.node("Link")),
+    one(ros.childLink, kinds.node("Link")),
+    one(ros.originTranslation, _VECTOR, lambda joint: joint.xyz),
+    one(ros.originRotation, _VECTOR, lambda joint: joint.rpy),
+    optional(ros.axis, _VECTOR, lambda joint: joint.axis),
+    optional(ros.lowerLimit, _QUANTITY),
+    optional(ros.upperLimit, _QUANTITY),
+    optional(ros.velocityLimit, _QUANTITY),
+    optional(ros.effortLimit, _QUANTITY),
+    optional(ros.mimics, kinds.IRI.where("sh:class ros:Joint")),
+)
+_SENSOR = NodeShape[MountedSensor](
+    "MountedSensor", "a sensor on a link", ros.MountedSensor, sosa.Sensor
+).with_properties(
+    one(ros.name, kinds.TEXT, lambda sensor: sensor.name),
+    one(rdfs.label, kinds.TEXT, lambda sensor: sensor.name),
+    optional(ros.sensorType, kinds.TEXT, lambda sensor: sensor.type),
+    one(ros.mountedOn, kinds.node("Link")),
+    one(sosa.isHostedBy, kinds.IRI),
+    one(rparts.robotSensingPart, kinds.IRI),
+)
+_SHAPES: tuple[NodeShape[object], ...] = (_BODY, _LINK, _JOINT, _SENSOR)  # type: ignore[assignment]
+PREDICATES = frozenset(
+    term.value
+    for term in (
+        *(rdf.type, ros.hasBody, qudt.numericValue, qudt.hasUnit),
+        *(each.predicate for shape in _SHAPES for each in shape.properties),
+    )
+)
+CLASSES = frozenset(
+    term.value for term in (ros.Body, ros.Link, ros.Joint, ros.MountedSensor, sosa.Sensor, qudt.QuantityValue)
+)
+_ANGULAR: Mapping[str, str] = {"position": "RAD", "velocity": "RAD-PER-SEC", "effort": "N-M"}
+_LINEAR: Mapping[str, str] = {"position": "M", "velocity": "M-PER-SEC", "effort": "N"}
+_UNITS: Mapping[str, Mapping[str, str]] = {"revolute": _ANGULAR, "continuous": _ANGULAR, "prismatic": _LINEAR}
+"""Units of QUDT of the quantities of joints, by joint type; those of other types have none."""
+
+
+def body_document(url: str, texts: Sequence[tuple[Source, str, str]], space: Space) -> Document:
+    """Return the body that robot descriptions state; each has its source, its text, and why there is no text."""
+    bodies, problems, titles = [], [], []
+    unreadable: list[str] = []
+    for source, xml, reason in texts:
+        try:
+            if reason:
+                raise UnreadableUrdf(reason)
+            robot = read_urdf(xml)
+        except UnreadableUrdf as error:
+            unreadable.append(f"{source.name}: {error}.")
+            continue
+        titles.append(robot.name)
+        problems += [f"{source.name}: {each}" for each in robot.problems]
+        bodies.append(_Body(url, source.namespace, robot, space))
+    subject = NamedNode(url)
+    triples = [
+        Triple(NamedNode(f"{space.base}#robot"), ros.hasBody, subject),
+        *_BODY.triples(
+            subject,
+            [source for source, _, _ in texts],
+            space,
+            (dcterms.title, text(", ".join(titles) or "Body")),
+            *_described_by([source for source, _, _ in texts], space),
+            (ros.unreadable, text(" ".join(unreadable)) if unreadable else None),
+            *statements(ros.descriptionProblem, filter(None, map(text, problems))),
+        ),
+    ]
+    for body in bodies:
+        triples += body.triples(subject)
+    return Document(url, tuple(triples))
+
+
+class _Body:
+    """The triples of one robot description; a namespace begins the fragments of all its parts."""
+
+    def __init__(self, url: str, namespace: str, robot: Urdf, space: Space) -> None:
+        self._url, self._robot, self._space = url, robot, space
+        self._namespace = names.segments(namespace) if namespace else ()
+        self._platform = NamedNode(f"{space.base}#robot")
+
+    def _node(self, kind: str, name: str, *more: str) -> NamedNode:
+        return NamedNode(self._space.fragment(self._url, *self._namespace, kind, name, *more))
+
+    def triples(self, body: NamedNode) -> Iterator[Triple]:
+        """Yield everything below the body."""
+        robot = self._robot
+        links = {name: self._node("link", name) for name in robot.links}
+        joints = {name: self._node("joint", name) for name in robot.joints}
+        sensors = {name: self._node("sensor", name) for name in robot.sensors}
+        yield from triples_about(
+            body,
+            *statements(ros.rootLink, (links[each] for each in robot.roots)),
+            *statements(ros.hasLink, links.values()),
+            *statements(ros.hasJoint, joints.values()),
+            *statements(ros.hasMountedSensor, sensors.values()),
+        )
+        for name, link in robot.links.items():
+            frame = NamedNode(frame_iri(f"{self._space.base}frames", name))
+            statement, described = self._quantity(ros.mass, "KiloGM", link.mass, "link", name, "mass")
+            part = (cora.robotPart, self._platform)
+            yield from _LINK.triples(links[name], link, self._space, (ros.frame, frame), part, statement)
+            yield from described
+        for name, joint in robot.joints.items():
+            units = _UNITS.get(joint.type, {})
+            limits = [
+                self._quantity(term, units.get(of), value, "joint", name, part)
+                for term, of, value, part in (
+                    (ros.lowerLimit, "position", joint.lower, "lower"),
+                    (ros.upperLimit, "position", joint.upper, "upper"),
+                    (ros.velocityLimit, "velocity", joint.velocity, "velocity"),
+                    (ros.effortLimit, "effort", joint.effort, "effort"),
+                )
+            ]
+            yield from _JOINT.triples(
+                joints[name],
+                joint,
+                self._space,
+                (ros.parentLink, links[joint.parent]),
+                (ros.childLink, links[joint.child]),
+                (ros.mimics, joints.get(joint.mimics or "")),
+                *(statement for statement, _ in limits),
+            )
+            for _, described in limits:
+                yield from described
+        for name, sensor in robot.sensors.items():
+            on = (ros.mountedOn, links[sensor.link])
+            hosts = ((sosa.isHostedBy, self._platform), (rparts.robotSensingPart, self._platform))
+            yield from _SENSOR.triples(sensors[name], sensor, self._space, on, *hosts)
+
+    def _quantity(
+        self, term: NamedNode, unit: str | None, value: float | None, *part: str
+    ) -> tuple[Statement, list[Triple]]:
+        """Return a statement of a quantity and its description."""
+        if value is None:
+            return (term, None), []
+        node = self._node(*part)
+        url = None if unit is None else NamedNode(PREFIXES["unit"] + unit)
+        return (term, node), triples_about(
+            node, (rdf.type, qudt.QuantityValue), (qudt.numericValue, double(value)), (qudt.hasUnit, url)
+        )

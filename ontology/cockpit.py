@@ -11,14 +11,14 @@ from msgspec import Struct
 from msgspec.structs import replace
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from rosld.ontology.triples import integer, statements, text, triples_about
-from rosld.ontology.vocab import dcterms, rdf, ros
+from rosld.ontology.triples import integer, labelled, statements, text, triples_about
+from rosld.ontology.vocab import dcterms, rdf, rdfs, ros
 
 COLUMNS = 12
 """Number of columns of the grid."""
 _LAST = 1 << 16
 _DIGITS = re.compile(r"([0-9]{1,9})")
-_OWN = frozenset({ros.hasPanel, dcterms.title})
+_OWN = frozenset({ros.hasPanel, dcterms.title, rdfs.label})
 
 
 class PanelKind(Enum):
@@ -135,7 +135,7 @@ def cockpit_triples(url: str, cockpit: Cockpit) -> list[Triple]:
     triples = triples_about(
         NamedNode(url),
         (rdf.type, ros.Cockpit),
-        (dcterms.title, text(cockpit.title or None)),
+        *labelled(dcterms.title, cockpit.title or None),
         *statements(ros.hasPanel, nodes),
     )
     for node, panel in zip(nodes, cockpit.panels, strict=True):

@@ -9,6 +9,7 @@ from pyoxigraph import NamedNode, Triple
 from rosld.ontology import kinds
 from rosld.ontology.document import Document
 from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
+from rosld.ontology.triples import text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, htv, prov, rdfs, ros
 
@@ -56,6 +57,7 @@ class Receipt(NamedTuple):
 
 
 _WRITE = NodeShape[Receipt]("Write", "the receipt of a write", ros.Write, prov.Activity, *SOURCE).with_properties(
+    one(rdfs.label, kinds.TEXT),
     one(prov.startedAtTime, kinds.DATE_TIME, lambda receipt: receipt.started_ns),
     one(prov.endedAtTime, kinds.DATE_TIME, lambda receipt: receipt.ended_ns),
     one(ros.duration, kinds.AMOUNT, lambda receipt: receipt.seconds),
@@ -110,7 +112,9 @@ def activity_document(receipt: Receipt, space: Space) -> Document:
     made = NamedNode(receipt.made) if receipt.made else None
     is_activity = _is_activity(receipt.made, space)
     generated = None if is_activity else made
-    triples = _WRITE.triples(activity, receipt, space, (prov.wasAssociatedWith, agent), (prov.generated, generated))
+    label = (rdfs.label, text(f"{receipt.method} {receipt.url.removeprefix(space.base[:-1])}"))
+    more = (prov.wasAssociatedWith, agent), (prov.generated, generated)
+    triples = _WRITE.triples(activity, receipt, space, label, *more)
     if made and is_activity:
         triples.append(Triple(made, prov.wasInformedBy, activity))
     triples += _AGENT.triples(agent, receipt, space)

@@ -14,8 +14,18 @@ from rosld.adapters.model import Sample, TypeRef
 from rosld.ontology import kinds
 from rosld.ontology.describe_topics import MESSAGE, type_url
 from rosld.ontology.document import Document, LiftedMessage
+from rosld.ontology.literals import date_time
 from rosld.ontology.node_shape import CONTAINER_TYPES, SOURCE, NodeShape, many, one, optional
-from rosld.ontology.triples import CONTAINER, Statement, date_time_literal, integer, statements, text, triples_about
+from rosld.ontology.triples import (
+    CONTAINER,
+    Statement,
+    date_time_literal,
+    integer,
+    labelled,
+    statements,
+    text,
+    triples_about,
+)
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, ldes, ldp, rdf, rdfs, ros, sosa, spdx, tree, xhv, xsd
 
@@ -168,7 +178,7 @@ def bag_document(view: BagView, space: Space) -> Document:
     if checksum and view.sha256:
         triples += _CHECKSUM.triples(checksum, view.sha256, space)
     if view.order is None:
-        triples.append(Triple(NamedNode(messages), rdfs.label, Literal("Messages")))
+        triples.append(Triple(NamedNode(messages), rdfs.label, Literal(f"Messages of {bag.name}")))
     for node, track in tracks.items():
         lost = integer(view.dropped.get(track.name) or None)
         triples += _TRACK.triples(node, track, space, (ros.dropped, lost))
@@ -203,6 +213,7 @@ def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size:
         triples += triples_about(
             subject,
             (rdf.type, ldp.Page),
+            (rdfs.label, text(f"Page {page} of the messages of {bag.name}")),
             (ldp.pageSequence, container),
             (xhv.prev, NamedNode(f"{container.value}?page={page - 1}") if page > begin else None),
             (xhv.next, NamedNode(f"{container.value}?page={page + 1}") if page < last else None),
@@ -227,13 +238,14 @@ def _container(bag: Bag, space: Space) -> list[Triple]:
     return triples_about(
         NamedNode(space.bag_messages(bag.name)),
         *CONTAINER,
-        (dcterms.title, text(f"Messages of {bag.name}")),
+        *labelled(dcterms.title, f"Messages of {bag.name}"),
         (ros.recordedIn, NamedNode(space.bag(bag.name))),
         (ros.count, integer(bag.count)),
     )
 
 
 _MOMENT = NodeShape[tuple[Bag, int]]("Moment", "a moment of a recording", ros.Moment, *SOURCE).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda of: f"{of[0].name} at {date_time(0, of[1])}"),
     one(ros.momentOf, kinds.BAG, lambda of: of[0].name),
     one(ros.momentTime, kinds.DATE_TIME, lambda of: of[1]),
     many(ros.newestRecord, kinds.IRI.where("sh:class ros:Record")),
@@ -250,6 +262,7 @@ def bag_moment_document(bag: Bag, space: Space, url: str, at_ns: int, messages: 
 
 
 _RECORD = NodeShape[tuple[Bag, BagMessage]]("Record", "the record of a message", ros.Record, *SOURCE).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda of: f"Message {of[1].index} of {of[0].name}"),
     one(ros.recordedIn, kinds.BAG, lambda of: of[0].name),
     one(ros.index, kinds.COUNT, lambda of: of[1].index),
     one(ros.onTopic, kinds.TOPIC, lambda of: of[1].topic),
@@ -306,7 +319,8 @@ _STREAM = NodeShape[StreamProfile]("EventStream", "an event stream", ldes.EventS
     many(tree.member, kinds.IRI.where('sh:pattern "/messages/[0-9]+$"')),
 )
 _PAGE = NodeShape[Sequence[BlankNode]]("StreamPage", "a page of an event stream", tree.Node).with_properties(
-    many(tree.relation, kinds.node("StreamRelation"), lambda relations: relations)
+    one(rdfs.label, kinds.TEXT, lambda relations: "Page of the event stream"),
+    many(tree.relation, kinds.node("StreamRelation"), lambda relations: relations),
 )
 _RELATIONS = "tree:Relation tree:GreaterThanOrEqualToRelation tree:LessThanOrEqualToRelation"
 _RELATION = NodeShape[tuple[StreamLink, StreamProfile, NamedNode, int | None]](

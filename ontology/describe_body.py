@@ -14,7 +14,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.geometry import frame_iri
 from rosld.ontology.kinds import Kind
 from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
-from rosld.ontology.triples import Statement, double, statements, text, triples_about
+from rosld.ontology.triples import Statement, double, labelled, statements, text, triples_about
 from rosld.ontology.urdf import JOINT_TYPES, Joint, Link, MountedSensor, UnreadableUrdf, Urdf, Vector, read_urdf
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import PREFIXES, cora, dcterms, qudt, rdf, rdfs, ros, rparts, sosa
@@ -175,7 +175,7 @@ def body_document(url: str, texts: Sequence[tuple[Source, str, str]], space: Spa
             subject,
             [source for source, _, _ in texts],
             space,
-            (dcterms.title, text(", ".join(titles) or "Body")),
+            *labelled(dcterms.title, ", ".join(titles) or "Body"),
             *_described_by([source for source, _, _ in texts], space),
             (ros.unreadable, text(" ".join(unreadable)) if unreadable else None),
             *statements(ros.descriptionProblem, filter(None, map(text, problems))),

@@ -25,6 +25,7 @@ from rosld.ontology.triples import (
     date_time_literal,
     forms,
     integer,
+    labelled,
     statements,
     text,
     triples_about,
@@ -161,9 +162,9 @@ def entry_document(
 
     `system` names the kind of ROS system (`ROS 1`, `recording`, ...), `name` the robot.
     """
-    entry, title = NamedNode(space.base), text(f"The computation graph ({system})")
+    entry, title = NamedNode(space.base), labelled(dcterms.title, f"The computation graph ({system})")
     master = NamedNode(f"{space.base}#master") if graph.master else None
-    triples = _GRAPH.triples(entry, graph, space, (dcterms.title, title), (ros.hasMaster, master), *graph_state(graph))
+    triples = _GRAPH.triples(entry, graph, space, *title, (ros.hasMaster, master), *graph_state(graph))
     robot = f"{space.base}#robot"
     triples += _ROBOT.triples(NamedNode(robot), name, space, (sosa.hosts, entry))
     triples += body_links(robot, ros.hasBody, body_sources(graph), space)
@@ -349,11 +350,17 @@ def container_document(url: str, members: Iterable[str], title: str) -> Document
             triples_about(
                 NamedNode(url),
                 *CONTAINER,
-                (dcterms.title, text(title)),
+                *labelled(dcterms.title, title),
                 *statements(ldp.contains, found),
             )
         ),
     )
+
+
+def namespace_title(route: str, namespace: tuple[str, ...]) -> str:
+    """Return the title of a namespace of names of one kind."""
+    title = SECTIONS.get(route, route.capitalize())
+    return f"{title} in {names.join(namespace)}" if namespace else title
 
 
 def namespace_document(
@@ -372,13 +379,12 @@ def namespace_document(
     each statement once.
     """
     url = space.container(route, namespace)
-    title = SECTIONS.get(route, route.capitalize())
     leaves = {leaf: NamedNode(space.url(route, (*namespace, leaf))) for leaf in members.leaves}
     below = {inner: NamedNode(space.container(route, (*namespace, inner))) for inner in members.namespaces}
     triples = triples_about(
         NamedNode(url),
         *CONTAINER,
-        (dcterms.title, text(f"{title} in {names.join(namespace)}" if namespace else title)),
+        *labelled(dcterms.title, namespace_title(route, namespace)),
         (ros.name, text(names.join(namespace)) if namespace else None),
         *statements(ldp.contains, leaves.values()),
         *statements(ldp.contains, below.values()),
@@ -391,19 +397,20 @@ def namespace_document(
 def type_container_document(route: str, namespace: tuple[str, ...], below: Sequence[str], space: Space) -> Document:
     """Return a container of types or shapes: `below` are the type names (`pkg/msg/X`) in this namespace."""
     depth = len(namespace)
-    members: dict[str, None] = {}
+    members: dict[str, str] = {}
     for name in below:
         path = tuple(name.split("/"))
-        leaf = len(path) == depth + 1
-        members[space.url(route, path) if leaf else space.container(route, path[: depth + 1])] = None
-    title = SECTIONS[route] + (f" of {'/'.join(namespace)}" if namespace else "")
-    document = container_document(space.container(route, namespace), members, title)
-    labels = [_label(space.url(route, tuple(name.split("/"))), name) for name in below if name.count("/") == depth]
+        if len(path) == depth + 1:
+            members[space.url(route, path)] = name
+        else:
+            members[space.container(route, path[: depth + 1])] = _types_title(route, path[: depth + 1])
+    document = container_document(space.container(route, namespace), members, _types_title(route, namespace))
+    labels = [Triple(NamedNode(url), rdfs.label, Literal(label)) for url, label in members.items()]
     return Document(document.url, (*document.triples, *labels))
 
 
-def _label(url: str, name: str) -> Triple:
-    return Triple(NamedNode(url), rdfs.label, Literal(name))
+def _types_title(route: str, namespace: Sequence[str]) -> str:
+    return SECTIONS[route] + (f" of {'/'.join(namespace)}" if namespace else "")
 
 
 def edges_document(
@@ -413,7 +420,7 @@ def edges_document(
 
     `problems` maps URLs to descriptions of problems with their resources.
     """
-    triples = triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Who talks to whom")))
+    triples = triples_about(NamedNode(url), *RDF_SOURCE, *labelled(dcterms.title, "Who talks to whom"))
     for name, view in views.items():
         if space.node(name) in shown:
             for predicate, urls in _uses(view, space).items():

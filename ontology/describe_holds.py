@@ -78,6 +78,7 @@ class HoldView(HoldOutline, frozen=True, eq=False):
 
 
 HOLD_OUTLINE = NodeShape[HoldOutline]("Hold", "a hold of a topic", ros.Hold).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda hold: f"Hold of {hold.topic}"),
     one(ros.holds, kinds.TOPIC, lambda hold: hold.topic),
     one(ros.holder, kinds.TEXT, lambda hold: hold.holder),
     one(ros.publishRate, kinds.POSITIVE, lambda hold: hold.rate),
@@ -185,6 +186,7 @@ class StopView(Struct, frozen=True):
 
 
 _STOP = NodeShape[StopView]("Stop", "the stop of the robot", ros.Stop, *SOURCE).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda stop: "Stop of the robot"),
     one(ros.stopped, kinds.BOOLEAN, lambda stop: stop.by is not None),
     optional(ros.stoppedBy, kinds.TEXT, lambda stop: stop.by),
     optional(ros.stoppedAt, kinds.DATE_TIME, lambda stop: stop.since_ns),

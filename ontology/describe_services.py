@@ -16,7 +16,7 @@ from rosld.ontology.names import is_namespace
 from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
 from rosld.ontology.triples import BODIES, SSE, STREAM, affordance, forms, statements
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import prov, ros, td
+from rosld.ontology.vocab import prov, rdfs, ros, td
 
 _SETTINGS = LiftSettings()
 
@@ -68,6 +68,7 @@ class CallView(CallOutline, frozen=True, eq=False):
 
 
 CALL_OUTLINE = NodeShape[CallOutline]("Call", "a call of a service", ros.Call).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda call: f"Call of {call.service}"),
     one(ros.isCallOf, kinds.SERVICE, lambda call: call.service),
     one(
         ros.state,
@@ -166,6 +167,7 @@ class GoalView(GoalOutline, frozen=True, eq=False):
 
 _STATUS: Mapping[GoalStatus, NamedNode] = {status: ros.terms[status.value.capitalize()] for status in GoalStatus}
 GOAL_OUTLINE = NodeShape[GoalOutline]("Goal", "a goal of an action", ros.Goal).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda goal: f"Goal of {goal.action}"),
     one(ros.isGoalOf, kinds.ACTION, lambda goal: goal.action),
     one(ros.status, kinds.STATE, lambda goal: _STATUS[goal.status]),
     one(ros.statusWord, kinds.TEXT, lambda goal: goal.status.value),

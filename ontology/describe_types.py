@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from typing import NamedTuple
 
 from pyoxigraph import Literal, NamedNode, Triple
@@ -42,6 +43,7 @@ class _TypeView(NamedTuple):
 
 _TYPE_PROPERTIES: tuple[Property[_TypeView], ...] = (
     one(rdfs.label, kinds.TEXT, lambda view: view.schema.ref.name),
+    optional(rdfs.comment, kinds.TEXT, lambda view: leading_comment(view.schema.definition)),
     one(ros.name, kinds.TEXT, lambda view: view.schema.ref.name),
     optional(ros.md5, kinds.TEXT.where('sh:pattern "^[0-9a-f]{32}$"'), lambda view: _hash(view.schema.ref, False)),
     optional(ros.typeHash, kinds.TEXT.where('sh:pattern "^RIHS[0-9]{2}_"'), lambda view: _hash(view.schema.ref, True)),
@@ -51,7 +53,7 @@ _TYPE_PROPERTIES: tuple[Property[_TypeView], ...] = (
 )
 _TYPE = NodeShape[NamedNode](
     "Type", "the description of a type", *SOURCE, target="sh:targetSubjectsOf foaf:primaryTopic"
-).with_properties(one(foaf.primaryTopic, kinds.TERM, lambda kind: kind))
+).with_properties(one(rdfs.label, kinds.TEXT), one(foaf.primaryTopic, kinds.TERM, lambda kind: kind))
 _MESSAGE_TYPE = NodeShape[_TypeView](
     "MessageType", "a message type", ros.MessageType, rdfs.Class, owl.Class
 ).with_properties(
@@ -77,7 +79,7 @@ def type_document(schema: Schema, space: Space, variants: Sequence[TypeRef] = ()
     others = [ref for ref in variants if ref.hash and ref.hash != schema.ref.hash]
     url = space.type(TypeRef(schema.ref.name, schema.ref.hash if others else None))
     kind, view = NamedNode(space.class_of(schema.ref.name)), _TypeView(schema, url, others)
-    triples = _TYPE.triples(NamedNode(url), kind, space)
+    triples = _TYPE.triples(NamedNode(url), kind, space, (rdfs.label, text(schema.ref.name)))
     if isinstance(schema, MessageSchema):
         triples += _MESSAGE_TYPE.triples(kind, view, space)
         triples += _message_type(schema.type, space)
@@ -185,6 +187,12 @@ def constant_value(constant: Constant) -> Literal | None:
         return boolean(value)
     datatype = NamedNode(xsd.iri + DATATYPES.get(constant.type, "integer" if isinstance(value, int) else "double"))
     return Literal(double(value).value if isinstance(value, float) else str(value), datatype=datatype)
+
+
+def leading_comment(definition: str) -> str | None:
+    """Return the text of the comment lines at the head of a definition, or None."""
+    lines = takewhile(lambda line: line.startswith("#"), definition.lstrip().splitlines())
+    return " ".join(filter(None, (line.strip("# \t") for line in lines))) or None
 
 
 def definition_text(kind: FieldType) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
+from urllib.parse import unquote, urlsplit
 
 from msgspec import Struct
 from pyoxigraph import Literal, NamedNode, Triple
@@ -13,7 +14,16 @@ from rosld.ontology import kinds
 from rosld.ontology.document import Document
 from rosld.ontology.geometry import frame_iri
 from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
-from rosld.ontology.triples import RDF_SOURCE, Statement, date_time_literal, double, statements, text, triples_about
+from rosld.ontology.triples import (
+    RDF_SOURCE,
+    Statement,
+    date_time_literal,
+    double,
+    labelled,
+    statements,
+    text,
+    triples_about,
+)
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, hydra, memento, rdf, rdfs, ros, schema_org, xhv, xsd
 
@@ -28,7 +38,7 @@ class MemberOutline(Struct, frozen=True):
     """A resource in a list: its URL, its class (or None), its name, and known values.
 
     `types` are its ROS types; two or more contradict each other. `rate` is in messages per second, `value` brief plain
-    JSON; both are None if unknown.
+    JSON; both are None if unknown. `label` is None if it is the name.
     """
 
     url: str
@@ -37,6 +47,7 @@ class MemberOutline(Struct, frozen=True):
     types: tuple[TypeRef | str, ...] = ()
     rate: float | None = None
     value: str | None = None
+    label: str | None = None
 
 
 def member_triples(member: MemberOutline, space: Space) -> list[Triple]:
@@ -47,6 +58,7 @@ def member_triples(member: MemberOutline, space: Space) -> list[Triple]:
         NamedNode(member.url),
         (rdf.type, member.kind),
         (ros.name, text(name)),
+        (rdfs.label, text(member.label or name)),
         *(() if relation is None else _types(relation, member.types, space)),
         (ros.rate, None if member.rate is None else double(member.rate)),
         (ros.briefValue, None if member.value is None else Literal(member.value, datatype=rdf.JSON)),
@@ -138,10 +150,10 @@ _RESULT = NodeShape[tuple[int, SearchResult]](
 def search_document(url: str, query: str, found: SearchOutline, space: Space) -> Document:
     """Return the results, the best first, as a schema:ItemList with positions."""
     items = {NamedNode(f"{url}#{number}"): (number, result) for number, result in enumerate(found.results, 1)}
-    title, elements = (dcterms.title, text(f"Search: {query}")), statements(schema_org.itemListElement, items)
+    title, elements = labelled(dcterms.title, f"Search: {query}"), statements(schema_org.itemListElement, items)
     about = {concept: NamedNode(each) for concept, each in found.about.items()}
     instead = statements(schema_org.about, about.values())
-    triples = _RESULTS.triples(NamedNode(url), found, space, title, *elements, *instead)
+    triples = _RESULTS.triples(NamedNode(url), found, space, *title, *elements, *instead)
     triples += [Triple(each, schema_org.keywords, Literal(concept)) for concept, each in about.items()]
     for node, item in items.items():
         triples += _RESULT.triples(node, item, space)
@@ -155,7 +167,10 @@ def search_document(url: str, query: str, found: SearchOutline, space: Space) ->
 def unasked_document(url: str, space: Space) -> Document:
     """Return the document of the search without a query."""
     subject = NamedNode(url)
-    triples = [*triples_about(subject, *RDF_SOURCE, (dcterms.title, text("Search"))), *search_triples(subject, space)]
+    triples = [
+        *triples_about(subject, *RDF_SOURCE, *labelled(dcterms.title, "Search")),
+        *search_triples(subject, space),
+    ]
     return Document(url, tuple(triples))
 
 
@@ -172,6 +187,7 @@ class PlottedNumber(Struct, frozen=True):
 
 
 _SERIES = NodeShape[PlottedNumber]("Series", "a number over a time", ros.Series).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda number: f"{number.field} of {unquote(urlsplit(number.topic).path)}"),
     one(ros.seriesOf, kinds.IRI.where('sh:pattern "/topics/"'), lambda number: number.topic),
     one(ros.seriesField, kinds.TEXT, lambda number: number.field),
     many(ros.hasPoint, kinds.node("SeriesPoint")),
@@ -223,7 +239,8 @@ def series_document(
 
 
 _PLOT = NodeShape[Sequence[NamedNode]]("Plot", "numbers drawn together over time", ros.Plot, *SOURCE).with_properties(
-    many(ros.plots, kinds.TERM.where("sh:class ros:Series"), lambda nodes: nodes)
+    one(rdfs.label, kinds.TEXT, lambda nodes: "Plot"),
+    many(ros.plots, kinds.TERM.where("sh:class ros:Series"), lambda nodes: nodes),
 )
 
 
@@ -258,7 +275,7 @@ def frames_document(url: str, frames: Sequence[Frame], types: str) -> Document:
     triples = triples_about(
         NamedNode(url),
         *RDF_SOURCE,
-        (dcterms.title, text("Frames")),
+        *labelled(dcterms.title, "Frames"),
         *statements(dcterms.hasPart, [node(each.name) for each in frames]),
     )
     for each in frames:
@@ -300,7 +317,7 @@ def diagnostics_document(url: str, states: Sequence[PartState], types: str) -> D
     nodes = [NamedNode(f"{url}#part.{place}") for place in range(len(states))]
     subject = NamedNode(url)
     triples = triples_about(
-        subject, *RDF_SOURCE, (dcterms.title, text("Diagnostics")), *statements(dcterms.hasPart, nodes)
+        subject, *RDF_SOURCE, *labelled(dcterms.title, "Diagnostics"), *statements(dcterms.hasPart, nodes)
     )
     for node, state in zip(nodes, states, strict=True):
         triples += triples_about(
@@ -317,6 +334,7 @@ def diagnostics_document(url: str, states: Sequence[PartState], types: str) -> D
 
 
 _TIME_MAP = NodeShape[str]("TimeMap", "the mementos of a resource", memento.TimeMap, *SOURCE).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda original: f"Mementos of {original}"),
     one(memento.original, kinds.IRI, lambda original: original),
     one(memento.timegate, kinds.IRI, lambda original: original),
     many(memento.memento, kinds.node("Memento")),

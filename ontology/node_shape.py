@@ -8,10 +8,10 @@ from typing import Any, Generic, TypeAlias, TypeVar
 from msgspec import Struct
 from pyoxigraph import BlankNode, NamedNode, Triple
 
-from rosld.ontology.kinds import Kind
+from rosld.ontology.kinds import TEXT, Kind
 from rosld.ontology.triples import Statement
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import ldp, rdf
+from rosld.ontology.vocab import dcterms, ldp, rdf, rdfs, ros
 
 T = TypeVar("T", contravariant=True)
 V = TypeVar("V")
@@ -57,7 +57,7 @@ class NodeShape(Generic[T]):
 
     `types` are those of each node; the first is the target of the shape unless `target` defines another in Turtle.
     `more` are other constraints. `is_listed`: lists describe nodes too, with fewer properties. `required` are the
-    properties that documents have, and lists omit.
+    properties that documents have, and lists omit. A name or a title is also the label, unless the table has one.
     """
 
     properties: tuple[Property[T], ...] = ()
@@ -82,6 +82,10 @@ class NodeShape(Generic[T]):
         self._rows: Sequence[_Row] = ()
 
     def with_properties(self, *properties: Property[T]) -> NodeShape[T]:
+        by_predicate = {each.predicate: each for each in properties}
+        named = by_predicate.get(dcterms.title) or by_predicate.get(ros.name)
+        if named is not None and rdfs.label not in by_predicate:
+            properties = (Property(rdfs.label, TEXT, named.value, named.counts), *properties)
         self.properties = properties
         self._rows = [
             (each.predicate, each.value, each.kind.term, each.kind.url, each.is_many)

@@ -14,7 +14,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, statements, text, triples_about
-from rosld.ontology.vocab import activity, ldp, notify, rdf, xsd
+from rosld.ontology.vocab import activity, ldp, notify, rdf, rdfs, xsd
 
 Json: TypeAlias = Mapping[str, object]
 
@@ -42,6 +42,7 @@ DEFINITIONS: Json = {
 """Definitions of terms in the context of the protocol, included because nothing is fetched."""
 _TYPES: Json = {"@type": [ldp.Resource.value, ldp.RDFSource.value]}
 """JSON-LD key for the LDP types; `type` has the one type that clients without RDF read."""
+_LABEL, _TITLE = rdfs.label.value, "Notifications"
 
 
 def channel_type(name: str) -> NamedNode:
@@ -70,6 +71,7 @@ class ServiceDescription(Struct, frozen=True):
         return triples_about(
             NamedNode(self.url),
             *RDF_SOURCE,
+            (rdfs.label, text(self.type)),
             (notify.channelType, channel_type(self.type)),
             *statements(notify.feature, FEATURES),
         )
@@ -77,7 +79,13 @@ class ServiceDescription(Struct, frozen=True):
     def members(self) -> Json:
         """Return the same statements as members of a JSON-LD object."""
         features = [feature.value for feature in FEATURES]
-        return {"id": self.url, **_TYPES, "channelType": channel_type(self.type).value, "feature": features}
+        return {
+            "id": self.url,
+            **_TYPES,
+            _LABEL: self.type,
+            "channelType": channel_type(self.type).value,
+            "feature": features,
+        }
 
 
 def description_document(url: str, storage: str, services: Iterable[ServiceDescription]) -> Document:
@@ -86,7 +94,12 @@ def description_document(url: str, storage: str, services: Iterable[ServiceDescr
     offers = statements(notify.subscription, [NamedNode(service.url) for service in found])
     more = [triple for service in found for triple in service.triples()]
     return Document(
-        url, (*triples_about(NamedNode(url), *RDF_SOURCE, *offers), *triples_about(NamedNode(storage), *offers), *more)
+        url,
+        (
+            *triples_about(NamedNode(url), *RDF_SOURCE, (rdfs.label, Literal(_TITLE)), *offers),
+            *triples_about(NamedNode(storage), *offers),
+            *more,
+        ),
     )
 
 
@@ -94,7 +107,13 @@ def description_members(url: str, storage: str, services: Iterable[ServiceDescri
     """Return the same statements as members of a JSON-LD object."""
     found = tuple(services)
     offers = {"id": storage, "subscription": [service.url for service in found]}
-    return {"id": url, **_TYPES, "subscription": [service.members() for service in found], "@included": [offers]}
+    return {
+        "id": url,
+        **_TYPES,
+        _LABEL: _TITLE,
+        "subscription": [service.members() for service in found],
+        "@included": [offers],
+    }
 
 
 class ChannelDescription(Struct, frozen=True):
@@ -110,12 +129,17 @@ class ChannelDescription(Struct, frozen=True):
     end_at: int | None = None
     state: str | None = None
 
+    @property
+    def label(self) -> str:
+        return f"Channel of {self.topic}"
+
     def document(self) -> Document:
         """Return the channel as RDF."""
         triples = triples_about(
             NamedNode(self.url),
             (rdf.type, channel_type(self.type)),
             *RDF_SOURCE,
+            (rdfs.label, text(self.label)),
             (notify.topic, NamedNode(self.topic)),
             (notify.receiveFrom, NamedNode(self.receive_from)),
             (notify.accept, text(self.accept)),
@@ -132,6 +156,7 @@ class ChannelDescription(Struct, frozen=True):
             "id": self.url,
             "type": channel_type(self.type).value,
             **_TYPES,
+            _LABEL: self.label,
             "topic": self.topic,
             "receiveFrom": self.receive_from,
             "accept": self.accept,

@@ -24,7 +24,7 @@ from rosld.ontology.body import BodyError, RdfBody, Term, parse_json
 from rosld.ontology.coercion import Misfit
 from rosld.ontology.document import Document
 from rosld.ontology.lexical import NUMBERS, parse_boolean
-from rosld.ontology.triples import CONTAINER, RDF_SOURCE, double, integer, text, triples_about
+from rosld.ontology.triples import CONTAINER, RDF_SOURCE, double, integer, labelled, text, triples_about
 from rosld.ontology.triples import boolean as boolean_literal
 from rosld.ontology.urls import Space, decode_segment, encode_segment
 from rosld.ontology.violations import LoweringError, Violation
@@ -50,7 +50,7 @@ def parameter_document(name: str, value: ParameterValue, space: Space) -> Docume
     if isinstance(value, dict):
         return parameter_container_document(tuple(name[1:].split("/")), value, space)
     url = space.parameter(name)
-    return Document(url, tuple(_leaf(url, name, value)))
+    return Document(url, tuple(parameter_triples(url, name, value)))
 
 
 Outline: TypeAlias = "dict[str, Outline | None]"
@@ -74,15 +74,16 @@ def parameter_container_document(
     url = space.container("parameters", namespace)
     title = f"Parameters in /{'/'.join(namespace)}" if namespace else "Parameters"
     triples = triples_about(
-        NamedNode(url), (dcterms.title, text(title)), (rdfs.seeAlso, NamedNode(whole) if whole is not None else None)
+        NamedNode(url), *labelled(dcterms.title, title), (rdfs.seeAlso, NamedNode(whole) if whole is not None else None)
     )
     return Document(url, (*_tree(url, "/" + "/".join(namespace), tree, 0, limit), *triples))
 
 
-def _leaf(url: str, name: str, value: ParameterValue | None) -> list[Triple]:
+def parameter_triples(url: str, name: str, value: ParameterValue | None = None) -> list[Triple]:
+    """Return a parameter that is not a tree, without its value if that is None."""
     literal = None if value is None else parameter_literal(value)
     return triples_about(
-        NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(name)), (ros.value, literal)
+        NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, *labelled(ros.name, name), (ros.value, literal)
     )
 
 
@@ -90,7 +91,10 @@ def _tree(url: str, name: str, tree: Tree, depth: int, limit: int | None) -> lis
     if depth > MAX_DEPTH:
         raise ValueError(f"{name} lies deeper than {MAX_DEPTH} levels, which is more than rosld shows")
     subject = NamedNode(url)
-    triples = triples_about(subject, (rdf.type, ros.Parameter), *CONTAINER, (ros.name, text(name)))
+    label = f"Parameters in {name}" if depth else None
+    triples = triples_about(
+        subject, (rdf.type, ros.Parameter), *CONTAINER, (ros.name, text(name)), (rdfs.label, text(label))
+    )
     if depth and limit is not None and len(tree) > limit:
         return triples
     for key, value in tree.items():
@@ -100,7 +104,7 @@ def _tree(url: str, name: str, tree: Tree, depth: int, limit: int | None) -> lis
             triples += _tree(member + "/", inner, value, depth + 1, limit)
         else:
             triples.append(Triple(subject, ldp.contains, NamedNode(member)))
-            triples += _leaf(member, inner, value)
+            triples += parameter_triples(member, inner, value)
     return triples
 
 

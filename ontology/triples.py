@@ -9,7 +9,7 @@ from typing import TypeAlias
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.literals import date_time
-from rosld.ontology.vocab import hctl, htv, ldp, rdf, ros, td, xsd
+from rosld.ontology.vocab import hctl, htv, ldp, rdf, rdfs, ros, td, xsd
 
 Value: TypeAlias = NamedNode | BlankNode | Literal
 Statement: TypeAlias = tuple[NamedNode, Value | None]
@@ -38,6 +38,12 @@ def text(value: str | None) -> Literal | None:
         return Literal(value)
     except ValueError:  # a str that is not UTF-8
         return Literal(value.encode("utf-8", "surrogatepass").decode("utf-8", "replace"))
+
+
+def labelled(predicate: NamedNode, words: str | None) -> tuple[Statement, Statement]:
+    """Return a name or a title of a resource that is also its label."""
+    value = text(words)
+    return (predicate, value), (rdfs.label, value)
 
 
 def integer(value: int | None) -> Literal | None:

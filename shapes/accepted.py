@@ -18,7 +18,7 @@ from rosld.ontology.compile import TIME
 from rosld.ontology.document import Document
 from rosld.ontology.fields import fields_along
 from rosld.ontology.lower_graph import IGNORED
-from rosld.ontology.triples import RDF_SOURCE, Statement, Value, integer, statements, text
+from rosld.ontology.triples import RDF_SOURCE, Statement, Value, integer, labelled, statements, text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
 from rosld.shapes.accepted_values import AcceptedValues, OpenParameter
@@ -123,7 +123,7 @@ def _describe(writer: ShapesWriter, space: Space, title: str, demand: Demand) ->
     writer.add(
         writer.node(),
         *RDF_SOURCE,
-        (dcterms.title, text(title)),
+        *labelled(dcterms.title, title),
         (rdfs.comment, text(comment) if more else None),
         (rdfs.seeAlso, more),
     )

@@ -9,7 +9,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.ontology.document import Document
 from rosld.ontology.outline import Outline, Statements, Subject, outline
-from rosld.ontology.vocab import av, ldp, mapping, rdf, rdfs, ros
+from rosld.ontology.vocab import av, dcterms, ldp, mapping, rdf, rdfs, ros
 from rosld.server.html.labels import label, local_name
 from rosld.server.html.page import Term
 from rosld.server.html.site import Site
@@ -139,9 +139,12 @@ def fragment(subject: Subject, url: str) -> str:
 
 def _rows(walk: _Walk, statements: Statements, depth: int) -> tuple[TableRow, ...]:
     rows: list[TableRow] = []
+    shown = [*statements.get(ros.name, ()), *statements.get(dcterms.title, ())]
     for predicate in sorted(statements, key=_rank):
         if walk.left <= 0:
             break
+        if predicate == rdfs.label and all(term in shown for term in statements[predicate]):
+            continue
         terms = _order_types(predicate, statements[predicate])
         walk.left -= len(terms)
         rows.append(_row(walk, predicate, terms, depth))

@@ -28,6 +28,7 @@ from rosld.ontology.triples import (
     STREAM,
     boolean,
     forms,
+    labelled,
     statements,
     text,
     triples_about,
@@ -82,6 +83,7 @@ def _property(
             *RDF_SOURCE,
             (ros.name, text(name)),
             (dcterms.title, text(affordance.title)),
+            (rdfs.label, text(affordance.title or name)),
             *statements(ros.readsFrom, map(NamedNode, reads_from)),
             *statements(ros.writesTo, map(NamedNode, writes_to)),
             (dcterms.isPartOf, NamedNode(part_of)),
@@ -94,12 +96,14 @@ def _property(
 
 def action_document(view: ActionView, space: Space) -> Document:
     """Return an action: its ROS service or action, how to invoke it, and how to follow its goal."""
-    subject = NamedNode(view.affordance.url)
+    subject, title = NamedNode(view.affordance.url), view.affordance.title
+    name = _name(subject.value, space)
     triples = triples_about(
         subject,
         *RDF_SOURCE,
-        (ros.name, text(_name(subject.value, space))),
-        (dcterms.title, text(view.affordance.title)),
+        (ros.name, text(name)),
+        (dcterms.title, text(title)),
+        (rdfs.label, text(title or name)),
         (ros.invokes, None if view.invokes is None else NamedNode(view.invokes)),
         (dcterms.isPartOf, NamedNode(view.part_of)),
     )
@@ -171,7 +175,7 @@ def _complex(url: str, path: str, title: str | None, arranged_by: str | None, pa
             (rdf.type, ros.ComplexResource),
             *CONTAINER,
             (ros.name, text(name)),
-            (dcterms.title, text(title or (f"Resources in {name}" if name != "/" else "Resources"))),
+            *labelled(dcterms.title, title or (f"Resources in {name}" if name != "/" else "Resources")),
             (rdfs.isDefinedBy, None if arranged_by is None else NamedNode(arranged_by)),
             (dcterms.isPartOf, None if parent is None else NamedNode(parent)),
         )

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.charsets import UTF_8, codec_of, decode
-from rosld.ontology.triples import text, triples_about
+from rosld.ontology.triples import labelled, text, triples_about
 from rosld.ontology.urls import Space, decode_segment
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.http.negotiation import parse_media_type
@@ -131,7 +131,7 @@ def query_triples(url: str, query: StoredQuery) -> list[Triple]:
     return triples_about(
         NamedNode(url),
         (rdf.type, ros.Query),
-        (ros.name, text(query.name)),
+        *labelled(ros.name, query.name),
         (dcterms.description, text(query.purpose)),
         *((ros.queryParameter, text(parameter.name)) for parameter in query.parameters),
         (ros.text, text(query.text)),

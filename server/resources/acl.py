@@ -11,7 +11,7 @@ from rosld.adapters.model import Graph, Kind, TypeRef
 from rosld.ontology.document import Document
 from rosld.ontology.triples import boolean, statements, text, triples_about
 from rosld.ontology.urls import Location, Space
-from rosld.ontology.vocab import acl, foaf, rdf, ros
+from rosld.ontology.vocab import acl, foaf, rdf, rdfs, ros
 from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.config import MODES
 from rosld.server.auth.rules import ACL, ANONYMOUS, AUTHENTICATED, UNTYPED, Agent, Policy, Rule, Types
@@ -51,6 +51,7 @@ class AclResource(Resource):
 
 def policy_document(policy: Policy, url: str) -> Iterable[Triple]:
     """Yield the triples of agents and rules, without credentials."""
+    yield Triple(NamedNode(url), rdfs.label, Literal("Rules of access"))
     nodes = {agent.name: _node(agent, number, url) for number, agent in enumerate(policy.agents.values(), 1)}
     by_webid = {agent.webid: nodes[agent.name] for agent in policy.agents.values() if agent.webid}
     for agent in policy.agents.values():

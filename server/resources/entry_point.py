@@ -15,7 +15,7 @@ from rosld.ontology.describe_graph import SECTIONS, ServerProblems, entry_docume
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, text, triples_about
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.vocab import rdf, rdfs, ros
 from rosld.server.history.recordings import Recordings
 from rosld.server.html.forms import Form
 from rosld.server.html.frame import ASSETS
@@ -248,6 +248,7 @@ def status_document(space: Space, pauses: Pauses, graph: Graph, problems: Server
                 status,
                 (rdf.type, ros.ServerStatus),
                 *RDF_SOURCE,
+                (rdfs.label, text("Status of the server")),
                 (ros.longestPause, double(round(longest.seconds, 4))),
                 (ros.longestPauseEnd, date_time_literal(longest.ended_ns)),
                 (ros.longestPauseCode, text(longest.code)),

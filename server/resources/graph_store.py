@@ -18,7 +18,7 @@ from starlette.types import Scope
 
 from rosld.ontology.body import parse_dataset
 from rosld.ontology.document import Document
-from rosld.ontology.triples import text, triples_about
+from rosld.ontology.triples import labelled, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, rdf, rdfs, sd
 from rosld.server.auth import enforcement
@@ -167,7 +167,7 @@ class GraphStore(Resource):
             *triples_about(
                 store,
                 (rdf.type, sd.Dataset),
-                (dcterms.title, text("The graph store")),
+                *labelled(dcterms.title, "The graph store"),
                 (rdfs.comment, text(f"Every graph is here by its name: {self.url}?graph=URL. {_DIRECTLY}")),
                 (sd.defaultGraph, default),
                 (rdfs.seeAlso, NamedNode(f"{self.space.base}sparql")),

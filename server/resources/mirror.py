@@ -16,7 +16,7 @@ from pyoxigraph import NamedNode
 from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, integer, text, triples_about
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcterms, rdf, ros
+from rosld.ontology.vocab import dcterms, rdf, rdfs, ros
 from rosld.server.dataset import Edit
 from rosld.server.dataset.endpoint_client import Endpoint, StoreError
 from rosld.server.dataset.remote_store import RemoteStore
@@ -190,6 +190,7 @@ def replication_document(url: str, status: ReplicationStatus) -> Document:
                 NamedNode(url),
                 (rdf.type, ros.Mirror),
                 *RDF_SOURCE,
+                (rdfs.label, text("Mirror of the dataset")),
                 (ros.store, NamedNode(status.url)),
                 (ros.state, ros.Live if status.failure is None else ros.Stale),
                 (ros.reason, text(status.failure)),

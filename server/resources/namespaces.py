@@ -12,7 +12,7 @@ from pyoxigraph import NamedNode
 
 from rosld.adapters.base import Capabilities
 from rosld.adapters.model import Action, Graph, Node, Parameter, Service, Topic, freeze, names
-from rosld.ontology.describe_graph import namespace_document
+from rosld.ontology.describe_graph import namespace_document, namespace_title
 from rosld.ontology.describe_views import MemberOutline, member_triples
 from rosld.ontology.document import Document
 from rosld.ontology.names import IdentityCache, Members, members_of
@@ -59,6 +59,10 @@ def _outline(
         case Node():
             return MemberOutline(url, ros.Node, name)
     return MemberOutline(url, None, name)
+
+
+def _namespace_outline(space: Space, route: str, path: tuple[str, ...]) -> MemberOutline:
+    return MemberOutline(space.container(route, path), None, names.join(path), label=namespace_title(route, path))
 
 
 def topic_cells(topic: Topic, latest: LatestValue | None, space: Space) -> tuple[Cell, ...]:
@@ -343,7 +347,7 @@ class NamespaceContainer(NamespaceBase):
         below = ((*self.namespace, inner) for inner in part.namespaces)
         return (
             *(_outline(latest_of, things, names.join(path), space.url(self.route, path)) for path in leaves),
-            *(MemberOutline(space.container(self.route, path), None, names.join(path)) for path in below),
+            *(_namespace_outline(space, self.route, path) for path in below),
         )
 
     def _values_below(self) -> Sequence[tuple[str, LatestValue | None]]:

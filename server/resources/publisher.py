@@ -13,7 +13,7 @@ from rosld.ontology.lift import lifter
 from rosld.ontology.lower import lowerer
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.vocab import rdf, rdfs, ros
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.patches.patch import apply_update, merge_patch
@@ -142,7 +142,7 @@ class PublishingResource(NamedResource[Topic]):
         about = NamedNode(self.url)
         if about not in body.subjects:
             return
-        statements = {ros.name: self.name}
+        statements = {ros.name: self.name, rdfs.label: self.name}
         if topic is not None and topic.type is not None:
             statements[ros.hasMessageType] = self.session.space.class_of(topic.type.name)
         for predicate, value in statements.items():

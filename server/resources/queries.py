@@ -17,7 +17,7 @@ from starlette.responses import Response
 from rosld.adapters.base import Watch
 from rosld.ontology.document import Document
 from rosld.ontology.syntax import Syntax
-from rosld.ontology.triples import RDF_SOURCE, statements, text, triples_about
+from rosld.ontology.triples import RDF_SOURCE, labelled, statements, text, triples_about
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import dcterms, ldp, rdfs
 from rosld.server.html.page import (
@@ -390,7 +390,9 @@ def _list(document: Document, shipped: Mapping[str, str], stored: Mapping[str, s
     """Return the container with its queries' purposes; their classes are in their own graphs only."""
     container = NamedNode(document.url)
     more = triples_about(
-        container, (dcterms.title, text(_TITLE) if titled else None), *statements(ldp.contains, map(NamedNode, shipped))
+        container,
+        *labelled(dcterms.title, _TITLE if titled else None),
+        *statements(ldp.contains, map(NamedNode, shipped)),
     )
     purposes = {**shipped, **stored}.items()
     said = [

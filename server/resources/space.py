@@ -14,7 +14,7 @@ from starlette.responses import Response
 
 from rosld.adapters.model import Graph, Nested, RosError
 from rosld.ontology.document import Document
-from rosld.ontology.triples import RDF_SOURCE, statements, text, triples_about
+from rosld.ontology.triples import RDF_SOURCE, labelled, statements, triples_about
 from rosld.ontology.vocab import dcterms, rdfs
 from rosld.server.auth.errors import not_found
 from rosld.server.auth.permissions import Permissions
@@ -391,4 +391,4 @@ def _target_json(target: GoalTarget, reference: str) -> dict[str, object]:
 def _document(url: str, topics: Sequence[str]) -> Document:
     """Return the topics of the view as RDF."""
     links = statements(rdfs.seeAlso, (NamedNode(each) for each in topics))
-    return Document(url, tuple(triples_about(NamedNode(url), *RDF_SOURCE, (dcterms.title, text("Space")), *links)))
+    return Document(url, tuple(triples_about(NamedNode(url), *RDF_SOURCE, *labelled(dcterms.title, "Space"), *links)))

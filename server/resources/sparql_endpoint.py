@@ -9,7 +9,7 @@ from pyoxigraph import NamedNode, Triple
 from starlette.responses import Response, StreamingResponse
 
 from rosld.ontology.document import Document
-from rosld.ontology.triples import statements, triples_about
+from rosld.ontology.triples import statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sd
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
@@ -302,6 +302,7 @@ class SparqlResource(Resource):
         return triples_about(
             service,
             (rdf.type, sd.Service),
+            (rdfs.label, text("SPARQL endpoint")),
             (sd.endpoint, service),
             *statements(sd.supportedLanguage, languages),
             *statements(sd.inputFormat, inputs),

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence, Set
 from functools import partial
 
 from msgspec.structs import replace
-from pyoxigraph import Triple
+from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.model import Schema, TypeRef, halves_of
 from rosld.ontology.describe_graph import type_container_document
@@ -17,7 +17,7 @@ from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
 from rosld.ontology.modules import CORE, MODULES, module_url, served_triples
 from rosld.ontology.urls import Location, Space
-from rosld.ontology.vocab import dcterms, rdf
+from rosld.ontology.vocab import ldp
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.policies import active_limits
@@ -256,7 +256,8 @@ class LimitsContainer(ContainerResource):
         own_state = await super().state()
         listed = _generate(self.space, self.adapter)
         is_here = self._parts.containment and (self._place is None or self._place.after == 0)
-        more = tuple(one for one in listed.triples if _is_of(one, containment=is_here, minimal=self._parts.minimal))
+        minimal = self._parts.minimal
+        more = tuple(one for one in listed.triples if _is_of(one, self.url, containment=is_here, minimal=minimal))
 
         def describe() -> Document:
             return Document(own_state.document.url, tuple(dict.fromkeys((*own_state.document.triples, *more))))
@@ -277,9 +278,10 @@ class LimitsContainer(ContainerResource):
         return await super().with_triples(record, [one for one in triples if one not in own], expected, known)
 
 
-def _is_of(triple: Triple, *, containment: bool, minimal: bool) -> bool:
+def _is_of(triple: Triple, container: str, *, containment: bool, minimal: bool) -> bool:
     """Whether a triple is about a part of the container."""
-    return minimal if triple.predicate in (dcterms.title, rdf.type) else containment
+    is_own = triple.subject == NamedNode(container) and triple.predicate != ldp.contains
+    return minimal if is_own else containment
 
 
 def _generate(space: Space, adapter: AuditedAdapter) -> Document:

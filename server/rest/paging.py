@@ -6,15 +6,15 @@ import re
 from bisect import bisect_right
 from collections.abc import Hashable, Sequence
 from typing import TypeAlias
-from urllib.parse import quote
+from urllib.parse import quote, unquote, urlsplit
 
 from msgspec import Struct
 from msgspec.structs import replace
 from pyoxigraph import NamedNode, Triple
 
 from rosld.ontology.document import Document
-from rosld.ontology.triples import triples_about
-from rosld.ontology.vocab import ldp, rdf, xhv
+from rosld.ontology.triples import text, triples_about
+from rosld.ontology.vocab import ldp, rdf, rdfs, xhv
 from rosld.server.html.page import SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import Link, render_links, to_uri
@@ -163,6 +163,7 @@ class LdpPage(Struct, frozen=True):
         return triples_about(
             NamedNode(self.url),
             (rdf.type, ldp.Page),
+            (rdfs.label, text(f"Page of {unquote(urlsplit(self.container).path)}")),
             (ldp.pageSequence, NamedNode(self.container)),
             *((relations[step.rel], NamedNode(step.url)) for step in self.neighbours()),
         )

@@ -22,11 +22,10 @@ from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
 from rosld.ontology.modules import MODULES
+from rosld.ontology.parameters import parameter_triples
 from rosld.ontology.serialize import serialize
 from rosld.ontology.syntax import Syntax
-from rosld.ontology.triples import RDF_SOURCE, text, triples_about
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import rdf, ros
 from rosld.server.resources import types
 from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.bags import bag_urls, describe_armed, describe_bag, describe_running
@@ -225,7 +224,7 @@ class GraphDescriptions:
 def parameter_description(parameter: Parameter, space: Space) -> Document:
     """Return a parameter without its value, which is read when a query needs it."""
     url, descriptor = space.parameter(parameter.name), parameter.descriptor
-    triples = triples_about(NamedNode(url), (rdf.type, ros.Parameter), *RDF_SOURCE, (ros.name, text(parameter.name)))
+    triples = parameter_triples(url, parameter.name)
     return Document(url, (*triples, *(declared_triples(descriptor, url, space) if descriptor is not None else ())))
 
 

@@ -12,7 +12,7 @@ from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, Trip
 
 from rosld.ontology.modules import home_of_terms
 from rosld.ontology.syntax import Syntax
-from rosld.ontology.vocab import ros
+from rosld.ontology.vocab import dcterms, rdfs, ros
 from tests.crawl.description import Description
 from tests.crawl.robots import ROBOTS
 from tests.crawl.site import HTML, JSON, TURTLE, Answer, Site, hrefs, site
@@ -54,6 +54,22 @@ def is_known(robot: Site, answer: Answer) -> bool:
         or "is not on offer now" in answer.text
         or "This server has no recordings" in answer.text
     )
+
+
+def test_every_document_about_itself_has_one_label(robot: Site) -> None:
+    found = {url: answer for url, answer in robot.documents.items() if not is_of_client(url.removeprefix(robot.base))}
+    for url, answer in found.items():
+        own = [each for each in answer.triples if each.subject == NamedNode(url)]
+        labels = [each.object.value for each in own if each.predicate == rdfs.label]  # type: ignore[union-attr]
+        assert not own or (len(labels) == 1 and labels[0].strip()), (url, labels)
+        titles = {each.object.value for each in own if each.predicate == dcterms.title}  # type: ignore[union-attr]
+        assert not titles or titles == set(labels), (url, titles, labels)
+    assert len(found) > 50
+
+
+def is_of_client(path: str) -> bool:
+    """Whether a document says only what clients wrote, who may give it a label or not."""
+    return path in ("data/", "mappings/", "cockpit/") or path.startswith(("data/", "mappings/", "shapes/slow"))
 
 
 def test_every_document_is_a_page_for_a_browser(robot: Site) -> None:

@@ -25,7 +25,7 @@ from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import lifter
 from rosld.ontology.names import Members, members_of
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import foaf, ldp, prov, rdf, ros, schema_org, xsd
+from rosld.ontology.vocab import foaf, ldp, prov, rdf, rdfs, ros, schema_org, xsd
 
 SPACE = Space("http://127.0.0.1:8080/")
 LIBRARY = TypeLibrary(ros_version=1)
@@ -152,12 +152,13 @@ def test_members_are_grouped_by_namespace_and_listed() -> None:
 
 
 def test_a_message_type_has_its_fields_in_order() -> None:
-    definition = "int8 A=3\nstring B=x y\nfloat64[3] xs\ngeometry_msgs/Point[] ps\nbool b\n"
+    definition = "# A thing,\n#\n# and on.\n\nint8 A=3\nstring B=x y\nfloat64[3] xs\ngeometry_msgs/Point[] ps\nbool b\n"
     schema = LIBRARY.learn_message("p/msg/T", definition)
     document = type_document(schema, SPACE)
     kind = NamedNode("https://w3id.org/rosld/types/p/msg/T")
     assert own(document, foaf.primaryTopic) == [kind]
     assert ros.MessageType in said(document, kind, rdf.type)
+    assert said(document, kind, rdfs.comment) == [Literal("A thing, and on.")]
     assert said(document, kind, ros.md5) == [Literal(schema.ref.hash or "")]
     assert said(document, kind, ros.hasField) == [NamedNode(f"{kind.value}#{name}") for name in ("xs", "ps", "b")]
     xs, ps = NamedNode(f"{kind.value}#xs"), NamedNode(f"{kind.value}#ps")

@@ -49,12 +49,13 @@ def count(http: httpx.Client, pattern: str) -> int:
 
 
 def test_names_and_types_of_members_are_told(http: httpx.Client) -> None:
-    speed = {"type": f"{ros.iri}Topic", "name": "/speed", "hasMessageType": f"{TYPES}std_msgs/msg/Float64"}
+    speed = {"type": f"{ros.iri}Topic", "name": "/speed", "label": "/speed"}
+    speed["hasMessageType"] = f"{TYPES}std_msgs/msg/Float64"
     assert said(http, "/topics/", "topics/speed") == speed
-    assert said(http, "/topics/", "topics/camera/") == {"name": "/camera"}
+    assert said(http, "/topics/", "topics/camera/") == {"name": "/camera", "label": "Topics in /camera"}
     assert said(http, "/services/", "services/dock")["hasServiceType"] == f"{TYPES}std_srvs/srv/Trigger"
     assert said(http, "/actions/", "actions/fly")["hasActionType"] == f"{TYPES}made_up/action/Fly"
-    assert said(http, "/nodes/", "nodes/robot") == {"type": f"{ros.iri}Node", "name": "/robot"}
+    assert said(http, "/nodes/", "nodes/robot") == {"type": f"{ros.iri}Node", "name": "/robot", "label": "/robot"}
 
 
 def test_values_and_rates_are_told_of_what_is_subscribed_to(robot: MadeUp, http: httpx.Client) -> None:

@@ -9,9 +9,10 @@ from pyoxigraph import NamedNode, Triple
 from rosld.ontology import kinds
 from rosld.ontology.document import Document
 from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
-from rosld.ontology.triples import text
+from rosld.ontology.observations import ACTUATOR
+from rosld.ontology.triples import date_time_literal, text, triples_about
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcterms, htv, prov, rdfs, ros
+from rosld.ontology.vocab import dcterms, htv, prov, rdf, rdfs, ros, sosa
 
 _ACTIVITIES = frozenset({"calls", "goals", "holds"})
 """Containers whose members are activities: calls, goals, holds."""
@@ -126,13 +127,37 @@ def activity_document(receipt: Receipt, space: Space) -> Document:
     if receipt.plan:
         triples += _ASSOCIATION.triples(association, agent, space, (prov.hadPlan, plan))
         triples += _PLAN.triples(plan, receipt, space)
+    triples += _actuations(receipt, activity, space)
     return Document(url, tuple(triples))
 
 
 def _is_activity(url: str | None, space: Space) -> bool:
     """Whether the result of a write is an activity itself: in PROV, activities are not generated."""
+    return _kind_of(url, space) in _ACTIVITIES
+
+
+def _kind_of(url: str | None, space: Space) -> str | None:
     location = None if url is None else space.location(url)
-    return location is not None and location.kind in _ACTIVITIES
+    return None if location is None else location.kind
+
+
+def _actuations(receipt: Receipt, activity: NamedNode, space: Space) -> list[Triple]:
+    """Return what was published, or is held, as actuations: one for each topic."""
+    published = receipt.matched is not None or _kind_of(receipt.made, space) == "holds"
+    topics = [url for url in receipt.touched if published and _kind_of(url, space) == "topics"]
+    return [
+        triple
+        for number, url in enumerate(topics, 1)
+        for triple in triples_about(
+            NamedNode(f"{activity.value}#actuation{number if number > 1 else ''}"),
+            (rdf.type, sosa.Actuation),
+            (sosa.madeByActuator, NamedNode(url + ACTUATOR)),
+            (sosa.hasFeatureOfInterest, NamedNode(f"{space.base}#robot")),
+            (sosa.resultTime, date_time_literal(receipt.ended_ns)),
+            (sosa.hasSimpleResult, text(receipt.excerpt)),
+            (prov.wasInformedBy, activity),
+        )
+    ]
 
 
 def agent_url(name: str, space: Space) -> str:

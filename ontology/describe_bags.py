@@ -16,6 +16,7 @@ from rosld.ontology.describe_topics import MESSAGE, type_url
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.literals import date_time
 from rosld.ontology.node_shape import CONTAINER_TYPES, SOURCE, NodeShape, many, one, optional
+from rosld.ontology.observations import SENSOR, Observed
 from rosld.ontology.triples import (
     CONTAINER,
     Statement,
@@ -300,7 +301,7 @@ class StreamProfile(Enum):
     @property
     def version_of(self) -> NamedNode:
         """The property that links a member, as a version, to its subject."""
-        return ros.onTopic if self is StreamProfile.RECORD else sosa.observedProperty
+        return ros.onTopic if self is StreamProfile.RECORD else sosa.madeBySensor
 
 
 class StreamLink(NamedTuple):
@@ -363,17 +364,24 @@ def _bounds(link: StreamLink) -> list[tuple[NamedNode, int | None]]:
     return [bound for bound in bounds if bound[1] is not None] or [(tree.Relation, None)]
 
 
-def observation_triples(url: str, message: BagMessage, space: Space, lifted: Sequence[Triple]) -> list[Triple]:
-    """Return a recorded message as an observation of its topic; `lifted` are the triples of the message itself."""
+def observation_triples(
+    url: str, message: BagMessage, space: Space, lifted: Sequence[Triple], fields: Sequence[Observed]
+) -> list[Triple]:
+    """Return a recorded message as an observation by the sensor of its topic, or as a collection of several.
+
+    `lifted` are the triples of the message itself, `fields` its observed fields; without any the topic is observed.
+    """
+    name, topic = message.sample.schema.name, space.topic(message.topic)
+    observed = [space.property_of(name, each.field) for each in fields] or [topic]
     sample, node = message.sample, NamedNode(url + MESSAGE)
     values = [each for each in lifted if each.subject == node and each.predicate.value.startswith(space.types)]
     simple = values[0].object if len(values) == 1 and isinstance(values[0].object, Literal) else None
     return triples_about(
         NamedNode(url),
-        (rdf.type, sosa.Observation),
-        (sosa.observedProperty, NamedNode(space.topic(message.topic))),
+        (rdf.type, sosa.Observation if len(observed) == 1 else sosa.ObservationCollection),
+        *statements(sosa.observedProperty, map(NamedNode, observed)),
         (sosa.resultTime, date_time_literal(sample.received_ns)),
-        (sosa.madeBySensor, NamedNode(space.node(sample.publisher)) if sample.publisher else None),
+        (sosa.madeBySensor, NamedNode(topic + SENSOR)),
         (sosa.hasResult, node if lifted else None),
         (sosa.hasSimpleResult, simple),
     )

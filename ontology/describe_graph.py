@@ -149,6 +149,9 @@ _ROBOT = NodeShape[str]("Robot", "the machine", sosa.Platform, cora.Robot).with_
     many(sosa.hosts, kinds.IRI, minimum=1),
     optional(ros.hasBody, kinds.IRI),
 )
+_SURROUNDINGS = NodeShape[str]("Surroundings", "what surrounds the machine", sosa.FeatureOfInterest).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda name: f"surroundings of {name}")
+)
 _MASTER = NodeShape[Master]("Master", "a master", ros.Master).with_properties(
     optional(ros.uri, kinds.URI, lambda master: master.uri),
     optional(ros.runId, kinds.TEXT, lambda master: master.run_id),
@@ -168,6 +171,7 @@ def entry_document(
     robot = f"{space.base}#robot"
     triples += _ROBOT.triples(NamedNode(robot), name, space, (sosa.hosts, entry))
     triples += body_links(robot, ros.hasBody, body_sources(graph), space)
+    triples += _SURROUNDINGS.triples(NamedNode(f"{space.base}#surroundings"), name, space)
     if master and graph.master:
         triples += _MASTER.triples(master, graph.master, space)
     triples += _section_triples(graph, space)

@@ -10,7 +10,7 @@ from itertools import chain
 from msgspec.structs import replace
 from pyoxigraph import NamedNode, Triple
 
-from rosld.adapters.model import Endpoint, Graph, Qos, Topic, TypeRef, mismatch_count, mismatches
+from rosld.adapters.model import Endpoint, Graph, MessageSchema, Qos, Topic, TypeRef, mismatch_count, mismatches
 from rosld.adapters.model.qos import Mismatch
 from rosld.ontology import kinds
 from rosld.ontology.describe_body import Source, body_links, sources_of_topic
@@ -19,6 +19,7 @@ from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.names import is_namespace
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.node_shape import SOURCE, NodeShape, many, one, optional
+from rosld.ontology.observations import Role, device_triples, role_of
 from rosld.ontology.triples import double, integer, statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, td
@@ -37,12 +38,13 @@ def topic_document(
     unreadable: str | None = None,
     holdable: bool = False,
     hold: str | None = None,
+    schema: MessageSchema | None = None,
 ) -> Document:
     """Return a topic and its latest messages, the newest of each publisher in order of receipt (the newest last).
 
     The newest of all is `#message`; with several publishers, ros:latestFrom links each one's. `unreadable` is the
     reason why messages cannot be decoded, and precedes the topic's own. `holdable`: the topic can be held here, and
-    gets a form; `hold` is the id of the current hold.
+    gets a form; `hold` is the id of the current hold. `schema` is that of its type, if known.
     """
     url = space.topic(topic.name)
     subject = NamedNode(url)
@@ -51,6 +53,7 @@ def topic_document(
     several = len(nodes) > 1 or len(topic.publishers) > 1
     triples = [
         *_description(topic, space, is_namespace(topic.name, graph.topics), holdable, sources_of_topic(topic, graph)),
+        *_device(topic, role_of(topic, graph, schema), schema, space),
         *triples_about(
             subject,
             (ros.unreadable, text(unreadable or topic.unreadable)),
@@ -102,6 +105,8 @@ _TOPIC = NodeShape[Topic]("Topic", "a topic", ros.Topic, *SOURCE, is_listed=True
     many(ros.latestFrom, kinds.MESSAGE),
     optional(ros.heldBy, kinds.HOLD),
     optional(ros.describesBody, kinds.IRI),
+    optional(ros.sensor, kinds.FRAGMENT.where("sh:class sosa:Sensor")),
+    optional(ros.actuator, kinds.FRAGMENT.where("sh:class sosa:Actuator")),
     many(td.hasActionAffordance, kinds.ACTION_AFFORDANCE),
 )
 _ENDPOINT = NodeShape[tuple[Endpoint, Topic]]("Endpoint", "a publisher or a subscriber", ros.Endpoint).with_properties(
@@ -169,6 +174,11 @@ def _description(
         shape = None if name is None else space.shape(name)
         triples += holdable_at(url, shape, commands_velocity=name in COMMANDS)
     return tuple(triples)
+
+
+@lru_cache(maxsize=4096)
+def _device(topic: Topic, role: Role | None, schema: MessageSchema | None, space: Space) -> Sequence[Triple]:
+    return device_triples(topic, role, schema, space) if role is not None else ()
 
 
 def type_url(ref: TypeRef, space: Space) -> list[Triple]:

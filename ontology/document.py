@@ -23,6 +23,7 @@ from rosld.ontology.geometry import (
     has_place,
 )
 from rosld.ontology.lift import Lifter
+from rosld.ontology.observations import Observer
 from rosld.ontology.vocab import geo, sf
 
 
@@ -38,7 +39,7 @@ class LiftedMessage(Struct, frozen=True, eq=False):
     """A message within a document: `node` is its fragment (`#message`); the link to it is among the triples.
 
     `source` is the URL of its bytes (`?field=`) if that is not the document itself. With `frames`, the URL of the
-    robot's frames, a message that states a place has a geometry.
+    robot's frames, a message that states a place has a geometry. With an `observer`, it has observations or actuations.
     """
 
     node: str
@@ -47,12 +48,28 @@ class LiftedMessage(Struct, frozen=True, eq=False):
     envelope: Envelope | None = None
     source: str | None = None
     frames: str | None = None
+    observer: Observer | None = None
 
     @property
     def prefixes(self) -> Mapping[str, str]:
         """The prefixes of its Turtle."""
         may_have_geometry = self.frames is not None and has_place(self.lifter.schema)
-        return _with_geometry(self.lifter) if may_have_geometry else self.lifter.prefixes
+        own = _with_geometry(self.lifter) if may_have_geometry else self.lifter.prefixes
+        return own if self.observer is None else {**own, **self.observer.prefixes}
+
+    @property
+    def context(self) -> Mapping[str, object]:
+        """The terms of its JSON-LD."""
+        return self.lifter.context if self.observer is None else {**self.lifter.context, **self.observer.context}
+
+    def observations(self, document: Document, notation: str, end: str = " .\n") -> str:
+        """Return the observations in a notation, relative to `document`; in JSON-LD node objects, each with a comma."""
+        if self.observer is None:
+            return ""
+        received = None if self.envelope is None else self.envelope.received_ns
+        return self.observer.text(
+            notation, self.message, document.url, self.node, received, simulated_time=document.simulated_time, end=end
+        )
 
     def _geometry(self) -> Geometry | None:
         return geometry_of(self.lifter.schema, self.message) if self.frames is not None else None
@@ -63,6 +80,7 @@ class LiftedMessage(Struct, frozen=True, eq=False):
             self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
             source=self.source,
         )  # fmt: skip
+        text += self.observations(document, "turtle")
         found = self._geometry()
         if found is None or self.frames is None:
             return text
@@ -71,7 +89,7 @@ class LiftedMessage(Struct, frozen=True, eq=False):
         return text + geometry_turtle(self.node, found, self.frames)
 
     def jsonld(self, document: Document) -> str:
-        """Return a JSON-LD node object (text), relative to `document`."""
+        """Return a JSON-LD node object (text), without observations, relative to `document`."""
         text = self.lifter.jsonld(
             self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
             source=self.source,
@@ -81,12 +99,14 @@ class LiftedMessage(Struct, frozen=True, eq=False):
             return text
         return f"{text[:-1]},{geometry_jsonld(self.node, found, self.frames)}}}"
 
-    def ntriples(self, document: Document, end: str = " .\n") -> str:
-        """Return N-Triples lines; with a graph in `end`, N-Quads."""
+    def ntriples(self, document: Document, end: str = " .\n", *, observed: bool = True) -> str:
+        """Return N-Triples lines; with a graph in `end`, N-Quads. On demand without observations."""
         text = self.lifter.ntriples(
             self.message, document.url, self.node, end=end, envelope=self.envelope,
             simulated_time=document.simulated_time, source=self.source,
         )  # fmt: skip
+        if observed:
+            text += self.observations(document, "ntriples", end)
         found = self._geometry()
         if found is None or self.frames is None:
             return text

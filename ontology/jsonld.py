@@ -54,13 +54,15 @@ class _Writer:
             body |= nodes[0]
         else:
             body["@graph"] = nodes
+        if observations := self._observations():
+            body["@included"] = observations
         return orjson.dumps(body)
 
     def _adopt_contexts(self) -> set[str]:
         """Add the contexts of messages; return the nodes of messages with conflicting ones."""
         embedded: set[str] = set()
         for iri, message in self.messages.items():
-            wanted = message.lifter.context
+            wanted = message.context
             if any(self.context.get(term, value) != value for term, value in wanted.items()):
                 embedded.add(iri)
             else:
@@ -183,9 +185,19 @@ class _Writer:
         message: LiftedMessage = self.messages.pop(iri)
         text = message.jsonld(self.document)
         if iri in self.embedded:
-            context = orjson.dumps(dict(message.lifter.context)).decode()
+            context = orjson.dumps(dict(message.context)).decode()
             text = f'{{"@context":{context},{text.lstrip()[1:]}'
         return orjson.Fragment(text)
+
+    def _observations(self) -> list[Json]:
+        """Return the node objects of the observations of all messages."""
+        found: list[Json] = []
+        for message in self.document.messages:
+            if nodes := message.observations(self.document, "jsonld")[:-1]:
+                is_embedded = self.document.url + message.node in self.embedded
+                context = f'"@context":{orjson.dumps(dict(message.context)).decode()},' if is_embedded else ""
+                found.append(orjson.Fragment(f'{{{context}"@included":[{nodes}]}}' if is_embedded else nodes))
+        return found
 
     def _iri(self, term: NamedNode) -> str:
         iri = term.value

@@ -19,7 +19,7 @@ VERSION = "0.2.0"
 CORE = "core"
 OWN = (CORE, "types", "interaction", "recording", "body", "server", "mapping", "aircraft")
 """Modules that define terms."""
-DATA = ("units",)
+DATA = ("units", "sensors")
 """Modules that state facts about types."""
 ALIGNMENTS = tuple(f"align-{name}" for name in ("sosa", "prov", "wot", "ldp", "dcat", "ease", "cora"))
 """Modules that relate these terms to other vocabularies."""

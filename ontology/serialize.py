@@ -37,10 +37,17 @@ def serialize_named(document: Document, syntax: Syntax) -> bytes:
     return _NAMED_WRITERS.get(syntax, _WRITERS[syntax])(document)
 
 
-def _lines(document: Document, end: str) -> bytes:
+def serialize_without_observations(document: Document) -> bytes:
+    """Return the document in N-Triples, without the observations of its messages."""
+    return _lines(document, " .\n", observed=False)
+
+
+def _lines(document: Document, end: str, *, observed: bool = True) -> bytes:
     # pyoxigraph prints a triple as in N-Triples, without the full stop.
     lines = [f"{triple}{end}" for triple in dict.fromkeys(document.triples)]
-    return "".join([*lines, *(message.ntriples(document, end) for message in document.messages)]).encode()
+    return "".join(
+        [*lines, *(message.ntriples(document, end, observed=observed) for message in document.messages)]
+    ).encode()
 
 
 _WRITERS: Mapping[Syntax, Callable[[Document], bytes]] = {

@@ -67,7 +67,7 @@ sd = Namespace(
 xsd = Namespace(
     "http://www.w3.org/2001/XMLSchema#",
     "string boolean integer decimal float double byte short int long unsignedByte unsignedShort unsignedInt "
-    "unsignedLong nonNegativeInteger dateTime base64Binary hexBinary anyURI",
+    "unsignedLong nonNegativeInteger dateTime dateTimeStamp base64Binary hexBinary anyURI",
 )
 # Linked Data Platform 1.0.
 ldp = Namespace(
@@ -126,8 +126,12 @@ wotsec = Namespace(
 # SOSA, 2023 edition.
 sosa = Namespace(
     "http://www.w3.org/ns/sosa/",
-    "Observation Platform Sensor hasResult hosts hasSimpleResult isHostedBy madeBySensor observedProperty resultTime",
+    "Actuation Actuator FeatureOfInterest Observation ObservationCollection Platform Sensor actsOnProperty "
+    "hasFeatureOfInterest hasResult hasSimpleResult hosts isHostedBy madeByActuator madeBySensor observedProperty "
+    "observes phenomenonTime resultQuality resultTime",
 )
+# OWL-Time.
+owl_time = Namespace("http://www.w3.org/2006/time#", "Instant inXSDDateTimeStamp")
 # TREE, for collections in pages.
 tree = Namespace(
     "https://w3id.org/tree#",
@@ -165,6 +169,8 @@ geo = Namespace("http://www.opengis.net/ont/geosparql#", "Geometry hasGeometry a
 sf = Namespace("http://www.opengis.net/ont/sf#", "LineString Point Polygon")
 # QUDT, for units and kinds of quantity.
 qudt = Namespace("http://qudt.org/schema/qudt/", "QuantityValue hasUnit hasQuantityKind numericValue")
+# Data Quality Vocabulary.
+dqv = Namespace("http://www.w3.org/ns/dqv#", "QualityMeasurement value")
 # Solid Notifications.
 notify = Namespace(
     "http://www.w3.org/ns/solid/notifications#",
@@ -177,7 +183,7 @@ activity = Namespace(
     "Create Update Delete Add Remove object target published",
 )
 
-_PREFIXES = {"mapping": "map", "schema_org": "schema", "activity": "as"}
+_PREFIXES = {"mapping": "map", "schema_org": "schema", "activity": "as", "owl_time": "owl-time"}
 PREFIXES: Mapping[str, str] = {
     **{_PREFIXES.get(name, name): each.iri for name, each in list(globals().items()) if isinstance(each, Namespace)},
     "geof": "http://www.opengis.net/def/function/geosparql/",

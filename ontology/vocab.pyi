@@ -167,6 +167,8 @@ class _ros(Namespace):
     Activating: NamedNode
     Deactivating: NamedNode
     ErrorProcessing: NamedNode
+    sensor: NamedNode
+    actuator: NamedNode
     ActionType: NamedNode
     Constant: NamedNode
     CallState: NamedNode
@@ -259,6 +261,10 @@ class _ros(Namespace):
     minimum: NamedNode
     maximum: NamedNode
     meanValue: NamedNode
+    commands: NamedNode
+    covarianceField: NamedNode
+    isExteroceptive: NamedNode
+    observes: NamedNode
     Query: NamedNode
     queryParameter: NamedNode
     text: NamedNode
@@ -453,6 +459,7 @@ class _xsd(Namespace):
     unsignedLong: NamedNode
     nonNegativeInteger: NamedNode
     dateTime: NamedNode
+    dateTimeStamp: NamedNode
     base64Binary: NamedNode
     hexBinary: NamedNode
     anyURI: NamedNode
@@ -662,18 +669,34 @@ class _wotsec(Namespace):
 wotsec: _wotsec
 
 class _sosa(Namespace):
+    Actuation: NamedNode
+    Actuator: NamedNode
+    FeatureOfInterest: NamedNode
     Observation: NamedNode
+    ObservationCollection: NamedNode
     Platform: NamedNode
     Sensor: NamedNode
+    actsOnProperty: NamedNode
+    hasFeatureOfInterest: NamedNode
     hasResult: NamedNode
-    hosts: NamedNode
     hasSimpleResult: NamedNode
+    hosts: NamedNode
     isHostedBy: NamedNode
+    madeByActuator: NamedNode
     madeBySensor: NamedNode
     observedProperty: NamedNode
+    observes: NamedNode
+    phenomenonTime: NamedNode
+    resultQuality: NamedNode
     resultTime: NamedNode
 
 sosa: _sosa
+
+class _owl_time(Namespace):
+    Instant: NamedNode
+    inXSDDateTimeStamp: NamedNode
+
+owl_time: _owl_time
 
 class _tree(Namespace):
     GreaterThanOrEqualToRelation: NamedNode
@@ -801,6 +824,12 @@ class _qudt(Namespace):
     numericValue: NamedNode
 
 qudt: _qudt
+
+class _dqv(Namespace):
+    QualityMeasurement: NamedNode
+    value: NamedNode
+
+dqv: _dqv
 
 class _notify(Namespace):
     subscription: NamedNode

@@ -19,6 +19,7 @@ from rosld.ontology import (
     describe_topics,
     describe_types,
     describe_views,
+    observations,
 )
 from rosld.ontology.body import Term
 from rosld.ontology.document import Document
@@ -37,6 +38,7 @@ _MODULES = (
     describe_topics,
     describe_types,
     describe_views,
+    observations,
 )
 
 MAX_PANELS = 60

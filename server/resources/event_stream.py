@@ -13,6 +13,7 @@ from typing import NamedTuple
 from rosld.adapters.base import MessageFilter, Recording
 from rosld.ontology.describe_bags import StreamLink, StreamProfile, event_stream_document, observation_triples
 from rosld.ontology.document import Document
+from rosld.ontology.observations import Role, observed_fields
 from rosld.ontology.urls import Space
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import Link
@@ -172,7 +173,9 @@ class EventStreamResource(BagBase):
         if self._profile is StreamProfile.RECORD or one.decoded.message is None:
             return document.joined() if document.parts else Document(document.url, tuple(document.all_triples()))
         lifted = lift_sample(space, lifting, one.decoded).triples(document)
-        own = observation_triples(document.url, one.message, space, lifted)
+        schema = one.decoded.schema
+        fields = () if schema is None else observed_fields(schema.ref.name, Role.SENSOR, schema)
+        own = observation_triples(document.url, one.message, space, lifted, fields)
         return Document(document.url, (*own, *lifted))
 
 

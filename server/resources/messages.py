@@ -14,6 +14,7 @@ from rosld.adapters.model import Message, MessageSchema, RosError, Sample, TypeR
 from rosld.ontology.document import Envelope, LiftedMessage
 from rosld.ontology.fields import field_bytes
 from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.observations import Observer, Role
 from rosld.ontology.urls import Space
 from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.negotiation import choose_offer
@@ -58,13 +59,18 @@ async def decode(schemas: Schemas, sample: Sample) -> DecodedSample:
         return DecodedSample(sample, None, None, str(error))
 
 
-def lift_sample(space: Space, lifting: LiftSettings, one: DecodedSample) -> LiftedMessage:
-    """Return a decoded sample as the `#message` of a document."""
+def lift_sample(
+    space: Space, lifting: LiftSettings, one: DecodedSample, topic: str = "", role: Role | None = None
+) -> LiftedMessage:
+    """Return a decoded sample as the `#message` of a document; its `role` is that of messages of the topic."""
     assert one.schema is not None
     assert one.message is not None
     publisher = space.node(one.sample.publisher) if one.sample.publisher else None
     envelope = Envelope(one.sample.received_ns, one.sample.sequence, publisher)
-    return LiftedMessage("#message", lifter(one.schema, lifting), one.message, envelope, frames=space.frames)
+    device = "" if role is None else space.topic(topic) + role.value
+    observer = None if role is None else Observer(one.schema, role, lifting.types, device, space.base)
+    lift = lifter(one.schema, lifting)
+    return LiftedMessage("#message", lift, one.message, envelope, frames=space.frames, observer=observer)
 
 
 async def field_response(schemas: Schemas, sample: Sample, path: str) -> Response:

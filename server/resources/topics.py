@@ -21,6 +21,7 @@ from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
+from rosld.ontology.observations import role_of
 from rosld.server.history.history import History
 from rosld.server.html.forms import DeleteForm, Form, message_form
 from rosld.server.html.inputs import Json
@@ -242,6 +243,7 @@ class TopicResource(PublishingResource):
             *(IdentityKey(topic), IdentityKey(view), graph.simulated_time, hold and hold.id, self.is_holdable),
             is_recorded(self.history, self.name),
             sources_of_topic(topic, graph),
+            self.session.schemas.find_message(topic.type) is not None,
         )
         known = self.states.find(self.url, version)
         if known is None:
@@ -292,11 +294,13 @@ class TopicResource(PublishingResource):
         self, topic: Topic, view: TopicView, decoded: Sequence[DecodedSample], hold: str | None, *, holdable: bool
     ) -> Document:
         """Return the RDF of the topic. Reads the graph late, so that cached states retain none."""
-        found = [lift_sample(self.space, self.session.lifting, one) for one in decoded if one.message is not None]
+        graph, schema = self.session.graph, self.session.schemas.find_message(topic.type)
+        role, lifting = role_of(topic, graph, schema), self.session.lifting
+        found = [lift_sample(self.space, lifting, one, topic.name, role) for one in decoded if one.message is not None]
         reason = next((one.reason for one in decoded if one.reason), topic.unreadable)
         return topic_document(
-            topic, self.space, self.session.graph, view.rate, found, unreadable=reason,
-            holdable=holdable, hold=hold,
+            topic, self.space, graph, view.rate, found, unreadable=reason,
+            holdable=holdable, hold=hold, schema=schema,
         )  # fmt: skip
 
     @property

@@ -37,6 +37,11 @@ class Schemas:
         """Return the cached schema of a type, or one of its name with another hash, or None."""
         return self._known.get(ref) or self._named.get(ref.name)
 
+    def find_message(self, ref: TypeRef | None) -> MessageSchema | None:
+        """Return the cached schema of a message type as `find_similar` does, or None."""
+        found = None if ref is None else self.find_similar(ref)
+        return found if isinstance(found, MessageSchema) else None
+
     def definition_of(self, ref: TypeRef) -> str:
         """Return the cached definition of a message type, or an empty string."""
         found = self.find_similar(ref)

@@ -23,7 +23,7 @@ from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
 from rosld.ontology.modules import MODULES
 from rosld.ontology.parameters import parameter_triples
-from rosld.ontology.serialize import serialize
+from rosld.ontology.serialize import serialize, serialize_without_observations
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
 from rosld.server.resources import types
@@ -104,12 +104,11 @@ class GraphDescriptions:
             yield _graph_entry(space.node(name), (view, simulated), describe)
         for topic in graph.topics.values():
             hold = services.holds.find_by_topic(topic.name)
-            can = self._factory.topic(topic.name).is_holdable
-            yield _graph_entry(
-                space.topic(topic.name),
-                (topic, hold and hold.id, can, sources_of_topic(topic, graph)),
-                partial(topic_document, topic, space, graph, holdable=can, hold=hold.id if hold else None),
-            )
+            held = None if hold is None else hold.id
+            can, schema = self._factory.topic(topic.name).is_holdable, session.schemas.find_message(topic.type)
+            describe = partial(topic_document, topic, space, graph, holdable=can, hold=held, schema=schema)
+            token = (topic, held, can, sources_of_topic(topic, graph), schema is not None)
+            yield _graph_entry(space.topic(topic.name), token, describe)
         for service in graph.services.values():
             yield _graph_entry(space.service(service.name), service, partial(service_document, service, space, graph))
         for name, action in graph.actions.items():
@@ -244,6 +243,6 @@ def _graph_entry(iri: str, token: Hashable, describe: Callable[[], Document]) ->
     return GraphEntry(iri, token, lambda: document_ntriples(describe()))
 
 
-def document_ntriples(document: Document) -> str:
-    """Return a document as N-Triples, which the query process reads."""
-    return serialize(document, Syntax.N_TRIPLES).decode()
+def document_ntriples(document: Document, *, observed: bool = True) -> str:
+    """Return a document as N-Triples, which the query process reads; on demand without observations of messages."""
+    return (serialize(document, Syntax.N_TRIPLES) if observed else serialize_without_observations(document)).decode()

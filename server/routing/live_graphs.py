@@ -18,6 +18,7 @@ from msgspec.structs import replace
 from rosld.adapters.model import Array, Graph, MessageSchema, Nested, ParameterValue, RosError, Topic
 from rosld.ontology import describe_body, geometry
 from rosld.ontology.document import Document
+from rosld.ontology.observations import CLASSES, PREDICATES, role_of
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import rdf, ros
 from rosld.server.auth.permissions import Permissions
@@ -66,7 +67,13 @@ _RATE = StatedTerms(frozenset({ros.rate.value}), frozenset())
 _BRIEF = StatedTerms(frozenset({ros.briefValue.value, ros.rate.value}), frozenset())
 _PARAMETER = StatedTerms(frozenset({ros.value.value}), frozenset())
 _BODY = StatedTerms(describe_body.PREDICATES, describe_body.CLASSES)
+_OBSERVATIONS = StatedTerms(PREDICATES, CLASSES)
 _ANYTHING = StatedTerms()
+_OBSERVED_SECONDS = 60.0
+"""Seconds after a query for observations in which they remain in the dataset, also for queries that do not need them.
+
+A query that is waiting for its values must not find them removed by another one.
+"""
 
 
 class _Candidate(NamedTuple):
@@ -92,6 +99,7 @@ class RobotGraphs:
         self._descriptions = GraphDescriptions(factory)
         self._cached: dict[Needs, tuple[Hashable, Sequence[LiveDocument]]] = {}
         self._changing: Sequence[Resource] = ()
+        self._observed_until = 0.0
 
     def add(self, fixed: Mapping[str, Callable[[], Document]], changing: Iterable[Resource]) -> None:
         """Add constant documents, by URL, and resources whose state is read for each query that may match them."""
@@ -179,9 +187,12 @@ class RobotGraphs:
         by_type = replace(needs, patterns=frozenset(one for one in needs.patterns if _names_type(one, space.types)))
         for topic in _named_topics(space, graph, needs):
             url, (terms, bulky) = space.topic(topic.name), self._terms_of_topic(topic)
-            if needs.may_match(url, terms):
+            role = role_of(topic, graph, self._session.schemas.find_message(topic.type))
+            observed = None if role is None else needs.may_match(url, _OBSERVATIONS)
+            if observed or needs.may_match(url, terms):
                 is_named = url in needs.documents or by_type.may_match(url, terms)
-                yield LiveDocument(url, self._factory.topic(topic.name), is_named, is_named or not bulky)
+                subscribes = is_named or not bulky
+                yield LiveDocument(url, self._factory.topic(topic.name), is_named, subscribes, observed=observed)
 
     def _parameters(self, graph: Graph) -> Iterator[_Candidate]:
         space, factory = self._session.space, self._factory
@@ -257,6 +268,8 @@ class RobotGraphs:
 
         A document that does not exist now has no entry; unreadable ones are returned with the reason.
         """
+        if any(one.observed for one in documents):
+            self._observed_until = loop_time() + _OBSERVED_SECONDS
         topics = [one for one in documents if isinstance(one.resource, TopicResource)]
         listings = [one for one in documents if one.subscribes and isinstance(one.resource, NamespaceContainer)]
         due = [one for one in documents if one.subscribes and not isinstance(one.resource, _READ_AT_ONCE)]
@@ -352,7 +365,8 @@ class RobotGraphs:
                         state = await resource.state_of(known(resource.name))
                     else:
                         state = await resource.state()
-                    found.entries[one.url] = _entry_of(one.url, state)
+                    observed = one.observed is not None and loop_time() < self._observed_until
+                    found.entries[one.url] = _entry_of(one.url, state, observed)
                 except (Problem, RosError):  # it no longer exists
                     found.entries.pop(one.url, None)
             if turns:
@@ -429,5 +443,5 @@ def _of_parameter(resource: Resource, value: ParameterValue | None) -> GraphEntr
         return None
 
 
-def _entry_of(iri: str, state: State) -> GraphEntry:
-    return GraphEntry(iri, state.tag, lambda: document_ntriples(state.document))
+def _entry_of(iri: str, state: State, observed: bool = False) -> GraphEntry:
+    return GraphEntry(iri, state.tag, lambda: document_ntriples(state.document, observed=observed), observed)

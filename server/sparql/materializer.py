@@ -32,18 +32,23 @@ from rosld.server.sparql.stored_sync import (
 
 
 class GraphEntry(NamedTuple):
-    """A named graph of the source: `token` changes whenever the result of `ntriples()` (thread-safe) would."""
+    """A named graph of the source: `token` changes whenever the result of `ntriples()` (thread-safe) would.
+
+    `observed`: whether it has the observations of its messages.
+    """
 
     iri: str
     token: Hashable
     ntriples: Callable[[], str]
+    observed: bool = False
 
 
 class LiveDocument(NamedTuple):
     """A document whose values a query can match.
 
     `is_named`: the query names its IRI, type or a predicate, so its values must be current. Without `subscribes`, only
-    values at hand are included. `members` are the properties to read of a complex resource, None for all.
+    values at hand are included. `members` are the properties to read of a complex resource, None for all. `observed`:
+    whether the query can match observations; None if the document has none.
     """
 
     url: str
@@ -51,6 +56,7 @@ class LiveDocument(NamedTuple):
     is_named: bool = False
     subscribes: bool = True
     members: frozenset[str] | None = None
+    observed: bool | None = None
 
 
 class LiveGraphs(Struct, frozen=True):
@@ -214,9 +220,13 @@ class Materializer:
         now = self._state.generation, self._source.writes
         if version != now or time.monotonic() - ended >= _WILDCARD_SECONDS:
             return documents
-        if any(not one.is_named and one.url not in urls for one in documents):
+        if any(not one.is_named and (one.url not in urls or self._lacks_observations(one)) for one in documents):
             return documents  # all values must be of the same moment
         return [one for one in documents if one.is_named]
+
+    def _lacks_observations(self, one: LiveDocument) -> bool:
+        held = self._state.held.get(one.url)
+        return bool(one.observed) and (held is None or not held.observed)
 
     def _send_small(self, reading: _Reading) -> bool:
         """Apply small changes at once; return False, changing nothing, for large ones or while others are applied."""
@@ -255,7 +265,7 @@ class Materializer:
             if entry is None:
                 if held is not None and held.has_values:
                     changes[iri] = _Change(plain, description, False, held.size)
-            elif held is None or not held.has_values or held.token != entry.token:
+            elif held is None or not held.has_values or (held.token, held.observed) != (entry.token, entry.observed):
                 changes[iri] = _Change(entry, description, True, INLINE + 1 if held is None else held.size)
             else:
                 changes.pop(iri, None)
@@ -286,8 +296,8 @@ class Materializer:
             if change.entry is None:
                 state.held.pop(iri, None)
                 continue
-            token, size = change.entry.token, len(texts[iri] or "")
-            state.held[iri] = HeldGraph(token, change.description, change.has_values, reading.number, size)
+            token, observed, size = change.entry.token, change.entry.observed, len(texts[iri] or "")
+            state.held[iri] = HeldGraph(token, change.description, change.has_values, reading.number, size, observed)
             if change.has_values:
                 state.live.add(iri)
             elif iri in self._recent.urls and iri not in reading.graphs.entries:

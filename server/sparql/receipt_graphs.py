@@ -81,7 +81,10 @@ def _terms(space: Space) -> StatedTerms:
     """Return the terms of a receipt that has every property, and of the container."""
     container = container_document(space.container("activity"), [space.activity("0")], TITLE)
     creations = (space.base, space.call("0"))
-    documents = (container, *(activity_document(_EVERYTHING._replace(made=one), space) for one in creations))
+    documents = (
+        container,
+        *(activity_document(_EVERYTHING._replace(made=one, touched=(space.topic("/t"),)), space) for one in creations),
+    )
     triples = [triple for document in documents for triple in document.all_triples()]
     classes = frozenset(str(one.object)[1:-1] for one in triples if one.predicate == rdf.type)
     return StatedTerms(frozenset(one.predicate.value for one in triples), classes)

@@ -87,7 +87,7 @@ class HeldGraph(NamedTuple):
     """A graph in the target.
 
     `token` is the token of the graph, `description` that of its description (None without one), `number` that of the
-    reading it comes from, `size` its characters of N-Triples.
+    reading it comes from, `size` its characters of N-Triples, `observed` whether it has observations of its messages.
     """
 
     token: Hashable
@@ -95,6 +95,7 @@ class HeldGraph(NamedTuple):
     has_values: bool
     number: int
     size: int
+    observed: bool = False
 
 
 class TargetState:

@@ -170,14 +170,13 @@ def test_a_velocity_that_is_published_once_is_answered_with_how_to_hold_it(drive
 
 
 def test_who_renews_goes_on_and_never_faster_than_the_rate(driven: Driven, http: httpx.Client) -> None:
-    hold = begun(http, lease=1)
+    hold = begun(http, lease=2)
     began = driven.told[0][0]
-    for _ in range(5):
-        time.sleep(0.25)
+    while driven.told[-1][0] - began < 2.2:
+        time.sleep(0.1)
         assert http.patch(hold).status_code == 204
     assert http.delete(hold).status_code == 204
     times = [at for at, _, message in driven.told if message != STILL]
-    assert times[-1] - began > 1.1
     for number, at in enumerate(times):
         assert at >= began + (number - 1) / 50, "there are more than one a beat"
 

@@ -95,6 +95,7 @@ SECTIONS: Mapping[str, str] = {
     "goals": "Goals",
     "activity": "Activity",
     "holds": "Holds",
+    "faults": "Faults",
     "parameters": "Parameters",
     "types": "Types",
     "shapes": "Shapes",

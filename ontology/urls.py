@@ -197,6 +197,10 @@ class Space(Struct, frozen=True):
         """Return the URL of a hold of a topic."""
         return self.url("holds", (id,))
 
+    def fault(self, id: str) -> str:
+        """Return the URL of a fault of the robot."""
+        return self.url("faults", (id,))
+
     @property
     def stop(self) -> str:
         """Return the URL of the stop of the whole robot."""

@@ -44,6 +44,7 @@ class _ros(Namespace):
     Hold: NamedNode
     Write: NamedNode
     namespace: NamedNode
+    Fault: NamedNode
     touches: NamedNode
     goalMessage: NamedNode
     feedback: NamedNode
@@ -219,6 +220,16 @@ class _ros(Namespace):
     digest: NamedNode
     excerpt: NamedNode
     withheld: NamedNode
+    FaultState: NamedNode
+    faultOf: NamedNode
+    reportedOn: NamedNode
+    faultKind: NamedNode
+    severity: NamedNode
+    occurrences: NamedNode
+    lastOccurred: NamedNode
+    FaultActive: NamedNode
+    FaultAcknowledged: NamedNode
+    FaultHealed: NamedNode
     BagTopic: NamedNode
     Record: NamedNode
     recordedIn: NamedNode

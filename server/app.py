@@ -218,7 +218,7 @@ def create_authenticator(services: Services, channels: Channels) -> Authenticato
     session = services.session
     if session.settings.auth is None:
         return None
-    about = AboutResources(session, services.holds, services.recordings, services.receipts, channels)
+    about = AboutResources(session, services.holds, services.faults, services.recordings, services.receipts, channels)
     types = partial(types_at, session, services.affordances)
     return Authenticator(session.settings.auth, session.space, types, about)
 

@@ -213,6 +213,12 @@ class Settings:
     mcp_budget: int = setting(
         8000, "The largest JSON value in the result of a tool; the rest is cut.", unit="bytes", minimum=500
     )
+    faults: str = setting(
+        "all",
+        "What to follow at /faults/: 'all', or 'quiet', which subscribes to nothing and so leaves out diagnostics and "
+        "the log.",
+        metavar="WHAT",
+    )
     rate: float = setting(1.0, "Recordings: playback speed; 1 is as recorded.", minimum=0.000001, metavar="X")
     once: bool = setting(False, "Recordings: play once and stay at the end, instead of looping.", option=True)
     first_value_wait: float = setting(
@@ -344,6 +350,8 @@ class Settings:
             raise ValueError(f"--stop-cancels {self.stop_cancels}: must be own or others")
         if self.mcp not in ("off", "read", "write"):
             raise ValueError(f"--mcp {self.mcp}: must be off, read or write")
+        if self.faults not in ("all", "quiet"):
+            raise ValueError(f"--faults {self.faults}: must be all or quiet")
         for glob in self.mcp_approve:
             _check_path_glob("--mcp-approve", glob)
         if self.port > 65535:

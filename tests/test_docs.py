@@ -108,6 +108,7 @@ def serve(start: Callable[..., Served], command: str) -> str:
         ("README.md", "rosld serve aircraft"),
         ("docs/tutorial/aircraft.md", "rosld serve aircraft"),
         ("docs/how-to/rover.md", "rosld serve rover"),
+        ("docs/how-to/faults.md", "rosld serve rover"),
     ],
 )
 def test_a_page_on_an_embedded_robot_prints_what_it_shows(page: str, command: str, tmp_path: Path) -> None:

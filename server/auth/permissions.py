@@ -18,7 +18,7 @@ AboutAt: TypeAlias = Callable[[Location], "Sequence[str] | None"]
 
 It returns None if they are unknown: then reading requires the right to read everything. Thread-safe.
 """
-ABOUT_OTHERS = frozenset({"activity", "bags", "calls", "channels", "goals", "holds"})
+ABOUT_OTHERS = frozenset({"activity", "bags", "calls", "channels", "faults", "goals", "holds"})
 """Routes of resources about other resources: the service of a call, the targets of a receipt's write."""
 
 _PAGE = re.compile(r"(?:^|&)page=[0-9]*:([^&]+)")
@@ -127,7 +127,8 @@ class Permissions:
         if self.may_read_all or location.kind not in ABOUT_OTHERS:
             return True
         about = self._about(location)
-        return about is not None and (not about or any(map(self._may_know_url, about)))
+        quantifier = all if location.kind == "faults" else any  # ids of faults are digests of what was reported
+        return about is not None and (not about or quantifier(map(self._may_know_url, about)))
 
     def _may_know_url(self, url: str) -> bool:
         location = self._located(url)

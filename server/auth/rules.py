@@ -153,7 +153,7 @@ class Mode(Enum):
 
 
 _CONTROLLED = frozenset(
-    {"topics", "services", "calls", "actions", "goals", "resources", "nodes", "holds", "stop", "activity"}
+    {"topics", "services", "calls", "actions", "goals", "resources", "nodes", "holds", "faults", "stop", "activity"}
 )
 """Routes in which a write commands the robot."""
 ACL = "acl"

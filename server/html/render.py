@@ -477,7 +477,6 @@ def render_cockpit(page: CockpitPage) -> bytes:
         copy_token=page.csrf(f"{site.base}cockpit/"),
         token=page.csrf(""),
         formats=ALTERNATES,
-        diagnostics=f"{site.root}diagnostics",
     )
 
 

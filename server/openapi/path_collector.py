@@ -153,7 +153,7 @@ class PathCollector(Struct, frozen=True):
         for url in urls:
             yield self._path(self._of(url))
         yield self._template("/topics/{name}", "/topics/new", name=_NAME)
-        for route, word in (("calls", "call"), ("goals", "goal"), ("holds", "hold")):
+        for route, word in (("calls", "call"), ("goals", "goal"), ("holds", "hold"), ("faults", "fault")):
             yield self._path(f"/{route}/")
             yield self._template(f"/{route}/{{id}}", f"/{route}/any", id=f"As in the URL of the {word}.")
 

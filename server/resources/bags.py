@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-import orjson
 from msgspec import Struct
-from pyoxigraph import Literal, NamedNode, Triple
+from pyoxigraph import Literal
 from starlette.responses import Response
 
 from rosld.adapters.base import RecordedTopic, Recording, Watch
@@ -25,11 +24,9 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import JsonSchema, MessageSchemas, json_object
-from rosld.server.patches.n3patch import apply_patch, read_patch
-from rosld.server.patches.patch import apply_update
+from rosld.server.patches.single_change import PATCHES, SingleChange
 from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import MERGE_PATCH, SPARQL_UPDATE
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, ShownAnswer
 from rosld.server.rest.state import State
@@ -181,37 +178,8 @@ class BagResource(BagBase):
         return Response(status_code=204)
 
 
-N3_PATCH = "text/n3"
-PATCHES = (MERGE_PATCH, SPARQL_UPDATE, N3_PATCH)
-_ENDED = "ended"
 _WORDS = 'A recording can only be ended: send {"status": "ended"}, or have ros:recordingStatus be "ended".'
-
-
-def require_end(data: bytes, media_type: str, url: str, before: Iterable[Triple]) -> None:
-    """Raise a Problem unless a patch of the recording at `url`, with the triples `before`, just ends it.
-
-    400 for an unreadable patch, 409 for an N3 patch that does not match, 422 for any other change.
-    """
-    if media_type not in (SPARQL_UPDATE, N3_PATCH):
-        try:
-            change: object = orjson.loads(data)
-        except orjson.JSONDecodeError as error:
-            raise Problem(400, f"This is not JSON: {error}.") from error
-        if change != {"status": _ENDED}:
-            raise Problem(422, _WORDS)
-        return
-    known = list(before)
-    if media_type == N3_PATCH:
-        after = set(apply_patch(read_patch(data, url), known))
-        statuses = {each.object for each in after if each.predicate == ros.recordingStatus}
-        others = {each for each in after if each.predicate != ros.recordingStatus}
-        is_rest_same = others == {each for each in known if each.predicate != ros.recordingStatus}
-    else:
-        body = apply_update(data, known, url, by_value=True)
-        statuses = set(body.objects(NamedNode(url), ros.recordingStatus))
-        is_rest_same = True
-    if statuses != {Literal(_ENDED)} or not is_rest_same:
-        raise Problem(422, _WORDS)
+_END = SingleChange({"status": "ended"}, ros.recordingStatus, Literal("ended"), _WORDS)
 
 
 _LOOK_SECONDS = 1.0
@@ -287,7 +255,7 @@ class RunningBag(UnfinishedBag):
         Returns the recording. Raises a 507 Problem if it could not be completed.
         """
         before = describe_running(self.space, self.recordings, self.one).triples
-        require_end(await exchange.body(), exchange.media_type, self.url, before)
+        _END.require(await exchange.body(), exchange.media_type, self.url, before)
         await self.recordings.end(self.one.name)
         resource = self._finished
         if resource is None:
@@ -330,7 +298,7 @@ class ArmedBag(UnfinishedBag):
     async def patch(self, exchange: Exchange) -> Answer:
         """Cancel the recording."""
         before = describe_armed(self.space, self.one).triples
-        require_end(await exchange.body(), exchange.media_type, self.url, before)
+        _END.require(await exchange.body(), exchange.media_type, self.url, before)
         return await self.delete(exchange)
 
     async def delete(self, exchange: Exchange) -> Answer:

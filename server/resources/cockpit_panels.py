@@ -44,6 +44,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.diagnostics import DiagnosticsResource
+from rosld.server.resources.faults import lasting_states
 from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.messages import decode
 from rosld.server.resources.plot import NumberFinder
@@ -53,6 +54,7 @@ from rosld.server.resources.topics import TopicResource
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
+from rosld.server.robot.faults import Faults
 from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop
 from rosld.server.runtime.tasks import call_every, combine_watches
@@ -105,6 +107,7 @@ class CockpitSources(Struct, frozen=True):
     documents: Documents
     queries: StoredQueries
     history: History
+    faults: Faults
     software_stop: SoftwareStop
     service: QueryService
     at: Callable[[str], Resource]
@@ -225,6 +228,9 @@ class PanelReader:
         state = await self._state(resource)
         if isinstance(resource, DiagnosticsResource):
             return StatesContent(tuple(resource.states)), state.tag
+        if url == self._session.space.container("faults"):
+            found = lasting_states(self._sources.faults, self._permissions.may_read, self._session.space)
+            return StatesContent(found) if found else WordsContent("Nothing is wrong."), state.tag
         return ValueContent(state.document, state.view), state.tag
 
     async def _plot(self, panel: Panel) -> tuple[PanelContent, str]:

@@ -63,7 +63,9 @@ async def default_cockpit(session: Session, affordances: AffordanceService[State
         *_of_topics(space, graph, topics, is_read_only=is_read_only, can_stop=can_stop),
         *_of_resources(space, graph, await affordances.tree(), is_read_only=is_read_only),
     ]
-    return Cockpit(TITLE, tuple(panels or _first_topics(space, topics)))
+    shown = panels or list(_first_topics(space, topics))
+    faults = Panel(PanelKind.VALUE, (space.container("faults"),), title="Faults", area=GridArea(3, 3))
+    return Cockpit(TITLE, (*shown[:2], faults, *shown[2:]))
 
 
 def _first_topics(space: Space, topics: Iterable[Topic]) -> Iterator[Panel]:

@@ -44,6 +44,7 @@ from rosld.server.space.drawing import can_place
 _BODY = "Links, joints and sensors, by the description of the robot."
 _COCKPIT = "What the robot is like and can do, on one page of panels."
 _DIAGNOSTICS = "What the parts of the robot report."
+_FAULTS = "What is or was wrong, each once."
 _SPACE = "Scans, maps, paths and frames, seen from above."
 _RESOURCES = "What the robot is like now, and what it can do: values to read and to set, actions, links."
 
@@ -103,6 +104,7 @@ class EntryResource(Resource):
         sources = body_sources(graph)
         if sources and all(site.may("GET", each.url(space)) for each in sources):
             counts.append(EntryCount("Body", None, body_url(space), _BODY))
+        counts.append(EntryCount(SECTIONS["faults"], None, space.container("faults"), _FAULTS))
         counts.append(EntryCount("Graph", None, f"{space.base}graph", "Who talks to whom, drawn."))
         routes = ("types", "mappings", "data", "calls", *goals, "holds", "queries")
         counts += [

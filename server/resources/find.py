@@ -15,6 +15,7 @@ from pyoxigraph import NamedNode
 
 from rosld.adapters.base import Capabilities
 from rosld.adapters.model import Graph, RosError
+from rosld.ontology.describe_faults import Fault
 from rosld.ontology.describe_views import (
     MemberOutline,
     SearchOutline,
@@ -54,6 +55,7 @@ from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.responses import offer_url
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
+from rosld.server.robot.faults import Faults
 from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey
@@ -128,14 +130,21 @@ class Finder:
     """The search of one robot."""
 
     def __init__(
-        self, session: Session, affordances: AffordanceService[State], documents: Documents, queries: StoredQueries
+        self,
+        session: Session,
+        affordances: AffordanceService[State],
+        documents: Documents,
+        queries: StoredQueries,
+        faults: Faults,
     ) -> None:
         self._session = session
         self._affordances = affordances
         self._documents = documents
         self._queries = queries
+        self._faults = faults
         self._of_robot: _Index | None = None
         self._of_kept: _Index | None = None
+        self._of_faults: _Index | None = None
         self._making = asyncio.Lock()
 
     async def find(self, query: Query, permissions: Permissions, limit: int) -> SearchResults:
@@ -143,8 +152,9 @@ class Finder:
         async with self._making:
             self._of_robot = await self._robot_index(self._of_robot)
             self._of_kept = await self._kept_index(self._of_kept)
+            self._of_faults = self._fault_index(self._of_faults)
         may_read: Callable[[str], bool] | None = None if permissions.is_unrestricted else permissions.may_read
-        found = [each.index.find(query, limit, may_read) for each in (self._of_robot, self._of_kept)]
+        found = [each.index.find(query, limit, may_read) for each in (self._of_robot, self._of_kept, self._of_faults)]
         complete = [each for each in found if each.hits and each.is_complete]
         best = complete if complete and query.commands is None else found
         hits = sorted((hit for each in best for hit in each.hits), key=lambda hit: hit.rank)
@@ -169,6 +179,17 @@ class Finder:
             return known
         entries = await kept_entries(self._documents, self._queries)
         return _Index(version, SearchIndex(Catalog(entries), by_meaning=False))
+
+    def _fault_index(self, known: _Index | None) -> _Index:
+        version = self._faults.revision
+        if known is not None and known.version == version:
+            return known
+        entries = [_fault_entry(self._session.space, each) for each in self._faults.all()]
+        return _Index(version, SearchIndex(Catalog(entries), by_meaning=False))
+
+
+def _fault_entry(space: Space, fault: Fault) -> Entry:
+    return Entry(EntryKind.FAULT, f"/{fault.key.label.lstrip('/')}", space.fault(fault.id), (), (fault.words,))
 
 
 def _index_of_robot(session: Session, graph: Graph, tree: ResourceTree) -> SearchIndex:
@@ -246,8 +267,9 @@ _CLASSES: Mapping[EntryKind, NamedNode] = {
     EntryKind.PARAMETER: ros.Parameter,
     EntryKind.NODE: ros.Node,
     EntryKind.QUERY: ros.Query,
+    EntryKind.FAULT: ros.Fault,
 }
-_KEPT = frozenset({EntryKind.QUERY, EntryKind.MAPPING, EntryKind.DOCUMENT})
+_KEPT = frozenset({EntryKind.QUERY, EntryKind.MAPPING, EntryKind.DOCUMENT, EntryKind.FAULT})
 """Kinds of entries with a path instead of a ROS name."""
 NOTHING_AT_HAND = LatestValue(None)
 _MAX_ABOUT = 1000

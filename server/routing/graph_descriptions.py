@@ -74,6 +74,7 @@ class GraphDescriptions:
             session.goals.revision,
             session.name,
             services.holds.revision,
+            services.faults.revision,
             services.software_stop.revision,
             services.recordings.history.digests.revision,
             services.queries.version,
@@ -203,9 +204,11 @@ class GraphDescriptions:
                 yield _graph_entry(resource.url, (state.view, simulated), state.describe)
 
     def _activities(self) -> Iterator[GraphEntry]:
-        """Yield calls, goals, holds and the stop, and the containers of the first three."""
-        calls, goals, holds = self._session.calls.all(), self._session.goals.all(), self._services.holds.all()
-        for listing in (self._factory.calls(), self._factory.goals(), self._factory.holds()):
+        """Yield calls, goals, holds, faults and the stop, and the containers of the first four."""
+        services = self._services
+        calls, goals, holds = self._session.calls.all(), self._session.goals.all(), services.holds.all()
+        factory = self._factory
+        for listing in (factory.calls(), factory.goals(), factory.holds(), factory.faults()):
             yield _graph_entry(listing.url, *listing.outline())
         for call in calls:
             of_call = self._factory.call(call.id)
@@ -213,6 +216,9 @@ class GraphDescriptions:
         for hold in holds:
             of_hold = self._factory.hold(hold.id)
             yield _graph_entry(of_hold.url, IdentityKey(hold), partial(of_hold.document, hold))
+        for fault in services.faults.all():
+            of_fault = factory.fault(fault.id)
+            yield _graph_entry(of_fault.url, IdentityKey(fault), partial(of_fault.document, fault))
         stop, software_stop = self._factory.stop(), self._services.software_stop
         yield _graph_entry(stop.url, (software_stop.revision, software_stop.steps), stop.document)
         for goal in goals:

@@ -24,6 +24,7 @@ from rosld.server.resources.cockpits import cockpit_route
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.diagnostics import DiagnosticsResource
 from rosld.server.resources.entry_point import FILES, EntryResource, GuideResource
+from rosld.server.resources.faults import FaultResource, faults_listing
 from rosld.server.resources.find import Finder, FindResource
 from rosld.server.resources.graph import GraphResource
 from rosld.server.resources.graph_store import GraphStore
@@ -126,6 +127,12 @@ class ResourceFactory:
 
     def holds(self) -> ListingResource:
         return holds_listing(self.session.space, self.states, self.services.holds)
+
+    def fault(self, id: str) -> FaultResource:
+        return FaultResource(self.session, self.states, self.services.faults, self.history, id)
+
+    def faults(self) -> ListingResource:
+        return faults_listing(self.session.space, self.services.faults, self.states)
 
     def stop(self) -> StopResource:
         return StopResource(self.session.space, self.states, self.services.software_stop)
@@ -232,7 +239,7 @@ class Router:
         documents, queries, recordings = services.documents, services.queries, services.recordings
         space = self._space = session.space
         changes = None if settings.read_only else updates(self.at)
-        finder = Finder(session, affordances, documents, queries)
+        finder = Finder(session, affordances, documents, queries, services.faults)
         self.search = FindResource(session, affordances, factory.latest_values, services.property_reader, finder)
         self.graphs = GraphStore(space, settings, states, service, self.resolve, changes)
         examples = partial(_examples, queries)
@@ -248,7 +255,16 @@ class Router:
             self.at,
         )
         cockpits = CockpitSources(
-            session, affordances, documents, queries, history, services.software_stop, service, self.at, QueryTables()
+            session,
+            affordances,
+            documents,
+            queries,
+            history,
+            services.faults,
+            services.software_stop,
+            service,
+            self.at,
+            QueryTables(),
         )
         runner, level_times, receipts = QueryRunner(service, pages, space.base), LevelTimes(), services.receipts
         stored = partial(stored_route, documents)
@@ -268,6 +284,7 @@ class Router:
                 lambda id: ActivityResource(space, settings, states, receipts, id),
             ),
             "holds": _flat(space, "A hold", factory.holds, factory.hold),
+            "faults": _flat(space, "A fault", factory.faults, factory.fault),
             "parameters": partial(_parameter_route, parameters),
             "types": partial(type_route, session, states),
             "shapes": partial(shape_route, factory.limit_checks, documents),

@@ -26,6 +26,8 @@ from rosld.server.resources.ldp.base import (
     Validator,
 )
 from rosld.server.rest.state import State
+from rosld.server.robot.fault_follower import FaultFollower
+from rosld.server.robot.faults import Faults
 from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop, StopCommand
@@ -48,7 +50,7 @@ class Services:
         self.instance_id = secrets.token_hex(4)
         """Identifier of this run of the server."""
         session, space = self.session, self.session.space
-        self.states: VersionCache[State] = VersionCache()
+        states: VersionCache[State] = VersionCache()
         self.active_limits = ActiveLimits(tuple(initial_limits(settings, adapter, space)), space)
         records = open_records(settings.data, roots=_ROUTES, versions=settings.versions)
         self.receipts = Journal(
@@ -69,32 +71,43 @@ class Services:
             patience=settings.call_deadline,
         )
         self.affordances: AffordanceService[State] = AffordanceService(
-            session, self.mappings, self.property_reader, self.states, lambda: self.active_limits.current
+            session, self.mappings, self.property_reader, states, lambda: self.active_limits.current
         )
         self.documents = Documents(
             space,
             settings,
             records,
             Signal(),
-            self.states,
+            states,
             WorkerPool(),
-            self._validators(records),
+            self._validators(records, states),
             self.affordances.mapping_warnings,
         )
         self.holds = Holds(session)
+        self._fault_follower = FaultFollower(session, subscribes=settings.faults == "all")
         self.recordings = Recordings(adapter, settings, session.schemas.get, session.schemas.definition_of)
         self.software_stop = SoftwareStop(
             session, self.holds, lambda: self.mappings.mapping_set.stop_commands(), self._is_at_rest
         )
         self.pictures = PictureCache(self.instance_id)
 
-    def _validators(self, records: Records) -> Mapping[str, Validator]:
+    @property
+    def states(self) -> VersionCache[State]:
+        """Cache of the states of resources."""
+        return self.documents.states
+
+    @property
+    def faults(self) -> Faults:
+        """What is or was wrong with the robot."""
+        return self._fault_follower.faults
+
+    def _validators(self, records: Records, states: VersionCache[State]) -> Mapping[str, Validator]:
         """Return the validators of documents by route, which also activate documents."""
         space, announce = self.session.space, self.session.changes.emit
         validators: Sequence[Validator] = (
             MappingValidator(self.mappings, space, announce),
             QueryValidator(self.queries, records, space, announce),
-            LimitsValidator(self.active_limits, self.states, space, announce),
+            LimitsValidator(self.active_limits, states, space, announce),
             CockpitValidator(space),
         )
         return {each.route: each for each in validators}
@@ -128,6 +141,7 @@ class Services:
         self.active_limits.load_stored(self.documents.records)
         await load_stored_mappings(self.mappings, self.documents.records, self.session.settings, self.session.space)
         self.session.follow()
+        self._fault_follower.start()
         self.software_stop.start()
 
     async def stop(self) -> None:
@@ -140,6 +154,7 @@ class Services:
         await self.receipts.close()
         await self.property_reader.stop()
         await self.recordings.stop()
+        await self._fault_follower.stop()
         await self.session.close()
         await self.documents.records.close()
 

@@ -27,6 +27,7 @@ class EntryKind(Enum):
     QUERY = "query"
     MAPPING = "mapping"
     DOCUMENT = "document"
+    FAULT = "fault"
 
 
 class Entry(Struct, frozen=True):

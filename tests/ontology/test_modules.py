@@ -180,7 +180,7 @@ def test_states_are_individuals_of_the_sets_that_they_are_in() -> None:
         for term, home in terms_of(*OWN).items()
         if owl.NamedIndividual in objects(home, term, rdf.type) and set(objects(home, term, rdf.type)) & sets
     }
-    assert len(individuals) == 25
+    assert len(individuals) == 28
     assert individuals[ros.Succeeded] == {ros.CallState, ros.GoalStatus, owl.NamedIndividual}
 
 

@@ -106,7 +106,7 @@ def test_a_recording_that_does_not_tell_who_published_has_panels(
     served = start_server(str(tmp_path / "walk.bag"))
     url = f"{served.url}cockpit/default"
     panels = read_cockpit(triples_of(served.http.get(url, headers={"Accept": "text/turtle"})), url).panels
-    assert [each.shows for each in panels] == [(f"{served.url}topics/walk/point",)]
+    assert [each.shows for each in panels] == [(f"{served.url}{path}",) for path in ("topics/walk/point", "faults/")]
 
 
 def test_a_page_without_scripts_has_pictures_values_and_forms(rover: httpx.Client) -> None:

@@ -45,7 +45,7 @@ def places(description: dict[str, Any], http: httpx.Client) -> Iterator[tuple[st
     made["/activity/{id}"] = httpx.URL(called.links[HAS_PROVENANCE]["url"]).path
     goal = http.post("/actions/aircraft/fly", json={"distance": -1})  # rejected, and stored
     made["/goals/{id}"] = httpx.URL(goal.headers["location"]).path
-    made["/holds/{id}"] = "/holds/any"
+    made |= {"/holds/{id}": "/holds/any", "/faults/{id}": "/faults/any"}
     for kind in ("WebSocketChannel2023", "StreamingHTTPChannel2023"):
         channel = httpx.URL(subscribed(http, kind).headers["location"]).path
         made[f"/channels/{kind}/{{token}}"] = channel

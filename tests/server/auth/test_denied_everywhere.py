@@ -84,6 +84,7 @@ SAMPLES: Mapping[str, tuple[str, ...]] = {
     "goals": ("/goals/", "/goals/never"),
     "activity": ("/activity/", "/activity/never", "/activity/?page=5:"),
     "holds": ("/holds/", "/holds/never"),
+    "faults": ("/faults/", "/faults/never"),
     "parameters": ("/parameters/", "/parameters/open/", "/parameters/zq7x9_tree/", "/parameters/open/numbr"),
     "types": ("/types/", "/types/std_msgs/msg/Float64"),
     "shapes": ("/shapes/", "/shapes/std_msgs/msg/Float64", "/shapes/limits", "/shapes/resources", "/shapes/documents"),

@@ -26,8 +26,12 @@ from rosld.adapters.model import (
     Descriptor,
     Encoding,
     Endpoint,
+    GoalEvent,
+    GoalId,
+    GoalStatus,
     Graph,
     Kind,
+    Master,
     MessageSchema,
     Node,
     NotFound,
@@ -105,9 +109,11 @@ class MadeUp:
         self.reads: Counter[str] = Counter()
         self.sent: dict[str, list[Any]] = {}
         self.owners: tuple[str, ...] = ()
+        self.nodes: tuple[str, ...] = (ROBOT, LISTENER)
         self.declared: dict[str, Descriptor] = {}
         self.sets: list[Mapping[str, ParameterValue]] = []
         self.graph = Graph(0)
+        self.master: Master | None = None
         self._library = TypeLibrary(ros_version=1)
         for name, text in TYPES.items():
             self._library.learn_service(name, text)
@@ -181,9 +187,9 @@ class MadeUp:
         """Remove a topic, with all its endpoints."""
         self.run(lambda: self._revised(self._topics.pop, name))
 
-    def publishes(self, name: str, value: Any) -> None:
-        """Publish a message as the robot."""
-        self.run(lambda: self._put(name, ROBOT, self._encoded(name, value)))
+    def publishes(self, name: str, value: Any, *, odd: tuple[bytes, bytes] = (b"", b"")) -> None:
+        """Publish a message as the robot; `odd` are bytes in it, and what replaces them."""
+        self.run(lambda: self._put(name, ROBOT, self._encoded(name, value).replace(*odd)))
 
     def strange(self, *things: Topic | Service | Action) -> None:
         """Add names to the graph about which nothing else is known."""
@@ -196,6 +202,16 @@ class MadeUp:
     def lose_parameter(self, name: str) -> None:
         """Break a parameter, which stays in the graph."""
         self._parameters = trees.without_name(self._parameters, name)
+
+    def has_nodes(self, *nodes: str, master: str = "1") -> None:
+        """Set the nodes of the graph, and the run of its master."""
+        self.nodes, self.master = nodes, Master("http://robot:11311/", master)
+        self.run(lambda: self._revised(lambda: None))
+
+    def goal(self, action: str, id: str, status: GoalStatus, words: str | None = None) -> None:
+        """Report the status of a goal, as its action server does."""
+        assert self._sink is not None
+        self._sink.goal_changed(GoalId(action, id), GoalEvent(time.time_ns(), status, words))
 
     def goes_stale(self, why: str) -> None:
         """Make the robot unreachable; the graph is the last known one."""
@@ -341,7 +357,8 @@ class MadeUp:
         change(*arguments)
         graph = Graph(
             0,
-            nodes=freeze({name: Node(name) for name in (ROBOT, LISTENER)}),
+            master=self.master,
+            nodes=freeze({name: Node(name) for name in self.nodes}),
             topics=freeze({name: _told(name, one) for name, one in self._topics.items()} | self._odd(Topic)),
             services=freeze(
                 {name: Service(name, one.ref, (ROBOT,)) for name, (one, _) in self._services.items()}

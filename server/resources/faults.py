@@ -1,0 +1,170 @@
+"""Faults: what is or was wrong with the robot. PATCH acknowledges one, DELETE forgets one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import orjson
+from pyoxigraph import NamedNode
+from starlette.responses import Response
+
+from rosld.adapters.base import Watch
+from rosld.ontology.describe_faults import FAULT, Fault, FaultState, Severity, fault_document, recording_url, source_url
+from rosld.ontology.document import Document
+from rosld.ontology.literals import date_time
+from rosld.ontology.urls import Space
+from rosld.ontology.vocab import ros
+from rosld.server.history.history import History
+from rosld.server.html.forms import ChoiceForm, DeleteForm, Form
+from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, json_object, nullable
+from rosld.server.patches.single_change import PATCHES, SingleChange
+from rosld.server.resources.listings import ListedMember, ListingResource, time_cell
+from rosld.server.resources.named_resource import KeptResource
+from rosld.server.rest.exchange import Exchange
+from rosld.server.rest.formats import JSON
+from rosld.server.rest.path_item import PathItem, WriteMethod
+from rosld.server.rest.resource import READ, Answer
+from rosld.server.rest.responses import offer_url
+from rosld.server.rest.state import State
+from rosld.server.robot.diagnostic_states import DiagnosticState, Level
+from rosld.server.robot.faults import Faults
+from rosld.server.robot.session import Session
+from rosld.server.runtime.version_cache import IdentityKey, VersionCache
+
+_LEVELS = {Severity.WARNING: Level.WARN, Severity.ERROR: Level.ERROR, Severity.FATAL: Level.ERROR}
+_REQUEST = {"state": FaultState.ACKNOWLEDGED.value}
+_ACKNOWLEDGE = SingleChange(
+    _REQUEST,
+    ros.state,
+    ros.FaultAcknowledged,
+    'A fault can only be acknowledged: send {"state": "acknowledged"}, or have ros:state be ros:FaultAcknowledged.',
+)
+_PLAIN: JsonSchema = json_object(
+    {
+        **dict.fromkeys(("id", "kind", "label", "severity", "state", "words", "first", "last"), TEXT),
+        **dict.fromkeys(("url", "offer", "source"), URI),
+        "count": {"type": "integer", "minimum": 1},
+    },
+    {"healed": nullable(TEXT), **{name: nullable(URI) for name in ("topic", "activity", "recording")}},
+)
+_SENDS: JsonSchema = json_object({"state": {"type": "string", "enum": [FaultState.ACKNOWLEDGED.value]}})
+
+
+class FaultResource(KeptResource[Fault]):
+    """One fault of the robot."""
+
+    kind = shape = "Fault"
+    accepts: Mapping[str, Sequence[str]] = {"PATCH": (JSON, *PATCHES)}
+    item = PathItem(
+        "A fault of the robot",
+        plain=_PLAIN,
+        writes={
+            "PATCH": WriteMethod("Acknowledges the fault; nothing else can be changed.", _SENDS, done=(204,)),
+            "DELETE": WriteMethod("Forgets the fault, unless it is active.", done=(204,)),
+        },
+    )
+
+    def __init__(
+        self, session: Session, states: VersionCache[State], faults: Faults, history: History, id: str
+    ) -> None:
+        super().__init__(session, states, session.space.fault(id), id)
+        self.faults = faults
+        self.history = history
+        if (key := faults.key_of(id)) is not None:
+            self.title = key.label
+
+    def find(self) -> Fault:
+        return self.faults.find(self.id)
+
+    def gone_words(self, error: LookupError) -> str:
+        return "was deleted, or made room for later ones"
+
+    def methods(self) -> frozenset[str]:
+        return READ if self.session.settings.read_only else READ | {"PATCH", "DELETE"}
+
+    async def state(self) -> State:
+        fault = self.require()
+        return self.states.get_or_make(
+            self.url, IdentityKey(fault), lambda: State(lambda: self.document(fault), lambda: self._plain(fault))
+        )
+
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.faults.changes.watch(wake, lambda about: about == self.id)
+
+    def document(self, fault: Fault) -> Document:
+        """Return the RDF of this version of the fault."""
+        is_changeable, is_recorded = "PATCH" in self.methods(), self.history.is_enabled
+        return fault_document(fault, self.space, is_recorded=is_recorded, is_changeable=is_changeable)
+
+    def _plain(self, fault: Fault) -> bytes:
+        key, space = fault.key, self.space
+        members = {
+            "state": fault.state.value,
+            "severity": fault.severity.value,
+            "label": key.label,
+            "words": fault.words,
+            "kind": key.kind.value,
+            "id": self.id,
+            "url": self.url,
+            "offer": offer_url(self.url),
+            "source": source_url(key, space),
+            "count": fault.count,
+            "first": date_time(0, fault.first_ns),
+            "last": date_time(0, fault.last_ns),
+            "healed": None if fault.healed_ns is None else date_time(0, fault.healed_ns),
+            "topic": None if key.topic is None else space.topic(key.topic),
+            "activity": None if fault.activity is None else space.url(fault.activity[0], fault.activity[1:]),
+            "recording": recording_url(fault, space) if self.history.is_enabled else None,
+        }
+        return orjson.dumps(members)
+
+    async def forms(self) -> Sequence[Form]:
+        if "PATCH" not in self.methods():
+            return ()
+        if self.require().state is not FaultState.ACTIVE:
+            return (DeleteForm("Forget the fault", "Forget"),)
+        (name, choice), *_ = _REQUEST.items()
+        return (ChoiceForm(name, (choice,), "Acknowledge the fault", method="PATCH", labels={choice: "Acknowledge"}),)
+
+    async def patch(self, exchange: Exchange) -> Answer:
+        """Acknowledge the fault: 204. Raises a 409 Problem if it is healed."""
+        fault = self.require()
+        _ACKNOWLEDGE.require(await exchange.body(), exchange.media_type, self.url, self.document(fault).triples)
+        if self.require().state is FaultState.HEALED:
+            raise Problem(409, f"The fault {self.id} is healed already: there is nothing to acknowledge.")
+        self.faults.acknowledge(self.id)
+        return Response(status_code=204)
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """Forget the fault: 204. Raises a 409 Problem if it is active."""
+        if self.require().state is FaultState.ACTIVE:
+            raise Problem(409, f"The fault {self.id} is active: acknowledge it first.")
+        self.faults.delete(self.id)
+        return Response(status_code=204)
+
+
+def faults_listing(space: Space, faults: Faults, states: VersionCache[State]) -> ListingResource:
+    """`/faults/`: the faults that are kept, those that last first."""
+
+    def listed(fault: Fault) -> ListedMember:
+        url, state = space.fault(fault.id), fault.state
+        cells = (state.value, fault.severity.value, fault.words, str(fault.count), time_cell(fault.last_ns))
+        outline = FAULT.triples(NamedNode(url), fault, space)
+        return ListedMember(url, fault.key.label, cells, tuple(outline), state is FaultState.ACTIVE)
+
+    columns = ("state", "severity", "words", "count", "last")
+    return ListingResource(
+        space, states, "faults", "The faults of the robot", columns, lambda: map(listed, faults.all()), faults.changes
+    )
+
+
+def lasting_states(faults: Faults, may_read: Callable[[str], bool], space: Space) -> tuple[DiagnosticState, ...]:
+    """Return the faults that last and may be read, as states for a cockpit."""
+
+    def state(fault: Fault) -> DiagnosticState:
+        level, url, since_ns = _LEVELS[fault.severity], space.fault(fault.id), fault.last_ns
+        return DiagnosticState(url, fault.key.label, "", level, fault.words, (), since_ns, level, since_ns)
+
+    found = (each for each in faults.all() if each.state is not FaultState.HEALED)
+    return tuple(state(each) for each in found if may_read(space.fault(each.id)))

@@ -1,4 +1,4 @@
-"""The modules of the ontology: each is one owl:Ontology, in the file of its name next to this one.
+"""The modules of the ontology: each is one owl:Ontology, in the file of its name next to this one or in `align/`.
 
 The terms of `ros:` are in several modules, but their IRIs resolve to the core. Therefore the core, as served, states
 for each of them which module defines it.
@@ -21,7 +21,8 @@ OWN = (CORE, "types", "interaction", "recording", "body", "server", "mapping", "
 """Modules that define terms."""
 DATA = ("units", "sensors")
 """Modules that state facts about types."""
-ALIGNMENTS = tuple(f"align-{name}" for name in ("sosa", "prov", "wot", "ldp", "dcat", "ease", "cora"))
+_ALIGNED = ("sosa", "prov", "wot", "ldp", "qudt", "geosparql", "dcat", "cora", "soma", "ease")
+ALIGNMENTS = tuple(f"align-{name}" for name in _ALIGNED)
 """Modules that relate these terms to other vocabularies."""
 MODULES = (*OWN, *DATA, *ALIGNMENTS)
 _NAMESPACES = (ros.iri, mapping.iri, av.iri)
@@ -39,10 +40,15 @@ def module_url(name: str, base: str) -> str:
     return f"{base}ontology" if name == CORE else f"{base}ontology/{name}"
 
 
+def module_path(name: str) -> str:
+    """Return the path of the file of a module."""
+    return f"{name.replace('-', '/')}.ttl"
+
+
 @cache
 def module_triples(name: str) -> tuple[Triple, ...]:
     """Return the triples of a module as in its file."""
-    text = files("rosld.ontology").joinpath(f"{name}.ttl").read_bytes()
+    text = files("rosld.ontology").joinpath(module_path(name)).read_bytes()
     return tuple(quad.triple for quad in parse(text, format=RdfFormat.TURTLE))
 
 

@@ -15,49 +15,6 @@ class Namespace:
 
 class _ros(Namespace):
     ComplexResource: NamedNode
-    robot: NamedNode
-    Graph: NamedNode
-    Bag: NamedNode
-    Node: NamedNode
-    Master: NamedNode
-    Message: NamedNode
-    MessageType: NamedNode
-    Service: NamedNode
-    Action: NamedNode
-    ServiceType: NamedNode
-    Call: NamedNode
-    Endpoint: NamedNode
-    Publisher: NamedNode
-    Subscriber: NamedNode
-    Field: NamedNode
-    fieldName: NamedNode
-    request: NamedNode
-    response: NamedNode
-    requestType: NamedNode
-    responseType: NamedNode
-    provides: NamedNode
-    provider: NamedNode
-    Topic: NamedNode
-    Parameter: NamedNode
-    Property: NamedNode
-    Goal: NamedNode
-    Hold: NamedNode
-    Write: NamedNode
-    namespace: NamedNode
-    Fault: NamedNode
-    touches: NamedNode
-    goalMessage: NamedNode
-    feedback: NamedNode
-    result: NamedNode
-    heldMessage: NamedNode
-    sentBy: NamedNode
-    readsFrom: NamedNode
-    recordedAt: NamedNode
-    received: NamedNode
-    invokes: NamedNode
-    requestShape: NamedNode
-    responseShape: NamedNode
-    bytes: NamedNode
     Body: NamedNode
     Link: NamedNode
     Joint: NamedNode
@@ -85,16 +42,28 @@ class _ros(Namespace):
     effortLimit: NamedNode
     mimics: NamedNode
     descriptionProblem: NamedNode
+    Graph: NamedNode
+    Node: NamedNode
+    Parameter: NamedNode
+    Topic: NamedNode
+    Master: NamedNode
     ManagedNode: NamedNode
+    Service: NamedNode
+    Action: NamedNode
+    Property: NamedNode
+    robot: NamedNode
     hasMaster: NamedNode
     uri: NamedNode
     runId: NamedNode
     name: NamedNode
     simulatedTime: NamedNode
+    namespace: NamedNode
     publishes: NamedNode
     publishedBy: NamedNode
     subscribes: NamedNode
     subscribedBy: NamedNode
+    provides: NamedNode
+    provider: NamedNode
     sendsGoalsTo: NamedNode
     client: NamedNode
     hasParameter: NamedNode
@@ -102,6 +71,9 @@ class _ros(Namespace):
     hasServiceType: NamedNode
     hasActionType: NamedNode
     conflictingType: NamedNode
+    Endpoint: NamedNode
+    Publisher: NamedNode
+    Subscriber: NamedNode
     hasEndpoint: NamedNode
     isEndpointOf: NamedNode
     ofNode: NamedNode
@@ -127,14 +99,18 @@ class _ros(Namespace):
     requested: NamedNode
     latest: NamedNode
     latestFrom: NamedNode
+    received: NamedNode
     sequence: NamedNode
+    sentBy: NamedNode
     briefValue: NamedNode
     rate: NamedNode
     value: NamedNode
     readOnly: NamedNode
     parameterType: NamedNode
     step: NamedNode
+    readsFrom: NamedNode
     writesTo: NamedNode
+    invokes: NamedNode
     writable: NamedNode
     unreachable: NamedNode
     unreadable: NamedNode
@@ -172,8 +148,16 @@ class _ros(Namespace):
     actuator: NamedNode
     ActionType: NamedNode
     Constant: NamedNode
+    Field: NamedNode
+    Message: NamedNode
+    MessageType: NamedNode
+    ServiceType: NamedNode
+    Call: NamedNode
     CallState: NamedNode
     isCallOf: NamedNode
+    request: NamedNode
+    response: NamedNode
+    Goal: NamedNode
     GoalStatus: NamedNode
     isGoalOf: NamedNode
     hasGoal: NamedNode
@@ -181,6 +165,9 @@ class _ros(Namespace):
     own: NamedNode
     status: NamedNode
     statusWord: NamedNode
+    goalMessage: NamedNode
+    feedback: NamedNode
+    result: NamedNode
     words: NamedNode
     Running: NamedNode
     Succeeded: NamedNode
@@ -195,9 +182,11 @@ class _ros(Namespace):
     Aborted: NamedNode
     Rejected: NamedNode
     Lost: NamedNode
+    Hold: NamedNode
     holds: NamedNode
     heldBy: NamedNode
     holder: NamedNode
+    heldMessage: NamedNode
     publishRate: NamedNode
     leaseTime: NamedNode
     leaseUntil: NamedNode
@@ -213,6 +202,8 @@ class _ros(Namespace):
     stopStep: NamedNode
     subscriberCount: NamedNode
     warning: NamedNode
+    Write: NamedNode
+    touches: NamedNode
     matched: NamedNode
     duration: NamedNode
     does: NamedNode
@@ -220,6 +211,7 @@ class _ros(Namespace):
     digest: NamedNode
     excerpt: NamedNode
     withheld: NamedNode
+    Fault: NamedNode
     FaultState: NamedNode
     faultOf: NamedNode
     reportedOn: NamedNode
@@ -230,6 +222,7 @@ class _ros(Namespace):
     FaultActive: NamedNode
     FaultAcknowledged: NamedNode
     FaultHealed: NamedNode
+    Bag: NamedNode
     BagTopic: NamedNode
     Record: NamedNode
     recordedIn: NamedNode
@@ -238,6 +231,7 @@ class _ros(Namespace):
     recordedMessage: NamedNode
     past: NamedNode
     index: NamedNode
+    recordedAt: NamedNode
     opensRecording: NamedNode
     start: NamedNode
     end: NamedNode
@@ -334,6 +328,7 @@ class _ros(Namespace):
     age: NamedNode
     Elided: NamedNode
     elidedLength: NamedNode
+    bytes: NamedNode
     dateTime: NamedNode
     definition: NamedNode
     md5: NamedNode
@@ -341,6 +336,7 @@ class _ros(Namespace):
     variant: NamedNode
     hasField: NamedNode
     hasConstant: NamedNode
+    fieldName: NamedNode
     unitUnknown: NamedNode
     fieldType: NamedNode
     position: NamedNode
@@ -348,10 +344,14 @@ class _ros(Namespace):
     arrayBound: NamedNode
     stringBound: NamedNode
     nestedType: NamedNode
+    requestType: NamedNode
+    responseType: NamedNode
     goalType: NamedNode
     resultType: NamedNode
     feedbackType: NamedNode
     shape: NamedNode
+    requestShape: NamedNode
+    responseShape: NamedNode
     goalShape: NamedNode
     resultShape: NamedNode
     feedbackShape: NamedNode

@@ -17,13 +17,38 @@ from rosld.ontology.modules import (
     VERSION,
     home_of_terms,
     module_iri,
+    module_path,
     module_triples,
     served_triples,
     term_url,
 )  # fmt: skip
-from rosld.ontology.vocab import PREFIXES, av, dcterms, mapping, owl, rdf, rdfs, ros, xsd
+from rosld.ontology.vocab import (
+    PREFIXES,
+    av,
+    cora,
+    dcterms,
+    geo,
+    ldp,
+    mapping,
+    owl,
+    prov,
+    qudt,
+    rdf,
+    rdfs,
+    ros,
+    rparts,
+    sosa,
+    td,
+    xsd,
+)
+from tests.ontology.reasoning import VOCABULARIES
 from tests.ontology.vocab_stub import STUB, stub
 
+dcat, ease, soma = (
+    "http://www.w3.org/ns/dcat#",
+    "http://www.ease-crc.org/ont/ROS.owl#",
+    "http://www.ease-crc.org/ont/SOMA.owl#",
+)
 VANN, SKOS = "http://purl.org/vocab/vann/", "http://www.w3.org/2004/02/skos/core#"
 OURS = (ros, mapping, av)
 
@@ -42,8 +67,10 @@ def every(*names: str) -> list[Triple]:
 
 
 def test_every_file_is_a_module() -> None:
-    found = {each.name.removesuffix(".ttl") for each in files("rosld.ontology").iterdir() if each.name.endswith(".ttl")}
-    assert found == set(MODULES)
+    folder = files("rosld.ontology")
+    own = {each.name for each in folder.iterdir() if each.name.endswith(".ttl")}
+    aligned = {f"align/{each.name}" for each in folder.joinpath("align").iterdir()}
+    assert own | aligned == {module_path(name) for name in MODULES}
 
 
 def test_a_file_holds_one_ontology_with_its_title_version_licence_and_citation() -> None:
@@ -216,6 +243,23 @@ def test_alignments_speak_of_terms_that_exist_and_define_none() -> None:
                 and VERSION not in term.value
             ):
                 assert term in known, triple
+
+
+def test_every_foreign_term_of_an_alignment_and_every_such_constant_exists() -> None:
+    """The files of the other vocabularies declare it, in SOSA's case that of the edition of 2023."""
+    declared: dict[str, set[str]] = {}
+    for path in VOCABULARIES.glob("*.ttl"):
+        for quad in parse(path.read_bytes(), format=RdfFormat.TURTLE):
+            if quad.predicate == rdf.type and isinstance(quad.subject, NamedNode):
+                declared.setdefault(quad.subject.value, set()).add(path.stem)
+    constants = {each for space in (sosa, qudt, geo, cora, rparts, ldp, prov, td) for each in space.terms.values()}
+    aligned = {each for triple in every(*ALIGNMENTS) for each in (triple.subject, triple.object)}
+    spaces = (sosa.iri, qudt.iri, geo.iri, cora.iri, rparts.iri, ldp.iri, prov.iri, td.iri, dcat, ease, soma)
+    foreign = {each.value for each in constants | aligned if isinstance(each, NamedNode)}
+    found = {iri for iri in foreign if iri.startswith(spaces) and iri not in spaces}
+    assert len(found) > 90
+    assert {iri for iri in found if iri not in declared} == {td.hasInstanceConfiguration.value}, "W3C's context has it"
+    assert {iri for iri in found if iri.startswith(sosa.iri) and "sosa-2023" not in declared[iri]} == set()
 
 
 def test_no_term_that_sosa_has_given_up_is_used() -> None:

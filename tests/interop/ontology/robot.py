@@ -6,9 +6,9 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from rdflib import OWL, RDF, Graph, Literal, URIRef
+from rdflib import OWL, RDF, XSD, Graph, Literal, URIRef
 
-from rosld.ontology.modules import MODULES, module_iri, served_triples
+from rosld.ontology.modules import MODULES, module_iri, module_path, served_triples
 from tests.interop.java.maven import libraries
 from tests.ontology.reasoning import VOCABULARIES
 
@@ -22,6 +22,11 @@ _IMPORTED = {
     "http://www.w3.org/ns/ldp": "ldp",
     "https://www.w3.org/2019/wot/td": "td",
     "http://www.ease-crc.org/ont/ROS.owl": "ease",
+    "http://www.ease-crc.org/ont/SOMA.owl": "soma",
+    "http://purl.org/ieee1872-owl/cora-bare": "cora",
+    "http://www.w3.org/ns/dcat": "dcat",
+    "http://www.opengis.net/ont/geosparql": "geo",
+    "http://qudt.org/schema/qudt/": "qudt",
 }
 """The available imported ontologies, by the names of their files."""
 
@@ -52,7 +57,8 @@ def write_merged(graph: Graph, folder: Path) -> Path:
     for subject, predicate, value in graph:
         if predicate in (OWL.imports, OWL.versionIRI) or value == OWL.Ontology:
             continue
-        is_foreign = isinstance(value, Literal) and value.datatype in (RDF.JSON, RDF.HTML)
+        datatype = str(value.datatype or XSD.string) if isinstance(value, Literal) else str(XSD.string)
+        is_foreign = not datatype.startswith((str(XSD), str(RDF.langString)))
         merged.add((subject, predicate, Literal(str(value)) if is_foreign else value))
     merged.add((URIRef("urn:merged"), RDF.type, OWL.Ontology))
     return _write(merged, folder / "merged.ttl")
@@ -60,7 +66,7 @@ def write_merged(graph: Graph, folder: Path) -> Path:
 
 def catalog(folder: Path) -> Path:
     """Return an XML catalog (OASIS) of the modules and their imports, for use without a network."""
-    here = {module_iri(name): _FILES / f"{name}.ttl" for name in MODULES}
+    here = {module_iri(name): _FILES / module_path(name) for name in MODULES}
     here |= {iri: VOCABULARIES / f"{name}.ttl" for iri, name in _IMPORTED.items()}
     for number, iri in enumerate(sorted(_imports_of_others() - here.keys())):
         here[iri] = folder / f"empty-{number}.ttl"

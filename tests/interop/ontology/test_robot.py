@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pyoxigraph import Literal, Triple
 
-from rosld.ontology.modules import MODULES, OWN
+from rosld.ontology.modules import MODULES, OWN, module_path
 from rosld.ontology.vocab import xsd
 from tests.crawl.robots import ROBOTS
 from tests.crawl.site import site
@@ -17,8 +17,6 @@ from tests.interop.ontology.robot import catalog, robot, write_alone, write_merg
 from tests.ontology.reasoning import of_triples, ontologies
 from tests.ontology.test_consistency import told, triples
 
-IMPORTING = [name for name in MODULES if name not in ("align-dcat", "align-cora")]
-"""Modules whose imports are all available."""
 FILES = Path(__file__).parents[3] / "ontology"
 MISTAKE = '<urn:goal> ros:goalId "a" , "b" .'
 
@@ -42,8 +40,8 @@ def outcomes(folder: Path) -> Mapping[tuple[str, str], str]:
         report = ("--fail-on", "none", "--output", folder / name / "report.tsv")
         commands["report", name] = ("report", "--input", alone, *report)
     imports = ("merge", "--catalog", catalog(folder))
-    for name in IMPORTING:
-        commands["merge", name] = (*imports, "--input", FILES / f"{name}.ttl", "--output", folder / "merged.ttl")
+    for name in MODULES:
+        commands["merge", name] = (*imports, "--input", FILES / module_path(name), "--output", folder / "merged.ttl")
     found = robot(list(commands.values()))
     return dict(zip(commands, found, strict=True))
 
@@ -56,7 +54,7 @@ def test_every_module_by_itself_is_in_owl_2_dl_and_rl(outcomes: Mapping[tuple[st
 
 
 def test_a_module_loads_with_all_that_it_imports(outcomes: Mapping[tuple[str, str], str]) -> None:
-    assert {name: outcomes["merge", name] for name in IMPORTING if outcomes["merge", name]} == {}
+    assert {name: outcomes["merge", name] for name in MODULES if outcomes["merge", name]} == {}
 
 
 def test_the_report_finds_no_error(outcomes: Mapping[tuple[str, str], str], folder: Path) -> None:

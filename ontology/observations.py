@@ -41,6 +41,9 @@ _STANDARD = frozenset(
 """Packages whose message types are in the table if they observe or command anything."""
 
 
+_DIMENSIONLESS = PREFIXES["quantitykind"] + "Dimensionless"
+
+
 class Role(Enum):
     """What the messages of a topic are."""
 
@@ -155,7 +158,8 @@ def device_triples(topic: Topic, role: Role, schema: MessageSchema | None, space
     name = topic.type.name
     fields = observed_fields(name, role, schema)
     quantities = [quantity_of(name, each.field) for each in fields]
-    observed = [each.kind for each in quantities if each is not None and each.kind is not None]
+    kinds_of = (each.kind for each in quantities if each is not None and each.kind is not None)
+    observed = [each for each in kinds_of if each != _DIMENSIONLESS]
     observed = observed or [space.property_of(name, each.field) for each in fields]
     observes = [(sosa.observes, NamedNode(each)) for each in dict.fromkeys(observed)]
     return [Triple(NamedNode(url), ros.sensor, device), *_SENSOR.triples(device, space.base, space, label, *observes)]

@@ -10,6 +10,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from rosld.adapters.model import Graph, names
+from rosld.ontology.describe_body import body_sources
 from rosld.ontology.notifications import CHANNEL_TYPES
 from rosld.ontology.urls import Space
 from rosld.server.history.recordings import Recordings
@@ -101,7 +102,6 @@ class PathCollector(Struct, frozen=True):
             "plot",
             "space",
             "frames",
-            "body",
             "stop",
             "status",
             "sparql",
@@ -109,6 +109,8 @@ class PathCollector(Struct, frozen=True):
             *_ENTRY,
         ):
             yield self._path(f"/{path}")
+        if body_sources(self.graph):
+            yield self._path("/body")
         with suppress(Problem):  # only exists if it is configured
             yield self._path("/mirror")
 

@@ -326,6 +326,7 @@ class _ros(Namespace):
     max: NamedNode
     mean: NamedNode
     age: NamedNode
+    transform: NamedNode
     Elided: NamedNode
     elidedLength: NamedNode
     bytes: NamedNode

@@ -80,7 +80,7 @@ from rosld.server.sparql.update.executor import UpdateEvaluator
 class SparqlServices:
     """Queries and updates over the states of the robot's resources, in a separate process."""
 
-    def __init__(self, services: Services, factory: ResourceFactory) -> None:
+    def __init__(self, services: Services, factory: ResourceFactory, scene: Scene) -> None:
         session, space, settings = services.session, services.session.space, services.session.settings
         self._services = services
         self.process = QueryProcess(settings.query_concurrency, settings.query_queue)
@@ -99,6 +99,7 @@ class SparqlServices:
             _limits(settings),
             RestrictedDatasets(self.process, lambda: IdentityKey(session.graph)),
             RecordedPast(session, services.recordings),
+            scene.frames.settle,
         )
 
     def updates(self, at: Callable[[str], Resource], keyed_lock: KeyedLock) -> UpdateService:
@@ -131,8 +132,8 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     services = Services(adapter, settings)
     session, space = services.session, services.session.space
     factory = ResourceFactory(services)
-    sparql = SparqlServices(services, factory)
     scene, watchdog = Scene(session), Watchdog()
+    sparql = SparqlServices(services, factory, scene)
     large = LargeDocuments(services.documents.workers)
     pages = PageRenderer(session, services.software_stop, large, services.receipts)
     names = origin_policy(settings.base_url, settings.host, settings.port, settings.cors_origins)

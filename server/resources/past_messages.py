@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import NamedTuple
 
 from rosld.adapters.base import FOR_EVER, MessageFilter, RecordedMessage, RecordedTopic, Recording
-from rosld.adapters.model import MessageSchema, RosError, TypeRef
+from rosld.adapters.model import MessageSchema, RosError, Sample, TypeRef
 from rosld.ontology.column_lift import ColumnLifter, column_lifter
 from rosld.ontology.describe_topics import MESSAGE
 from rosld.ontology.document import Envelope
@@ -24,6 +25,7 @@ from rosld.server.history.message_block import MessageBlock, columns_of
 from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
 from rosld.server.robot.session import Session
+from rosld.server.space.transforms import KEPT_NS, STATIC_TOPIC, TOPICS, TYPES, FrameBuffer, FrameRow
 from rosld.server.sparql.intervals import Interval
 from rosld.server.sparql.past import MAX_TEXT, PastQuery, PastSelection, PastText
 from rosld.server.sparql.query_limits import MAX_PAST, out_of_time, too_much_past
@@ -226,6 +228,8 @@ class _Reading:
         self._is_linked = query.is_linked
         self._permissions = permissions
         self._until = until
+        self._asks_transforms = query.asks_transforms
+        self._placed_ns: list[int] = []
         self._size = 0
         self._read = 0
         self._lifters: dict[tuple[TypeRef, str], ColumnLifter | None] = {}
@@ -261,7 +265,36 @@ class _Reading:
                             raise out_of_time(self._session.settings.query_time_limit)
                         time.sleep(_SLICE / 20)
                         pause = time.monotonic() + _SLICE
-        return PastText("".join(texts).encode(), is_whole)
+        transforms = self._transforms(recordings) if self._asks_transforms else ()
+        return PastText("".join(texts).encode(), is_whole, transforms)
+
+    def _transforms(self, recordings: Sequence[Recording]) -> Sequence[FrameRow]:
+        """Return the transforms around the times of the lifted places. Raises Problems."""
+        buffer = FrameBuffer(is_exact=True)
+        if not self._placed_ns:
+            return ()
+        low, high = min(self._placed_ns) - KEPT_NS, max(self._placed_ns) + KEPT_NS
+        for recording in recordings:
+            for topic in TOPICS:
+                if topic not in recording.topics or not self._permissions.may_read(self._session.space.topic(topic)):
+                    continue
+                is_static = topic == STATIC_TOPIC
+                span = PastRange(topic, 0 if is_static else max(low, 0), high)
+                if count_past(recording, [span]) > MAX_PAST:
+                    raise self._too_much(f"More than {MAX_PAST} messages of {topic} may take part in this query")
+                for block in read_past(recording, [span]):
+                    for message in block.messages():
+                        self._add_transforms(recording, message.sample, buffer, is_static=is_static)
+                    if time.monotonic() > self._until:
+                        raise out_of_time(self._session.settings.query_time_limit)
+                    time.sleep(_SLICE / 20)
+        return buffer.rows()
+
+    def _add_transforms(self, recording: Recording, sample: Sample, buffer: FrameBuffer, *, is_static: bool) -> None:
+        schema = self._schema(recording, sample.schema)
+        if schema is not None and schema.ref.name in TYPES:
+            with suppress(ValueError):  # undecodable messages contain no frames
+                buffer.add(schema.codec.decode(sample.data, sample.encoding), sample, is_static=is_static)
 
     def _too_much(self, what: str) -> Problem:
         return too_much_past(f"{what}; the limit is {MAX_PAST}.")
@@ -367,6 +400,7 @@ class _Reading:
             decoded, url, MESSAGE, envelope=envelope, simulated_time=self._graph.simulated_time
         )
         if self._is_placed(schema) and (place := geometry_of(schema, decoded)) is not None:
+            self._placed_ns.append(sample.received_ns)
             lifted += geometry_ntriples(url + MESSAGE, place, self._session.space.frames, only=self._only)
         return f"{record_text.of_record(url, message)}{lifted}"
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 
 import orjson
 from msgspec import Struct
@@ -18,11 +19,15 @@ from rosld.server.robot.session import Session
 from rosld.server.robot.topic_view import QUEUE_DEPTH
 from rosld.server.runtime.tasks import Signal, end_tasks, loop_time
 from rosld.server.space.drawing import Drawing, drawing_json, place_sample
-from rosld.server.space.transforms import STATIC_TOPIC, TOPICS, TYPES, FrameBuffer
+from rosld.server.space.transforms import STATIC_TOPIC, TOPICS, TYPES, FrameBuffer, FrameRow
 
 _LARGE = 64 * 1024
 """Minimum number of bytes of a message that is drawn in a thread."""
 _MAX_CACHED = 256
+_SETTLE_SECONDS = 0.1
+"""Maximum time to wait for transforms as new as the latest messages: two periods of 20 Hz."""
+_ACTIVE_NS = 1_000_000_000
+"""Age of a moving frame's last transform above which none is waited for."""
 
 
 class DrawnSample(Struct, frozen=True, eq=False):
@@ -107,6 +112,19 @@ class LiveFrames:
             await self._wait()
         await self.refresh()
         return self.buffer
+
+    async def settle(self) -> Sequence[FrameRow]:
+        """Return all transforms, after waiting a moment for those that are newer than this call."""
+        now, end = time.time_ns(), loop_time() + _SETTLE_SECONDS
+        moving = [each for each in (await self.look()).newest.values() if not each.is_static]
+        names = [each.child for each in moving if each.source.received_ns > now - _ACTIVE_NS]
+        while loop_time() < end:
+            newest = self.buffer.newest
+            if all(name not in newest or newest[name].source.received_ns >= now for name in names):
+                break
+            await asyncio.sleep(_SETTLE_SECONDS / 10)
+            await self.refresh()
+        return self.buffer.rows()
 
     def watch(self, wake: Callable[[], None]) -> Watch:
         """Call `wake` after each new transform, as long as the frames are read."""

@@ -9,14 +9,14 @@ from typing import Any, NamedTuple, TypeAlias
 
 from msgspec import Struct, field
 
-from rosld.adapters.model import Message, Sample
+from rosld.adapters.model import Encoding, Message, Sample, TypeRef
 
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 """x, y, z, w."""
 _SHORTEST = 1e-6
 """Length of a quaternion below which it is invalid, unless it is all zero."""
-_ALMOST_EQUAL = 0.9995
+_ALMOST_EQUAL = 1 - 1e-9
 """Cosine of half the angle above which slerp divides by almost zero."""
 
 
@@ -198,9 +198,15 @@ class FrameTransform(Struct, frozen=True):
     source: Sample
 
 
+FrameRow: TypeAlias = tuple[str, str, int, bool, Vector, Quaternion]
+"""A transform as sent to another process: parent, child, stamp, whether it is static, translation and rotation."""
+_NO_SAMPLE = Sample(b"", Encoding.CDR, TypeRef("tf2_msgs/msg/TFMessage"), "", 0, 0)
+
+
 class _History(Struct):
     """Transforms of one frame by their stamps, in ascending order."""
 
+    is_exact: bool
     stamps: list[int] = field(default_factory=list)
     transforms: list[FrameTransform] = field(default_factory=list)
 
@@ -210,7 +216,8 @@ class _History(Struct):
 
     def add(self, each: FrameTransform) -> None:
         """Add a transform. A much older stamp means that time was reset (a recording's loop): drop the others."""
-        if each.is_static or (self.stamps and each.stamp_ns < self.stamps[-1] - KEPT_NS):
+        is_reset = bool(self.stamps) and not self.is_exact and each.stamp_ns < self.stamps[-1] - KEPT_NS
+        if each.is_static or is_reset:
             self.stamps, self.transforms = [], []
         place = bisect_right(self.stamps, each.stamp_ns)
         if place and self.stamps[place - 1] == each.stamp_ns:
@@ -218,14 +225,24 @@ class _History(Struct):
             return
         self.stamps.insert(place, each.stamp_ns)
         self.transforms.insert(place, each)
+        if self.is_exact:
+            return
         old = bisect_right(self.stamps, self.stamps[-1] - KEPT_NS - 1)
         old = max(old, len(self.stamps) - _MAX_TRANSFORMS)
         if old > 0:
             del self.stamps[:old], self.transforms[:old]
 
-    def at(self, stamp_ns: int | None) -> tuple[str, Transform]:
-        """Return parent and transform at a time: interpolated, or the nearest one outside of the stored time."""
+    def at(self, stamp_ns: int | None) -> tuple[str, Transform] | None:
+        """Return parent and transform at a time: interpolated, or the nearest one outside of the stored time.
+
+        If look-ups are exact, there is none outside, nor between transforms that tf2 never has together.
+        """
         place = len(self.stamps) if stamp_ns is None else bisect_right(self.stamps, stamp_ns)
+        if self.is_exact and stamp_ns is not None and not self.newest.is_static:
+            after_ns = self.stamps[min(place, len(self.stamps) - 1)]
+            is_stored = place > 0 and self.stamps[place - 1] == stamp_ns
+            if not is_stored and (place in (0, len(self.stamps)) or after_ns - self.stamps[place - 1] > KEPT_NS):
+                return None
         if place == len(self.stamps) or place == 0 or stamp_ns is None:
             found = self.transforms[max(place - 1, 0)]
             return found.parent, found.transform
@@ -239,13 +256,28 @@ class _History(Struct):
 class FrameBuffer:
     """All frames. `problems` are the problems of frames' latest transforms, mostly why they were rejected.
 
-    `version` increases whenever a transform is added.
+    `version` increases whenever a transform is added. An exact buffer keeps all transforms, and extrapolates none, as
+    tf2 does; others are for views, in which an old place is better than none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_exact: bool = False) -> None:
+        self._is_exact = is_exact
         self._histories: dict[str, _History] = {}
         self.problems: dict[str, str] = {}
         self.version = 0
+
+    @classmethod
+    def of(cls, rows: Iterable[FrameRow]) -> FrameBuffer:
+        """Return an exact buffer of the rows of others."""
+        buffer = cls(is_exact=True)
+        for parent, child, stamp, is_static, moved, turned in rows:
+            buffer._add(FrameTransform(parent, child, stamp, Transform(moved, turned), is_static, _NO_SAMPLE))
+        return buffer
+
+    def rows(self) -> list[FrameRow]:
+        """Return all transforms."""
+        every = (each for history in self._histories.values() for each in history.transforms)
+        return [(each.parent, each.child, each.stamp_ns, each.is_static, *each.transform) for each in every]
 
     def add(self, message: Message, sample: Sample, *, is_static: bool) -> None:
         """Add the transforms of a tf2_msgs/TFMessage. Never raises because of its contents."""
@@ -268,7 +300,7 @@ class FrameBuffer:
         if history is None:
             if len(self._histories) >= MAX_FRAMES:
                 raise ValueError(f"There are more than {MAX_FRAMES:,} frames")
-            history = self._histories[each.child] = _History()
+            history = self._histories[each.child] = _History(self._is_exact)
         history.add(each)
 
     def _report(self, child: str, why: str) -> None:
@@ -311,7 +343,10 @@ class FrameBuffer:
         return next((each for each in _FIRST_CHOICES if each in names), None) or next(iter(self.roots), None)
 
     def look_up(self, target: str, source: str, stamp_ns: int | None = None) -> Transform:
-        """Return the transform from `source` to `target` at a time (None: the newest). Raises NoTransform."""
+        """Return the transform from `source` to `target` at a time. Raises NoTransform.
+
+        None is the newest transform of each frame, or in an exact buffer the latest time that all of them have.
+        """
         target, source = frame_name(target), frame_name(source)
         if target == source:
             return IDENTITY
@@ -319,11 +354,22 @@ class FrameBuffer:
             raise NoTransform(f"No transforms say where {_quoted(source) or 'the frame without a name'} is")
         for name in (target, source):
             self._require(name)
+        if stamp_ns is None and self._is_exact:
+            stamp_ns = self._latest_common_time(target, source)
         above = dict(self._upwards(source, stamp_ns))
         for name, transform in self._upwards(target, stamp_ns):
             if name in above:
                 return compose(invert(transform), above[name])
+        if self._is_exact:
+            raise NoTransform(f"There is no path from {_quoted(source)} to {_quoted(target)} at that time")
         raise NoTransform(f"{_quoted(source)} and {_quoted(target)} are in different trees, which are not connected")
+
+    def _latest_common_time(self, *names: str) -> int | None:
+        """Return the earliest of the newest stamps between two frames; None if all of these are static."""
+        above = [[name for name, _ in self._upwards(each, None)] for each in names]
+        between = set(above[0]) ^ set(above[1])
+        newest = (self._histories[name].newest for name in between if name in self._histories)
+        return min((each.stamp_ns for each in newest if not each.is_static), default=None)
 
     def _require(self, name: str) -> None:
         if name in self._histories or any(each.newest.parent == name for each in self._histories.values()):
@@ -338,9 +384,10 @@ class FrameBuffer:
         transform, passed = IDENTITY, {name}
         yield name, transform
         while (history := self._histories.get(name)) is not None:
-            name, own = history.at(stamp_ns)
-            if name in passed:
+            found = history.at(stamp_ns)
+            if found is None or found[0] in passed:
                 return
+            name, own = found
             transform = compose(own, transform)
             passed.add(name)
             yield name, transform

@@ -25,8 +25,10 @@ from rosld.ontology import geometry
 from rosld.ontology.vocab import ldp, rdf, ros
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
+from rosld.server.space.transforms import FrameRow
 from rosld.server.sparql.intervals import ANY_TIME, Interval, Knowledge, date_time_interval, knowledge_of
 from rosld.server.sparql.needs import document_of, groups_within, matches_any_node
+from rosld.server.sparql.ros_functions import TRANSFORM
 from rosld.server.sparql.syntax.tree import (
     Group,
     Iri,
@@ -143,6 +145,7 @@ class PastQuery:
         named = [each.predicates for group in _groups_of_default_graph(query.where) for each in group.patterns]
         self.predicates = None if None in named else frozenset().union(*(each for each in named if each is not None))
         self.recordings = frozenset(_recordings(query, terms.base))
+        self.asks_transforms = TRANSFORM in query.functions
         self.is_linked = True
         self.covered: Mapping[int, frozenset[str]] = self._message_variables_by_group()
         """Variables that stand for recorded messages or nodes in them, by the `id` of their group."""
@@ -387,10 +390,14 @@ def _recordings(query: Query, base: str) -> Iterator[str]:
 
 
 class PastText(NamedTuple):
-    """N-Triples about recorded messages; `is_whole`: all requested messages are included."""
+    """N-Triples about recorded messages; `is_whole`: all requested messages are included.
+
+    `transforms` are those around the times of the places in the text, if the query calls ros:transform.
+    """
 
     text: bytes
     is_whole: bool = True
+    transforms: Sequence[FrameRow] = ()
 
 
 class PastSource(Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import pickle
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -13,19 +13,21 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset import QueryError
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.tasks import loop_time
+from rosld.server.space.transforms import TOPICS, FrameRow
 from rosld.server.sparql import results, row_limit
 from rosld.server.sparql.analysis import Analyser, Analysis, parse_problem
 from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.intervals import Interval
 from rosld.server.sparql.materializer import DatasetVersions, Materializer
 from rosld.server.sparql.needs import Needs
-from rosld.server.sparql.past import PastSource
+from rosld.server.sparql.past import PastSource, PastText
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import AnswerWork, QueryWork, TableWork, Work
 from rosld.server.sparql.protocol import QueryRequest
 from rosld.server.sparql.query_limits import DEFAULT_LIMITS, Limits, incomplete, out_of_time, too_many_queries
 from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.results import ResultRows
+from rosld.server.sparql.ros_functions import TRANSFORM
 
 
 class QueryAnswer(NamedTuple):
@@ -65,7 +67,8 @@ class _Run(NamedTuple):
 class QueryService:
     """Query evaluation over a dataset that is materialized before each query. Belongs to one loop.
 
-    `ages` returns the seconds since the newest message of each topic that has one, by topic URL.
+    `ages` returns the seconds since the newest message of each topic that has one, by topic URL; `transforms` returns
+    the recent transforms of the robot.
     """
 
     def __init__(
@@ -77,6 +80,7 @@ class QueryService:
         limits: Limits = DEFAULT_LIMITS,
         restricted: RestrictedDatasets | None = None,
         past: PastSource | None = None,
+        transforms: Callable[[], Awaitable[Sequence[FrameRow]]] | None = None,
     ) -> None:
         self._process = process
         self._materializer = materializer
@@ -84,6 +88,7 @@ class QueryService:
         self._ages = ages
         self._restricted = restricted
         self._past = past
+        self._transforms = transforms
         self.limits = limits
         self._reader = ThreadPoolExecutor(1, "sparql-reader")
         self._long = 0
@@ -197,7 +202,10 @@ class QueryService:
             async with self._materializer.materialize(needs, permissions, deadline=deadline, scope=scope) as unread:
                 if not request.partial:
                     _require_complete(unread)
-                work = make_work(self._query(analysis, request, permissions, past), least, unread)
+                query = self._query(analysis, request, permissions, None if past is None else past.text)
+                if TRANSFORM in analysis.functions:
+                    query = query._replace(transforms=await self._transforms_for(permissions, past))
+                work = make_work(query, least, unread)
                 dataset = await self._dataset_for(run)
                 try:
                     body = await self._process.answer(work, limits, until, disconnected, dataset)
@@ -206,6 +214,12 @@ class QueryService:
             if not least or (body := await _whole(body)):
                 break
         return body, unread
+
+    async def _transforms_for(self, permissions: Permissions, past: PastText | None) -> tuple[FrameRow, ...]:
+        """Return the recorded transforms of a past query, and the live ones if the agent may read their topics."""
+        may_read = all(permissions.may_read(f"{self._analyser.base}topics{topic}") for topic in TOPICS)
+        live = await self._transforms() if may_read and self._transforms is not None else ()
+        return (*(() if past is None else past.transforms), *live)
 
     async def _dataset_for(self, run: _Run) -> int:
         """Return the number of the dataset that the agent may query."""
@@ -216,7 +230,7 @@ class QueryService:
             raise Problem(403, "Queries are allowed only for agents that may read everything.")
         return await self._restricted.dataset_for(permissions, run.limits, run.until)
 
-    async def _read_past(self, run: _Run, is_counted: bool) -> AsyncIterator[tuple[bytes | None, int]]:
+    async def _read_past(self, run: _Run, is_counted: bool) -> AsyncIterator[tuple[PastText | None, int]]:
         """Yield N-Triples about the recorded messages that a query selects, None if it selects none. Raises Problems.
 
         If only the newest or oldest matter and rows can be counted (`is_counted`), each text has more messages than the
@@ -237,12 +251,12 @@ class QueryService:
             while True:
                 found = await self._past.read(analysis.past, graphs, permissions, moments, until, most)
                 if found.is_whole:
-                    yield found.text, 0
+                    yield found, 0
                     return
-                yield found.text, end.rows
+                yield found, end.rows
                 most *= _GROWTH
         found = await self._past.read(analysis.past, graphs, permissions, moments, until)
-        yield found.text, 0
+        yield found, 0
 
     def _query(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache, wraps
+from functools import lru_cache, partial
 from typing import TypeAlias
 
 import orjson
@@ -13,8 +13,11 @@ from pyoxigraph import Literal, NamedNode, Store
 from rosld.ontology.vocab import rdf, ros, xsd
 from rosld.server.dataset import Function
 from rosld.server.dataset.base import Term
+from rosld.server.space.transforms import FrameBuffer, FrameRow
+from rosld.server.sparql import geo_functions
 
 AGE = ros.age.value
+TRANSFORM = ros.transform.value
 Number: TypeAlias = int | float
 _SPECIAL: Mapping[str, float] = {"NaN": math.nan, "INF": math.inf, "-INF": -math.inf, "-0.0": -0.0}
 _EXACT = 2**53
@@ -25,11 +28,13 @@ class _NoAnswer(Exception):
     """Arguments outside of the domain of a function."""
 
 
-def functions(seconds_since: Callable[[str], float | None]) -> Mapping[str, Function]:
+def functions(
+    seconds_since: Callable[[str], float | None], base: str = "", rows: Iterable[FrameRow] = ()
+) -> Mapping[str, Function]:
     """Return the functions of one query, by IRI; a topic has one age per query, like NOW() (SPARQL 1.1, 17.4.5.1).
 
     `seconds_since` (thread-safe) returns the seconds since the newest message of the topic at a URL was received, None
-    if there was none.
+    if there was none. `rows` are the transforms of the robot at `base`.
     """
     ages: dict[str, float | None] = {}
 
@@ -41,7 +46,8 @@ def functions(seconds_since: Callable[[str], float | None]) -> Mapping[str, Func
             raise _NoAnswer
         return Literal(seconds)
 
-    return {**_LASTING, AGE: _guard(age)}
+    placed = partial(geo_functions.transform, FrameBuffer.of(rows), f"{base}frames")
+    return {**_LASTING, AGE: _guard(age), TRANSFORM: _guard(placed)}
 
 
 def unknown_functions(iris: Iterable[str]) -> Mapping[str, Function]:
@@ -56,7 +62,7 @@ def _error(*arguments: Term) -> None:
 @lru_cache(maxsize=1024)
 def _is_known(iri: str) -> bool:
     """Whether a function is ours or the store's, which only reports unknown functions when it evaluates a call."""
-    if iri in _LASTING or iri == AGE:
+    if iri in _LASTING or iri in (AGE, TRANSFORM):
         return True
     try:
         Store().query(f"SELECT ({NamedNode(iri)}(1) AS ?x) {{}}")
@@ -108,11 +114,10 @@ def mean(array: Term) -> Term:
 
 
 def _guard(function: Callable[..., Term]) -> Function:
-    @wraps(function)
     def guarded(*terms: Term) -> Term | None:
         try:
             return function(*terms)
-        except (_NoAnswer, TypeError, ValueError):  # TypeError: wrong number of arguments
+        except (_NoAnswer, ArithmeticError, LookupError, TypeError, ValueError):  # TypeError: wrong number of arguments
             return None
 
     return guarded
@@ -199,4 +204,4 @@ _LASTING: Mapping[str, Function] = {
         (ros.max, maximum),
         (ros.mean, mean),
     )
-}
+} | {iri: _guard(function) for iri, function in geo_functions.FUNCTIONS.items()}

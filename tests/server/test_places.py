@@ -58,3 +58,26 @@ def test_a_place_is_ignored_when_a_message_is_sent_back(rover: httpx.Client) -> 
     assert "geo:hasGeometry" in body
     answer = rover.put(f"{url}?dry-run=true", content=body, headers={"Content-Type": "text/turtle"})
     assert "hasGeometry" not in answer.text
+
+
+def test_the_pose_of_the_odometry_is_the_origin_of_the_robots_frame_at_its_own_time(rover: httpx.Client) -> None:
+    rover.put("/topics/cmd_vel", json={"linear": {"x": 0.3}, "angular": {"z": 0.4}})
+    own = "BIND(ros:transform(?wkt, 'base_link') AS ?own)"
+    for link in ("latest", "past"):
+        query = f"SELECT ?own {{ </topics/odom> ros:{link} ?m . ?m geo:hasGeometry/geo:asWKT ?wkt . {own} }} LIMIT 20"
+        rows = until(lambda query=query: [row for row in ask(rover, query) if row[0]], f"transforms of ros:{link}")
+        for (text,) in rows:
+            frame, _, numbers = text.partition(" POINT ZM(")
+            assert frame == f"<{rover.base_url}frames#base_link>"
+            assert list(map(float, numbers.split()[:3])) == pytest.approx([0, 0, 0], abs=0.05)
+
+
+def test_a_query_selects_places_within_an_area_of_a_frame(rover: httpx.Client) -> None:
+    area = f'"<{rover.base_url}frames#odom> POLYGON((-9 -9, 9 -9, 9 9, -9 9, -9 -9))"^^geo:wktLiteral'
+    origin = f'"<{rover.base_url}frames#odom> POINT(0 0)"^^geo:wktLiteral'
+    place = "</topics/odom> ros:past/geo:hasGeometry/geo:asWKT ?wkt"
+    query = f"SELECT (geof:distance(?wkt, {origin}, uom:metre) AS ?d) {{ {place} FILTER(geof:sfWithin(?wkt, {area})) }}"
+    rows = ask(rover, query)
+    assert len(rows) > 10
+    assert all(0 <= float(each) < 13 for (each,) in rows)
+    assert ask(rover, f"SELECT * {{ {place} FILTER(geof:sfDisjoint(?wkt, {area})) }}") == []

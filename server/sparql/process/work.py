@@ -24,6 +24,7 @@ from rosld.server.dataset.base import Function, Results, TripleChanges
 from rosld.server.dataset.encoding import decode_term
 from rosld.server.dataset.memory_store import MemoryStore
 from rosld.server.http.problem import AGENT_SAID, Problem
+from rosld.server.space.transforms import FrameRow
 from rosld.server.sparql import results, row_limit
 from rosld.server.sparql.ros_functions import functions, unknown_functions
 from rosld.server.sparql.update.evaluate import (
@@ -52,7 +53,7 @@ class QueryWork(NamedTuple):
     """A query as the store evaluates it. `functions` are the IRIs of the functions that it calls.
 
     `ages` are the seconds since the newest message of each topic, if the query needs them; `past` are N-Triples about
-    recorded messages, added to the default graph for this query only.
+    recorded messages, added to the default graph for this query only; `transforms` are those for ros:transform.
     """
 
     text: str
@@ -63,6 +64,7 @@ class QueryWork(NamedTuple):
     ages: Mapping[str, float] | None = None
     functions: frozenset[str] = frozenset()
     past: bytes | None = None
+    transforms: tuple[FrameRow, ...] = ()
 
     def results(self, store: MemoryStore) -> Results:
         """Return the results. Raises QueryError."""
@@ -78,7 +80,9 @@ class QueryWork(NamedTuple):
 
     def _callable_functions(self) -> Mapping[str, Function]:
         """Return the functions it may call; a call of an unknown one is an error of its expression."""
-        known = _LASTING if self.ages is None else functions(self.ages.get)
+        known = _LASTING
+        if self.ages is not None or self.transforms:
+            known = functions((self.ages or {}).get, self.base, self.transforms)
         more = unknown_functions(self.functions) if self.functions else {}
         return {**known, **more} if more else known
 

@@ -29,8 +29,9 @@ from rosld.ontology.document import Document
 from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
 from rosld.ontology.node_shape import SOURCE, NodeShape, Property, many, one, optional
 from rosld.ontology.triples import Statement, boolean, double, statements, text, triples_about
+from rosld.ontology.units import UNKNOWN, Quantity, field_quantity
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import foaf, owl, rdf, rdfs, ros, schema_org, xsd
+from rosld.ontology.vocab import foaf, owl, qudt, rdf, rdfs, ros, schema_org, xsd
 
 
 class _TypeView(NamedTuple):
@@ -110,6 +111,7 @@ class _FieldView(NamedTuple):
 
     field: Field
     position: int
+    quantity: Quantity | None
 
     @property
     def array(self) -> Array | None:
@@ -142,6 +144,9 @@ _FIELD = NodeShape[_FieldView](
     optional(ros.arrayLength, kinds.COUNT, lambda view: view.array.length if view.array else None),
     optional(ros.arrayBound, kinds.COUNT, lambda view: view.array.bound if view.array else None),
     optional(ros.stringBound, kinds.COUNT, lambda view: view.string.bound if view.string else None),
+    optional(qudt.hasUnit, kinds.IRI, lambda view: view.quantity and view.quantity.unit),
+    optional(qudt.hasQuantityKind, kinds.IRI, lambda view: view.quantity and view.quantity.kind),
+    optional(ros.unitUnknown, kinds.BOOLEAN, lambda view: view.quantity == UNKNOWN or None),
     one(rdfs.domain, kinds.IRI),
     optional(rdfs.range, kinds.IRI),
     many(schema_org.rangeIncludes, kinds.IRI),
@@ -161,7 +166,7 @@ def _message_type(kind: MessageType, space: Space) -> list[Triple]:
     constants = [NamedNode(space.property_of(kind.name, constant.name)) for constant in kind.constants]
     triples = triples_about(subject, *statements(ros.hasField, fields), *statements(ros.hasConstant, constants))
     for position, (node, field) in enumerate(zip(fields, kind.fields, strict=True)):
-        view = _FieldView(field, position)
+        view = _FieldView(field, position, field_quantity(kind.name, field))
         triples += _FIELD.triples(node, view, space, (rdfs.domain, subject), *_range(field.type, space))
         if view.nested is not None:
             triples += type_url(view.nested, space)

@@ -24,8 +24,9 @@ from rosld.ontology.triples import (
     text,
     triples_about,
 )
+from rosld.ontology.units import UNKNOWN, Quantity
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcterms, hydra, memento, rdf, rdfs, ros, schema_org, xhv, xsd
+from rosld.ontology.vocab import dcterms, hydra, memento, qudt, rdf, rdfs, ros, schema_org, xhv, xsd
 
 _TYPE_RELATIONS: Mapping[NamedNode, NamedNode] = {
     ros.Topic: ros.hasMessageType,
@@ -177,13 +178,14 @@ def unasked_document(url: str, space: Space) -> Document:
 class PlottedNumber(Struct, frozen=True):
     """A plotted number of a topic: the topic's URL, the path of the field, its ROS type.
 
-    `series` is the URL of its recorded values, or None.
+    `series` is the URL of its recorded values, or None. `quantity` is what it measures.
     """
 
     topic: str
     field: str
     type: str = ""
     series: str | None = None
+    quantity: Quantity = UNKNOWN
 
 
 _SERIES = NodeShape[PlottedNumber]("Series", "a number over a time", ros.Series).with_properties(
@@ -192,6 +194,8 @@ _SERIES = NodeShape[PlottedNumber]("Series", "a number over a time", ros.Series)
     one(ros.seriesField, kinds.TEXT, lambda number: number.field),
     many(ros.hasPoint, kinds.node("SeriesPoint")),
     optional(rdfs.seeAlso, kinds.IRI, lambda number: number.series),
+    optional(qudt.hasUnit, kinds.IRI, lambda number: number.quantity.unit),
+    optional(qudt.hasQuantityKind, kinds.IRI, lambda number: number.quantity.kind),
 )
 
 
@@ -223,6 +227,7 @@ def series_document(
     points: Sequence[tuple[int, float, float, float, int]],
     *,
     is_reduced: bool,
+    quantity: Quantity = UNKNOWN,
 ) -> Document:
     """Return a series of the field of the topic at a URL.
 
@@ -230,7 +235,7 @@ def series_document(
     then, else of one message.
     """
     nodes = [NamedNode(f"{url}#point.{number}") for number in range(len(points))]
-    subject, series = NamedNode(url), PlottedNumber(topic, field)
+    subject, series = NamedNode(url), PlottedNumber(topic, field, quantity=quantity)
     triples = _SERIES.triples(subject, series, None, *RDF_SOURCE, *statements(ros.hasPoint, nodes))
     for node, (time_ns, minimum, maximum, total, count) in zip(nodes, points, strict=True):
         numbers = (None, minimum, maximum, total / count, count) if is_reduced else (minimum,)

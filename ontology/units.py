@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from fractions import Fraction
 from functools import cache, lru_cache
 from importlib.resources import files
@@ -16,11 +16,16 @@ from typing import NamedTuple
 
 from pyoxigraph import NamedNode
 
+from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Primitive
+from rosld.ontology.coercion import is_octets
+from rosld.ontology.literals import STRINGS
 from rosld.ontology.modules import module_triples
 from rosld.ontology.vocab import PREFIXES, qudt, ros
 
 UNIT, KIND = PREFIXES["unit"], PREFIXES["quantitykind"]
 _TYPES = "https://w3id.org/rosld/types/"
+_VECTOR = "geometry_msgs/msg/Vector3"
+_NO_NUMBERS = frozenset({"bool", *STRINGS})
 
 
 class Quantity(NamedTuple):
@@ -28,6 +33,17 @@ class Quantity(NamedTuple):
 
     unit: str | None = None
     kind: str | None = None
+
+    @property
+    def statements(self) -> list[tuple[NamedNode, NamedNode | None]]:
+        """Return the unit and the kind of quantity as statements."""
+        pairs = ((qudt.hasUnit, self.unit), (qudt.hasQuantityKind, self.kind))
+        return [(predicate, None if iri is None else NamedNode(iri)) for predicate, iri in pairs]
+
+    @property
+    def symbol(self) -> str:
+        """The symbol of the unit; empty for unknown, and for numbers without dimension."""
+        return "" if self.unit is None else symbol_of(self.unit)
 
 
 UNKNOWN = Quantity()
@@ -39,28 +55,75 @@ def quantity_of(type_name: str, field: str) -> Quantity | None:
 
     For a field that holds a message, it is what all numbers within measure: `linear` of a twist is in m/s.
     """
-    found = stated_quantity(type_name, field)
+    found = _stated().get((type_name, field)) or _by_name(field)
     return None if found == UNKNOWN else found
 
 
-def stated_quantity(type_name: str, field: str) -> Quantity | None:
-    """Return what is known of a field: its quantity, `UNKNOWN` if it has no unit of its own, None if nothing is."""
-    return _stated().get((type_name, field)) or _by_name(field)
+def has_no_own_unit(type_name: str, field: str) -> bool:
+    """Whether a field is stated to have no unit of its own."""
+    return _stated().get((type_name, field)) == UNKNOWN
 
 
-def quantity_along(path: Iterable[tuple[str, str]]) -> Quantity | None:
-    """Return what the number at the end of a path of fields measures, each field with the name of its type.
+def field_quantity(type_name: str, field: Field) -> Quantity | None:
+    """Return what is known of a field: its quantity, `UNKNOWN` if it has no unit of its own, None if nothing is.
 
-    That is the innermost quantity along the path. A field that holds messages and is `UNKNOWN` cancels what is stated
-    within: twists that hold accelerations.
+    Convention applies to numbers, arrays of them, and vectors.
     """
+    stated = _stated().get((type_name, field.name))
+    if stated is not None or (field.nested != _VECTOR and not has_numbers(field.type)):
+        return stated
+    return _by_name(field.name)
+
+
+def has_numbers(kind: FieldType) -> bool:
+    """Whether a field holds a number or an array of numbers, which octets are not."""
+    element = kind.element if isinstance(kind, Array) else kind
+    is_number = isinstance(element, Primitive) and element.name not in _NO_NUMBERS
+    return is_number and not (isinstance(kind, Array) and is_octets(kind))
+
+
+def quantity_within(enclosing: Quantity | None, type_name: str, field: Field) -> Quantity | None:
+    """Return what a field measures within one that measures `enclosing`: the innermost quantity counts.
+
+    A field that holds messages and is `UNKNOWN` cancels what is stated within: twists that hold accelerations.
+    """
+    stated = field_quantity(type_name, field)
+    if enclosing == UNKNOWN or (stated == UNKNOWN and field.nested is not None):
+        return UNKNOWN
+    if stated in (None, UNKNOWN):
+        return enclosing if field.nested is not None or has_numbers(field.type) else None
+    return stated
+
+
+def quantity_at(schema: MessageSchema, path: str) -> Quantity:
+    """Return what the number at a dotted path measures (`transforms.0.translation.x`), or `UNKNOWN`."""
+    name: str | None = schema.ref.name
     found: Quantity | None = None
-    steps = list(path)
-    for at, (type_name, field) in enumerate(steps):
-        stated = stated_quantity(type_name, field)
-        if stated == UNKNOWN and at < len(steps) - 1:
-            return None
-        found = found if stated in (None, UNKNOWN) else stated
+    for step in path.split("."):
+        fields = schema.types[name].fields if name is not None and name in schema.types else ()
+        field = next((each for each in fields if each.name == step), None)
+        if field is not None and name is not None:
+            found, name = quantity_within(found, name, field), field.nested
+        elif not step.isdecimal():
+            return UNKNOWN
+    return found or UNKNOWN
+
+
+def unit_symbols(schema: MessageSchema, most: int) -> Mapping[str, str]:
+    """Return the symbol of the unit of each field of a message by its path, up to a number of fields."""
+    found: dict[str, str] = {}
+
+    def walk(name: str, prefix: str, enclosing: Quantity | None, depth: int) -> None:
+        for field in schema.types[name].fields if depth else ():
+            quantity = quantity_within(enclosing, name, field)
+            if len(found) == most:
+                return
+            if quantity is not None and quantity.symbol:
+                found[prefix + field.name] = quantity.symbol
+            elif field.nested in schema.types:
+                walk(field.nested or "", f"{prefix}{field.name}.", quantity, depth - 1)
+
+    walk(schema.ref.name, "", None, 8)
     return found
 
 

@@ -325,6 +325,7 @@ class _ros(Namespace):
     min: NamedNode
     max: NamedNode
     mean: NamedNode
+    convert: NamedNode
     age: NamedNode
     transform: NamedNode
     Elided: NamedNode

@@ -11,7 +11,7 @@ from rosld.ontology.coercion import RANGES
 from rosld.ontology.literals import DATATYPES
 from rosld.ontology.triples import Value, integer, statements
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import qudt, rdf, ros, sh, xsd
+from rosld.ontology.vocab import rdf, ros, sh, xsd
 from rosld.shapes.value import UNBOUNDED, Bounds, MessageShape, OpenShape, ScalarShape, ValueShape, narrow
 from rosld.shapes.writer import ShapesWriter, within
 
@@ -46,8 +46,7 @@ def _write_scalar(writer: ShapesWriter, node: NamedNode, shape: ScalarShape | Op
         *bounds.range_statements,
         *bounds.text_statements,
         (ros.step, bounds.step),
-        (qudt.hasUnit, shape.measure.unit),
-        (qudt.hasQuantityKind, shape.measure.quantity_kind),
+        *shape.quantity.statements,
         (sh.in_, writer.list_of(bounds.choices) if bounds.choices else None),
     )
 

@@ -33,6 +33,7 @@ from rosld.ontology.document import Document
 from rosld.ontology.json_leaves import stated_default
 from rosld.ontology.literals import DATATYPES, STRINGS, base64_length
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, boolean, integer, statements, text, triples_about
+from rosld.ontology.units import UNKNOWN, field_quantity
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import geo, rdf, rdfs, ros, sh, xsd
 from rosld.shapes.writer import ShapesWriter, list_of, within
@@ -110,6 +111,7 @@ class MessageShapes:
                 (sh.minCount, integer(self.least(kind))),
                 (sh.maxCount, integer(1)),
                 (sh.defaultValue, _default(field)),
+                *(field_quantity(kind.name, field) or UNKNOWN).statements,
                 *self.value(field.type),
             )
 

@@ -12,6 +12,7 @@ from rosld.adapters.model import Descriptor, ParameterType, ParameterValue, Rang
 from rosld.ontology.body import Term
 from rosld.ontology.parameters import parameter_literal, plain_value
 from rosld.ontology.triples import boolean, double, integer, text, triples_about
+from rosld.ontology.units import UNKNOWN, Quantity
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Violation, brief_value
 from rosld.ontology.vocab import dcterms, rdf, rdfs, ros, sh, xsd
@@ -20,7 +21,7 @@ from rosld.shapes.affordance import value_shape_triples
 from rosld.shapes.compiled_shape import component
 from rosld.shapes.components import list_terms, phrase
 from rosld.shapes.limit_parts import Demand
-from rosld.shapes.value import NO_MEASURE, Bounds, Measure, OpenShape, ScalarShape
+from rosld.shapes.value import Bounds, OpenShape, ScalarShape
 from rosld.shapes.writer import within
 
 _MAX_CHOICES = 32
@@ -34,13 +35,13 @@ def constraint_url(url: str, descriptor: Descriptor | None) -> str | None:
     return None if descriptor is None or descriptor.type is None else f"{url}#constraint"
 
 
-def declared_shape(descriptor: Descriptor, measure: Measure = NO_MEASURE) -> ScalarShape | OpenShape:
+def declared_shape(descriptor: Descriptor, quantity: Quantity = UNKNOWN) -> ScalarShape | OpenShape:
     """Return the shape of a value; open for arrays and if the type may change."""
     kind = None if descriptor.type is None else PARAMETERS.get(descriptor.type)
     if kind is None:
-        return OpenShape(measure=measure)
+        return OpenShape(quantity=quantity)
     return ScalarShape(
-        kind, replace(_bounds(_range(descriptor)), choices=_chosen(descriptor)), measure, is_parameter=True
+        kind, replace(_bounds(_range(descriptor)), choices=_chosen(descriptor)), quantity, is_parameter=True
     )
 
 

@@ -1,4 +1,4 @@
-"""The shape of a value: ROS type, bounds from limits (`--shapes`), unit from a mapping.
+"""The shape of a value: ROS type, bounds from limits (`--shapes`), unit by its type or from a mapping.
 
 SHACL shapes, forms and data schemas are derived from it.
 """
@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 from typing import ClassVar, TypeAlias, TypeVar
 
 from msgspec import Struct
-from pyoxigraph import Literal, NamedNode
+from pyoxigraph import Literal
 
 from rosld.adapters.model import Field, MessageSchema, Primitive
 from rosld.ontology.triples import Statement, integer, text
+from rosld.ontology.units import UNKNOWN, Quantity, field_quantity
 from rosld.ontology.vocab import sh
 from rosld.shapes.terms import number
 
@@ -67,16 +68,6 @@ class Bounds(Struct, frozen=True):
 UNBOUNDED = Bounds()
 
 
-class Measure(Struct, frozen=True):
-    """Unit and quantity kind of a number, as terms of QUDT."""
-
-    unit: NamedNode | None = None
-    quantity_kind: NamedNode | None = None
-
-
-NO_MEASURE = Measure()
-
-
 class ScalarShape(Struct, frozen=True):
     """A value that is one scalar of a ROS primitive.
 
@@ -85,7 +76,7 @@ class ScalarShape(Struct, frozen=True):
 
     kind: Primitive
     bounds: Bounds = UNBOUNDED
-    measure: Measure = NO_MEASURE
+    quantity: Quantity = UNKNOWN
     is_parameter: bool = False
 
 
@@ -100,7 +91,7 @@ class MessageShape:
     schema: MessageSchema
     fields: tuple[Field, ...]
     bounds: Mapping[str, Bounds] = field(default_factory=dict, hash=False)
-    measure: ClassVar[Measure] = NO_MEASURE
+    quantity: ClassVar[Quantity] = UNKNOWN
 
 
 class OpenShape(Struct, frozen=True):
@@ -108,7 +99,7 @@ class OpenShape(Struct, frozen=True):
 
     kind: ClassVar[None] = None
     bounds: Bounds = UNBOUNDED
-    measure: Measure = NO_MEASURE
+    quantity: Quantity = UNKNOWN
     is_parameter: ClassVar[bool] = False
 
 
@@ -118,7 +109,8 @@ ValueShape: TypeAlias = ScalarShape | MessageShape | OpenShape
 def value_shape(schema: MessageSchema, fields: tuple[Field, ...]) -> ScalarShape | MessageShape:
     """Return the shape of a value that consists of these fields of a message: a scalar if it is one primitive."""
     if len(fields) == 1 and isinstance(fields[0].type, Primitive):
-        return ScalarShape(fields[0].type)
+        quantity = field_quantity(schema.ref.name, fields[0])
+        return ScalarShape(fields[0].type, quantity=quantity or UNKNOWN)
     return MessageShape(schema, fields)
 
 

@@ -357,6 +357,7 @@ def _lines(content: PlotContent, references: Sequence[str], site: Site) -> list[
     return [
         {
             "label": number.field if is_single else f"{site.short_name(number.topic)} {number.field}",
+            "unit": number.quantity.symbol,
             "series": None if number.series is None else site.href(number.series),
             "place": references.index(reference),
         }

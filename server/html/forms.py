@@ -341,7 +341,7 @@ def _open_controls(shape: OpenShape, value: Json, filling: InputValues) -> tuple
             note=escape_controls(" ".join(filter(None, (note, describe_bounds(shape.bounds))))),
             error=filling.error(VALUE_FIELD),
             required=is_too_long,
-            unit=unit_text(shape.measure),
+            unit=unit_text(shape.quantity),
         ),
     )
 

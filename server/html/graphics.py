@@ -29,6 +29,7 @@ def plot_config(page: PlotPage) -> str:
     numbers = [
         {
             "label": number.field if len(names) == 1 else f"{page.site.short_name(number.topic)} {number.field}",
+            "unit": number.quantity.symbol,
             "series": None if number.series is None else page.site.href(number.series),
         }
         for number in page.numbers

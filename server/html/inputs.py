@@ -20,9 +20,9 @@ from rosld.ontology.describe_types import definition_text
 from rosld.ontology.json_leaves import stated_default
 from rosld.ontology.literals import STRINGS, base64_text
 from rosld.ontology.neutral_message import HEADER
-from rosld.ontology.units import symbol_of
+from rosld.ontology.units import UNKNOWN, Quantity, quantity_within
 from rosld.server.html.view import escape_controls
-from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape
+from rosld.shapes.value import UNBOUNDED, Bounds, MessageShape, OpenShape, ScalarShape
 
 _MAX_DIGITS = 40
 _ONLY_IN_XPATH = re.compile(r"\\[A-Za-z]|\[[^\]]*\[|\(\?")
@@ -224,18 +224,42 @@ class InputValues(Struct, frozen=True):
 
 
 def controls(
-    shape: MessageShape, fields: Iterable[Field], value: Json, filling: InputValues, prefix: str = ""
+    shape: MessageShape,
+    fields: Iterable[Field],
+    value: Json,
+    filling: InputValues,
+    prefix: str = "",
+    name: str | None = None,
+    enclosing: Quantity | None = None,
 ) -> tuple[Control, ...]:
-    """Return the inputs for fields of a message or one in it; `value` is plain JSON, completed by defaults."""
+    """Return the inputs for fields of a message or one in it; `value` is plain JSON, completed by defaults.
+
+    `name` is the type of a message in it, `enclosing` what the field that holds that measures.
+    """
     values = value if isinstance(value, Mapping) else {}
-    return tuple(_control(shape, each, f"{prefix}{each.name}", values.get(each.name), filling) for each in fields)
+    type_name = name or shape.schema.ref.name
+    return tuple(
+        _control(
+            shape,
+            each,
+            f"{prefix}{each.name}",
+            values.get(each.name),
+            filling,
+            quantity_within(enclosing, type_name, each),
+        )
+        for each in fields
+    )
 
 
-def _control(shape: MessageShape, each: Field, path: str, value: Json, filling: InputValues) -> Control:
+def _control(
+    shape: MessageShape, each: Field, path: str, value: Json, filling: InputValues, quantity: Quantity | None
+) -> Control:
     schema = shape.schema
     if is_fieldset(schema, each.type):
         assert isinstance(each.type, Nested)
-        inner = controls(shape, schema.types[each.type.name].fields, value, filling, f"{path}.")
+        inner = controls(
+            shape, schema.types[each.type.name].fields, value, filling, f"{path}.", each.type.name, quantity
+        )
         is_folded = each.type.name == HEADER or each.name in _FOLDED
         return Fieldset(
             path, each.name, each.type.name, inner, filling.error(path), is_folded and not filling.error_below(path)
@@ -243,10 +267,10 @@ def _control(shape: MessageShape, each: Field, path: str, value: Json, filling: 
     if value is None:
         value = default(schema, each)
     if isinstance(each.type, Primitive):
-        scalar = ScalarShape(each.type, shape.bounds.get(path, UNBOUNDED))
+        scalar = ScalarShape(each.type, shape.bounds.get(path, UNBOUNDED), quantity or UNKNOWN)
         return scalar_input(scalar, each.name, path, value, filling)
     made = _json(each.type, each.name, path, value, filling)
-    return replace(made, is_folded=each.name in _FOLDED and not made.error)
+    return replace(made, unit=unit_text(quantity or UNKNOWN), is_folded=each.name in _FOLDED and not made.error)
 
 
 def is_fieldset(schema: MessageSchema, kind: FieldType) -> bool:
@@ -269,7 +293,7 @@ def count_inputs(schema: MessageSchema, name: str) -> int:
 def scalar_input(shape: ScalarShape | OpenShape, label: str, path: str, value: Json, filling: InputValues) -> Input:
     """Return the input for one scalar, or a select of its choices; `value` is plain JSON."""
     kind, bounds = shape.kind, shape.bounds
-    note, unit = describe_bounds(bounds), unit_text(shape.measure)
+    note, unit = describe_bounds(bounds), unit_text(shape.quantity)
     scalar = partial(Input, path, label, error=filling.error_below(path))
     if kind is None or bounds.choices:
         options = option_texts(kind, bounds)
@@ -308,9 +332,9 @@ def scalar_input(shape: ScalarShape | OpenShape, label: str, path: str, value: J
     )
 
 
-def unit_text(measure: Measure) -> str:
+def unit_text(quantity: Quantity) -> str:
     """Return the symbol of a unit; empty where there is none."""
-    return "" if measure.unit is None else escape_controls(symbol_of(measure.unit.value))
+    return escape_controls(quantity.symbol)
 
 
 def _plain_text(kind: Primitive, value: Json) -> str:

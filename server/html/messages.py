@@ -17,6 +17,7 @@ from rosld.adapters.model import Array, Field, Message, MessageSchema, MessageTy
 from rosld.ontology.coercion import is_octets
 from rosld.ontology.describe_types import definition_text
 from rosld.ontology.literals import STRINGS
+from rosld.ontology.units import Quantity, quantity_within
 from rosld.server.html.view import (
     ArrayView,
     BytesView,
@@ -26,6 +27,7 @@ from rosld.server.html.view import (
     TextView,
     View,
     duration_view,
+    escape_controls,
     number_view,
     shorten_number,
     text_view,
@@ -83,7 +85,9 @@ def message_view(
     return _rows(kind, message, "", 0, drawing)
 
 
-def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _Drawing) -> TableView:
+def _rows(
+    kind: MessageType, message: Message, path: str, depth: int, drawing: _Drawing, enclosing: Quantity | None = None
+) -> TableView:
     if depth > _DEEPEST:
         return TableView((TableRow("…", (TextView("nested too deeply to show here", tone="quiet"),)),), kind.name)
     rows: list[TableRow] = []
@@ -98,7 +102,10 @@ def _rows(kind: MessageType, message: Message, path: str, depth: int, drawing: _
         if kind.name == DIAGNOSTIC_STATUS and each.name == "level":
             value = level_view(int(content))
         else:
-            value = _value(each, content, f"{path}{each.name}", depth, drawing)
+            quantity = quantity_within(enclosing, kind.name, each)
+            value = _value(each, content, f"{path}{each.name}", depth, drawing, quantity)
+            if quantity is not None and isinstance(value, TextView | ArrayView):
+                value = replace(value, unit=escape_controls(quantity.symbol))
             if isinstance(value, TextView) and (word := constant_name(kind, each, content)):
                 value = replace(value, hint=word)
         rows.append(TableRow(each.name, (value,), hint=definition_text(each.type)))
@@ -131,12 +138,12 @@ def _is_short(kind: MessageType) -> bool:
     )
 
 
-def _value(each: Field, value: object, path: str, depth: int, drawing: _Drawing) -> View:
+def _value(each: Field, value: object, path: str, depth: int, drawing: _Drawing, quantity: Quantity | None) -> View:
     if isinstance(each.type, Primitive):
         return _with_plot_link(scalar_view(each.type, value), each.type, path, drawing)
     if isinstance(each.type, Nested):
-        return _nested_view(each.type, cast(Message, value), f"{path}.", depth, drawing)
-    return _array(each.type, value, path, depth, drawing)
+        return _nested_view(each.type, cast(Message, value), f"{path}.", depth, drawing, quantity)
+    return _array(each.type, value, path, depth, drawing, quantity)
 
 
 def _with_plot_link(view: View, kind: Primitive, path: str, drawing: _Drawing) -> View:
@@ -154,10 +161,12 @@ def level_view(level: int) -> View:
     return TextView(word, str(level), tone=tone)
 
 
-def _nested_view(kind: Nested, message: Message, path: str, depth: int, drawing: _Drawing) -> View:
+def _nested_view(
+    kind: Nested, message: Message, path: str, depth: int, drawing: _Drawing, quantity: Quantity | None
+) -> View:
     if kind.name in (TIME, DURATION):
         return _time(kind.name, message, drawing)
-    return _rows(drawing.types[kind.name], message, path, depth + 1, drawing)
+    return _rows(drawing.types[kind.name], message, path, depth + 1, drawing, quantity)
 
 
 def _time(name: str, message: Message, drawing: _Drawing) -> View:
@@ -170,21 +179,23 @@ def _time(name: str, message: Message, drawing: _Drawing) -> View:
     return time_view(seconds * 1_000_000_000 + nanoseconds, raw)
 
 
-def _array(kind: Array, value: object, path: str, depth: int, drawing: _Drawing) -> View:
+def _array(kind: Array, value: object, path: str, depth: int, drawing: _Drawing, quantity: Quantity | None) -> View:
     if is_octets(kind):
         return _octets(np.asarray(value), path, drawing)
     values = cast("Sequence[object]", value)
     if isinstance(kind.element, Nested):
-        return _messages(kind.element, values, path, depth, drawing)
+        return _messages(kind.element, values, path, depth, drawing, quantity)
     return series_view(kind.element, values)
 
 
-def _messages(kind: Nested, values: Sequence[object], path: str, depth: int, drawing: _Drawing) -> View:
+def _messages(
+    kind: Nested, values: Sequence[object], path: str, depth: int, drawing: _Drawing, quantity: Quantity | None
+) -> View:
     items: list[TableView] = []
     for index, message in enumerate(islice(values, _ITEMS)):
         if drawing.left <= 0:
             break
-        view = _nested_view(kind, cast(Message, message), f"{path}.{index}.", depth, drawing)
+        view = _nested_view(kind, cast(Message, message), f"{path}.{index}.", depth, drawing, quantity)
         items.append(view if isinstance(view, TableView) else TableView((TableRow(str(index), (view,)),)))
     return TableListView(len(values), tuple(items), kind.name)
 

@@ -257,11 +257,11 @@ def _brief(value: Value, view: View) -> str:
 
 
 def _unit(affordance: PropertyAffordance, site: Site) -> Anchor | None:
-    unit = None if isinstance(affordance.shape, MessageShape) else affordance.shape.measure.unit
-    symbol = escape_controls(symbol_of(unit.value)) if unit is not None else ""
+    unit = None if isinstance(affordance.shape, MessageShape) else affordance.shape.quantity.unit
+    symbol = escape_controls(symbol_of(unit)) if unit is not None else ""
     if unit is None or not symbol:
         return None
-    return Anchor(site.href(unit.value) or "", symbol, unit.value, external=True)
+    return Anchor(site.href(unit) or "", symbol, unit, external=True)
 
 
 def _facts(shape: ValueShape, site: Site) -> Iterator[View]:
@@ -274,8 +274,8 @@ def _facts(shape: ValueShape, site: Site) -> Iterator[View]:
             yield TextView(kind.name)
         case OpenShape():
             pass
-    if shape.measure.quantity_kind is not None:
-        yield iri_view(shape.measure.quantity_kind.value, site)
+    if shape.quantity.kind is not None:
+        yield iri_view(shape.quantity.kind, site)
 
 
 def _behind(site: Site, *relations: tuple[NamedNode, Iterable[str]]) -> TableView:

@@ -36,6 +36,8 @@ tells which numbers there are. */
   addEventListener("pagehide", () => streams.forEach((own) => { own.source?.close(); }));
   addEventListener("pageshow", (event) => event.persisted && streams.forEach((own, address) => connect(address, own)));
 
+  const titled = (label, unit) => unit ? `${label} (${unit})` : label;
+
   /* Draws one plot; what it returns ends that. */
   function draws(root) {
     const wanted = JSON.parse(root.dataset.plot);
@@ -45,7 +47,7 @@ tells which numbers there are. */
     const placed = new Map(wanted.y.map(({ place }, at) => [String(place ?? at), at])); // of the stream: ours
 
     /* A line is a number, or an element of an array: whose `column` of which table it is. */
-    const lines = wanted.y.map(({ label }, place) => ({ place, item: null, label }));
+    const lines = wanted.y.map(({ label, unit }, place) => ({ place, item: null, label: titled(label, unit) }));
     const tables = new Map(); // by topic: times (seconds) and, by place, values
     const past = new Map(), detail = new Map(); // by place: what is recorded, as [times, values]
     let view = null; // the times that are looked at; null: the newest
@@ -76,10 +78,10 @@ tells which numbers there are. */
     /* The first that comes of an array tells how many lines it takes, and what the robot calls each, where it says so. */
     function expand(place, values, names) {
       const first = values.find(Array.isArray), at = lines.findIndex((each) => each.place === place);
-      const { item } = lines[at], { label } = wanted.y[place];
+      const { item } = lines[at], { label, unit } = wanted.y[place];
       if (!first?.length || (item !== null && !names)) return;
       const old = lines.filter((each) => each.place === place), size = item === null ? first.length : old.length;
-      const labels = Array.from({ length: size }, (_, each) => names?.[each] ? `${label} ${names[each]}` : `${label}.${each}`);
+      const labels = Array.from({ length: size }, (_, each) => titled(names?.[each] ? `${label} ${names[each]}` : `${label}.${each}`, unit));
       if (item !== null && labels.every((each, row) => each === old[row].label)) return;
       lines.splice(at, old.length, ...labels.map((each, row) => ({ place, item: row, label: each })));
       build();

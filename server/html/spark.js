@@ -10,7 +10,8 @@ Without this file the mark beside a number is a link to its plot all the same. *
   function look() {
     const links = document.querySelectorAll("main a.plot");
     for (const link of links) {
-      const shown = link.previousElementSibling, address = link.getAttribute("href");
+      const before = link.previousElementSibling, address = link.getAttribute("href");
+      const shown = before.matches(".unit") ? before.previousElementSibling : before;
       const number = Number(shown.getAttribute("title") ?? shown.textContent);
       if (!Number.isFinite(number)) continue;
       const kept = numbers.get(address) ?? [];

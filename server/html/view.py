@@ -18,7 +18,7 @@ _UNASSIGNED = re.compile(r"[\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff\x80-\x9f]")
 class TextView(Struct, frozen=True):
     """A value as text; `full` is a long one in full, `exact` all digits of a number, `hint` its type, `tone` a style.
 
-    `plot` refers to the plot of a number over time, or is empty.
+    `plot` refers to the plot of a number over time, `unit` is the symbol of its unit, or they are empty.
     """
 
     kind: ClassVar[str] = "text"
@@ -28,6 +28,7 @@ class TextView(Struct, frozen=True):
     tone: str = ""
     exact: str = ""
     plot: str = ""
+    unit: str = ""
 
 
 class BlockView(Struct, frozen=True):
@@ -63,6 +64,7 @@ class ArrayView(Struct, frozen=True):
     head: str
     full: str | None = None
     hint: str = ""
+    unit: str = ""
 
 
 class BytesView(Struct, frozen=True):

@@ -18,6 +18,7 @@ from msgspec.structs import replace
 from rosld.adapters.base import Watch
 from rosld.adapters.model import ActionSchema, Descriptor, Graph, Kind, Operation, Ref, RosError, Schema, TypeRef
 from rosld.ontology.neutral_message import COMMANDS
+from rosld.ontology.units import UNKNOWN
 from rosld.ontology.violations import violations_text
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import GoalSource, ParameterSource, Property, Reader, TopicSource, source_url
@@ -45,7 +46,6 @@ from rosld.server.runtime.tasks import Signal, call_every, combine_watches, loop
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.shapes.limits import Limits
-from rosld.shapes.value import NO_MEASURE
 
 T = TypeVar("T")
 
@@ -318,13 +318,13 @@ class AffordanceService(Generic[T]):
         """Return the affordance of a property, empty without a URL; `write`: whether its conditions hold."""
         own, mapped, session = plan.source, plan.mapped, self._session
         url = url_of(plan.url_name or own.name, session.space)
-        measure = mapped.measure if mapped else NO_MEASURE
-        shape = limited_shape(own.shape, self._limits(), url, measure)
+        quantity = mapped.quantity if mapped else UNKNOWN
+        shape = limited_shape(own.shape, self._limits(), url, quantity)
         declared = self._declared_descriptor(own)
         if declared is not None:
             shape = with_descriptor(shape, declared)
         if plan.field is not None:
-            shape = field_shape(shape, plan.field, self._limits().bounds_of_resource(url), measure)
+            shape = field_shape(shape, plan.field, self._limits().bounds_of_resource(url), quantity)
         return PropertyAffordance(
             plan.name,
             url,

@@ -31,6 +31,7 @@ from rosld.ontology.coercion import RANGES, is_octets
 from rosld.ontology.json_leaves import stated_default, zero_value
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.literals import SAFE_INTEGER, STRINGS, base64_length, special_float, wide_integer_json
+from rosld.ontology.units import Quantity, quantity_within
 from rosld.ontology.vocab import xsd
 from rosld.shapes.command_numbers import LARGEST_VELOCITY, is_any_number_meant, largest_number
 from rosld.shapes.terms import number
@@ -81,19 +82,24 @@ def value_schema(
     In a value to send, fields have defaults and are optional. `unit` is the keyword for the unit.
     """
     if isinstance(shape, MessageShape):
-        return _Schemas(shape.schema, shape.bounds, lifting, read, sent).fields(shape.fields)
+        return _Schemas(shape.schema, shape.bounds, lifting, read, sent, unit).fields(shape.fields)
     if isinstance(shape, ScalarShape) and shape.is_parameter:
         found = _parameter_schema(shape.kind, shape.bounds)
     else:
         found = _scalar(shape.kind, shape.bounds, is_finite=sent)
-    return found if shape.measure.unit is None else {**found, unit: shape.measure.unit.value}
+    return found if shape.quantity.unit is None else {**found, unit: shape.quantity.unit}
 
 
 def message_schema(
-    schema: MessageSchema, lifting: LiftSettings = _SETTINGS, *, read: bool = True, sent: bool = False
+    schema: MessageSchema,
+    lifting: LiftSettings = _SETTINGS,
+    *,
+    read: bool = True,
+    sent: bool = False,
+    unit: str = "unit",
 ) -> JsonSchema:
     """Return the schema of a message, the object of its fields, which are optional when the message is sent."""
-    return _Schemas(schema, {}, lifting, read, sent).fields(schema.type.fields)
+    return _Schemas(schema, {}, lifting, read, sent, unit).fields(schema.type.fields)
 
 
 def patch_schema(schema: JsonSchema) -> JsonSchema:
@@ -113,8 +119,16 @@ class _Schemas:
     """Schemas within one message type, limited in number because types are provided by robots."""
 
     def __init__(
-        self, schema: MessageSchema, bounds: Mapping[str, Bounds], lifting: LiftSettings, read: bool, sent: bool
+        self,
+        schema: MessageSchema,
+        bounds: Mapping[str, Bounds],
+        lifting: LiftSettings,
+        read: bool,
+        sent: bool,
+        unit: str,
     ) -> None:
+        self._root = schema.ref.name
+        self._unit = unit
         self._types = schema.types
         self._bounds = bounds
         self._read = read
@@ -123,15 +137,24 @@ class _Schemas:
         self._range = _VELOCITIES if sent and largest_number(schema) == LARGEST_VELOCITY else {}
         self._left = _MAX_NODES
 
-    def fields(self, fields: Iterable[Field], path: tuple[str, ...] = ()) -> JsonSchema:
-        """Return an object of fields."""
+    def fields(
+        self,
+        fields: Iterable[Field],
+        path: tuple[str, ...] = (),
+        name: str | None = None,
+        enclosing: Quantity | None = None,
+    ) -> JsonSchema:
+        """Return an object of fields of the type `name` (by default that of the message)."""
         properties: dict[str, Json] = {}
         for field in fields:
             inner = (*path, field.name)
             is_finite = self._sent and not is_any_number_meant(field)
-            properties[field.name] = self._field(field.type, inner, is_finite=is_finite) | (
-                self._default(field, inner) if self._sent else {}
-            )
+            quantity = quantity_within(enclosing, name or self._root, field)
+            own = self._field(field.type, inner, quantity, is_finite=is_finite)
+            own |= self._default(field, inner) if self._sent else {}
+            if quantity is not None and quantity.unit is not None and field.nested is None:
+                own[self._unit] = quantity.unit
+            properties[field.name] = own
         return {"type": "object", "properties": properties, **({} if self._sent else {"required": list(properties)})}
 
     def _default(self, field: Field, path: tuple[str, ...]) -> JsonSchema:
@@ -150,30 +173,32 @@ class _Schemas:
             return {"default": "" if is_octets(kind) else []}
         return {}
 
-    def _field(self, kind: FieldType, path: tuple[str, ...], *, is_finite: bool) -> JsonSchema:
+    def _field(
+        self, kind: FieldType, path: tuple[str, ...], quantity: Quantity | None, *, is_finite: bool
+    ) -> JsonSchema:
         self._left -= 1
         if isinstance(kind, Array):
-            return self._array(kind, path)
+            return self._array(kind, path, quantity)
         if isinstance(kind, Primitive):
             found = _scalar(kind, self._bounds.get(".".join(path), UNBOUNDED), is_finite=is_finite)
             return self._range | found if kind.name in _FLOATS else found
         if self._left < 0 or len(path) >= _DEEPEST:
             return {"type": "object"}
-        return self.fields(self._types[kind.name].fields, path)
+        return self.fields(self._types[kind.name].fields, path, kind.name, quantity)
 
-    def _array(self, kind: Array, path: tuple[str, ...]) -> JsonSchema:
+    def _array(self, kind: Array, path: tuple[str, ...], quantity: Quantity | None) -> JsonSchema:
         least, most = kind.length, kind.most
         if is_octets(kind):
             lengths = without_none(minLength=base64_length(least), maxLength=base64_length(most))
             found: JsonSchema = {"type": "string", "contentEncoding": "base64", **lengths}
         else:
             lengths = without_none(minItems=least, maxItems=most)
-            found = {"type": "array", "items": self._element(kind.element, path), **lengths}
+            found = {"type": "array", "items": self._element(kind.element, path, quantity), **lengths}
         return {"oneOf": [found, _ELIDED]} if self._read and self._may_be_elided(kind) else found
 
-    def _element(self, kind: Primitive | Nested, path: tuple[str, ...]) -> JsonSchema:
+    def _element(self, kind: Primitive | Nested, path: tuple[str, ...], quantity: Quantity | None) -> JsonSchema:
         if isinstance(kind, Nested):
-            return self._field(kind, path, is_finite=self._sent)
+            return self._field(kind, path, quantity, is_finite=self._sent)
         if kind.name in _FLOATS:
             specials: list[Json] = ["-0.0"] if self._sent else ["NaN", "INF", "-INF", "-0.0"]
             return {"oneOf": [{"type": "number"}, {"type": "string", "enum": specials}]}
@@ -313,14 +338,14 @@ class MessageSchemas:
         if schema is None:
             return OBJECT
         key = self._key(schema.ref)
-        return self._shared(key, lambda: message_schema(schema, self.lifting))
+        return self._shared(key, lambda: message_schema(schema, self.lifting, unit="x-unit"))
 
     def write(self, schema: MessageSchema | None) -> JsonSchema:
         """Return a reference to the schema of a message when sent, in which members with defaults are optional."""
         if schema is None:
             return OBJECT
         key = f"{self._key(schema.ref)}.sent"
-        return self._shared(key, lambda: message_schema(schema, self.lifting, read=False, sent=True))
+        return self._shared(key, lambda: message_schema(schema, self.lifting, read=False, sent=True, unit="x-unit"))
 
     def value(self, shape: ValueShape, *, sent: bool = False) -> JsonSchema:
         """Return the schema of a property's value when read, or when sent."""

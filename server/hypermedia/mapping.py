@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping
 from msgspec import Struct, field
 from pyoxigraph import NamedNode
 
+from rosld.ontology.units import UNKNOWN, Quantity
 from rosld.server.robot.software_stop import StopCommand
 from rosld.shapes.shapes_graph import NodeShape
-from rosld.shapes.value import NO_MEASURE, Measure
 
 
 class Condition(Struct, frozen=True):
@@ -39,7 +39,7 @@ class MappedProperty(Struct, frozen=True):
     member: str
     name: str
     field: str | None = None
-    measure: Measure = NO_MEASURE
+    quantity: Quantity = UNKNOWN
     writable_when: tuple[Condition, ...] = ()
 
 

@@ -14,27 +14,33 @@ from msgspec.structs import replace
 
 from rosld.adapters.model import Descriptor, MessageSchema, Primitive
 from rosld.ontology.fields import type_at
+from rosld.ontology.units import UNKNOWN, Quantity, quantity_at
 from rosld.server.hypermedia.mapping import ComplexResource, MappedAction, MappedProperty
 from rosld.shapes.parameter import declared_shape
-from rosld.shapes.value import UNBOUNDED, Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape, narrow
+from rosld.shapes.value import UNBOUNDED, Bounds, MessageShape, OpenShape, ScalarShape, ValueShape, narrow
 
 if TYPE_CHECKING:
     from rosld.server.hypermedia.resource_tree import ResourceTree
     from rosld.shapes.limits import Limits
 
 
-def limited_shape(shape: ValueShape, limits: Limits, url: str, measure: Measure) -> ValueShape:
-    """Return the shape of the value of the property at `url` within its limits, for reads and writes."""
+def limited_shape(shape: ValueShape, limits: Limits, url: str, quantity: Quantity) -> ValueShape:
+    """Return the shape of the value of the property at `url` within its limits, for reads and writes.
+
+    `quantity` is what the mapping states; without it, that of the type counts.
+    """
     if isinstance(shape, MessageShape):
         return dataclasses.replace(shape, bounds=limits.bounds_of_message(shape.schema))
-    return replace(shape, bounds=narrow(limits.bounds_of_resource(url), shape.bounds), measure=measure)
+    return replace(
+        shape, bounds=narrow(limits.bounds_of_resource(url), shape.bounds), quantity=_either(quantity, shape.quantity)
+    )
 
 
 def with_descriptor(shape: ValueShape, descriptor: Descriptor) -> ValueShape:
     """Return the shape of a parameter's value with the constraints that the node declares."""
     if isinstance(shape, MessageShape):
         return shape
-    declared = declared_shape(descriptor, shape.measure)
+    declared = declared_shape(descriptor, shape.quantity)
     bounds = narrow(shape.bounds, declared.bounds)
     return replace(declared if isinstance(shape, OpenShape) else shape, bounds=bounds)
 
@@ -49,17 +55,22 @@ def has_scalar(shape: ValueShape, path: str) -> bool:
     return True
 
 
-def field_shape(shape: ValueShape, path: str, bounds: Bounds, measure: Measure) -> ValueShape:
+def field_shape(shape: ValueShape, path: str, bounds: Bounds, quantity: Quantity) -> ValueShape:
     """Return the shape of one field of a value (`pose.position.x`), open if the type has no such scalar.
 
     `bounds` are those of the field's own resource, in addition to those of its type.
     """
     if isinstance(shape, ScalarShape) and "." not in path:  # a message of one scalar is that scalar
-        return replace(shape, bounds=narrow(bounds, shape.bounds), measure=measure)
+        return replace(shape, bounds=narrow(bounds, shape.bounds), quantity=_either(quantity, shape.quantity))
     kind = _primitive(shape.schema, path) if isinstance(shape, MessageShape) else None
     if kind is None or not isinstance(shape, MessageShape):
-        return OpenShape(bounds, measure)
-    return ScalarShape(kind, narrow(bounds, shape.bounds.get(path, UNBOUNDED)), measure)
+        return OpenShape(bounds, quantity)
+    quantity = _either(quantity, quantity_at(shape.schema, path))
+    return ScalarShape(kind, narrow(bounds, shape.bounds.get(path, UNBOUNDED)), quantity)
+
+
+def _either(stated: Quantity, by_type: Quantity) -> Quantity:
+    return by_type if stated == UNKNOWN else stated
 
 
 def _primitive(schema: MessageSchema, path: str) -> Primitive | None:

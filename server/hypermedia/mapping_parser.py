@@ -20,6 +20,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.ontology.body import BodyError, RdfBody, Term, parse_body, parse_json
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.turtle import prefixed_name
+from rosld.ontology.units import Quantity
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.violations import brief_value as brief
@@ -35,7 +36,6 @@ from rosld.server.hypermedia.mapping import (
 from rosld.server.robot.software_stop import StopCommand
 from rosld.shapes.shapes_graph import ShapesGraph, compile_shape
 from rosld.shapes.validation import validate
-from rosld.shapes.value import Measure
 
 Node: TypeAlias = NamedNode | BlankNode
 Statements: TypeAlias = Mapping[NamedNode, Sequence[Term]]
@@ -196,6 +196,7 @@ class _Reader:
 
     def property(self, node: Term, path: str) -> MappedProperty:
         """Return a property, with the full name of its member."""
+        measured = (qudt.hasUnit, qudt.hasQuantityKind)
         member = _full(self.text(node, mapping.member), path)
         field = self.text(node, mapping.field) or None
         name = self.text(node, mapping.name) or (field or member).replace("." if field else "/", "/").rpartition("/")[2]
@@ -204,7 +205,7 @@ class _Reader:
             member,
             name,
             field,
-            Measure(self.iri(node, qudt.hasUnit), self.iri(node, qudt.hasQuantityKind)),
+            Quantity(*(each and each.value for each in (self.iri(node, term) for term in measured))),
             self.when(node, mapping.writableWhen),
         )
 

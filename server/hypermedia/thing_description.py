@@ -12,7 +12,7 @@ from typing import TypeAlias, TypeVar
 
 import orjson
 from msgspec import Struct
-from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse
+from pyoxigraph import BlankNode, RdfFormat, Triple, parse
 
 from rosld.ontology.describe_holds import CONFIRM, CONFIRM_PARAMETER, HOLD, MAX_LEASE, MAX_RATE, MEANINGS, PARAMETERS
 from rosld.ontology.document import Document
@@ -129,9 +129,9 @@ def _property(one: PropertyAffordance, lifting: LiftSettings) -> orjson.Fragment
             "readOnly": not one.write,
             "writeOnly": not one.read,
             "observable": observable,
-            **_led_to("map:predicate", one.predicate),
-            **_led_to("qudt:hasUnit", one.shape.measure.unit),
-            **_led_to("qudt:hasQuantityKind", one.shape.measure.quantity_kind),
+            **_led_to("map:predicate", one.predicate and one.predicate.value),
+            **_led_to("qudt:hasUnit", one.shape.quantity.unit),
+            **_led_to("qudt:hasQuantityKind", one.shape.quantity.kind),
             "forms": forms,
         }
     )
@@ -166,7 +166,9 @@ def _action(one: ActionAffordance, lifting: LiftSettings) -> orjson.Fragment:
     schema = message_schema(one.request, lifting, read=False, sent=True) if has_input else None
     forms = [_form(one.url, "invokeaction", "POST"), *_goal_forms(one)]
     members = _action_members(schema, forms, synchronous=one.goals is None)
-    return _fragment({**without_none(title=one.title), **members, **_led_to("map:relation", one.relation)})
+    return _fragment(
+        {**without_none(title=one.title), **members, **_led_to("map:relation", one.relation and one.relation.value)}
+    )
 
 
 def _action_members(
@@ -237,9 +239,9 @@ def _link(link: ThingLink) -> Members:
     return {"rel": link.relation, "href": link.target, **without_none(type=link.media_type)}
 
 
-def _led_to(term: str, value: NamedNode | None) -> Members:
+def _led_to(term: str, iri: str | None) -> Members:
     """Return a member with a term of a vocabulary of the context as an IRI; empty for None."""
-    return {} if value is None else {term: {"@id": value.value}}
+    return {} if iri is None else {term: {"@id": iri}}
 
 
 def _fragment(members: Members) -> orjson.Fragment:

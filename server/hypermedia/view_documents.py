@@ -34,7 +34,7 @@ from rosld.ontology.triples import (
     triples_about,
 )
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcterms, ldp, mapping, qudt, rdf, rdfs, ros, td
+from rosld.ontology.vocab import dcterms, ldp, mapping, rdf, rdfs, ros, td
 from rosld.server.hypermedia.value import MessageValue, Reading, field_json, lift_value, plain_json, value_literal
 from rosld.server.hypermedia.views import ActionAffordance, ActionView, ComplexView, PropertyAffordance, PropertyView
 from rosld.shapes.affordance import value_shape_triples
@@ -250,8 +250,7 @@ def _property_affordance(one: PropertyAffordance, document: NamedNode, node: str
         (dcterms.description, text(one.description)),
         (mapping.predicate, one.predicate),
         (td.isObservable, boolean(observable)),
-        (qudt.hasUnit, one.shape.measure.unit),
-        (qudt.hasQuantityKind, one.shape.measure.quantity_kind),
+        *one.shape.quantity.statements,
         (ros.shape, shape),
     )
     if one.read:

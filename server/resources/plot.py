@@ -21,6 +21,7 @@ from rosld.ontology.describe_types import definition_text
 from rosld.ontology.describe_views import PlottedNumber, plot_document
 from rosld.ontology.document import Document
 from rosld.ontology.fields import field_at, number_type
+from rosld.ontology.units import quantity_at
 from rosld.server.auth.errors import not_found
 from rosld.server.auth.permissions import Permissions
 from rosld.server.events.broadcaster import Broadcasters
@@ -265,7 +266,7 @@ class NumberFinder:
             raise Problem(422, f"The type of {number.topic} is not known: {error.sentence}") from error
         has_series = not isinstance(kind, Array) and is_recorded(self._history, number.topic)
         series = f"{url}?series={quote(number.field, safe='.')}" if has_series else None
-        return PlottedNumber(url, number.field, definition_text(kind), series)
+        return PlottedNumber(url, number.field, definition_text(kind), series, quantity_at(schema, number.field))
 
 
 MAX_NUMBERS = 16
@@ -280,7 +281,13 @@ _PARAMETERS = (
     FORMAT,
 )
 _PLAIN: JsonSchema = json_object(
-    {"y": json_array(json_object({"topic": URI, "field": TEXT, "type": TEXT, "series": {"type": ["string", "null"]}}))}
+    {
+        "y": json_array(
+            json_object(
+                {"topic": URI, "field": TEXT, "type": TEXT, "series": {"type": ["string", "null"]}, "unit": TEXT}
+            )
+        )
+    }
 )
 
 
@@ -352,4 +359,5 @@ class PlotResource(Resource):
 
 def number_json(number: PlottedNumber) -> dict[str, str | None]:
     """Return a number as plain JSON."""
-    return {"topic": number.topic, "field": number.field, "type": number.type, "series": number.series}
+    plain = {"topic": number.topic, "field": number.field, "type": number.type, "series": number.series}
+    return {**plain, "unit": number.quantity.symbol}

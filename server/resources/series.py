@@ -6,6 +6,7 @@ import asyncio
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from datetime import datetime, timezone
 from typing import NamedTuple, Protocol
 from urllib.parse import quote
@@ -17,6 +18,7 @@ from starlette.responses import Response
 from rosld.adapters.model import Array, MessageSchema, Primitive, Sample, TypeRef, UnknownType
 from rosld.ontology.describe_views import series_document
 from rosld.ontology.fields import field_at, number_type
+from rosld.ontology.units import UNKNOWN, Quantity, quantity_at
 from rosld.ontology.urls import Space
 from rosld.server.history.chunk_index import ChunkRow
 from rosld.server.history.history import History
@@ -200,9 +202,10 @@ class SeriesResource(Resource):
         found = await self._read()
         points = [(point.time_ns, *point.statistic) for point in found.points]
         url, topic, field, is_reduced = self.url, self.space.topic(self.topic), self.field, found.is_reduced
+        quantity = self._quantity()
         return State(
-            lambda: series_document(url, topic, field, points, is_reduced=is_reduced),
-            lambda: orjson.dumps({"topic": self.topic, "field": field, **columns(found)}),
+            lambda: series_document(url, topic, field, points, is_reduced=is_reduced, quantity=quantity),
+            lambda: orjson.dumps({"topic": self.topic, "field": field, "unit": quantity.symbol, **columns(found)}),
         )
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
@@ -215,6 +218,15 @@ class SeriesResource(Resource):
         lines = [",".join(table), *(",".join(map(str, row)) for row in zip(*table.values(), strict=True))]
         headers = {"Vary": "Accept", "Cache-Control": "no-cache"}
         return Response("\r\n".join(lines) + "\r\n", media_type=CSV, headers=headers)
+
+    def _quantity(self) -> Quantity:
+        """Return what the field measures in all types that the topic has had."""
+        recording, found = self.history.recording, set[Quantity]()
+        for ref in recording.types_of(self.topic):
+            with suppress(UnknownType):
+                schema = recording.schema(ref)
+                found.add(quantity_at(schema, self.field) if isinstance(schema, MessageSchema) else UNKNOWN)
+        return found.pop() if len(found) == 1 else UNKNOWN
 
     async def _read(self) -> Series:
         values = FieldValues(self.history.recording.schema, self.field)

@@ -13,6 +13,8 @@ from typing import cast
 import orjson
 from starlette.responses import Response
 
+from rosld.adapters.model import TypeRef, halves_of
+from rosld.ontology.units import unit_symbols
 from rosld.ontology.vocab import ldp
 from rosld.server.auth import enforcement
 from rosld.server.html.cockpit_form import Method
@@ -42,6 +44,8 @@ _SHORT = 40
 """Minimum number of bytes of a schema that others refer to."""
 _MAX_INPUT = 1500
 """Maximum number of bytes of a schema; deeper objects of larger ones are left open."""
+_MAX_WITH_UNITS, _MAX_UNITS = 1_024, 12
+"""Maximum number of bytes of an offer that names units, and of the units in it."""
 _DEPTHS = (99, 6, 4, 3, 2, 1)
 """Numbers of levels that a schema keeps, tried until it is small enough."""
 _WRITES: tuple[Method, ...] = ("PUT", "POST", "PATCH", "DELETE")
@@ -96,7 +100,17 @@ class Offers:
             **_contents(resource, state),
             **self._links(exchange, resource),
         }
-        return orjson.dumps(written)
+        with_units = orjson.dumps({**written, **self._units(written.get("type"), forms.values())})
+        return with_units if len(with_units) <= _MAX_WITH_UNITS else orjson.dumps(written)
+
+    def _units(self, name: Json, forms: Iterable[Form]) -> Mapping[str, Json]:
+        """Return the unit of a value, or the units of the fields of a message, a request or a goal by path."""
+        for form in forms:
+            if isinstance(form, ValueForm) and form.shape is not None and form.shape.quantity.symbol:
+                return {"unit": form.shape.quantity.symbol}
+        schema = self._session.schemas.find_similar(TypeRef(name)) if isinstance(name, str) else None
+        symbols = {} if schema is None else unit_symbols(halves_of(schema)[0], _MAX_UNITS)
+        return {"units": cast(Json, symbols)} if symbols else {}
 
     def _links(self, exchange: Exchange, resource: Resource) -> Mapping[str, Json]:
         """Return the links of the entry point to the search, the guide and the stop."""
@@ -291,7 +305,7 @@ def _plain(schema: Json, depth: int) -> Json:
                 kept[name] = {key: _plain(each, depth - 1) for key, each in value.items() if key != "stamp"}
         elif name == "items":
             kept[name] = _plain(value, depth)
-        elif not _is_usual(name, value):
+        elif name not in ("unit", "x-unit") and not _is_usual(name, value):
             kept[name] = value
     return kept
 

@@ -138,8 +138,8 @@ def _property_texts(tree: ResourceTree, name: str, url: str | None) -> tuple[str
     mapped = None if plan is None else plan.mapped
     if mapped is None:
         return ()
-    terms = (mapped.predicate, mapped.measure.unit, mapped.measure.quantity_kind)
-    return (mapped.name, *(local_name(term.value) for term in terms if term is not None))
+    terms = (mapped.predicate.value, *mapped.quantity)
+    return (mapped.name, *(local_name(term) for term in terms if term is not None))
 
 
 def _declared_texts(descriptor: Descriptor | None) -> Sequence[str]:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from functools import lru_cache
+from urllib.parse import unquote
 
 from msgspec import Struct
 
-from rosld.ontology.vocab import PREFIXES, hctl, htv, td
+from rosld.ontology.units import has_no_own_unit, quantity_of
+from rosld.ontology.vocab import PREFIXES, hctl, htv, ros, td
 from rosld.server.dataset import QueryError
 from rosld.server.dataset.encoding import NAMESPACE
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.needs import Needs, needs_of
+from rosld.server.sparql.needs import Needs, groups_within, needs_of
 from rosld.server.sparql.past import MessageTerms, PastQuery, past_query
 from rosld.server.sparql.rewriting import rewrite
 from rosld.server.sparql.ros_functions import AGE
@@ -25,7 +27,7 @@ from rosld.server.sparql.syntax.lexer import (
 )
 from rosld.server.sparql.syntax.query import parse_query
 from rosld.server.sparql.syntax.token import Kind
-from rosld.server.sparql.syntax.tree import TYPE, Group, Iri, Pattern, Query, Variable, graphs_around
+from rosld.server.sparql.syntax.tree import TYPE, Group, Iri, Pattern, Query, Term, Variable, graphs_around
 
 _CACHE_SIZE = 512
 _OFFERS = (td.iri, hctl.iri, htv.iri)
@@ -85,9 +87,10 @@ class Analyser:
         if keyword := update_keyword(checked.tokens):
             raise Problem(400, f"{keyword} is an update, but this is the query endpoint, which only reads.")
         query = parse_query(checked, self.prefixes, self.base, AGE)
+        units = _units_of_variables(query.where, self._types) if ros.convert.value in query.functions else {}
         past = past_query(query, MessageTerms(self._types, self.base))
         return Analysis(
-            rewrite(checked.text, query.literals, query.expressions),
+            rewrite(checked.text, query.literals, query.expressions, units),
             query.form,
             needs_of(query, self.base),
             self._used_prefixes(checked),
@@ -104,6 +107,36 @@ class Analyser:
         """Return only the prefixes that a query uses, because the store's parser copies every prefix passed to it."""
         names = {token.text.partition(":")[0] for token in checked.tokens if token.kind is Kind.NAME}
         return {name: self.prefixes[name] for name in names & self.prefixes.keys()}
+
+
+def _units_of_variables(where: Group, types: str) -> dict[str, str]:
+    """Return the units of the variables that are bound to fields of messages, where all patterns agree.
+
+    A field without a unit of its own, such as a coordinate of a vector, has that of the field that binds its subject.
+    Fields around it that have none cancel that (`quantity_within`).
+    """
+    fields: dict[Term, list[tuple[Term, str, str]]] = {}
+    for group in groups_within(where):
+        for pattern in group.patterns:
+            for predicate in pattern.predicates or ():
+                type_name, _, field = unquote(predicate.removeprefix(types)).partition("#")
+                if predicate.startswith(types):
+                    fields.setdefault(pattern.object, []).append((pattern.subject, type_name, field))
+
+    def units(node: Term, depth: int = 8) -> set[str | None]:
+        found = set[str | None]()
+        for subject, type_name, field in fields.get(node, ()) if depth else ():
+            quantity = quantity_of(type_name, field)
+            found |= units(subject, depth - 1) if quantity is None else {quantity.unit}
+            found |= {None} if is_cancelled(subject, depth - 1) else set()
+        return found or {None}
+
+    def is_cancelled(node: Term, depth: int) -> bool:
+        around = fields.get(node, ()) if depth else ()
+        return any(has_no_own_unit(*names) or is_cancelled(subject, depth - 1) for subject, *names in around)
+
+    all_units = ((node.name, units(node)) for node in fields if isinstance(node, Variable))
+    return {name: unit for name, found in all_units if len(found) == 1 and (unit := found.pop()) is not None}
 
 
 def _enclose(query: Query) -> frozenset[str] | None:

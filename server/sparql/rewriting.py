@@ -8,11 +8,11 @@ compare sort keys (`server/dataset/sort_keys.py`). SERVICE receives the original
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from typing import NamedTuple
 
-from rosld.ontology.vocab import rdf, xsd
+from rosld.ontology.vocab import rdf, ros, xsd
 from rosld.server.dataset.encoding import DOUBLE, INTEGER, NAMESPACE, NUMERIC, OTHER, PATTERN, encode_literal
 from rosld.server.dataset.private_functions import GREATER, KEY, LESS, NOTHING, ORDER, PACK, TYPED, UNPACK, VALUE
 from rosld.server.sparql.syntax.token import Kind
@@ -43,6 +43,11 @@ _TOTAL = frozenset(
 """Functions whose results are totally ordered in the dataset."""
 _PASSING = frozenset(("COALESCE", "SAMPLE"))
 """Functions that return one of their arguments."""
+_KEEPING_UNITS = frozenset(
+    ("MIN", "MAX", "AVG", "SUM", "SAMPLE", "ABS", *(each.value for each in (ros.at, ros.min, ros.max, ros.mean)))
+)
+"""Functions whose results are in the unit of their first argument."""
+_NO_UNITS: Mapping[str, str] = {}
 _MAX_INLINE = 32
 """Maximum number of variables decoded in SPARQL itself; a function decodes the others, to keep the text short."""
 
@@ -63,9 +68,17 @@ class _Edit(NamedTuple):
     text: str
 
 
-def rewrite(text: str, literals: Iterable[Constant], expressions: Iterable[EvaluatedExpression]) -> str:
-    """Return a query text for the dataset, with rewritten literals in patterns and data and rewritten expressions."""
-    rewriter = _Rewriter(text)
+def rewrite(
+    text: str,
+    literals: Iterable[Constant],
+    expressions: Iterable[EvaluatedExpression],
+    units: Mapping[str, str] = _NO_UNITS,
+) -> str:
+    """Return a query text for the dataset, with rewritten literals in patterns and data and rewritten expressions.
+
+    `units` are the IRIs of the units of variables, which `ros:convert` of two arguments receives as its second.
+    """
+    rewriter = _Rewriter(text, units)
     for literal in literals:
         rewriter.literal(literal)
     for place in expressions:
@@ -76,8 +89,9 @@ def rewrite(text: str, literals: Iterable[Constant], expressions: Iterable[Evalu
 class _Rewriter:
     """Collected edits of a text; they do not overlap."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, units: Mapping[str, str]) -> None:
         self._text = text
+        self._units = units
         self._edits: list[_Edit] = []
         self._inline = 0
 
@@ -175,6 +189,15 @@ class _Rewriter:
             uses = [_Use.TERM, _Use.TERM]
         for argument, of_argument in zip(call.arguments, uses, strict=False):
             self._change(argument, of_argument)
+        if call.iri == ros.convert.value and len(call.arguments) == 2 and (unit := self._unit(call.arguments[0])):
+            self._insert(call.arguments[1].start, f"<{unit}>,")
+
+    def _unit(self, operand: Operand) -> str | None:
+        """Return the unit of a variable, or of the result of a function that keeps the unit of its first argument."""
+        within = strip_brackets(operand)
+        if isinstance(within, Call) and within.arguments and (within.iri or within.name) in _KEEPING_UNITS:
+            return self._unit(within.arguments[0])
+        return self._units.get(within.name[1:]) if isinstance(within, Reference) else None
 
     def _extreme(self, call: Call, use: _Use) -> None:
         """Rewrite MIN or MAX: the dataset compares numbers, and sort keys of other terms."""

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import orjson
 from pyoxigraph import Literal, NamedNode, Store
 
+from rosld.ontology import units
 from rosld.ontology.vocab import rdf, ros, xsd
 from rosld.server.dataset import Function
 from rosld.server.dataset.base import Term
@@ -113,6 +114,18 @@ def mean(array: Term) -> Term:
         return Literal(math.nan)
 
 
+def convert(value: Term, source: Term, target: Term) -> Term:
+    """`ros:convert(?value, ?from, ?to)`: the number in another unit of QUDT as xsd:double."""
+    if not isinstance(value, Literal) or value.datatype == xsd.string or not value.datatype.value.startswith(xsd.iri):
+        raise _NoAnswer
+    if not isinstance(source, NamedNode) or not isinstance(target, NamedNode):
+        raise _NoAnswer
+    found = units.convert(float(value.value), source.value, target.value)
+    if found is None:
+        raise _NoAnswer
+    return Literal(found)
+
+
 def _guard(function: Callable[..., Term]) -> Function:
     def guarded(*terms: Term) -> Term | None:
         try:
@@ -203,5 +216,6 @@ _LASTING: Mapping[str, Function] = {
         (ros.min, minimum),
         (ros.max, maximum),
         (ros.mean, mean),
+        (ros.convert, convert),
     )
 } | {iri: _guard(function) for iri, function in geo_functions.FUNCTIONS.items()}

@@ -23,9 +23,10 @@ from rosld.ontology.units import (
     Quantity,
     _factors,
     convert,
-    quantity_along,
+    quantity_at,
     quantity_of,
     symbol_of,
+    unit_symbols,
 )
 from rosld.ontology.vocab import qudt, rdfs, ros
 
@@ -99,17 +100,34 @@ def test_a_name_that_says_no_unit_has_none(field: str) -> None:
     assert quantity_of("acme_msgs/msg/Motor", field) is None
 
 
-def test_the_unit_of_a_number_within_messages_is_that_of_the_innermost_field_that_has_one() -> None:
-    vector = "geometry_msgs/msg/Vector3"
-    twist = [("geometry_msgs/msg/Twist", "linear"), (vector, "x")]
-    odometry = [("nav_msgs/msg/Odometry", "twist"), ("geometry_msgs/msg/TwistWithCovariance", "twist"), *twist]
-    assert quantity_along(odometry) == quantity_of("geometry_msgs/msg/Twist", "linear")
-    turned = quantity_along([("geometry_msgs/msg/Pose", "orientation"), ("geometry_msgs/msg/Quaternion", "w")])
-    assert turned == Quantity(f"{UNIT}UNITLESS", f"{KIND}Dimensionless")
-    assert quantity_along([(vector, "x")]) is None
-    accelerations = ("trajectory_msgs/msg/MultiDOFJointTrajectoryPoint", "accelerations")
-    assert quantity_along([accelerations, *twist]) is None
-    assert quantity_along([]) is None
+@pytest.mark.parametrize(
+    ("name", "path", "unit"),
+    [
+        ("nav_msgs/msg/Odometry", "twist.twist.linear.x", "M-PER-SEC"),
+        ("nav_msgs/msg/Odometry", "pose.pose.orientation.w", "UNITLESS"),
+        ("tf2_msgs/msg/TFMessage", "transforms.0.transform.translation.z", "M"),
+        ("sensor_msgs/msg/MultiEchoLaserScan", "ranges.3.echoes.0", "M"),
+        ("sensor_msgs/msg/MagneticField", "magnetic_field.y", "T"),
+        ("sensor_msgs/msg/Imu", "header.frame_id", None),
+        ("geometry_msgs/msg/Vector3", "x", None),
+        ("trajectory_msgs/msg/MultiDOFJointTrajectoryPoint", "accelerations.0.linear.x", None),
+        ("trajectory_msgs/msg/MultiDOFJointTrajectoryPoint", "velocities.0.linear.x", "M-PER-SEC"),
+        ("std_msgs/msg/Float64", "data", None),
+        ("std_msgs/msg/Float64", "none", None),
+    ],
+)
+def test_the_unit_of_a_number_is_that_of_the_innermost_field_that_has_one(
+    name: str, path: str, unit: str | None
+) -> None:
+    schema = TypeLibrary(ros_version=1).find(TypeRef(name))
+    assert quantity_at(schema, path).unit == (None if unit is None else UNIT + unit)
+
+
+def test_the_units_of_a_message_are_named_by_path() -> None:
+    library = TypeLibrary(ros_version=1)
+    symbols = unit_symbols(library.find(TypeRef("geometry_msgs/msg/TwistStamped")), 9)
+    assert symbols == {"twist.linear": "m/s", "twist.angular": "rad/s"}
+    assert len(unit_symbols(library.find(TypeRef("sensor_msgs/msg/LaserScan")), 4)) == 4
 
 
 @pytest.mark.parametrize(

@@ -76,10 +76,13 @@ def test_a_plot_names_its_numbers_and_what_is_recorded_of_them(rover: httpx.Clie
             "field": "twist.twist.linear.x",
             "type": "float64",
             "series": f"{base}topics/odom?series=twist.twist.linear.x",
+            "unit": "m/s",
         },
-        {"topic": f"{base}topics/scan", "field": "range_max", "type": "float32", "series": None},
+        {"topic": f"{base}topics/scan", "field": "range_max", "type": "float32", "series": None, "unit": "m"},
     ]
-    assert rover.get(found[0]["series"], headers=JSON).json()["value"]
+    series = rover.get(found[0]["series"], headers=JSON).json()
+    assert series["value"]
+    assert series["unit"] == "m/s"
 
 
 def test_a_property_stands_for_the_topic_that_it_is_read_from(start_server: Callable[..., Any]) -> None:

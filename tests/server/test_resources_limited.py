@@ -216,10 +216,11 @@ def test_schemas_and_shapes_of_commands_say_that_their_numbers_are_finite(robot:
     http = serving()
     description = Description(http.get("/openapi.json").json())
     speed = {"type": "number", "minimum": -1e6, "maximum": 1e6, "default": 0.0}
+    unit = "http://qudt.org/vocab/unit/M-PER-SEC"
     twist = description.document["components"]["schemas"]["geometry_msgs.msg.Twist.sent"]["properties"]
-    assert description.resolved(twist["linear"])["properties"]["x"] == speed
-    thing = value(http, "/.well-known/wot")
-    assert thing["actions"]["cmd_vel/hold"]["input"]["properties"]["linear"]["properties"]["x"] == speed
+    assert description.resolved(twist["linear"])["properties"]["x"] == {**speed, "x-unit": unit}
+    held = value(http, "/.well-known/wot")["actions"]["cmd_vel/hold"]["input"]["properties"]
+    assert held["linear"]["properties"]["x"] == {**speed, "unit": unit}
     shape = http.get("/topics/cmd_vel?shape").text
     assert "1000000.0" in shape
     assert '"INF"' not in shape

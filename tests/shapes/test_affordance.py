@@ -14,12 +14,13 @@ from rosld.adapters.model import MessageSchema, Primitive, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import lowerer
+from rosld.ontology.units import Quantity
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import qudt, rdf, sh, xsd
 from rosld.shapes.affordance import value_shape_triples
 from rosld.shapes.message import shape_document
 from rosld.shapes.shapes_graph import ShapesGraph, compile_shape
-from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
+from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
 from tests.shapes.values import graph
 
 SPACE = Space("http://127.0.0.1:8080/")
@@ -55,7 +56,7 @@ def of(*values: Literal, path: NamedNode = rdf.value) -> list[Triple]:
 
 def test_a_mapped_property_is_by_its_predicate_and_tells_its_unit() -> None:
     unit = NamedNode("http://qudt.org/vocab/unit/KN")
-    shape = ScalarShape(Primitive("float64"), measure=Measure(unit=unit))
+    shape = ScalarShape(Primitive("float64"), quantity=Quantity(unit=unit.value))
     assert conforms(shape, of(typed("1.0"), path=SPEED), SPEED)
     assert not conforms(shape, of(typed("1.0")), SPEED)
     assert Triple(NamedNode(URL + "#shape.value"), qudt.hasUnit, unit) in value_shape_triples(

@@ -10,6 +10,7 @@ from pyoxigraph import Literal, NamedNode, Triple
 from rosld.adapters.model import Primitive
 from rosld.ontology.document import Document
 from rosld.ontology.lift import LiftSettings
+from rosld.ontology.units import Quantity
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import av, ldp, rdf, rdfs, ros
@@ -20,7 +21,7 @@ from rosld.server.html.site import Site
 from rosld.server.hypermedia.value import MessageValue, Reading, StoredValue
 from rosld.server.hypermedia.view_documents import complex_document
 from rosld.server.hypermedia.views import ActionAffordance, ComplexView, LinkAffordance, Member, PropertyAffordance
-from rosld.shapes.value import Bounds, Measure, OpenShape, ScalarShape
+from rosld.shapes.value import Bounds, OpenShape, ScalarShape
 from tests.server.html.messages import BASE, NOW, lifted, message, schema
 
 HOSTILE = '<script>alert("x")</script>\'\u202e&amp;\x00'
@@ -82,7 +83,7 @@ def hostile_offer() -> Page:
     text, odd = HOSTILE.replace("\x00", ""), f"{RESOURCES}/%3Cscript%3E"
     strange = Bounds(choices=(Literal(text),), pattern=HOSTILE)
     stranger = Bounds(pattern='"><script>', minimum=Literal(text), min_length=3)
-    measure = Measure(NamedNode("javascript:alert(1)"), NamedNode("javascript:alert(1)"))
+    quantity = Quantity("javascript:alert(1)", "javascript:alert(1)")
     kind = schema("std_msgs/msg/String")
     told = MessageValue(kind, message(kind, {"data": text}), kind.type.fields, f"{BASE}topics/x")
     view = ComplexView(
@@ -94,11 +95,11 @@ def hostile_offer() -> Page:
                 Reading(text, told, None, NOW),
             ),
             Member(
-                PropertyAffordance(text, f"{odd}/b", ScalarShape(Primitive("float64"), stranger, measure), write=True),
+                PropertyAffordance(text, f"{odd}/b", ScalarShape(Primitive("float64"), stranger, quantity), write=True),
                 Reading(text, None, HOSTILE),
             ),
             Member(
-                PropertyAffordance(text, f"{odd}/c", OpenShape(stranger, measure), NamedNode("javascript:alert(1)")),
+                PropertyAffordance(text, f"{odd}/c", OpenShape(stranger, quantity), NamedNode("javascript:alert(1)")),
                 Reading(text, StoredValue({"a": [text]})),
             ),
             Member(

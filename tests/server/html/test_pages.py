@@ -71,7 +71,8 @@ def test_a_message_is_a_table_of_its_fields() -> None:
     value = {"header": {"stamp": {"sec": 5}}, "pose": {"pose": {"position": {"x": 0.1}}, "covariance": [0.5] * 36}}
     shown = message(kind, value)
     view = message_view(kind, shown)
-    assert field(view, "pose", "pose", "position", "x") == TextView("0.1", tone="number")
+    assert field(view, "pose", "pose", "position", "x") == TextView("0.1", tone="number", unit="m")
+    assert field(view, "twist", "twist", "angular", "z").unit == "rad/s"
     assert isinstance(field(view, "header", "stamp"), TimeView)
     assert isinstance(field(message_view(kind, shown, simulated_time=True), "header", "stamp"), TextView)
     covariance = field(view, "pose", "covariance")

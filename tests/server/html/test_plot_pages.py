@@ -70,7 +70,7 @@ def test_dragging_and_a_pause_hold_what_is_seen_which_goes_on_and_is_saved_as_a_
 def test_the_elements_of_an_array_are_lines_of_their_own(tab: Any, rover: httpx.Client) -> None:
     tab.open(f"{rover.base_url}plot?y=topics/scan%23ranges")
     tab.until(f"{LABELS}.length === 16")
-    assert tab.run(LABELS)[:2] == ["ranges.0", "ranges.1"]
+    assert tab.run(LABELS)[:2] == ["ranges.0 (m)", "ranges.1 (m)"]
     tab.until(f"{POINTS} > 5")
 
 
@@ -104,6 +104,7 @@ def test_a_page_without_scripts_tells_the_numbers_and_takes_another(rover: httpx
     assert '<input type="hidden" name="y" value="topics/odom#twist.twist.linear.x">' in page
     assert 'class="controls" hidden' in page
     assert labels(page) == ["twist.twist.linear.x"]
+    assert "&#34;unit&#34;: &#34;m/s&#34;" in page
     query = "y=topics/odom%23twist.twist.linear.x&y=topics/battery_state%23percentage"
     several = rover.get(f"/plot?{query}", headers={"Accept": "text/html"}).text
     assert labels(several) == ["/odom twist.twist.linear.x", "/battery_state percentage"]

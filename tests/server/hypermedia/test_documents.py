@@ -18,6 +18,7 @@ from rosld.ontology.body import RdfBody
 from rosld.ontology.document import Document
 from rosld.ontology.serialize import serialize
 from rosld.ontology.syntax import Syntax
+from rosld.ontology.units import Quantity
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import av, mapping, rdf, rdfs, sh, xsd
@@ -32,7 +33,6 @@ from rosld.server.hypermedia.mapping_parser import (
     read_mapping,
 )
 from rosld.server.robot.software_stop import StopCommand
-from rosld.shapes.value import Measure
 
 SPACE = Space("http://127.0.0.1:8080/")
 URL = "http://127.0.0.1:8080/mappings/aircraft"
@@ -161,9 +161,7 @@ def test_a_member_may_carry_a_field_a_unit_and_a_quantity_kind() -> None:
         'map:member "pose" ; map:field "position.x" ; qudt:hasUnit unit:M ; qudt:hasQuantityKind quantitykind:Length'
     )
     assert found.field == "position.x"
-    assert found.measure == Measure(
-        NamedNode("http://qudt.org/vocab/unit/M"), NamedNode("http://qudt.org/vocab/quantitykind/Length")
-    )
+    assert found.quantity == Quantity("http://qudt.org/vocab/unit/M", "http://qudt.org/vocab/quantitykind/Length")
 
 
 def test_the_title_is_a_label_in_english_or_no_language_first() -> None:

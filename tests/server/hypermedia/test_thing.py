@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from pyoxigraph import Literal, NamedNode
+from pyoxigraph import Literal
 
 from rosld.adapters.model import (
     Field,
@@ -22,12 +22,13 @@ from rosld.adapters.model import (
 )
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.lift import LiftSettings
+from rosld.ontology.units import Quantity
 from rosld.ontology.vocab import av, xsd
 from rosld.server.hypermedia.json_schema import JsonSchema, MessageSchemas, message_schema, patch_schema, value_schema
 from rosld.server.hypermedia.thing_description import ThingLink, thing_description
 from rosld.server.hypermedia.value import MessageValue, plain_json
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
-from rosld.shapes.value import Bounds, Measure, MessageShape, OpenShape, ScalarShape, ValueShape
+from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
 from tests.ontology.test_roundtrip import Filler
 from tests.server.html.messages import LIBRARY
 from tests.server.html.messages import schema as schema_of
@@ -35,8 +36,8 @@ from tests.server.html.messages import schema as schema_of
 Judge: TypeAlias = Callable[[Sequence[tuple[object, object]]], list[list[str]]]
 
 URL = "http://127.0.0.1:8080/resources/aircraft/"
-KMH = NamedNode("http://qudt.org/vocab/unit/KiloM-PER-HR")
-SPEED = NamedNode("http://qudt.org/vocab/quantitykind/Speed")
+KMH = "http://qudt.org/vocab/unit/KiloM-PER-HR"
+SPEED = "http://qudt.org/vocab/quantitykind/Speed"
 POWER = ScalarShape(Primitive("string"), Bounds(choices=(Literal("on"), Literal("off"))))
 
 
@@ -48,15 +49,15 @@ def number(value: str) -> Literal:
     return Literal(value, datatype=xsd.decimal if "." in value else xsd.integer)
 
 
-def scalar(kind: str, measure: Measure | None = None, **bounds: Literal) -> ScalarShape:
-    return ScalarShape(Primitive(kind), Bounds(**bounds), measure or Measure())  # type: ignore[arg-type]
+def scalar(kind: str, quantity: Quantity | None = None, **bounds: Literal) -> ScalarShape:
+    return ScalarShape(Primitive(kind), Bounds(**bounds), quantity or Quantity())  # type: ignore[arg-type]
 
 
 def whole(schema: MessageSchema) -> MessageShape:
     return MessageShape(schema, schema.type.fields)
 
 
-THOUSAND = scalar("float64", Measure(KMH, SPEED), minimum=number("0"), maximum=number("1000"))
+THOUSAND = scalar("float64", Quantity(KMH, SPEED), minimum=number("0"), maximum=number("1000"))
 PROPERTIES = (
     PropertyAffordance("power", URL + "power", POWER, av.power, write=True, title="Power"),
     PropertyAffordance("engine/speed", URL + "engine/speed", THOUSAND, av.speed, write=True, observe=True),
@@ -128,13 +129,13 @@ def test_a_property_has_its_data_schema_and_a_form_for_each_operation() -> None:
         "oneOf": [{"type": "number"}, {"type": "null"}],
         "minimum": 0,
         "maximum": 1000,
-        "unit": KMH.value,
+        "unit": KMH,
         "readOnly": False,
         "writeOnly": False,
         "observable": True,
         "map:predicate": {"@id": av.speed.value},
-        "qudt:hasUnit": {"@id": KMH.value},
-        "qudt:hasQuantityKind": {"@id": SPEED.value},
+        "qudt:hasUnit": {"@id": KMH},
+        "qudt:hasQuantityKind": {"@id": SPEED},
     }
     target = {"href": URL + "engine/speed", "contentType": "application/json"}
     assert forms == [
@@ -183,7 +184,7 @@ SCALARS: list[tuple[ValueShape, JsonSchema]] = (
          {"enum": [True, "a", 1]}),
         (OpenShape(Bounds(minimum=Literal("2026-01-01T00:00:00Z", datatype=xsd.dateTime))), {}),
         (OpenShape(Bounds(minimum=Literal("INF", datatype=xsd.double))), {}),
-        (OpenShape(measure=Measure(KMH)), {"unit": KMH.value}),
+        (OpenShape(quantity=Quantity(KMH)), {"unit": KMH}),
     ]
 )  # fmt: skip
 
@@ -207,7 +208,8 @@ def test_a_part_of_a_message_is_the_object_of_that_part_with_its_limits() -> Non
     )
     found = json.dumps(value_schema(shape))
     assert json.loads(found)["required"] == ["pose"]
-    assert '"x": {"type": "number", "minimum": 0, "maximum": 9}' in found
+    unit = "http://qudt.org/vocab/unit/M"
+    assert f'"x": {{"type": "number", "minimum": 0, "maximum": 9, "unit": "{unit}"}}' in found
     assert "header" not in found
 
 
@@ -220,8 +222,8 @@ def test_what_only_the_server_says_is_not_to_be_sent() -> None:
     assert '"readOnly": true' in json.dumps(read)
     assert sent == {"type": "object", "properties": {"data": {**octets, "default": ""}}}
     assert patch_schema(sent) == {"type": "object", "properties": {"data": octets}}
-    speed = ScalarShape(Primitive("float64"), measure=Measure(KMH))
-    assert schemas.value(speed, sent=True) == {"type": "number", "x-unit": KMH.value}
+    speed = ScalarShape(Primitive("float64"), quantity=Quantity(KMH))
+    assert schemas.value(speed, sent=True) == {"type": "number", "x-unit": KMH}
 
 
 def recursive(breadth: int) -> MessageSchema:

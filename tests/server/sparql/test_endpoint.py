@@ -67,6 +67,15 @@ ARRAYS: dict[tuple[str, str], object] = {
     **dict.fromkeys([("at({}, 1)", "[1]"), ("at({}, -1)", "[1]"), ("at({}, 'x')", "[1]"), ("at({}, 0.5)", "[1]")], ""),
     **dict.fromkeys([("at({}, 0)", "[[1]]"), ("at({})", "[1]"), ("length({})", "{}"), ("length({})", "[1")], ""),
     **dict.fromkeys([("max({})", '["a"]'), ("mean({})", "[true]"), ("min({})", "[null]"), ("max({})", "\\ud800")], ""),
+    ("convert(90, unit:KiloM-PER-HR, unit:M-PER-SEC)", ""): 25.0,
+    ("convert('20.5'^^xsd:float, unit:DEG_C, unit:K)", ""): 293.65,
+    ("convert('INF'^^xsd:double, unit:M, unit:FT)", ""): math.inf,
+    **dict.fromkeys(
+        [(f"convert({each})", "") for each in ("1", "1, unit:M", "'1', unit:M, unit:FT", "1, 'M', unit:FT")], ""
+    ),
+    **dict.fromkeys(
+        [(f"convert(1, {each})", "") for each in ("unit:M, unit:SEC", "unit:N-M, unit:J", "<h:x>, unit:M")], ""
+    ),
     ("length('[1]')", ""): "",
     ("max(<http://h/>)", ""): "",
     ("age('x')", ""): "",
@@ -95,6 +104,39 @@ def test_a_topic_has_one_age_within_a_query_and_another_in_the_next(http: httpx.
     ages = [{value for row in rows(http, query) for value in row} for _ in range(2)]
     (first,), (second,) = ages
     assert 0 <= float(first) < float(second)
+
+
+FIELD = "https://w3id.org/rosld/types/"
+CONVERTED = {
+    "?m <sensor_msgs/msg/LaserScan#range_max> ?v": ("unit:CentiM", 100),
+    "?m <geometry_msgs/msg/Twist#linear> ?t . ?t <geometry_msgs/msg/Vector3#x> ?v": ("unit:KiloM-PER-HR", 3.6),
+    "?m <geometry_msgs/msg/Twist#angular>/<geometry_msgs/msg/Vector3#z> ?v": ("unit:DEG-PER-SEC", 180 / math.pi),
+    "?m <geometry_msgs/msg/Vector3#z> ?v": ("unit:DEG-PER-SEC", None),
+    "?m <geometry_msgs/msg/Twist#linear>/<geometry_msgs/msg/Vector3#z> ?v "
+    "OPTIONAL { ?p <control_msgs/msg/AdmittanceControllerState#admittance_acceleration> ?m }": (
+        "unit:FT-PER-SEC",
+        None,
+    ),
+    "?m <geometry_msgs/msg/Point#x>|<geometry_msgs/msg/Quaternion#x> ?v": ("unit:FT", None),
+}
+"""Patterns that bind a number to fields, a unit, and the factor from the unit of the fields (None: they have none)."""
+
+
+@pytest.mark.parametrize("pattern", CONVERTED)
+def test_a_number_is_converted_from_the_unit_of_the_field_that_binds_it(rover: httpx.Client, pattern: str) -> None:
+    unit, factor = CONVERTED[pattern]
+    where = pattern.replace("<", f"<{FIELD}")
+    found = rows(rover, f"SELECT ?v (ros:convert(?v, {unit}) AS ?x) {{ {where} FILTER(isNumeric(?v)) }}")
+    assert found
+    for value, converted in found:
+        assert converted == "" if factor is None else float(converted) == pytest.approx(float(value) * factor)
+
+
+def test_a_number_is_converted_from_the_unit_that_the_dataset_states(rover: httpx.Client) -> None:
+    field = f"<{FIELD}sensor_msgs/msg/BatteryState#voltage>"
+    where = f"?s {field} ?v . {field} qudt:hasUnit ?u"
+    [[volts, millivolts], *_] = rows(rover, f"SELECT ?v (ros:convert(?v, ?u, unit:MilliV) AS ?x) {{ {where} }}")
+    assert float(millivolts) == pytest.approx(1000 * float(volts))
 
 
 PIECES = ["{", "}", ",", '"', "\\", "\n", "\r", "{}", ",{", "},{", ",{}", "a", "<result>", '"bindings":[{', "\u00e9"]

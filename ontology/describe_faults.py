@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
 from enum import Enum
 
 from msgspec import Struct
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import Kind, Ref
+from rosld.adapters.model import Ref
 from rosld.ontology import kinds
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
@@ -32,6 +31,11 @@ class FaultKind(Enum):
     NODE = "node"
     TOPIC = "topic"
     ROBOT = "robot"
+
+    @property
+    def lasts(self) -> bool:
+        """Whether such a fault is a state, which counts again only after it was healed, and no event."""
+        return self not in (FaultKind.LOG, FaultKind.GOAL, FaultKind.CALL)
 
 
 class FaultState(Enum):
@@ -64,14 +68,19 @@ class FaultKey(Struct, frozen=True):
     @property
     def id(self) -> str:
         """Id in URLs: the same whenever the fault occurs again, also in a later run of the server."""
-        source = "" if self.source is None else f"{self.source.kind.value} {self.source.name}"
-        whole = f"{self.kind.value}\0{source}\0{self.part}".encode("utf-8", "surrogatepass")
+        source = "" if self.source is None else self.source.kind.value
+        whole = f"{self.kind.value}\0{source} {self.name}\0{self.part}".encode("utf-8", "surrogatepass")
         return hashlib.blake2b(whole, digest_size=6).hexdigest()
+
+    @property
+    def name(self) -> str:
+        """Name of the source."""
+        return "robot" if self.source is None else self.source.name
 
     @property
     def label(self) -> str:
         """The part if it has a name, else the name of the source."""
-        return self.part or ("robot" if self.source is None else self.source.name)
+        return self.part or self.name
 
 
 class Fault(Struct, frozen=True, eq=False):
@@ -96,19 +105,17 @@ class Fault(Struct, frozen=True, eq=False):
         """Id in URLs."""
         return self.key.id
 
-
-_URLS: Mapping[Kind, Callable[[Space, str], str]] = {
-    Kind.NODE: Space.node,
-    Kind.TOPIC: Space.topic,
-    Kind.SERVICE: Space.service,
-    Kind.ACTION: Space.action,
-}
+    @property
+    def is_healed(self) -> bool:
+        """Whether the fault is over."""
+        return self.state is FaultState.HEALED
 
 
 def source_url(key: FaultKey, space: Space) -> str:
     """Return the URL of the source of a fault."""
-    source = key.source
-    return f"{space.base}#robot" if source is None else _URLS[source.kind](space, source.name)
+    if key.source is None:
+        return f"{space.base}#robot"
+    return space.url(f"{key.source.kind.value}s", tuple(key.name[1:].split("/")))
 
 
 def recording_url(fault: Fault, space: Space) -> str:

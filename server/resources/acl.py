@@ -8,7 +8,6 @@ from msgspec import Struct
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import Graph, Kind, TypeRef
-from rosld.ontology.describe_faults import source_url
 from rosld.ontology.document import Document
 from rosld.ontology.triples import boolean, statements, text, triples_about
 from rosld.ontology.urls import Location, Space
@@ -107,7 +106,7 @@ class AboutResources(Struct, frozen=True):
                 name = self.holds.topic_of(id)
                 return name if name is None else (space.topic(name),) if name else ()
             case "faults", (id,):
-                return self._of_fault(id)
+                return self.faults.about(id, space)
             case "activity", (id,):
                 return self._of_receipt(id)
             case "channels", (_, token, *_):
@@ -118,13 +117,6 @@ class AboutResources(Struct, frozen=True):
             case "bags", (name, "messages", index):
                 return self._of_message(space, name, index)
         return ()
-
-    def _of_fault(self, id: str) -> Sequence[str] | None:
-        """Return the source of a fault, and the topic that reports it."""
-        key, space = self.faults.key_of(id), self.session.space
-        if key is None:
-            return () if self.faults.is_removed(id) else None
-        return (source_url(key, space), *((space.topic(key.topic),) if key.topic is not None else ()))
 
     def _of_receipt(self, id: str) -> Sequence[str] | None:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 
 import orjson
 from pyoxigraph import NamedNode
@@ -71,8 +72,8 @@ class FaultResource(KeptResource[Fault]):
         super().__init__(session, states, session.space.fault(id), id)
         self.faults = faults
         self.history = history
-        if (key := faults.key_of(id)) is not None:
-            self.title = key.label
+        with suppress(LookupError):
+            self.title = self.find().key.label
 
     def find(self) -> Fault:
         return self.faults.find(self.id)
@@ -131,7 +132,7 @@ class FaultResource(KeptResource[Fault]):
         """Acknowledge the fault: 204. Raises a 409 Problem if it is healed."""
         fault = self.require()
         _ACKNOWLEDGE.require(await exchange.body(), exchange.media_type, self.url, self.document(fault).triples)
-        if self.require().state is FaultState.HEALED:
+        if self.require().is_healed:
             raise Problem(409, f"The fault {self.id} is healed already: there is nothing to acknowledge.")
         self.faults.acknowledge(self.id)
         return Response(status_code=204)
@@ -166,5 +167,4 @@ def lasting_states(faults: Faults, may_read: Callable[[str], bool], space: Space
         level, url, since_ns = _LEVELS[fault.severity], space.fault(fault.id), fault.last_ns
         return DiagnosticState(url, fault.key.label, "", level, fault.words, (), since_ns, level, since_ns)
 
-    found = (each for each in faults.all() if each.state is not FaultState.HEALED)
-    return tuple(state(each) for each in found if may_read(space.fault(each.id)))
+    return tuple(state(each) for each in faults.all() if not each.is_healed and may_read(space.fault(each.id)))

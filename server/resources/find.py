@@ -144,7 +144,6 @@ class Finder:
         self._faults = faults
         self._of_robot: _Index | None = None
         self._of_kept: _Index | None = None
-        self._of_faults: _Index | None = None
         self._making = asyncio.Lock()
 
     async def find(self, query: Query, permissions: Permissions, limit: int) -> SearchResults:
@@ -152,9 +151,10 @@ class Finder:
         async with self._making:
             self._of_robot = await self._robot_index(self._of_robot)
             self._of_kept = await self._kept_index(self._of_kept)
-            self._of_faults = self._fault_index(self._of_faults)
         may_read: Callable[[str], bool] | None = None if permissions.is_unrestricted else permissions.may_read
-        found = [each.index.find(query, limit, may_read) for each in (self._of_robot, self._of_kept, self._of_faults)]
+        faults = [_fault_entry(self._session.space, each) for each in self._faults.all()]
+        indexes = (self._of_robot.index, self._of_kept.index, SearchIndex(Catalog(faults), by_meaning=False))
+        found = [each.find(query, limit, may_read) for each in indexes]
         complete = [each for each in found if each.hits and each.is_complete]
         best = complete if complete and query.commands is None else found
         hits = sorted((hit for each in best for hit in each.hits), key=lambda hit: hit.rank)
@@ -178,13 +178,6 @@ class Finder:
         if known is not None and known.version == version:
             return known
         entries = await kept_entries(self._documents, self._queries)
-        return _Index(version, SearchIndex(Catalog(entries), by_meaning=False))
-
-    def _fault_index(self, known: _Index | None) -> _Index:
-        version = self._faults.revision
-        if known is not None and known.version == version:
-            return known
-        entries = [_fault_entry(self._session.space, each) for each in self._faults.all()]
         return _Index(version, SearchIndex(Catalog(entries), by_meaning=False))
 
 

@@ -9,7 +9,9 @@ from collections.abc import Sequence
 
 from msgspec.structs import replace
 
-from rosld.ontology.describe_faults import Fault, FaultKey, FaultState, Severity
+from rosld.adapters.model import Ref
+from rosld.ontology.describe_faults import Fault, FaultKey, FaultKind, FaultState, Severity, source_url
+from rosld.ontology.urls import Space
 from rosld.server.http.problem import one_line
 from rosld.server.receipts.audit import record_step
 from rosld.server.robot.calls import Gone
@@ -40,7 +42,7 @@ class Faults:
 
     def all(self) -> Sequence[Fault]:
         """Return the stored faults: those that last first, the latest first."""
-        return sorted(self._faults.values(), key=lambda fault: (fault.state is FaultState.HEALED, -fault.last_ns))
+        return sorted(self._faults.values(), key=lambda fault: (fault.is_healed, -fault.last_ns))
 
     def find(self, id: str) -> Fault:
         """Return a fault by its id. Raises Gone for a removed fault, KeyError for an unknown one."""
@@ -48,38 +50,48 @@ class Faults:
             raise Gone(id)
         return self._faults[id]
 
-    def key_of(self, id: str) -> FaultKey | None:
-        """Return the key of a stored fault, or None (thread-safe)."""
+    def about(self, id: str, space: Space) -> Sequence[str] | None:
+        """Return the URLs of the source and the topic of a fault, none of a removed one, None of an unknown one.
+
+        Thread-safe.
+        """
         fault = self._faults.get(id)
-        return None if fault is None else fault.key
+        if fault is None:
+            return () if id in self._removed else None
+        topics = () if fault.key.topic is None else (space.topic(fault.key.topic),)
+        return (source_url(fault.key, space), *topics)
 
-    def is_removed(self, id: str) -> bool:
-        """Whether a fault was removed (thread-safe)."""
-        return id in self._removed
+    def lasting(self, kind: FaultKind, source: Ref | None = None) -> Sequence[Fault]:
+        """Return the faults of a kind that are not healed, of one source or of all."""
+        return [
+            fault
+            for fault in self._faults.values()
+            if fault.key.kind is kind and fault.key.source == (source or fault.key.source) and not fault.is_healed
+        ]
 
-    def lasting(self) -> Sequence[Fault]:
-        """Return the faults that are not healed, in the order of their last change."""
-        return [fault for fault in self._faults.values() if fault.state is not FaultState.HEALED]
-
-    def reached(self, key: FaultKey, severity: Severity, words: str, time_ns: int) -> None:
-        """Report a state that lasts: it counts again only after it was healed. Numbers in its words may change."""
-        words = one_line(words) or key.label
-        known = self._faults.get(key.id)
-        if known is None or known.state is FaultState.HEALED:
-            self._occurred(known, key, severity, words, time_ns, None)
-        elif known.severity is not severity or pattern_of(known.words) != pattern_of(words):
-            self._store(replace(known, severity=severity, words=words))
-
-    def occurred(
+    def report(
         self, key: FaultKey, severity: Severity, words: str, time_ns: int, activity: tuple[str, str] | None = None
     ) -> None:
-        """Report an event, which counts each time; `activity` is the path of the goal or the call that failed."""
-        self._occurred(self._faults.get(key.id), key, severity, one_line(words) or key.label, time_ns, activity)
+        """Report an event or a state, of which words that differ only in numbers are no change.
+
+        `activity` is the path of the goal or the call that failed.
+        """
+        known, words = self._faults.get(key.id), one_line(words) or key.label
+        if known is None:
+            self._store(Fault(key, severity, words, time_ns, time_ns, loop_time(), activity=activity))
+            return
+        changed = replace(known, severity=severity, words=words)
+        if known.is_healed or not key.kind.lasts:
+            state, last_ns = FaultState.ACTIVE if known.is_healed else known.state, max(known.last_ns, time_ns)
+            times = replace(changed, last_ns=last_ns, heard_at=loop_time(), healed_ns=None)
+            self._store(replace(times, count=known.count + 1, activity=activity, state=state))
+        elif known.severity is not severity or pattern_of(known.words) != pattern_of(words):
+            self._store(changed)
 
     def heal(self, key: FaultKey, time_ns: int | None = None) -> None:
         """Report that the robot is as before, if there is such a fault; now, if no time is given."""
         known = self._faults.get(key.id)
-        if known is not None and known.state is not FaultState.HEALED:
+        if known is not None and not known.is_healed:
             healed_ns = max(known.last_ns, time.time_ns() if time_ns is None else time_ns)
             self._store(replace(known, state=FaultState.HEALED, healed_ns=healed_ns))
 
@@ -97,39 +109,13 @@ class Faults:
         end_dry_run(204)
         self._drop(id)
 
-    def _occurred(
-        self,
-        known: Fault | None,
-        key: FaultKey,
-        severity: Severity,
-        words: str,
-        time_ns: int,
-        activity: tuple[str, str] | None,
-    ) -> None:
-        if known is None:
-            self._store(Fault(key, severity, words, time_ns, time_ns, loop_time(), activity=activity))
-            return
-        is_healed = known.state is FaultState.HEALED
-        changed = replace(
-            known,
-            severity=severity,
-            words=words,
-            last_ns=max(known.last_ns, time_ns),
-            heard_at=loop_time(),
-            count=known.count + 1,
-            activity=activity,
-            state=FaultState.ACTIVE if is_healed else known.state,
-            healed_ns=None,
-        )
-        self._store(changed)
-
     def _store(self, fault: Fault) -> None:
         self._faults[fault.id] = fault
         self._faults.move_to_end(fault.id)
         self._removed.pop(fault.id, None)
         self._revise(fault.id)
         while len(self._faults) > self._limit:
-            healed = (each.id for each in self._faults.values() if each.state is FaultState.HEALED)
+            healed = (each.id for each in self._faults.values() if each.is_healed)
             self._drop(next(healed, None) or next(iter(self._faults)))
 
     def _drop(self, id: str) -> None:

@@ -82,11 +82,21 @@ def test_it_is_driven_and_stands_when_its_hold_lapses_or_is_stopped(rover: Rover
     rover.drive(0.0)
 
 
-def test_a_goal_is_reached_rejected_or_canceled_by_the_stop(rover: Rover) -> None:
+def faults(rover: Rover) -> dict[str, str]:
+    """Return the states of the faults by their kinds."""
+    listed = rover.http.get("/faults/?offer").json().get("members", ())
+    found = [rover.http.get(f"/faults/{id}", headers=JSON).json() for id in listed]
+    return {each["kind"]: each["state"] for each in found}
+
+
+def test_a_goal_is_reached_aborted_rejected_or_canceled_by_the_stop(rover: Rover) -> None:
+    assert rover.end_of(rover.send(500.0, 0.0).headers["location"])["status"] == "aborted"
+    until(lambda: faults(rover) == {"goal": "active", "log": "active"}, "an aborted goal and what the log says of it")
     goal = (0.5, -1.0) if math.dist(rover.place(), (0.5, -1.0)) > 0.3 else (0.0, -1.0)
     told = rover.end_of(rover.send(*goal).headers["location"])
     assert (told["status"], told["result"] and told["result"]["message"]) == ("succeeded", "arrived"), told
     assert told["feedback"]["distance_remaining"] < 5
+    until(lambda: faults(rover)["goal"] == "healed", "the fault healed")
     assert rover.send(1.0, 0.0, frame="moon").status_code == 409
     pursued = rover.send(4.4, -3.4).headers["location"]
     until(lambda: rover.velocity() != (0.0, 0.0), "motion")

@@ -14,6 +14,7 @@ from pyoxigraph import NamedNode, Triple
 
 from rosld.adapters.model import Action, GoalStatus, Kind, Ref, TypeRef
 from rosld.ontology.describe_faults import FaultKey, FaultKind, FaultState, Severity
+from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
 from rosld.server.robot import fault_follower
 from rosld.server.robot.fault_follower import MAX_PATTERNS
@@ -275,12 +276,12 @@ def test_the_number_of_faults_is_limited_and_healed_ones_leave_first() -> None:
     kept = Faults(limit=100)
     keys = [FaultKey(FaultKind.DIAGNOSTIC, Ref(Kind.TOPIC, "/diagnostics"), f"part {n}") for n in range(10_000)]
     for number, key in enumerate(keys):
-        kept.reached(key, Severity.ERROR, f"words {number}", number)
+        kept.report(key, Severity.ERROR, f"words {number}", number)
         if number:
             kept.heal(key, number)
     assert len(kept.all()) == 100
     assert (kept.all()[0].key, kept.all()[0].state) == (keys[0], FaultState.ACTIVE)
-    assert kept.is_removed(keys[5000].id)
+    assert kept.about(keys[5000].id, Space("http://robot/")) == ()
     assert pattern_of("0x1F at 12.5 in\n 3") == "# at # in #"
 
 

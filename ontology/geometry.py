@@ -35,13 +35,15 @@ Point: TypeAlias = tuple[float, ...]
 class Geometry(NamedTuple):
     """A geometry: its class in Simple Features, its points, its frame (None for WGS84), and its stamp (None: not set).
 
-    The points of a polygon are those of its ring, the first repeated as the last.
+    The points of a polygon are those of its ring, the first repeated as the last. `altitude` is in metres above the
+    ellipsoid, None if it is unknown or the geometry is in a frame.
     """
 
     kind: str
     points: Sequence[Point]
     frame: str | None = None
     stamp: str | None = None
+    altitude: float | None = None
 
     def wkt(self, frames: str) -> str:
         """Return the text of a geo:wktLiteral; `frames` is the URL of the frames of the robot."""
@@ -66,6 +68,19 @@ def geometry_of(schema: MessageSchema, message: Message) -> Geometry | None:
     if found is None or not 1 <= len(found.points) <= _MOST_POINTS or found.frame == "":
         return None
     return found if all(map(math.isfinite, chain.from_iterable(found.points))) else None
+
+
+def is_on_earth(type_name: str) -> bool:
+    """Whether messages of a type state positions in WGS84, which GeoJSON takes."""
+    return type_name in _ON_EARTH
+
+
+def geojson_of(found: Geometry | None) -> dict[str, object] | None:
+    """Return a point in WGS84 as a geometry of GeoJSON (RFC 7946, 3.1.2), None for none."""
+    if found is None:
+        return None
+    altitude = () if found.altitude is None else (found.altitude,)
+    return {"type": found.kind, "coordinates": [*found.points[0], *altitude]}
 
 
 def has_place(schema: MessageSchema) -> bool:
@@ -192,7 +207,9 @@ _IN_FRAME: Mapping[str, tuple[str, Callable[[Fields], Iterable[Fields]]]] = {
 
 
 def _on_earth(place: Fields) -> Geometry:
-    return Geometry("Point", [(float(place.longitude), float(place.latitude))])
+    altitude = float(place.altitude)
+    point = float(place.longitude), float(place.latitude)
+    return Geometry("Point", [point], altitude=altitude if math.isfinite(altitude) else None)
 
 
 _ON_EARTH: Mapping[str, _Reader] = {

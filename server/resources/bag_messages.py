@@ -15,6 +15,7 @@ from rosld.adapters.base import MessageFilter, MessagePage, RecordedMessage, Rec
 from rosld.adapters.model import NotFound, RosError
 from rosld.ontology.describe_bags import bag_messages_document, bag_moment_document
 from rosld.ontology.document import Document
+from rosld.ontology.geometry import is_on_earth
 from rosld.ontology.literals import date_time
 from rosld.server.html.page import SequenceLink
 from rosld.server.http.fields import Link
@@ -39,6 +40,8 @@ from rosld.server.resources.messages import (
     decode,
     explicit_picture_type,
     field_response,
+    geojson_is_preferred,
+    geojson_response,
     lift_sample,
     picture_response,
     require_picture,
@@ -147,10 +150,16 @@ class BagMessage(BagBase):
         return self.states.put(self.url, 0, State(describe, plain, shapes=shapes))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """Return the bytes of one field (`?field=PATH`), or the message's picture or points if preferred."""
+        """Return the bytes of one field (`?field=PATH`), or the message's picture, points or GeoJSON if preferred."""
         if cloud_is_preferred(exchange, is_cloud=False):
             sample = (await self.message()).sample
             return await cloud_response(self, self.session.schemas, self.bags.pictures, self.url, sample, exchange)
+        if geojson_is_preferred(exchange):
+            sample = (await self.message()).sample
+            if is_on_earth(sample.schema.name):
+                return await geojson_response(
+                    self, self.session.schemas, sample, exchange, self.bags.pictures.instance_id
+                )
         wanted = explicit_picture_type(exchange)
         if wanted is not None:
             message = await self.message()

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 
+import orjson
 from msgspec import Struct
 from starlette.responses import Response
 
@@ -13,7 +14,9 @@ from rosld.adapters.base import Watch
 from rosld.adapters.model import Message, MessageSchema, RosError, Sample, TypeRef
 from rosld.ontology.document import Envelope, LiftedMessage
 from rosld.ontology.fields import field_bytes
+from rosld.ontology.geometry import geojson_of, geometry_of
 from rosld.ontology.lift import LiftSettings, lifter
+from rosld.ontology.literals import date_time
 from rosld.ontology.observations import Observer, Role
 from rosld.ontology.urls import Space
 from rosld.server.http.conditional import ETag, check_preconditions, digest
@@ -324,3 +327,36 @@ def _points(text: str | None) -> int:
     if not (text.isascii() and text.isdecimal() and 1 <= int(text[:9]) <= MAX_POINTS):
         raise Problem(400, f"?points={text[:_MAX_NAME]}: must be an integer number of points from 1 to {MAX_POINTS}.")
     return int(text)
+
+
+GEO_JSON = "application/geo+json"
+GEO_FORMAT = QueryParameter(
+    "format", "The requested representation; overrides Accept.", {"type": "string", "enum": [*FORMATS, "geojson"]}
+)
+
+
+def geojson_is_preferred(exchange: Exchange) -> bool:
+    """Whether a request prefers GeoJSON (or demands it by `?format=geojson`) of messages on the earth."""
+    if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
+        return exchange.query["format"] == "geojson"
+    accept = exchange.accept
+    if accept is None or "geo+json" not in accept.lower():
+        return False
+    return choose_offer(accept, (*OFFERS, GEO_JSON)) == GEO_JSON
+
+
+async def geojson_response(
+    resource: Resource, schemas: Schemas, sample: Sample, exchange: Exchange, instance_id: str
+) -> Response:
+    """Return a sample as a Feature of GeoJSON (RFC 7946), whose geometry is null without a fix. Raises Problems."""
+    decoded = await decode(schemas, sample)
+    if decoded.schema is None or decoded.message is None:
+        raise Problem(406, f"The message cannot be read: {decoded.reason}.")
+    feature = {
+        "type": "Feature",
+        "id": f"{resource.url}#message",
+        "geometry": geojson_of(geometry_of(decoded.schema, decoded.message)),
+        "properties": {"received": date_time(0, sample.received_ns)},
+    }
+    etag = ETag(f"{instance_id}-{sample_identity(sample)}", "geojson")
+    return bytes_response(exchange, orjson.dumps(feature), GEO_JSON, etag, resource_headers(resource).items())

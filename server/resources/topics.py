@@ -19,6 +19,7 @@ from rosld.ontology.body import parse_json
 from rosld.ontology.describe_body import sources_of_topic
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.document import Document
+from rosld.ontology.geometry import is_on_earth
 from rosld.ontology.lift import lifter
 from rosld.ontology.literals import date_time
 from rosld.ontology.observations import role_of
@@ -47,6 +48,8 @@ from rosld.server.resources.memento import (
 )
 from rosld.server.resources.messages import (
     CLOUD_PARAMETERS,
+    GEO_FORMAT,
+    GEO_JSON,
     MOTION,
     PICTURE_FORMAT,
     PICTURE_PARAMETERS,
@@ -56,6 +59,8 @@ from rosld.server.resources.messages import (
     cloud_response,
     decode,
     field_response,
+    geojson_is_preferred,
+    geojson_response,
     is_cloud,
     lift_sample,
     picture_motion,
@@ -124,11 +129,12 @@ class TopicResource(PublishingResource):
         methods = self.methods()
         return PathItem(
             "A topic that can be created" if topic is None else f"The topic {self.name}",
-            (*FIELD_READS, *PICTURES) if self.is_picture else FIELD_READS,  # these include the bytes of a cloud
+            # FIELD_READS include the bytes of a cloud.
+            (*FIELD_READS, *(PICTURES if self.is_picture else ()), *((GEO_JSON,) if self.is_on_earth else ())),
             ANYTHING if schema is None else nullable(schemas.read(schema)),
             (PICTURE_FORMAT, FIELD, *PARAMETERS, *TIMEMAP, *PICTURE_PARAMETERS)
             if self.is_picture
-            else (*(CLOUD_PARAMETERS if self.is_cloud else (FORMAT,)), FIELD, *PARAMETERS, *TIMEMAP),
+            else (*self._format_parameters, FIELD, *PARAMETERS, *TIMEMAP),
             self._writes(schema, schemas),
             has_shape=topic is not None and topic.type is not None,
             methods=methods | {"DELETE"} if "PUT" in methods else methods,  # available once rosld publishes
@@ -399,8 +405,18 @@ class TopicResource(PublishingResource):
         topic = self.found
         return topic is not None and any(is_cloud(ref.name) for ref in topic.types)
 
+    @property
+    def is_on_earth(self) -> bool:
+        """Whether its messages state positions in WGS84."""
+        topic = self.found
+        return topic is not None and any(is_on_earth(ref.name) for ref in topic.types)
+
+    @property
+    def _format_parameters(self) -> Sequence[QueryParameter]:
+        return CLOUD_PARAMETERS if self.is_cloud else (GEO_FORMAT if self.is_on_earth else FORMAT,)
+
     async def custom_get(self, exchange: Exchange) -> Response | Motion | None:
-        """Return a field of the latest message (`?field=PATH`), or its picture or points if preferred.
+        """Return a field of the latest message (`?field=PATH`), or its picture, points or GeoJSON if preferred.
 
         Raises a 404 Problem if there is no message or no such field.
         """
@@ -413,7 +429,8 @@ class TopicResource(PublishingResource):
         is_cloud = cloud_is_preferred(exchange, is_cloud=self.is_cloud)
         wanted = None if is_cloud else picture_type(exchange, is_picture=self.is_picture)
         has_field = b"field=" in exchange.request.scope["query_string"] and "field" in exchange.query
-        if not is_cloud and wanted is None and not has_field:
+        is_geojson = not has_field and geojson_is_preferred(exchange) and self.is_on_earth
+        if not is_cloud and wanted is None and not has_field and not is_geojson:
             return None
         types = self.require().types if recorded is None else (recorded.schema,)
         if is_cloud:
@@ -422,10 +439,13 @@ class TopicResource(PublishingResource):
             require_picture(self.name, types)
         schemas, pictures, name = self.session.schemas, self.pictures, self.name
         newest = recorded or (await self.session.topics.read(name, wait_for_publisher=True)).newest
+        if is_geojson and newest is not None:
+            return await geojson_response(resource, schemas, newest, exchange, pictures.instance_id)
         if wanted == MOTION and recorded is None:
             return await picture_motion(self.session, pictures, name, newest, exchange)
         if newest is None:
-            part = "points" if is_cloud else "picture" if wanted else f"field {exchange.query['field']!r}"
+            part = "position" if is_geojson else "points" if is_cloud else "picture" if wanted else None
+            part = part or f"field {exchange.query['field']!r}"
             raise Problem(404, f"{name} has no message yet, so no {part}.")
         if is_cloud:
             return await cloud_response(resource, schemas, pictures, name, newest, exchange)

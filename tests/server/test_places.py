@@ -81,3 +81,25 @@ def test_a_query_selects_places_within_an_area_of_a_frame(rover: httpx.Client) -
     assert len(rows) > 10
     assert all(0 <= float(each) < 13 for (each,) in rows)
     assert ask(rover, f"SELECT * {{ {place} FILTER(geof:sfDisjoint(?wkt, {area})) }}") == []
+
+
+def test_positions_on_the_earth_are_geojson_and_others_are_not(robot: Any, serving: Any) -> None:
+    http: httpx.Client = serving()
+    fix = {"latitude": 52.5, "longitude": 13.25, "altitude": 34.5}
+    robot.topic("/fix", "sensor_msgs/msg/NavSatFix", fix)
+    robot.topic("/pose", "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "map"}})
+    accept = {"Accept": "application/geo+json, text/turtle;q=0.5"}
+    answer = http.get("/topics/fix", headers=accept)
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/geo+json")
+    feature = answer.json()
+    assert feature["geometry"] == {"type": "Point", "coordinates": [13.25, 52.5, 34.5]}
+    assert (feature["type"], feature["id"]) == ("Feature", f"{http.base_url}topics/fix#message")
+    assert http.get("/topics/fix", headers={**accept, "If-None-Match": answer.headers["etag"]}).status_code == 304
+    assert http.get("/topics/fix?format=geojson").json() == feature
+    assert http.get("/topics/fix").headers["content-type"].startswith("text/turtle")
+    assert http.get("/topics/pose", headers=accept).headers["content-type"].startswith("text/turtle")
+    assert http.get("/topics/pose", headers={"Accept": "application/geo+json"}).status_code == 406
+    assert http.get("/topics/pose?format=geojson").status_code == 406
+    robot.publishes("/fix", {**fix, "status": {"status": -1}})
+    until(lambda: http.get("/topics/fix", headers=accept).json()["geometry"] is None, "no fix")
+    assert "application/geo+json" in http.get("/openapi.json").text

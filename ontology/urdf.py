@@ -35,7 +35,8 @@ class Link(Struct, frozen=True):
 class Joint(Struct, frozen=True):
     """A joint. `xyz` and `rpy` are its origin in the parent link: metres, and radians about the fixed axes x, y and z.
 
-    Limits are in SI units: radians, or metres for a prismatic joint. `mimics` is the joint whose position it copies.
+    `limits` (lower, upper, velocity, effort) are in SI units: radians, or metres for a prismatic joint. `mimics` is the
+    joint whose position it copies.
     """
 
     name: str
@@ -45,10 +46,7 @@ class Joint(Struct, frozen=True):
     xyz: Vector = _ZERO
     rpy: Vector = _ZERO
     axis: Vector | None = None
-    lower: float | None = None
-    upper: float | None = None
-    velocity: float | None = None
-    effort: float | None = None
+    limits: Mapping[str, float] = {}
     mimics: str | None = None
 
 
@@ -109,8 +107,7 @@ def read_urdf(text: str) -> Urdf:
         if (name := _new_name(each, robot, robot.joints)) is not None:
             _add_joint(each, name, robot)
     for each in root.iterfind("sensor"):
-        parent = each.find("parent")
-        _add_sensor(each, "" if parent is None else parent.get("link", ""), robot)
+        _add_sensor(each, _linked(each.find("parent")), robot)
     for extension in root.iterfind("gazebo"):
         for each in extension.iterfind("sensor"):
             _add_sensor(each, extension.get("reference", ""), robot)
@@ -146,6 +143,8 @@ def _add_joint(element: Element, name: str, robot: Urdf) -> None:
     else:
         origin, axis, limit, mimic = (element.find(each) for each in ("origin", "axis", "limit", "mimic"))
         has_range = type not in ("continuous", *_WITHOUT_AXIS)
+        defaults = {**({"lower": "0", "upper": "0"} if has_range else {}), "velocity": None, "effort": None}
+        limits = {each: _number(limit, each, robot, about, default) for each, default in defaults.items()}
         robot.joints[name] = Joint(
             name,
             type,
@@ -154,10 +153,7 @@ def _add_joint(element: Element, name: str, robot: Urdf) -> None:
             _vector(origin, "xyz", robot, about, _ZERO),
             _vector(origin, "rpy", robot, about, _ZERO),
             None if type in _WITHOUT_AXIS else _vector(axis, "xyz", robot, about, _X_AXIS),
-            _number(limit, "lower", robot, about, "0") if has_range else None,
-            _number(limit, "upper", robot, about, "0") if has_range else None,
-            _number(limit, "velocity", robot, about),
-            _number(limit, "effort", robot, about),
+            {each: value for each, value in limits.items() if value is not None},
             None if mimic is None else mimic.get("joint"),
         )
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 from rosld.adapters.base import Watch
-from rosld.adapters.model import Graph
 from rosld.ontology.describe_body import NAME, Source, body_document, body_sources, body_url
 from rosld.server.auth.errors import not_found
 from rosld.server.http.conditional import digest
@@ -38,25 +37,18 @@ class BodyResource(Resource):
         super().__init__(session.space, body_url(session.space))
         self.session = session
         self.states = states
-        self._known: tuple[Graph, Sequence[Source]] | None = None
-
-    def _sources(self) -> Sequence[Source]:
-        graph = self.session.graph
-        if self._known is None or self._known[0] is not graph:
-            self._known = (graph, body_sources(graph))
-        return self._known[1]
 
     async def select_variant(self, exchange: Exchange) -> Resource:
-        if not all(exchange.permissions.may_read(each.url(self.space)) for each in self._sources()):
+        if not all(exchange.permissions.may_read(each.url(self.space)) for each in body_sources(self.session.graph)):
             raise not_found()
         return self
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
-        topics = [each.name for each in self._sources() if each.route == "topics"]
+        topics = [each.name for each in body_sources(self.session.graph) if each.route == "topics"]
         return combine_watches(*[await self.session.topics.watch(each, wake) for each in topics]) if topics else None
 
     async def state(self) -> State:
-        sources = self._sources()
+        sources = body_sources(self.session.graph)
         if not sources:
             raise Problem(404, f"The robot has no topic and no parameter {NAME}, from which its body would be read.")
         texts = [(each, *await self._read(each)) for each in sources]

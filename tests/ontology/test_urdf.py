@@ -33,9 +33,10 @@ def test_links_joints_and_sensors_are_read() -> None:
     assert (arm.name, arm.problems, arm.roots) == ("arm", [], ["base"])
     assert list(arm.links.values()) == [Link("base", 2.5), Link("upper"), Link("lower"), Link("hand")]
     z, x = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
-    shoulder = Joint("shoulder", "revolute", "base", "upper", (0, 0, 0.1), (0, 1.5, 0), z, -1.5, 2.0, 1.0, 30.0)
+    turning = {"lower": -1.5, "upper": 2.0, "velocity": 1.0, "effort": 30.0}
+    shoulder = Joint("shoulder", "revolute", "base", "upper", (0, 0, 0.1), (0, 1.5, 0), z, turning)
     limits = {"lower": 0.0, "upper": 0.4, "velocity": 0.1, "effort": 5.0}
-    slide = Joint("slide", "prismatic", "upper", "lower", axis=x, **limits, mimics="shoulder")
+    slide = Joint("slide", "prismatic", "upper", "lower", axis=x, limits=limits, mimics="shoulder")
     assert list(arm.joints.values()) == [shoulder, slide, Joint("wrist", "fixed", "lower", "hand")]
     assert list(arm.sensors.values()) == [
         MountedSensor("force", "force_torque", "hand"), MountedSensor("eye", "camera", "hand")

@@ -81,5 +81,5 @@ ros2: $(READY) debian
 
 clean:
 	rm -rf .venv .venv-ros2-* .crawl .mutants build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis tests/agents/node_modules \
-		tests/interop/java/target tests/interop/ontology/target tests/interop/shapes/target tests/interop/javascript/node_modules*
+		tests/interop/geosparql/target tests/interop/java/target tests/interop/ontology/target tests/interop/shapes/target tests/interop/javascript/node_modules*
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

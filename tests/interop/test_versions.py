@@ -26,7 +26,7 @@ def test_the_lock_names_contents_and_no_registry() -> None:
     assert not [each for each in packages if "resolved" in each]
 
 
-@pytest.mark.parametrize("folder", ["java", "ontology", "shapes"])
+@pytest.mark.parametrize("folder", ["geosparql", "java", "ontology", "shapes"])
 def test_libraries_for_java_are_of_exact_versions(folder: str) -> None:
     pom = ElementTree.parse(HERE / folder / "pom.xml")
     versions = [each.text or "" for each in pom.iterfind(".//{*}dependency/{*}version")]

@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
+from tests.server.auth.conftest import rule, token, tokens
 from tests.waiting import until
 
 pytestmark = pytest.mark.slow
@@ -103,3 +105,17 @@ def test_positions_on_the_earth_are_geojson_and_others_are_not(robot: Any, servi
     robot.publishes("/fix", {**fix, "status": {"status": -1}})
     until(lambda: http.get("/topics/fix", headers=accept).json()["geometry"] is None, "no fix")
     assert "application/geo+json" in http.get("/openapi.json").text
+
+
+def test_who_may_not_read_transforms_gets_none(start_server: Callable[..., Any], tmp_path: Path) -> None:
+    rules = rule("anna", "read", "/**") + rule("guest", "read", "/**") + rule("guest", "read", "/topics/tf", deny=True)
+    (tmp_path / "auth.toml").write_text(rules + tokens("anna", "guest"))
+    http = start_server("rover:", "--auth", str(tmp_path / "auth.toml")).http
+    place = "</topics/odom> ros:latest/geo:hasGeometry/geo:asWKT ?wkt BIND(ros:transform(?wkt, 'base_link') AS ?own)"
+    for agent, found in (("anna", 1), ("guest", 0)):
+        http.headers["Authorization"] = f"Bearer {token(agent)}"
+        until(lambda: ask(http, f"SELECT ?wkt {{ {place} }}"), "a place")
+        count = f"SELECT (COUNT(?own) AS ?n) {{ {place} }}"
+        if found:
+            until(lambda count=count: ask(http, count) == [["1"]], "a transform")
+        assert ask(http, count) == [[str(found)]]

@@ -20,7 +20,7 @@ from rosld.ontology import describe_body, geometry
 from rosld.ontology.document import Document
 from rosld.ontology.observations import CLASSES, PREDICATES, role_of
 from rosld.ontology.urls import Location, Space
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.vocab import rdf, rdfs, ros
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.catalogue import Property, TopicSource
@@ -67,6 +67,7 @@ _RATE = StatedTerms(frozenset({ros.rate.value}), frozenset())
 _BRIEF = StatedTerms(frozenset({ros.briefValue.value, ros.rate.value}), frozenset())
 _PARAMETER = StatedTerms(frozenset({ros.value.value}), frozenset())
 _BODY = StatedTerms(describe_body.PREDICATES, describe_body.CLASSES)
+_BODY_ALONE = StatedTerms(describe_body.PREDICATES - {ros.name.value, rdfs.label.value}, describe_body.CLASSES)
 _OBSERVATIONS = StatedTerms(PREDICATES, CLASSES)
 _ANYTHING = StatedTerms()
 _OBSERVED_SECONDS = 60.0
@@ -79,13 +80,15 @@ A query that is waiting for its values must not find them removed by another one
 class _Candidate(NamedTuple):
     """A document with values: its URL, the terms of the values, and the factory of its resource.
 
-    One that reads pictures or point clouds has values only `by_name`.
+    One that reads pictures or point clouds has values only `by_name`. Queries with terms outside of `own` alone do not
+    need current values.
     """
 
     url: str
     terms: StatedTerms
     make: Callable[[], Resource]
     by_name: bool = False
+    own: StatedTerms | None = None
 
 
 class RobotGraphs:
@@ -162,10 +165,12 @@ class RobotGraphs:
         yield from self._topics(graph, needs)
         by_term = replace(needs, patterns=frozenset(one for one in needs.patterns if one.predicates is not None))
         others = chain(self._parameters(graph), self._listings(graph), self._bodies(graph), self._below(tree))
-        for url, terms, make, by_name in others:
+        for url, terms, make, by_name, own in others:
             if needs.may_match(url, terms):
                 is_named = url in needs.documents
-                yield LiveDocument(url, make(), is_named or by_term.may_match(url, terms), is_named or not by_name)
+                yield LiveDocument(
+                    url, make(), is_named or by_term.may_match(url, own or terms), is_named or not by_name
+                )
         plans = () if tree is None else map(tree.complex, tree.paths)
         for plan in plans:
             if plan is not None and not plan.is_conditional:
@@ -208,7 +213,7 @@ class RobotGraphs:
 
     def _bodies(self, graph: Graph) -> Iterator[_Candidate]:
         if describe_body.body_sources(graph):
-            yield _Candidate(describe_body.body_url(self._session.space), _BODY, self._factory.body)
+            yield _Candidate(describe_body.body_url(self._session.space), _BODY, self._factory.body, own=_BODY_ALONE)
 
     def _below(self, tree: ResourceTree | None) -> Iterator[_Candidate]:
         """Yield the resources below `/resources/`, except actions that are always offered."""

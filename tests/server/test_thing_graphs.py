@@ -83,6 +83,9 @@ def violations(triples: list[Triple]) -> str:
     shapes = Graph().parse(data=text, format="turtle")
     for shape in list(shapes.subjects(SH.path, URIRef(f"{TD}hasSecurityConfiguration"))):
         shapes.set((shape, SH.nodeKind, SH.Literal))
+    for shape in list(shapes.subjects(SH.path, URIRef("http://schema.org/unitCode"))):
+        shapes.set((shape, SH.nodeKind, SH.IRI))
+        shapes.remove((shape, SH.datatype, None))
     for shape in list(shapes.subjects(SH.path, RDF.type)):  # that requires one of seven classes to be a string
         for demand in (SH.datatype, SH.nodeKind):
             shapes.remove((shape, demand, None))

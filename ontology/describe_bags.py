@@ -12,6 +12,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.adapters.model import Sample, TypeRef
 from rosld.ontology import kinds
+from rosld.ontology.describe_datasets import IANA
 from rosld.ontology.describe_topics import MESSAGE, type_url
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.literals import date_time
@@ -28,7 +29,7 @@ from rosld.ontology.triples import (
     triples_about,
 )
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcterms, ldes, ldp, rdf, rdfs, ros, sosa, spdx, tree, xhv, xsd
+from rosld.ontology.vocab import dcat, dcterms, ldes, ldp, rdf, rdfs, ros, sosa, spdx, tree, xhv, xsd
 
 
 class Track(Protocol):
@@ -120,15 +121,29 @@ class BagView(NamedTuple):
     order: RecordingOrder | None = None
     triggered: int | None = None
 
+    @property
+    def has_file(self) -> bool:
+        return self.size is not None and self.order is None
 
+
+_OCTETS = NamedNode(f"{IANA}application/octet-stream")
+_SIZE: kinds.Kind[int] = kinds.Kind(
+    lambda size: Literal(str(size), datatype=xsd.nonNegativeInteger), "sh:datatype xsd:nonNegativeInteger"
+)
 _STATUS = 'sh:in ( "armed" "suspended" "recording" "interrupted" "ended" )'
-_BAG = NodeShape[BagView]("Bag", "a recording", ros.Bag, *CONTAINER_TYPES).with_properties(
+_BAG = NodeShape[BagView]("Bag", "a recording", ros.Bag, dcat.Dataset, *CONTAINER_TYPES).with_properties(
     one(ros.name, kinds.TEXT, lambda view: view.bag.name),
+    one(dcterms.title, kinds.TEXT, lambda view: view.bag.name),
+    one(dcterms.description, kinds.TEXT, lambda view: f"A recording of {view.bag.count} messages of ROS."),
     one(dcterms.format, kinds.TEXT, lambda view: view.bag.format),
+    optional(dcterms.issued, kinds.DATE_TIME, lambda view: view.bag.end_ns if view.bag.count else None),
+    optional(dcterms.temporal, kinds.FRAGMENT, lambda view: "#time" if view.bag.count else None),
+    many(dcat.keyword, kinds.TEXT, lambda view: view.bag.topics),
+    optional(dcat.distribution, kinds.FRAGMENT, lambda view: "file" if view.has_file else None),
     one(ros.count, kinds.COUNT, lambda view: view.bag.count),
     optional(ros.recordingProblem, kinds.TEXT, lambda view: view.problem),
     optional(ros.recordedBytes, kinds.COUNT, lambda view: view.size),
-    optional(ros.recordedFile, kinds.FRAGMENT, lambda view: None if view.size is None or view.order else "file"),
+    optional(ros.recordedFile, kinds.FRAGMENT, lambda view: "file" if view.has_file else None),
     optional(ros.recordingStatus, kinds.TEXT.where(_STATUS), lambda view: view.status),
     optional(ros.triggerCount, kinds.COUNT, lambda view: view.triggered),
     optional(ros.triggerShape, kinds.IRI),
@@ -144,6 +159,18 @@ _BAG = NodeShape[BagView]("Bag", "a recording", ros.Bag, *CONTAINER_TYPES).with_
     optional(rdfs.seeAlso, kinds.IRI.where('sh:pattern "/ldes$"')),
     many(ros.hasRecordedTopic, kinds.IRI.where("sh:class ros:BagTopic")),
     many(ros.silentTopic, kinds.TEXT.where('sh:pattern "^[/*]"'), lambda view: view.bag.silent),
+    optional(spdx.checksum, kinds.node("Checksum")),
+)
+_PERIOD = NodeShape[Bag]("PeriodOfTime", "the time of a recording", dcterms.PeriodOfTime).with_properties(
+    one(dcat.startDate, kinds.DATE_TIME, lambda bag: bag.start_ns),
+    one(dcat.endDate, kinds.DATE_TIME, lambda bag: bag.end_ns),
+)
+_FILE = NodeShape[BagView]("Distribution", "the file of a recording", dcat.Distribution).with_properties(
+    one(dcterms.title, kinds.TEXT, lambda view: f"File of {view.bag.name}"),
+    one(dcat.accessURL, kinds.BAG, lambda view: view.bag.name),
+    one(dcat.downloadURL, kinds.FRAGMENT, lambda view: ""),
+    one(dcat.mediaType, kinds.TERM, lambda view: _OCTETS),
+    one(dcat.byteSize, _SIZE, lambda view: view.size),
     optional(spdx.checksum, kinds.node("Checksum")),
 )
 _ALGORITHM = "sh:hasValue spdx:checksumAlgorithm_sha256"
@@ -178,6 +205,10 @@ def bag_document(view: BagView, space: Space) -> Document:
     triples = _BAG.triples(NamedNode(url), view, space, *more)
     if checksum and view.sha256:
         triples += _CHECKSUM.triples(checksum, view.sha256, space)
+    if bag.count:
+        triples += _PERIOD.triples(NamedNode(f"{url}#time"), bag, space)
+    if view.has_file:
+        triples += _FILE.triples(NamedNode(f"{url}file"), view, space, (spdx.checksum, checksum))
     if view.order is None:
         triples.append(Triple(NamedNode(messages), rdfs.label, Literal(f"Messages of {bag.name}")))
     for node, track in tracks.items():

@@ -79,11 +79,25 @@ ldp = Namespace(
 # XHTML vocabulary, for the pages of a container.
 xhv = Namespace("http://www.w3.org/1999/xhtml/vocab#", "first last next prev")
 # Dublin Core.
-dcterms = Namespace("http://purl.org/dc/terms/", "title description isPartOf hasPart created modified format")
+dcterms = Namespace(
+    "http://purl.org/dc/terms/",
+    "title description isPartOf hasPart created modified issued format publisher temporal PeriodOfTime",
+)
+# DCAT 3.
+dcat = Namespace(
+    "http://www.w3.org/ns/dcat#",
+    "Catalog Dataset Distribution DataService accessURL byteSize dataset distribution downloadURL endpointURL endDate "
+    "keyword mediaType servesDataset service startDate",
+)
+# VoID.
+void = Namespace(
+    "http://rdfs.org/ns/void#",
+    "Dataset DatasetDescription dataDump exampleResource rootResource sparqlEndpoint uriSpace vocabulary",
+)
 # Checksums (SPDX 2.3), as DCAT has them.
 spdx = Namespace("http://spdx.org/rdf/terms#", "Checksum checksum algorithm checksumValue checksumAlgorithm_sha256")
 # FOAF, for documents about things and for agents.
-foaf = Namespace("http://xmlns.com/foaf/0.1/", "primaryTopic Agent")
+foaf = Namespace("http://xmlns.com/foaf/0.1/", "primaryTopic name Agent")
 # Web Access Control.
 acl = Namespace(
     "http://www.w3.org/ns/auth/acl#",

@@ -515,9 +515,45 @@ class _dcterms(Namespace):
     hasPart: NamedNode
     created: NamedNode
     modified: NamedNode
+    issued: NamedNode
     format: NamedNode
+    publisher: NamedNode
+    temporal: NamedNode
+    PeriodOfTime: NamedNode
 
 dcterms: _dcterms
+
+class _dcat(Namespace):
+    Catalog: NamedNode
+    Dataset: NamedNode
+    Distribution: NamedNode
+    DataService: NamedNode
+    accessURL: NamedNode
+    byteSize: NamedNode
+    dataset: NamedNode
+    distribution: NamedNode
+    downloadURL: NamedNode
+    endpointURL: NamedNode
+    endDate: NamedNode
+    keyword: NamedNode
+    mediaType: NamedNode
+    servesDataset: NamedNode
+    service: NamedNode
+    startDate: NamedNode
+
+dcat: _dcat
+
+class _void(Namespace):
+    Dataset: NamedNode
+    DatasetDescription: NamedNode
+    dataDump: NamedNode
+    exampleResource: NamedNode
+    rootResource: NamedNode
+    sparqlEndpoint: NamedNode
+    uriSpace: NamedNode
+    vocabulary: NamedNode
+
+void: _void
 
 class _spdx(Namespace):
     Checksum: NamedNode
@@ -530,6 +566,7 @@ spdx: _spdx
 
 class _foaf(Namespace):
     primaryTopic: NamedNode
+    name: NamedNode
     Agent: NamedNode
 
 foaf: _foaf

@@ -21,7 +21,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.urls import Location, encode_segment
 from rosld.ontology.violations import Violation
-from rosld.ontology.vocab import hctl, htv, mapping, rdf, ros, td
+from rosld.ontology.vocab import dcat, hctl, htv, mapping, rdf, ros, td
 from rosld.server.auth.errors import WITHHELD, gone, not_found, withhold_reason
 from rosld.server.auth.permissions import Permissions
 from rosld.server.http.fields import parse_links, render_links
@@ -31,7 +31,7 @@ _Term: TypeAlias = "NamedNode | BlankNode | Literal | Triple"
 
 _ABOUT = frozenset({ros.shows, ros.touches})
 """Predicates from a part of a document to its subject: a step of a stop, a panel of a cockpit."""
-_NAMES = frozenset({ros.recordsTopic, ros.silentTopic})
+_NAMES = frozenset({ros.recordsTopic, ros.silentTopic, dcat.keyword})
 """Predicates of recordings whose values are topic names or globs."""
 _WORDS = frozenset({ros.recordingProblem, ros.triggerCondition})
 """Predicates of an order whose text may mention its recorded topics, or its trigger."""

@@ -6,10 +6,12 @@ import json
 from collections.abc import Iterator
 from urllib.parse import quote
 
+import orjson
 from markupsafe import Markup
 from msgspec.structs import replace
 from pyoxigraph import NamedNode
 
+from rosld.ontology.describe_datasets import structured_data
 from rosld.ontology.describe_views import SearchResult
 from rosld.ontology.document import Document
 from rosld.ontology.modules import home_of_terms, module_url
@@ -120,10 +122,18 @@ def render_page(page: Page) -> bytes:
                 *((CLOUD,) if body["has_cloud"] else ()),
             )
         ],
+        data=structured_data_script(page.document),
         steps=[(_STEPS.get(step.rel, step.rel), step.rel, page.site.href(step.url)) for step in page.steps],
         curl=_curl(page.document.url.partition("?")[0] + (f"?{page.query}" if page.query else ""), "text/turtle"),
         **body,
     )
+
+
+def structured_data_script(document: Document) -> Markup | None:
+    """Return the JSON-LD in the page that search engines and data loaders read; None if there is none."""
+    found = structured_data(document)
+    # Without `<`, so that no string ends the script element.
+    return None if found is None else Markup(orjson.dumps(found).decode().replace("<", "\\u003c"))
 
 
 def _commands_velocity(document: Document, site: Site) -> bool:
@@ -243,6 +253,7 @@ def render_entry(page: EntryPage) -> bytes:
         page_frame(page.site, page.site.name, page.site.base, page.notices, is_refreshed(page)),
         page=page,
         formats=page.alternates,
+        data=structured_data_script(page.document),
         counts=[(count, page.site.href(count.url)) for count in page.counts],
         sections=describe(page.document, page.site, without=(ldp.contains,)),
         tries=tries if page.example else (tries[0], tries[2]),

@@ -64,7 +64,7 @@ _TAGS = {
     ".well-known/solid": "channels",
 }
 """Tags of URLs that are not named after their first segment."""
-_ENTRY = ("ontology", ".well-known/", ".well-known/wot", "openapi.json", "llms.txt")
+_ENTRY = ("ontology", ".well-known/", ".well-known/wot", ".well-known/void", "openapi.json", "llms.txt")
 _NAME = "A name; those of several parts have slashes, as in the URL."
 
 

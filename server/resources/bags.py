@@ -7,28 +7,36 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+import orjson
 from msgspec import Struct
+from msgspec.structs import replace
 from pyoxigraph import Literal
 from starlette.responses import Response
 
 from rosld.adapters.base import RecordedTopic, Recording, Watch
 from rosld.ontology.describe_bags import BagView, bag_document
+from rosld.ontology.describe_datasets import CROISSANT, structured_data
 from rosld.ontology.document import Document
+from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
+from rosld.server.auth.redaction import redact_document
 from rosld.server.history.armed_recordings import ArmedRecording
 from rosld.server.history.recordings import Recordings, RunningRecording
 from rosld.server.html.forms import ChoiceForm, DeleteForm, Form
 from rosld.server.html.page import Csrf, Notice, NoticeLevel, Page, SequenceLink
 from rosld.server.html.site import Site
-from rosld.server.http.conditional import digest
+from rosld.server.http.conditional import ETag, digest
+from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import JsonSchema, MessageSchemas, json_object
 from rosld.server.patches.single_change import PATCHES, SingleChange
 from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.path_item import PathItem, WriteMethod
+from rosld.server.rest.formats import FORMATS
+from rosld.server.rest.path_item import FORMAT, PathItem, WriteMethod
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, ShownAnswer
+from rosld.server.rest.responses import bytes_response
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import call_every, loop_time
@@ -116,17 +124,33 @@ _TOPIC_BYTES = 200
 """Approximate bytes of a recording's document per topic."""
 
 
+_CROISSANT, _JSON_LD = "croissant", Syntax.JSON_LD.media_type
+_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS, _CROISSANT]})
+
+
 class BagResource(BagBase):
     """One readable recording."""
 
     kind = "Recording"
     shape = "Bag"
-    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(self, bags: Bags, recording: Recording) -> None:
         super().__init__(bags, bags.session.space.bag(recording.name))
         self.recording = recording
-        self.item = PathItem(f"The recording {self.recording.name}")
+        self.item = PathItem(f"The recording {self.recording.name}", query=(_FORMAT,))
+        croissant = Link(
+            f"{self.url}?format={_CROISSANT}", "alternate", type=_JSON_LD, attributes=(("profile", CROISSANT),)
+        )
+        self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, croissant)
+
+    async def custom_get(self, exchange: Exchange) -> Response | None:
+        """Return the recording as a dataset in the profile Croissant if the client asks for it."""
+        wanted = exchange.query.get("format")
+        if wanted != _CROISSANT and (wanted is not None or CROISSANT not in (exchange.accept or "")):
+            return None
+        document = redact_document((await self.state()).document, exchange.permissions)
+        data = orjson.dumps(structured_data(document))
+        return bytes_response(exchange, data, f'{_JSON_LD};profile="{CROISSANT}"', ETag(digest(data), _CROISSANT))
 
     def methods(self) -> frozenset[str]:
         is_own = self.recording.name in self.recordings.finished and not self.session.settings.read_only

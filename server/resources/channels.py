@@ -58,7 +58,7 @@ from rosld.server.rest.state import State
 
 WEBSOCKET, STREAMING_HTTP = CHANNEL_TYPES
 ROUTE, SOURCE = "channels", "messages"
-WELL_KNOWN, THING = ".well-known", "wot"
+WELL_KNOWN, THING, VOID = ".well-known", "wot", "void"
 STORAGE_DESCRIPTION = "http://www.w3.org/ns/solid/terms#storageDescription"
 Resolve: TypeAlias = Callable[[Scope], Resource]
 Route: TypeAlias = Callable[[Location], Resource]
@@ -250,7 +250,7 @@ class WellKnownContainer(DescribedResource):
 
     def document(self) -> Document:
         described = self.notifications.description
-        return container_document(self.url, [described, f"{self.url}{THING}"], self.title)
+        return container_document(self.url, [described, f"{self.url}{THING}", f"{self.url}{VOID}"], self.title)
 
 
 class ServiceContainer(DescribedResource):

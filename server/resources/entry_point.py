@@ -79,7 +79,8 @@ class EntryResource(Resource):
         )  # RFC 8631
         search = Link(f"{session.space.base}find", "search")  # of the IANA registry: what is found by words
         guide = Link(f"{session.space.base}llms.txt", "help", type="text/plain")  # of the IANA registry
-        self.links = (RESOURCE, RDF_SOURCE_LINK, BASIC_CONTAINER, described, search, guide)
+        dataset = Link(f"{session.space.base}.well-known/void", "describedby")
+        self.links = (RESOURCE, RDF_SOURCE_LINK, BASIC_CONTAINER, described, search, guide, dataset)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         whole, space = self.session.graph, self.space

@@ -178,6 +178,8 @@ class GraphDescriptions:
         space, recordings = self._session.space, self._services.recordings
         urls = bag_urls(space, recordings)
         yield _container(space.container("bags"), urls, "Recordings")
+        dataset = self._factory.dataset()
+        yield _graph_entry(dataset.url, *dataset.outline())
         for recording in recordings.readable.values():
             digest = recordings.history.digests.peek(recording.path)
             why = recordings.interruption(recording.name)

@@ -22,6 +22,7 @@ from rosld.server.resources.body import BodyResource
 from rosld.server.resources.cockpit_panels import CockpitSources, QueryTables
 from rosld.server.resources.cockpits import cockpit_route
 from rosld.server.resources.complex_resource import ComplexResource
+from rosld.server.resources.datasets import DatasetResource
 from rosld.server.resources.diagnostics import DiagnosticsResource
 from rosld.server.resources.entry_point import FILES, EntryResource, GuideResource
 from rosld.server.resources.faults import FaultResource, faults_listing
@@ -106,6 +107,9 @@ class ResourceFactory:
 
     def body(self) -> BodyResource:
         return BodyResource(self.session, self.states)
+
+    def dataset(self) -> DatasetResource:
+        return DatasetResource(self.session, self.states, self.services.recordings)
 
     def graph(self) -> GraphResource:
         return GraphResource(self.session, self.services.instance_id)
@@ -208,9 +212,11 @@ def _parameter_route(route: Route, location: Location) -> Resource:
     return route(location)
 
 
-def _thing_route(factory: ResourceFactory, location: Location) -> RobotThing:
-    """The Thing Description of the robot at `/.well-known/wot`; 404 at other locations below `/.well-known/`."""
+def _well_known_route(factory: ResourceFactory, location: Location) -> Resource:
+    """The descriptions at `/.well-known/wot` and `/.well-known/void`; 404 at other locations below `/.well-known/`."""
     space = factory.session.space
+    if location.segments == ("void",) and not location.is_container:
+        return factory.dataset()
     if location.segments != ("wot",) or location.is_container:
         raise Problem(404, f"There is no such well-known resource: see {space.base}.well-known/.")
     return RobotThing(space, factory.affordances, factory.things)
@@ -292,7 +298,7 @@ class Router:
             "resources": _nested(space, lambda path: factory.complex(path_of(path)), partial(_member, factory)),
             "data": stored,
             "mappings": stored,
-            ".well-known": partial(_thing_route, factory),
+            ".well-known": partial(_well_known_route, factory),
             "stop": single_route(factory.stop),
             "graph": single_route(factory.graph),
             "body": single_route(factory.body),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,36 @@ def test_the_bag_tells_its_topics_its_counts_and_the_checksum_of_its_file(walk: 
     assert found.value(node, terms.checksumValue) == Literal(expected, datatype=XSD.hexBinary)
     asked = f"ASK {{ GRAPH <{url}> {{ <{node}> <{terms.checksumValue}> ?sum }} }}"
     assert walk.http.get("/sparql", params={"query": asked}, headers=JSON).json()["boolean"]
+
+
+def test_a_bag_is_a_dataset_that_data_loaders_and_search_engines_read(walk: Any) -> None:
+    url, profile = f"{walk.url}bags/walk/", 'application/ld+json;profile="http://mlcommons.org/croissant/1.0"'
+    named = walk.http.get("/bags/walk/").links["alternate"]
+    assert (named["url"], named["profile"]) == (f"{url}?format=croissant", "http://mlcommons.org/croissant/1.0")
+
+    def described() -> Any:
+        answer = walk.http.get("/bags/walk/", headers={"Accept": profile})
+        assert (answer.status_code, answer.headers["content-type"]) == (200, profile)
+        return answer.json()["distribution"][0].get("sha256") and answer.json()
+
+    found = until(described, "the checksum")
+    assert walk.http.get("/bags/walk/", params={"format": "croissant"}).json() == found
+    assert (found["@type"], found["name"], sorted(found["keywords"])) == (
+        "sc:Dataset",
+        "walk",
+        ["/walk/name", "/walk/point"],
+    )
+    assert found["temporalCoverage"] == "2023-11-14T22:13:20Z/2023-11-14T22:13:22.49Z"
+    (file,) = found["distribution"]
+    content = walk.http.get(file["contentUrl"]).content
+    assert (file["sha256"], file["contentSize"]) == (hashlib.sha256(content).hexdigest(), f"{len(content)} B")
+    assert {row["topics/name"]: row["topics/count"] for row in found["recordSet"][0]["data"]} == {
+        "/walk/name": 1, "/walk/point": COUNT - 1,
+    }  # fmt: skip
+    page = walk.http.get("/bags/walk/", headers={"Accept": "text/html"}).text
+    assert json.loads(page.partition('<script type="application/ld+json">')[2].partition("</script>")[0]) == found
+    catalog = f"ASK {{ <{walk.url}.well-known/void#catalog> <http://www.w3.org/ns/dcat#dataset> <{url}> }}"
+    assert walk.http.get("/sparql", params={"query": catalog}, headers=JSON).json()["boolean"]
 
 
 def test_topics_play_and_a_latched_message_is_there_whenever_it_is_looked_at(walk: Any) -> None:

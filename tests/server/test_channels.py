@@ -127,7 +127,7 @@ def test_services_and_well_known_documents_are_in_containers_and_describe_themse
         headers = http.request(method, service).headers
         assert headers["allow"] == "GET, HEAD, OPTIONS, POST"
         assert "application/ld+json" in headers["accept-post"]
-    for path, members in (("channels/", (WEBSOCKET, STREAMING)), (".well-known/", ("solid", "wot"))):
+    for path, members in (("channels/", (WEBSOCKET, STREAMING)), (".well-known/", ("solid", "wot", "void"))):
         url = aircraft.url + path
         assert http.get(f"/{path}"[:-1]).headers["location"] == url
         answer = http.get(url, headers=turtle)

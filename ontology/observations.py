@@ -127,13 +127,6 @@ def role_of(topic: Topic, graph: Graph, schema: MessageSchema | None) -> Role | 
     return Role.ACTUATOR if is_command and observed_fields(name, Role.ACTUATOR, schema) else None
 
 
-def role_of_type(schema: MessageSchema) -> Role | None:
-    """Return what the recorded messages of a type are, on topics whose publishers and subscribers are unknown."""
-    if observed_fields(schema.ref.name, Role.SENSOR, schema):
-        return Role.SENSOR
-    return Role.ACTUATOR if schema.ref.name in COMMANDS else None
-
-
 # --- the sensor or the actuator of a topic
 
 _LABEL: Property[str] = one(rdfs.label, kinds.TEXT)

@@ -145,7 +145,7 @@ class BagMessage(BagBase):
                 raise Problem(406, f"The message cannot be read: {decoded.reason}.")
             return lift_sample(self.space, self.session.lifting, decoded).lifter.json(decoded.message, self.url)
 
-        describe = partial(record_document, self.session, recording, DecodedRecord(message, decoded), observed=True)
+        describe = partial(record_document, self.session, recording, DecodedRecord(message, decoded))
         shapes = () if decoded.schema is None else self.space.shapes_of(decoded.schema)
         return self.states.put(self.url, 0, State(describe, plain, shapes=shapes))
 

@@ -21,7 +21,6 @@ from rosld.adapters.model import UnknownType
 from rosld.ontology.describe_bags import bag_message_document, bag_selection_document
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
-from rosld.ontology.observations import role_of_type
 from rosld.ontology.triples import date_time_literal
 from rosld.server.auth.permissions import Permissions
 from rosld.server.html.page import Cell, MemberColumns, SequenceLink
@@ -67,13 +66,10 @@ async def decode_records(
     return found
 
 
-def record_document(session: Session, recording: Recording, one: DecodedRecord, *, observed: bool = False) -> Document:
-    """Return the document of a recorded message, on demand with its observations."""
-    space, lifting, schema = session.space, session.lifting, one.decoded.schema
-    role = role_of_type(schema) if observed and schema is not None else None
-    lifted = None
-    if one.decoded.message is not None:
-        lifted = lift_sample(space, lifting, one.decoded, one.message.topic, role)
+def record_document(session: Session, recording: Recording, one: DecodedRecord) -> Document:
+    """Return the document of a recorded message."""
+    space, lifting = session.space, session.lifting
+    lifted = lift_sample(space, lifting, one.decoded) if one.decoded.message is not None else None
     document = bag_message_document(recording, one.message, space, lifted, unreadable=one.decoded.reason)
     return replace(document, simulated_time=session.graph.simulated_time)
 

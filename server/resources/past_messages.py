@@ -18,7 +18,7 @@ from rosld.ontology.geometry import TERMS, geometry_ntriples, geometry_of, has_p
 from rosld.ontology.lift import Lifter, partial_lifter
 from rosld.ontology.literals import date_time, quote
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import ldp, rdf, ros, xsd
+from rosld.ontology.vocab import ldp, rdf, rdfs, ros, xsd
 from rosld.server.auth.permissions import Permissions
 from rosld.server.history.history import HistoryRecording
 from rosld.server.history.message_block import MessageBlock, columns_of
@@ -411,6 +411,7 @@ class _RecordText:
     def __init__(self, space: Space, recording: Recording, only: frozenset[str] | None) -> None:
         self.messages = space.bag_messages(recording.name)
         self._bag = space.bag(recording.name)
+        self._name = recording.name
         self.topic = lru_cache(maxsize=1024)(space.topic)
         self._only = only
         self.is_more = only is None or not only.isdisjoint(_OF_RECORDS)
@@ -427,6 +428,7 @@ class _RecordText:
         received = f'"{date_time(0, message.sample.received_ns)}"^^<{xsd.dateTime.value}>'
         record_text = [
             *((rdf.type, f"<{each.value}>") for each in (ros.Record, ldp.Resource, ldp.RDFSource)),
+            (rdfs.label, quote(f"Message {message.index} of {self._name}")),
             (ros.recordedIn, f"<{self._bag}>"),
             (ros.index, f'"{message.index}"^^<{xsd.integer.value}>'),
             (ros.onTopic, f"<{topic}>"),

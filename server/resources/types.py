@@ -11,7 +11,7 @@ from functools import partial
 from msgspec.structs import replace
 from pyoxigraph import NamedNode, Triple
 
-from rosld.adapters.model import Schema, TypeRef, halves_of
+from rosld.adapters.model import MessageSchema, Schema, TypeRef, halves_of
 from rosld.ontology.describe_graph import type_container_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document
@@ -151,6 +151,7 @@ class TypeContainer(Resource):
     def __init__(self, session: Session, states: VersionCache[State], route: str, namespace: tuple[str, ...]) -> None:
         super().__init__(session.space, session.space.container(route, namespace))
         self.adapter = session.adapter
+        self.schemas = session.schemas
         self.states = states
         self.route = route
         self.namespace = namespace
@@ -158,9 +159,14 @@ class TypeContainer(Resource):
         of = ("", " of a package", " of a kind")[min(len(namespace), 2)]
         self.item = PathItem(f"{route.capitalize()}{of}")
 
+    def _nested(self) -> tuple[str, ...]:
+        """Return the names of types that only occur within others, whose pages link to their containers."""
+        known = (schema for schema in self.schemas.all() if isinstance(schema, MessageSchema))
+        return child_names(sorted({name for schema in known for name in schema.types}), self.route, self.namespace)
+
     async def state(self) -> State:
         listed = sorted({ref.name for ref in known_types(self.adapter)})
-        below = child_names(listed, self.route, self.namespace)
+        below = child_names(listed, self.route, self.namespace) or self._nested()
         if self.namespace and not below:
             raise Problem(404, f"No type of {'/'.join(self.namespace)} is known.")
         return self.states.get_or_make(

@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from tests.conformance.fuzzing import fuzzing
 from tests.server.conftest import Served, start_server
+from tests.waiting import until
 
 __all__ = ["start_server"]
 pytestmark = pytest.mark.slow
@@ -54,7 +55,10 @@ class Server:
         """Return the triples of the graph."""
         query = "CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }"
         parameters = {"query": query, "default-graph-uri": self.graph, "format": "nt"}
-        return sorted(self.http.get("/sparql", params=parameters).text.splitlines())
+        answer = until(
+            lambda: (found := self.http.get("/sparql", params=parameters)).is_success and found, "the dataset"
+        )
+        return sorted(answer.text.splitlines())
 
     def direct(self, path: str, media_type: str, text: bytes) -> httpx.Response:
         """Return the response to a text of a media type, after checking that it is sound."""
@@ -75,7 +79,7 @@ class Server:
             assert len(problem["detail"]) > 10
             assert "Traceback" not in problem["detail"]
         if answer.status_code == 503:
-            assert problem["reason"] in ("time", "memory", "rows", "busy")
+            assert problem["reason"] in ("time", "memory", "rows", "busy", "starting")
         return answer
 
 

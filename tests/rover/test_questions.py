@@ -11,8 +11,13 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from rosld.adapters.model import Encoding, MessageSchema, TypeRef
+from rosld.adapters.model.library import TypeLibrary
+from rosld.ontology.lower import lowerer
 from rosld.server.resources.find import MAX_BYTES
-from tests.rover.rovers import running
+from tests.rover.competency import ask, questions, unanswered
+from tests.rover.rovers import STANDSTILL, running
+from tests.waiting import until
 
 pytestmark = pytest.mark.slow
 
@@ -96,6 +101,13 @@ DEFINITIONS = {
     "acme_msgs/msg/PowerPack": "float32 voltage\nfloat32 current\nfloat32 state_of_charge\nuint8 cells",
     "acme_msgs/msg/BaseState": "bool bumper_left\nbool bumper_right\nint32 left_encoder\nint32 right_encoder",
 }
+MEASURED: dict[str, tuple[str, dict[str, object]]] = {
+    "/battery": ("sensor_msgs/msg/BatteryState", {"voltage": 24.0, "temperature": 31.0}),
+    "/lidar": ("sensor_msgs/msg/LaserScan", {"ranges": [1.5, 3.0]}),
+    "/odom": ("nav_msgs/msg/Odometry", {"pose": {"covariance": [0.1] * 36}, "child_frame_id": "base_link"}),
+}
+"""Types and values of recorded topics."""
+OF_WRITES_FAULTS_AND_THE_BODY = frozenset({5, 7, 14, 16, 17, 18})
 JSON = {"Accept": "application/json"}
 
 
@@ -114,9 +126,16 @@ def missed(http: httpx.Client, expected: Mapping[str, str]) -> dict[str, list[st
 
 
 @pytest.mark.parametrize("kind", ["embedded", "rospy", pytest.param("kilted", marks=pytest.mark.ros2)])
-def test_what_people_ask_of_a_rover_is_found(kind: str, serve: Callable[..., Any], tmp_path: Path) -> None:
-    with running(kind, serve, tmp_path) as rover:
+def test_what_people_ask_of_a_rover_in_words_or_in_public_terms_is_found(
+    kind: str, serve: Callable[..., Any], tmp_path: Path
+) -> None:
+    with running(kind, serve, tmp_path, "battery=0.15", "--history", "/odom") as rover:
         assert missed(rover.http, OF_A_ROVER | HELD_OUT_OF_A_ROVER) == {}
+        until(
+            lambda: ask(rover.http, "SELECT ?f { ?f a ros:Fault ; ros:severity 'warning' }"), "the fault of the battery"
+        )
+        assert rover.http.put("/topics/cmd_vel", json=STANDSTILL).status_code == 204
+        assert unanswered(rover.http) == {}
 
 
 def recorded(folder: Path) -> Path:
@@ -135,3 +154,30 @@ def recorded(folder: Path) -> Path:
 def test_what_people_ask_of_a_recording_with_made_up_names_is_found(serve: Callable[..., Any], tmp_path: Path) -> None:
     http = serve(str(recorded(tmp_path))).http
     assert missed(http, OF_A_RECORDING | HELD_OUT_OF_A_RECORDING) == {}
+
+
+def test_most_of_the_twenty_questions_use_terms_of_public_vocabularies_alone() -> None:
+    asked = questions()
+    assert [one.number for one in asked] == list(range(1, 21))
+    assert all(one.is_public == one.uses_public_terms for one in asked)
+    assert sum(one.is_public for one in asked) >= 12
+
+
+def test_a_recording_that_others_made_answers_the_same_questions(serve: Callable[..., Any], tmp_path: Path) -> None:
+    http = serve(str(measured(tmp_path))).http
+    assert unanswered(http, OF_WRITES_FAULTS_AND_THE_BODY) == {}
+
+
+def measured(folder: Path) -> Path:
+    """Return a recording of three seconds, written by rosbags."""
+    library, store = TypeLibrary(ros_version=2), get_typestore(Stores.ROS2_JAZZY)
+    begin = 1_700_000_000
+    with Writer(folder / "measured", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for topic, (name, value) in MEASURED.items():
+            schema, connection = library.find(TypeRef(name)), writer.add_connection(topic, name, typestore=store)
+            assert isinstance(schema, MessageSchema)
+            for second in range(begin, begin + 3):
+                header = {"header": {"frame_id": "laser", "stamp": {"sec": second}}}
+                message = lowerer(schema).from_json({**header, **value}, defaults=True)
+                writer.write(connection, (second + 1) * 1_000_000_000, schema.codec.encode(message, Encoding.CDR))
+    return folder / "measured"

@@ -206,6 +206,7 @@ REFUSED = {
     ("DELETE", "/resources/aircraft/fly"),  # no goal is pursued
     *{("POST", "/resources/aircraft/start"), ("POST", "/services/aircraft/set_power")},
     ("PATCH", "/resources/"),  # a member is read-only
+    *{("PATCH", "/faults/{id}"), ("DELETE", "/faults/{id}")},  # nothing is wrong
 }
 """Writes that are refused with the bodies of this test."""
 

@@ -18,8 +18,8 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from rosld.adapters.model import Array, FieldType, Nested, Primitive
-from rosld.ontology.literals import DTYPES, OCTETS, wire_length
+from rosld.adapters.model import OCTETS, Array, FieldType, Nested, Primitive
+from rosld.ontology.literals import DTYPES, wire_length
 
 Number: TypeAlias = "int | float | Decimal"
 Numbers: TypeAlias = npt.NDArray[Any]

@@ -13,10 +13,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rosld.adapters.model import Message, MessageType, Nested, Primitive
+from rosld.adapters.model import STRINGS, Message, MessageType, Nested, Primitive
 from rosld.ontology.document import Envelope
 from rosld.ontology.lift import Lifter
-from rosld.ontology.literals import STRINGS, date_time, scalar_texts
+from rosld.ontology.literals import date_time, scalar_texts
 from rosld.ontology.vocab import rdf, ros
 
 _DOCUMENT = "urn:x-rosld-document"

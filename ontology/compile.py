@@ -16,12 +16,10 @@ from itertools import count
 from struct import Struct
 from typing import cast
 
-from rosld.adapters.model import Array, Field, MessageSchema, MessageType, Nested, Primitive
+from rosld.adapters.model import OCTETS, STRINGS, Array, Field, MessageSchema, MessageType, Nested, Primitive
 from rosld.ontology.literals import (
     DATATYPES,
     DTYPES,
-    OCTETS,
-    STRINGS,
     base64_text,
     date_time,
     unpack_float32,

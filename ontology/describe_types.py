@@ -9,6 +9,8 @@ from typing import NamedTuple
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import (
+    OCTETS,
+    STRINGS,
     ActionSchema,
     Array,
     Constant,
@@ -26,7 +28,7 @@ from rosld.adapters.model import (
 from rosld.ontology import kinds
 from rosld.ontology.describe_topics import type_url
 from rosld.ontology.document import Document
-from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS
+from rosld.ontology.literals import DATATYPES
 from rosld.ontology.node_shape import SOURCE, NodeShape, Property, many, one, optional
 from rosld.ontology.triples import Statement, boolean, double, statements, text, triples_about
 from rosld.ontology.units import UNKNOWN, Quantity, field_quantity

@@ -9,9 +9,20 @@ from typing import Any, cast
 
 import numpy as np
 
-from rosld.adapters.model import Array, Field, FieldType, Message, MessageSchema, Nested, Primitive, TypeRef
+from rosld.adapters.model import (
+    OCTETS,
+    STRINGS,
+    Array,
+    Field,
+    FieldType,
+    Message,
+    MessageSchema,
+    Nested,
+    Primitive,
+    TypeRef,
+)
 from rosld.ontology.lift import LiftSettings, lifter
-from rosld.ontology.literals import OCTETS, STRINGS, json_numbers, json_strings, wire_bytes
+from rosld.ontology.literals import json_numbers, json_strings, wire_bytes
 
 _WHOLE = LiftSettings(inline_limit=2**62)
 

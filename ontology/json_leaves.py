@@ -14,7 +14,7 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 import orjson
 
-from rosld.adapters.model import Array, Field, FieldType, Nested, Primitive
+from rosld.adapters.model import STRINGS, Array, Field, FieldType, Nested, Primitive
 from rosld.adapters.model.schema import Scalar
 from rosld.ontology.coercion import (
     RANGES,
@@ -30,7 +30,7 @@ from rosld.ontology.coercion import (
     octet_array,
     string_fit,
 )
-from rosld.ontology.literals import BASE64, DTYPES, STRINGS, base64_text, special_float, wide_integer_json
+from rosld.ontology.literals import BASE64, DTYPES, base64_text, special_float, wide_integer_json
 
 Leaf: TypeAlias = Callable[[object], object]
 

@@ -14,9 +14,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 from pyoxigraph import RdfFormat, Triple, parse
 
-from rosld.adapters.model import FieldType, Message, MessageSchema, Nested, Primitive
+from rosld.adapters.model import OCTETS, STRINGS, FieldType, Message, MessageSchema, Nested, Primitive
 from rosld.ontology.compile import Lift, compile_lift
-from rosld.ontology.literals import DATATYPES, OCTETS, STRINGS, date_time
+from rosld.ontology.literals import DATATYPES, date_time
 from rosld.ontology.names import TypeName, type_names
 from rosld.ontology.syntax_codegen import NOTATIONS, Site
 from rosld.ontology.vocab import rdf, ros, xsd

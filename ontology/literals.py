@@ -49,10 +49,6 @@ DTYPES: dict[str, np.dtype[Any]] = {
 }
 """The numpy type of arrays of each primitive, except strings."""
 
-STRINGS = frozenset({"string", "wstring"})
-OCTETS = frozenset({"uint8", "byte", "char"})
-"""Primitives whose arrays are octets: xsd:base64Binary."""
-
 SAFE_INTEGER = 2**53
 """Maximum absolute value of JSON integers; larger ones are strings, as many readers convert numbers to doubles."""
 

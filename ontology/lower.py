@@ -16,12 +16,12 @@ from typing import NamedTuple, TypeAlias, cast
 import numpy as np
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import Array, Field, FieldType, Message, MessageSchema, Nested, Primitive
+from rosld.adapters.model import STRINGS, Array, Field, FieldType, Message, MessageSchema, Nested, Primitive
 from rosld.ontology.body import RdfBody, Term
 from rosld.ontology.coercion import Misfit, check_length, describe_kind
 from rosld.ontology.json_leaves import json_leaf, stated_default, unexpected_value, zero_value
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.literals import DTYPES, STRINGS
+from rosld.ontology.literals import DTYPES
 from rosld.ontology.lower_graph import GraphReaders, GraphReading
 from rosld.ontology.violations import Findings, LoweringError, Path, Violation
 from rosld.ontology.vocab import ros

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from pyoxigraph import Literal, NamedNode
 
-from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
+from rosld.adapters.model import STRINGS, Array, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.body import RdfBody, Term
 from rosld.ontology.coercion import (
     RANGES,
@@ -29,7 +29,7 @@ from rosld.ontology.coercion import (
 from rosld.ontology.compile import TIME
 from rosld.ontology.json_leaves import array_of_json
 from rosld.ontology.lexical import BINARIES, NUMBERS, parse_boolean, parse_date_time
-from rosld.ontology.literals import DTYPES, STRINGS
+from rosld.ontology.literals import DTYPES
 from rosld.ontology.names import type_names
 from rosld.ontology.violations import Findings, Path
 from rosld.ontology.vocab import geo, rdf, ros, xsd

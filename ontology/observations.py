@@ -18,11 +18,11 @@ from typing import NamedTuple, cast
 from msgspec import Struct
 from pyoxigraph import NamedNode, Triple
 
-from rosld.adapters.model import Array, Field, Graph, Message, MessageSchema, Primitive, Topic
+from rosld.adapters.model import STRINGS, Array, Field, Graph, Message, MessageSchema, Primitive, Topic
 from rosld.ontology import kinds
 from rosld.ontology.geometry import frame_iri
 from rosld.ontology.lift import TYPES
-from rosld.ontology.literals import DATATYPES, STRINGS, date_time, json_numbers, scalar_texts, unpack_float32
+from rosld.ontology.literals import DATATYPES, date_time, json_numbers, scalar_texts, unpack_float32
 from rosld.ontology.modules import module_triples
 from rosld.ontology.names import TypeName, type_names
 from rosld.ontology.neutral_message import COMMANDS, HEADER

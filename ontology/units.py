@@ -16,9 +16,7 @@ from typing import NamedTuple
 
 from pyoxigraph import NamedNode
 
-from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Primitive
-from rosld.ontology.coercion import is_octets
-from rosld.ontology.literals import STRINGS
+from rosld.adapters.model import OCTETS, STRINGS, Array, Field, FieldType, MessageSchema, Primitive
 from rosld.ontology.modules import module_triples
 from rosld.ontology.vocab import PREFIXES, qudt, ros
 
@@ -79,7 +77,7 @@ def has_numbers(kind: FieldType) -> bool:
     """Whether a field holds a number or an array of numbers, which octets are not."""
     element = kind.element if isinstance(kind, Array) else kind
     is_number = isinstance(element, Primitive) and element.name not in _NO_NUMBERS
-    return is_number and not (isinstance(kind, Array) and is_octets(kind))
+    return is_number and not (isinstance(kind, Array) and kind.element.name in OCTETS)
 
 
 def quantity_within(enclosing: Quantity | None, type_name: str, field: Field) -> Quantity | None:

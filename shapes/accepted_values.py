@@ -13,10 +13,10 @@ from typing import NamedTuple, cast
 
 from pyoxigraph import Literal, NamedNode
 
-from rosld.adapters.model import Array, ParameterType, Primitive
+from rosld.adapters.model import OCTETS, STRINGS, Array, ParameterType, Primitive
 from rosld.ontology.coercion import RANGES, SPECIALS
 from rosld.ontology.lexical import NUMBERS
-from rosld.ontology.literals import BASE64, DATATYPES, OCTETS, STRINGS
+from rosld.ontology.literals import BASE64, DATATYPES
 from rosld.ontology.triples import Statement, Value, double, integer, text
 from rosld.ontology.vocab import rdf, sh, xsd
 from rosld.shapes.command_numbers import LARGEST_NUMBER

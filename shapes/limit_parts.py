@@ -9,10 +9,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 from pyoxigraph import BlankNode, Literal, NamedNode
 
-from rosld.adapters.model import Array, MessageSchema, Nested, ParameterType, Primitive
+from rosld.adapters.model import STRINGS, Array, MessageSchema, Nested, ParameterType, Primitive
 from rosld.ontology.body import Term
 from rosld.ontology.fields import fields_along, type_at
-from rosld.ontology.literals import DATATYPES, STRINGS
+from rosld.ontology.literals import DATATYPES
 from rosld.ontology.triples import Statement, Value, text
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import sh, xsd

@@ -18,10 +18,10 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from rosld.adapters.model import Array, Message, MessageSchema, Nested, Primitive
+from rosld.adapters.model import STRINGS, Array, Message, MessageSchema, Nested, Primitive
 from rosld.ontology.body import Term, parse_body
 from rosld.ontology.lift import TYPES, LiftSettings, lifter
-from rosld.ontology.literals import DATATYPES, STRINGS, base64_text, scalar_texts, wire_bytes
+from rosld.ontology.literals import DATATYPES, base64_text, scalar_texts, wire_bytes
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
 from rosld.ontology.vocab import rdf, rdfs, sh, xsd

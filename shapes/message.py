@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pyoxigraph import Literal, NamedNode
 
 from rosld.adapters.model import (
+    STRINGS,
     ActionSchema,
     Array,
     Constant,
@@ -31,7 +32,7 @@ from rosld.ontology.coercion import RANGES, is_octets
 from rosld.ontology.describe_types import constant_value, definition_text
 from rosld.ontology.document import Document
 from rosld.ontology.json_leaves import stated_default
-from rosld.ontology.literals import DATATYPES, STRINGS, base64_length
+from rosld.ontology.literals import DATATYPES, base64_length
 from rosld.ontology.triples import RDF_SOURCE, Statement, Value, boolean, integer, statements, text, triples_about
 from rosld.ontology.units import UNKNOWN, field_quantity
 from rosld.ontology.urls import Space

@@ -27,6 +27,8 @@ from rosld.adapters.model.graph import (
 from rosld.adapters.model.parameter import Choice, Descriptor, ParameterType, ParameterValue, Range, coerce
 from rosld.adapters.model.qos import Mismatch, Qos, mismatch_count, mismatches, read_profile
 from rosld.adapters.model.schema import (
+    OCTETS,
+    STRINGS,
     ActionSchema,
     Array,
     Codec,
@@ -47,6 +49,8 @@ from rosld.adapters.model.schema import (
 )
 
 __all__ = [
+    "OCTETS",
+    "STRINGS",
     "Action",
     "ActionSchema",
     "Array",

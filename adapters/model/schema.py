@@ -80,6 +80,11 @@ DUMMY = "structure_needs_at_least_one_member"
 """Field of types without fields."""
 
 
+STRINGS = frozenset({"string", "wstring"})
+OCTETS = frozenset({"uint8", "byte", "char"})
+"""Primitives whose arrays are octets."""
+
+
 @dataclass(frozen=True, slots=True)
 class Primitive:
     """A primitive: bool, byte, char, int8 ... uint64, float32, float64, string, wstring; `bound` limits a string."""

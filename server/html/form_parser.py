@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TypeAlias, cast
 
-from rosld.adapters.model import Field, FieldType, MessageSchema, Nested, Primitive
+from rosld.adapters.model import STRINGS, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.body import BodyError, parse_json
-from rosld.ontology.literals import STRINGS
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import xsd
 from rosld.server.html.forms import METHOD_FIELD, PARAMETER_TYPES, TYPE_FIELD, VALUE_FIELD

@@ -14,11 +14,11 @@ from msgspec import Struct
 from msgspec.structs import replace
 from pyoxigraph import Literal
 
-from rosld.adapters.model import Array, Field, FieldType, MessageSchema, Nested, Primitive
+from rosld.adapters.model import STRINGS, Array, Field, FieldType, MessageSchema, Nested, Primitive
 from rosld.ontology.coercion import RANGES, is_octets
 from rosld.ontology.describe_types import definition_text
 from rosld.ontology.json_leaves import stated_default
-from rosld.ontology.literals import STRINGS, base64_text
+from rosld.ontology.literals import base64_text
 from rosld.ontology.neutral_message import HEADER
 from rosld.ontology.units import UNKNOWN, Quantity, quantity_within
 from rosld.server.html.view import escape_controls

@@ -13,10 +13,9 @@ import numpy.typing as npt
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from rosld.adapters.model import Array, Field, Message, MessageSchema, MessageType, Nested, Primitive
+from rosld.adapters.model import STRINGS, Array, Field, Message, MessageSchema, MessageType, Nested, Primitive
 from rosld.ontology.coercion import is_octets
 from rosld.ontology.describe_types import definition_text
-from rosld.ontology.literals import STRINGS
 from rosld.ontology.units import Quantity, quantity_within
 from rosld.server.html.view import (
     ArrayView,

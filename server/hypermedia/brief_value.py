@@ -9,6 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple, cast
 
 from rosld.adapters.model import (
+    OCTETS,
+    STRINGS,
     Array,
     Field,
     FieldType,
@@ -19,7 +21,7 @@ from rosld.adapters.model import (
     Primitive,
     Sample,
 )
-from rosld.ontology.literals import OCTETS, STRINGS, json_string
+from rosld.ontology.literals import json_string
 from rosld.ontology.parameters import parameter_json
 from rosld.server.hypermedia.source_reader import decode_value
 from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, scalar_json

@@ -16,6 +16,7 @@ from typing import TypeAlias, TypeVar, cast
 from pyoxigraph import Literal
 
 from rosld.adapters.model import (
+    STRINGS,
     ActionSchema,
     Array,
     Field,
@@ -30,7 +31,7 @@ from rosld.adapters.model import (
 from rosld.ontology.coercion import RANGES, is_octets
 from rosld.ontology.json_leaves import stated_default, zero_value
 from rosld.ontology.lift import LiftSettings
-from rosld.ontology.literals import SAFE_INTEGER, STRINGS, base64_length, special_float, wide_integer_json
+from rosld.ontology.literals import SAFE_INTEGER, base64_length, special_float, wide_integer_json
 from rosld.ontology.units import Quantity, quantity_within
 from rosld.ontology.vocab import xsd
 from rosld.shapes.command_numbers import LARGEST_VELOCITY, is_any_number_meant, largest_number

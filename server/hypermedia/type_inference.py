@@ -10,8 +10,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from math import inf
 
-from rosld.adapters.model import Array, Field, MessageSchema, Nested, Primitive, ServiceSchema
-from rosld.ontology.literals import STRINGS
+from rosld.adapters.model import STRINGS, Array, Field, MessageSchema, Nested, Primitive, ServiceSchema
 from rosld.shapes.value import MessageShape, OpenShape, ScalarShape, ValueShape
 
 _OCTETS = frozenset({"byte", "char", "octet", "int8", "uint8", "int16", "uint16"})

@@ -12,7 +12,17 @@ import numpy as np
 from msgspec import Struct
 from pyoxigraph import BlankNode, Literal, NamedNode
 
-from rosld.adapters.model import Codec, Encoding, Field, Message, MessageSchema, MessageType, ParameterValue, Primitive
+from rosld.adapters.model import (
+    STRINGS,
+    Codec,
+    Encoding,
+    Field,
+    Message,
+    MessageSchema,
+    MessageType,
+    ParameterValue,
+    Primitive,
+)
 from rosld.ontology import parameters
 from rosld.ontology.body import RdfBody, Term, parse_json
 from rosld.ontology.document import LiftedMessage
@@ -22,7 +32,6 @@ from rosld.ontology.literals import (
     BASE64,
     DATATYPES,
     DTYPES,
-    STRINGS,
     base64_text,
     json_scalars,
     json_string,

@@ -15,8 +15,6 @@ from itertools import pairwise
 from typing import NamedTuple
 from urllib.parse import unquote
 
-import numpy as np
-import numpy.typing as npt
 from pyoxigraph import Literal, NamedNode, QuerySolutions, Store
 
 from rosld.ontology.geometry import CRS84, frame_iri
@@ -147,13 +145,15 @@ def _great_circle(one: tuple[float, float], other: tuple[float, float]) -> float
 
 def _nearest(ends: Sequence[Ring], lines: Sequence[Ring]) -> float:
     """Return the least distance of a point of `ends` to a line; a line may be a single point."""
-    points: npt.NDArray[np.float64] = np.array([point for ring in ends for point in ring])
+    points = [point for ring in ends for point in ring]
     found = math.inf
     for line in lines:
-        for start, end in zip(line, line[1:] or line, strict=False):
-            way = np.subtract(end, start)
-            share = np.clip((points - start) @ way / (way @ way or 1.0), 0, 1)
-            found = min(found, float(np.linalg.norm(points - start - np.outer(share, way), axis=1).min()))
+        for (x, y), (u, v) in zip(line, line[1:] or line, strict=False):
+            over, up = u - x, v - y
+            square = over * over + up * up or 1.0
+            for a, b in points:
+                share = min(1.0, max(0.0, ((a - x) * over + (b - y) * up) / square))
+                found = min(found, math.hypot(a - x - share * over, b - y - share * up))
     return found
 
 

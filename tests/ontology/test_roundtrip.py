@@ -15,12 +15,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
-from rosld.adapters.model import Array, Encoding, FieldType, Message, MessageSchema, Nested, Primitive, TypeRef
+from rosld.adapters.model import STRINGS, Array, Encoding, FieldType, Message, MessageSchema, Nested, Primitive, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.body import parse_body, parse_json
 from rosld.ontology.document import Envelope
 from rosld.ontology.lift import TYPES, Lifter, lifter
-from rosld.ontology.literals import DTYPES, STRINGS
+from rosld.ontology.literals import DTYPES
 from rosld.ontology.lower import find_message, lowerer
 from rosld.ontology.syntax import Syntax
 from tests.ontology.test_serialize import canonical, rdflib_read, read

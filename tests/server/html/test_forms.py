@@ -16,6 +16,8 @@ from msgspec.structs import replace
 from pyoxigraph import Literal
 
 from rosld.adapters.model import (
+    OCTETS,
+    STRINGS,
     Array,
     Encoding,
     Field,
@@ -30,7 +32,6 @@ from rosld.adapters.model import (
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.document import Document
 from rosld.ontology.lift import lifter
-from rosld.ontology.literals import OCTETS, STRINGS
 from rosld.ontology.lower import lowerer
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.server.html.form_parser import JsonValue, parse_value, split_hidden

@@ -129,11 +129,12 @@ def missed(http: httpx.Client, expected: Mapping[str, str]) -> dict[str, list[st
 def test_what_people_ask_of_a_rover_in_words_or_in_public_terms_is_found(
     kind: str, serve: Callable[..., Any], tmp_path: Path
 ) -> None:
-    with running(kind, serve, tmp_path, "battery=0.15", "--history", "/odom") as rover:
+    with running(kind, serve, tmp_path, "battery=0.4", "--history", "/odom") as rover:
         assert missed(rover.http, OF_A_ROVER | HELD_OUT_OF_A_ROVER) == {}
-        until(
-            lambda: ask(rover.http, "SELECT ?f { ?f a ros:Fault ; ros:severity 'warning' }"), "the fault of the battery"
-        )
+        until(lambda: ask(rover.http, "SELECT ?m { <topics/odom> ros:past ?m } LIMIT 1"), "a recorded place")
+        assert rover.http.put("/parameters/rover/low_battery", json=0.5).status_code == 204
+        warning = "SELECT ?fault { ?fault a ros:Fault ; ros:severity 'warning' }"
+        until(lambda: ask(rover.http, warning), "the fault of the battery")
         assert rover.http.put("/topics/cmd_vel", json=STANDSTILL).status_code == 204
         assert unanswered(rover.http) == {}
 

@@ -1,4 +1,4 @@
-"""Documents of faults: what is or was wrong with the robot."""
+"""Documents of faults, active and past, of the robot."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class FaultState(Enum):
 
 
 class Severity(Enum):
-    """How bad a fault is."""
+    """Severity of a fault."""
 
     WARNING = "warning"
     ERROR = "error"

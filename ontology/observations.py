@@ -18,7 +18,7 @@ from typing import NamedTuple, cast
 from msgspec import Struct
 from pyoxigraph import NamedNode, Triple
 
-from rosld.adapters.model import STRINGS, Array, Field, Graph, Message, MessageSchema, Primitive, Topic
+from rosld.adapters.model import Array, Field, Graph, Message, MessageSchema, Primitive, Topic
 from rosld.ontology import kinds
 from rosld.ontology.geometry import frame_iri
 from rosld.ontology.lift import TYPES
@@ -29,7 +29,7 @@ from rosld.ontology.neutral_message import COMMANDS, HEADER
 from rosld.ontology.node_shape import NodeShape, Property, many, one
 from rosld.ontology.syntax_codegen import const
 from rosld.ontology.triples import text
-from rosld.ontology.units import quantity_of
+from rosld.ontology.units import has_numbers, quantity_of
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import PREFIXES, dqv, owl_time, qudt, rdf, rdfs, ros, sosa, xsd
 
@@ -45,7 +45,7 @@ _DIMENSIONLESS = PREFIXES["quantitykind"] + "Dimensionless"
 
 
 class Role(Enum):
-    """What the messages of a topic are."""
+    """Role of the messages of a topic."""
 
     SENSOR = SENSOR
     ACTUATOR = ACTUATOR
@@ -102,12 +102,8 @@ def observed_fields(name: str, role: Role, schema: MessageSchema | None) -> Sequ
         return [each for each in known or () if present is None or each.field in present]
     if role is Role.ACTUATOR or name.partition("/")[0] in _STANDARD:
         return ()
-    numbers = (field.name for field in schema.type.fields if _is_number(field.type))
-    return [Observed(each) for each in numbers if quantity_of(name, each) is not None]
-
-
-def _is_number(kind: object) -> bool:
-    return isinstance(kind, Primitive) and kind.name not in STRINGS and kind.name != "bool"
+    numbers = (field for field in schema.type.fields if isinstance(field.type, Primitive) and has_numbers(field.type))
+    return [Observed(field.name) for field in numbers if quantity_of(name, field.name) is not None]
 
 
 def role_of(topic: Topic, graph: Graph, schema: MessageSchema | None) -> Role | None:
@@ -333,11 +329,12 @@ class _Source:
         if header is not None and header.nested == HEADER:
             stamp = "{n}~time"
             moment = form.part(stamp, owl_time.inXSDDateTimeStamp, form.literal(xsd.dateTimeStamp, "{t}"))
-            frame = form.part("{s}", ros.frame, form.link("{frame_iri(p, m.header.frame_id.lstrip(chr(47)))}"))
+            frame = form.part("{s}", ros.frame, form.link("{frame_iri(p, d)}"))
             device = sosa.Sensor if self._role is Role.SENSOR else sosa.Actuator
             yield "h = m.header.stamp"
             yield "t = date_time(h.sec, h.nanosec) if (h.sec or h.nanosec) and not simulated else ''"
             yield f"if t: o.append(f'{form.node(stamp, owl_time.Instant, moment)}')"
+            yield "d = m.header.frame_id.lstrip('/')"
             yield f"if m.header.frame_id: o.append(f'{form.node('{s}', device, frame)}')"
         for row in observed_fields(self._schema.ref.name, self._role, self._schema):
             yield from self._row(row)

@@ -27,7 +27,7 @@ _NO_NUMBERS = frozenset({"bool", *STRINGS})
 
 
 class Quantity(NamedTuple):
-    """What a number measures: the IRIs of its unit and of its kind of quantity (QUDT); None for unknown."""
+    """Quantity that a number measures: the IRIs of its unit and kind of quantity (QUDT), None if unknown."""
 
     unit: str | None = None
     kind: str | None = None

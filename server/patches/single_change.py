@@ -1,4 +1,4 @@
-"""PATCH of a resource of which clients may change one thing only, such as ending it. No I/O."""
+"""PATCH of a resource that permits a single change, such as ending it. No I/O."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ _LONG = 64 * 1024
 
 
 class BodyResource(Resource):
-    """The body of the robot; whoever may not read all of its descriptions sees none."""
+    """The body of the robot, visible to agents who may read all of its descriptions."""
 
     kind = "Body"
     shape = "Body"

@@ -72,7 +72,7 @@ class Faults:
     def report(
         self, key: FaultKey, severity: Severity, words: str, time_ns: int, activity: tuple[str, str] | None = None
     ) -> None:
-        """Report an event or a state, of which words that differ only in numbers are no change.
+        """Report an event or a state; a state whose words differ only in numbers is unchanged.
 
         `activity` is the path of the goal or the call that failed.
         """

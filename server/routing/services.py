@@ -98,7 +98,7 @@ class Services:
 
     @property
     def faults(self) -> Faults:
-        """What is or was wrong with the robot."""
+        """The faults of the robot."""
         return self._fault_follower.faults
 
     def _validators(self, records: Records, states: VersionCache[State]) -> Mapping[str, Validator]:

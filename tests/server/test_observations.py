@@ -62,8 +62,8 @@ def test_a_command_is_an_actuation_with_its_receipt(rover: httpx.Client) -> None
     answer = rover.put("/topics/cmd_vel", json={"linear": {"x": 0.1}})
     assert answer.status_code == 204
     by = f"?a sosa:madeByActuator <{rover.base_url}topics/cmd_vel#actuator>"
-    told = "sosa:resultTime ?t ; sosa:hasSimpleResult ?command ; prov:wasInformedBy ?receipt"
-    ((command, receipt),) = ask(rover, f"SELECT ?command ?receipt {{ {by} ; {told} }}")
+    receipt_of = "sosa:resultTime ?t ; sosa:hasSimpleResult ?command ; prov:wasInformedBy ?receipt"
+    ((command, receipt),) = ask(rover, f"SELECT ?command ?receipt {{ {by} ; {receipt_of} }}")
     assert command == '{"linear":{"x":0.1}}'
     assert receipt in answer.headers["Link"]
     x = "<https://w3id.org/rosld/types/geometry_msgs/msg/Vector3#x>"

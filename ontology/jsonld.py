@@ -184,19 +184,22 @@ class _Writer:
         """Return the node object of a message, with its own context if it conflicts with that of the document."""
         message: LiftedMessage = self.messages.pop(iri)
         text = message.jsonld(self.document)
-        if iri in self.embedded:
-            context = orjson.dumps(dict(message.context)).decode()
-            text = f'{{"@context":{context},{text.lstrip()[1:]}'
-        return orjson.Fragment(text)
+        context = self._own_context(message)
+        return orjson.Fragment(f"{{{context}{text.lstrip()[1:]}" if context else text)
+
+    def _own_context(self, message: LiftedMessage) -> str:
+        """Return the member for the context of a message if that conflicts with the context of the document."""
+        if self.document.url + message.node not in self.embedded:
+            return ""
+        return f'"@context":{orjson.dumps(dict(message.context)).decode()},'
 
     def _observations(self) -> list[Json]:
         """Return the node objects of the observations of all messages."""
         found: list[Json] = []
         for message in self.document.messages:
             if nodes := message.observations(self.document, "jsonld")[:-1]:
-                is_embedded = self.document.url + message.node in self.embedded
-                context = f'"@context":{orjson.dumps(dict(message.context)).decode()},' if is_embedded else ""
-                found.append(orjson.Fragment(f'{{{context}"@included":[{nodes}]}}' if is_embedded else nodes))
+                context = self._own_context(message)
+                found.append(orjson.Fragment(f'{{{context}"@included":[{nodes}]}}' if context else nodes))
         return found
 
     def _iri(self, term: NamedNode) -> str:

@@ -190,14 +190,17 @@ class RobotGraphs:
     def _topics(self, graph: Graph, needs: Needs) -> Iterator[LiveDocument]:
         space = self._session.space
         by_type = replace(needs, patterns=frozenset(one for one in needs.patterns if _names_type(one, space.types)))
+        asks = needs.may_match_below(space.container("topics"), _OBSERVATIONS)
         for topic in _named_topics(space, graph, needs):
             url, (terms, bulky) = space.topic(topic.name), self._terms_of_topic(topic)
-            role = role_of(topic, graph, self._session.schemas.find_message(topic.type))
-            observed = None if role is None else needs.may_match(url, _OBSERVATIONS)
+            observed = asks and needs.may_match(url, _OBSERVATIONS) and self._is_observed(topic, graph)
             if observed or needs.may_match(url, terms):
                 is_named = url in needs.documents or by_type.may_match(url, terms)
                 subscribes = is_named or not bulky
                 yield LiveDocument(url, self._factory.topic(topic.name), is_named, subscribes, observed=observed)
+
+    def _is_observed(self, topic: Topic, graph: Graph) -> bool:
+        return role_of(topic, graph, self._session.schemas.find_message(topic.type)) is not None
 
     def _parameters(self, graph: Graph) -> Iterator[_Candidate]:
         space, factory = self._session.space, self._factory
@@ -370,7 +373,7 @@ class RobotGraphs:
                         state = await resource.state_of(known(resource.name))
                     else:
                         state = await resource.state()
-                    observed = one.observed is not None and loop_time() < self._observed_until
+                    observed = isinstance(resource, TopicResource) and loop_time() < self._observed_until
                     found.entries[one.url] = _entry_of(one.url, state, observed)
                 except (Problem, RosError):  # it no longer exists
                     found.entries.pop(one.url, None)

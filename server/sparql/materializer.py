@@ -48,7 +48,7 @@ class LiveDocument(NamedTuple):
 
     `is_named`: the query names its IRI, type or a predicate, so its values must be current. Without `subscribes`, only
     values at hand are included. `members` are the properties to read of a complex resource, None for all. `observed`:
-    whether the query can match observations; None if the document has none.
+    whether the query can match observations of its messages.
     """
 
     url: str
@@ -56,7 +56,7 @@ class LiveDocument(NamedTuple):
     is_named: bool = False
     subscribes: bool = True
     members: frozenset[str] | None = None
-    observed: bool | None = None
+    observed: bool = False
 
 
 class LiveGraphs(Struct, frozen=True):
@@ -226,7 +226,7 @@ class Materializer:
 
     def _lacks_observations(self, one: LiveDocument) -> bool:
         held = self._state.held.get(one.url)
-        return bool(one.observed) and (held is None or not held.observed)
+        return one.observed and (held is None or not held.observed)
 
     def _send_small(self, reading: _Reading) -> bool:
         """Apply small changes at once; return False, changing nothing, for large ones or while others are applied."""

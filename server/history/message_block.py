@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rosld.adapters.base import RecordedMessage
 from rosld.adapters.model import Array, Encoding, FieldType, MessageSchema, MessageType, Nested, Primitive
 from rosld.server.history import mcap_records as mcap
-from rosld.server.history.channel import Channel
+from rosld.server.history.channel import Channel, channel_of
 from rosld.server.history.chunk_index import ChunkRow
 from rosld.server.history.segment_file import messages_in
 from rosld.server.history.segments import Segments, sample_of
@@ -199,10 +199,27 @@ class MessageBlock:
 
     @classmethod
     def of(cls, messages: Sequence[RecordedMessage]) -> MessageBlock:
-        """Return a block of messages in memory."""
+        """Return a block of messages in memory, without rows."""
         block = cls.__new__(cls)
         block.rows, block._at_hand, block._records = None, messages, b""
         return block
+
+    @classmethod
+    def grouped(cls, messages: Iterable[RecordedMessage]) -> Iterator[MessageBlock]:
+        """Yield messages in memory as blocks of one channel and length, with rows."""
+        groups: dict[tuple[Channel, int], list[RecordedMessage]] = {}
+        for each in messages:
+            groups.setdefault((channel_of(each.topic, each.sample), len(each.sample.data)), []).append(each)
+        for (channel, length), members in groups.items():
+            block = cls.of(members)
+            block._channels = {0: channel}
+            block.rows = ChunkRows(
+                0,
+                np.array([each.sample.sequence for each in members], np.uint64),
+                np.array([each.sample.received_ns for each in members], np.int64),
+                np.frombuffer(b"".join([each.sample.data for each in members]), np.uint8).reshape(len(members), length),
+            )
+            yield block
 
     @property
     def channel(self) -> Channel:
@@ -212,10 +229,16 @@ class MessageBlock:
 
     def numbers(self) -> Sequence[int]:
         """Return the numbers of the messages, in the order of the rows, if any."""
-        if self.rows is None:
+        if self.rows is None or not self._records:
             return [each.index for each in self.messages()]
         first = self._row.first
         return [first + ((each - first) & 0xFFFFFFFF) for each in self.rows.sequences.tolist()]
+
+    def sequences(self) -> Sequence[int]:
+        """Return the sequence numbers of the messages, in the order of the rows."""
+        if not self._records:
+            return [each.sample.sequence for each in self._at_hand]
+        return [number + 1 for number in self.numbers()]
 
     def messages(self) -> Iterator[RecordedMessage]:
         """Yield the messages one by one."""

@@ -66,7 +66,7 @@ def _in_pages(recording: Recording, span: PastRange) -> Iterator[MessageBlock]:
     while start is not None:
         criteria = MessageFilter(frozenset({span.topic}), span.from_ns, span.until_ns, start)
         page = recording.select(criteria, _PAGE)
-        yield MessageBlock.of(page.messages)
+        yield from MessageBlock.grouped(page.messages)
         start = page.next
 
 
@@ -360,9 +360,8 @@ class _Reading:
                 if columns is not None:
                     numbers = block.numbers()
                     documents = [f"{record_text.messages}{number}" for number in numbers]
-                    sequences = [number + 1 for number in numbers]
                     times = block.rows.times.tolist()
-                    yield lifter.ntriples(documents, times, sequences, columns), len(numbers)
+                    yield lifter.ntriples(documents, times, block.sequences(), columns), len(numbers)
                     return
         for message in block.messages():
             yield self._lift(recording, message, record_text), 1

@@ -1,4 +1,4 @@
-"""Recordings of made-up runs of a mobile robot, written by rosbags: odometry, gyroscope, battery, commands, diagnostics."""
+"""Recordings of made-up runs of a mobile robot, written by rosbags: odometry, imu, battery, commands, diagnostics."""
 
 from __future__ import annotations
 
@@ -66,14 +66,14 @@ def _write(writer: Any, version: int, seconds: float, seed: int, start_ns: int) 
 def spoken(version: int, seconds: float, seed: int, start_ns: int = START_NS) -> Iterator[Spoken]:
     """Yield the messages of a run in the order of their times, as objects of rosbags for this version of ROS."""
     types, luck = _STORES[version].types, random.Random(seed)
-    Time, Header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    time, head = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
     vector = types["geometry_msgs/msg/Vector3"]
     turn, lowest = luck.uniform(0.05, 0.5), luck.uniform(0.05, 0.8)
     x = y = yaw = 0.0
 
     def header(at: int, frame: str) -> Any:
-        stamp = Time(at // 10**9, at % 10**9)
-        return Header(0, stamp, frame) if version == 1 else Header(stamp, frame)
+        stamp = time(at // 10**9, at % 10**9)
+        return head(0, stamp, frame) if version == 1 else head(stamp, frame)
 
     numbers = {topic: np.arange(int(seconds * rate)) / rate for topic, rate in RATES.items()}
     order = sorted((float(at), topic) for topic, times in numbers.items() for at in times)

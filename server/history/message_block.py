@@ -8,7 +8,7 @@ decoded one by one.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -217,7 +217,7 @@ class MessageBlock:
                 0,
                 np.array([each.sample.sequence for each in members], np.uint64),
                 np.array([each.sample.received_ns for each in members], np.int64),
-                np.frombuffer(b"".join([each.sample.data for each in members]), np.uint8).reshape(len(members), length),
+                np.frombuffer(b"".join(each.sample.data for each in members), np.uint8).reshape(len(members), length),
             )
             yield block
 

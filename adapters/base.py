@@ -26,6 +26,8 @@ from typing import NamedTuple, Protocol, TypeAlias
 
 from msgspec import Struct, field
 
+from rosld.adapters.catalogue import Catalogue
+from rosld.adapters.catalogue import RecordedTopic as RecordedTopic
 from rosld.adapters.model import (
     Encoding,
     GoalEvent,
@@ -121,15 +123,6 @@ class NullSink:
 
     def parameter_changed(self, name: str) -> None:
         """Not of interest."""
-
-
-class RecordedTopic(Struct, frozen=True):
-    """A topic of a recording: its type, its number of messages, and the reason they cannot be decoded, if any."""
-
-    name: str
-    type: TypeRef
-    count: int
-    unreadable: str | None = None
 
 
 class RecordedMessage(Struct, frozen=True):
@@ -266,6 +259,15 @@ class Adapter(Protocol):
         """The recordings of this source by name; empty for most sources."""
         return {}
 
+    @property
+    def catalogue(self) -> Catalogue | None:
+        """The catalogue of a source of many recordings, else None."""
+        return None
+
+    async def wait_for_recordings(self) -> None:
+        """Wait until all recordings of the source are in `recordings`."""
+        return
+
     async def open(self, sink: Sink, *, deadline: float) -> None:
         """Connect and load the graph. If the robot is off, the graph is Stale and the adapter keeps trying to connect.
 
@@ -388,7 +390,8 @@ class AdapterOptions(Struct, frozen=True):
 
     `qos` maps globs of topics to profiles; the first matching profile applies, as far as it is set. `message_limit` is
     the maximum size in bytes of a message or response from a robot's node. `recording_index_limit` is the maximum
-    memory in bytes for the index of a recording, which may come from an untrusted source.
+    memory in bytes for the index of a recording, which may come from an untrusted source. `catalogue` is the path of
+    the catalogue of a source of many recordings, None for one in its first folder.
     """
 
     types: tuple[Path, ...] = ()
@@ -399,6 +402,7 @@ class AdapterOptions(Struct, frozen=True):
     once: bool = False
     message_limit: int = MESSAGE_LIMIT
     recording_index_limit: int | None = None
+    catalogue: Path | None = None
 
 
 Factory: TypeAlias = Callable[[str, AdapterOptions], Adapter]

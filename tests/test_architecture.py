@@ -29,7 +29,8 @@ WEB = ("starlette", "uvicorn", "httptools", "jinja2", "click")
 MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "rosld": ("rosld.server",),
     "rosld.adapters.model": (),
-    "rosld.adapters.base": ("rosld.adapters.model",),
+    "rosld.adapters.catalogue": ("rosld.adapters.model",),
+    "rosld.adapters.base": ("rosld.adapters.model", "rosld.adapters.catalogue"),
     "rosld.adapters": ("rosld.adapters",),
     "rosld.ontology": ("rosld.adapters.model",),
     "rosld.queries": (),
@@ -42,6 +43,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
         "rosld.ontology",
         "rosld.adapters.model",
         "rosld.adapters.base",
+        "rosld.adapters.catalogue",
         "rosld.adapters.registry",
     ),
 }

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from functools import lru_cache
 
 from rosld.adapters.base import Adapter, Capabilities, Published, Recording, Sink, Subscription, Watch
+from rosld.adapters.catalogue import Catalogue
 from rosld.adapters.model import GoalId, Graph, Operation, ParameterValue, Ref, RosError, Sample, Schema, TypeRef
 from rosld.ontology.urls import Space
 from rosld.server.receipts.audit import current_audit, record_step
@@ -195,6 +196,15 @@ class AuditedAdapter:
     def recordings(self) -> Mapping[str, Recording]:
         """See `Adapter.recordings`."""
         return self.inner.recordings
+
+    @property
+    def catalogue(self) -> Catalogue | None:
+        """See `Adapter.catalogue`."""
+        return self.inner.catalogue
+
+    async def wait_for_recordings(self) -> None:
+        """See `Adapter.wait_for_recordings`."""
+        await self.inner.wait_for_recordings()
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
         """See `Adapter.open`."""

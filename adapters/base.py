@@ -20,7 +20,7 @@ Rules, each verified by a contract test:
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeAlias
 
@@ -232,6 +232,9 @@ class Recording(Protocol):
 
     def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
         """Return the newest message of a topic at a time, or None if there was none. Raises Unreachable."""
+
+    def latched_before(self, time_ns: int, selects: Callable[[str], bool]) -> Iterable[tuple[str, Sample]]:
+        """Return the latched messages that are in force at a time, with their topics. Raises Unreachable."""
 
     def select(self, criteria: MessageFilter, limit: int) -> MessagePage:
         """Return at most `limit` messages of about `PAGE_BYTES` in total, reading no others."""

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 from rosld.adapters.base import Adapter
 from rosld.server.cli.main import serve as command
-from rosld.server.cli.main import settings_of
+from rosld.server.cli.options import settings_of
 from rosld.server.cli.serve import Serving, opened
 from rosld.server.serving.http_server import bind, run
 from rosld.server.settings import Settings, address

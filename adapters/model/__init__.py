@@ -1,6 +1,15 @@
 """Plain ROS as values: names, the computation graph, schemas, samples and errors. Without RDF, HTTP and I/O."""
 
-from rosld.adapters.model.errors import NotFound, Refused, RosError, Sent, TimedOut, UnknownType, Unreachable
+from rosld.adapters.model.errors import (
+    NotFound,
+    Refused,
+    RosError,
+    Sent,
+    TimedOut,
+    UnknownType,
+    Unreachable,
+    Unreadable,
+)
 from rosld.adapters.model.graph import (
     Action,
     Endpoint,
@@ -100,6 +109,7 @@ __all__ = [
     "TypeRef",
     "UnknownType",
     "Unreachable",
+    "Unreadable",
     "coerce",
     "freeze",
     "halves_of",

@@ -4,6 +4,7 @@
     ├── NotFound       no such node, topic, service, parameter or message
     ├── Refused        the robot refuses (or the operation does not exist on it)
     ├── Unreachable    the master or the node does not answer
+    │   └── Unreadable a recording cannot be read
     ├── TimedOut       the request was sent and not answered before the deadline
     └── UnknownType    the definition of a type cannot be found
 
@@ -48,6 +49,10 @@ class Refused(RosError):
 
 class Unreachable(RosError):
     """The master or the node cannot be reached."""
+
+
+class Unreadable(Unreachable):
+    """A recording cannot be read: it is damaged, or of an unknown format."""
 
 
 class TimedOut(RosError):

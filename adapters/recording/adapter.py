@@ -32,6 +32,7 @@ from rosld.adapters.model import (
     TypeRef,
     UnknownType,
     Unreachable,
+    Unreadable,
     freeze,
 )
 from rosld.adapters.model.library import TypeLibrary
@@ -45,16 +46,16 @@ from rosld.adapters.recording.storage import Damaged, OpenBudget, OpeningRefused
 
 
 def open_storage(path: Path, budget: OpenBudget | None = None) -> Storage:
-    """Return the recording at `path`. Raises NotFound, or Unreachable with a sentence about the defect."""
+    """Return the recording at `path`. Raises NotFound, or Unreadable with a sentence about the defect."""
     budget = OpenBudget() if budget is None else budget
     if not path.exists():
         raise NotFound(f"there is no recording {str(path)!r}")
     try:
         return Rosbag2(path, open_file, budget) if path.is_dir() else open_file(path, budget)
     except (Damaged, OpeningRefused) as damage:
-        raise Unreachable(f"{str(path)!r} cannot be read as a recording: {damage}") from damage
+        raise Unreadable(f"{str(path)!r} cannot be read as a recording: {damage}") from damage
     except OSError as error:
-        raise Unreachable(f"{str(path)!r} cannot be opened: {error.strerror or error}") from error
+        raise Unreadable(f"{str(path)!r} cannot be opened: {error.strerror or error}") from error
 
 
 def open_file(path: Path, budget: OpenBudget) -> Storage:
@@ -128,7 +129,7 @@ class RecordingAdapter(Adapter):
         return MappingProxyType({} if self._bag is None else {self._bag.name: self._bag})
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Read the index in a thread, then play. Raises NotFound, and Unreachable with the defect.
+        """Read the index in a thread, then play. Raises NotFound, and Unreadable with the defect.
 
         Something must be read before the deadline, and again in each such time span: the total time depends on the
         size.
@@ -192,7 +193,7 @@ class RecordingAdapter(Adapter):
             return self._read(budget)
         except _UNFORESEEN as error:
             words = " ".join(str(error).split()) or type(error).__name__
-            raise Unreachable(f"{str(self._path)!r} cannot be read as a recording: {words}") from error
+            raise Unreadable(f"{str(self._path)!r} cannot be read as a recording: {words}") from error
 
     def _read(self, budget: OpenBudget) -> Bag:
         storage = open_storage(self._path, budget)
@@ -204,7 +205,7 @@ class RecordingAdapter(Adapter):
             storage.close()
             if not isinstance(error, Damaged | OpeningRefused):
                 raise
-            raise Unreachable(f"{str(self._path)!r} cannot be played: {error}") from error
+            raise Unreadable(f"{str(self._path)!r} cannot be played: {error}") from error
 
     def _player(self, topic: str) -> TopicPlayer:
         if self._bag is None:

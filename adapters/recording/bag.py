@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import zlib
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
@@ -141,6 +141,7 @@ def latched_rows(
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 log = logging.getLogger("rosld.recording")
+_STATIC_TOPIC = "/tf_static"
 
 
 class Stream(Struct, frozen=True, eq=False):
@@ -274,6 +275,12 @@ class Bag:
         ]
         return self.message(max(found)) if found else None
 
+    def latched_before(self, time_ns: int, selects: Callable[[str], bool]) -> Iterable[tuple[str, Sample]]:
+        until = int(np.searchsorted(self.times, time_ns, "left"))
+        for row in latched_rows(self._table, until, self._connections, self._types).tolist():
+            if selects(self._stream(row).topic):
+                yield self._stream(row).topic, self.message(row).sample
+
     def sample(self, index: int, sequence: int, epoch: int = 0) -> Sample:
         """Return message `index` as a sample with this sequence and epoch. Raises Unreachable."""
         connection = int(self._table.connections[index])
@@ -352,5 +359,6 @@ def _learn_all(
 
 def _with_global_names(connection: RecordedConnection) -> RecordedConnection:
     """Return the connection with global names, as on a master: old recordings omit the leading slash."""
-    publisher = global_name(connection.publisher) if connection.publisher else ""
-    return connection._replace(topic=global_name(connection.topic or "unnamed"), publisher=publisher)
+    topic, publisher = global_name(connection.topic or "unnamed"), connection.publisher
+    latched = connection.latched or topic == _STATIC_TOPIC  # tf2 relies on it; some recorders omit the QoS
+    return connection._replace(topic=topic, publisher=global_name(publisher) if publisher else "", latched=latched)

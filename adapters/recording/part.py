@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from datetime import datetime, timezone
 from typing import NamedTuple
@@ -11,23 +10,11 @@ from urllib.parse import parse_qsl
 import numpy as np
 from numpy.typing import NDArray
 
+from rosld.adapters.model.moment import Moment, parse_moment
 from rosld.adapters.recording.storage import Damaged, MessageTable
 
 _NAMES = frozenset({"from", "to", "rate"})
 _SECOND = 1_000_000_000
-
-
-class Moment(NamedTuple):
-    """A time in a recording, in ns: since the epoch, since its start, or before its end if negative."""
-
-    ns: int
-    is_absolute: bool
-
-    def at(self, start_ns: int, end_ns: int) -> int:
-        """Return the time in ns since the epoch, in a recording with these first and last times."""
-        if self.is_absolute:
-            return self.ns
-        return end_ns + self.ns if self.ns < 0 else start_ns + self.ns
 
 
 class Part(NamedTuple):
@@ -73,7 +60,7 @@ def parse_part(query: str) -> Part:
         raise ValueError(
             f"{'&'.join(sorted(unknown)) or query!r} after the recording: use from, to and rate, each once"
         )
-    begin, end = _moment(parameters, "from"), _moment(parameters, "to")
+    begin, end = (parse_moment(name, parameters[name]) if name in parameters else None for name in ("from", "to"))
     if begin is not None and end is not None and begin.is_absolute == end.is_absolute:
         both_sides = begin.ns >= 0 > end.ns
         if begin.ns > end.ns and not both_sides:
@@ -88,27 +75,6 @@ def _rate(parameters: Mapping[str, str]) -> float | None:
         return float(parameters["rate"])
     except ValueError as error:
         raise ValueError(f"rate={parameters['rate'][:40]} is not a number") from error
-
-
-def _moment(parameters: Mapping[str, str], name: str) -> Moment | None:
-    text = parameters.get(name)
-    if text is None:
-        return None
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = math.nan
-    if math.isfinite(seconds) and abs(seconds) < 1e9:
-        return Moment(round(seconds * _SECOND), is_absolute=False)
-    try:
-        plain = text.replace(" ", "+")  # a plus sign is decoded as a space
-        time = datetime.fromisoformat(f"{plain[:-1]}+00:00" if plain.endswith(("Z", "z")) else plain)
-    except ValueError as error:
-        words = f"{name}={text[:60]} is neither a time such as 2030-01-31T12:00:00Z nor seconds such as 10 or -60"
-        raise ValueError(words) from error
-    aware = time if time.tzinfo is not None else time.replace(tzinfo=timezone.utc)
-    whole = aware.replace(microsecond=0)
-    return Moment(int(whole.timestamp()) * _SECOND + aware.microsecond * 1000, is_absolute=True)
 
 
 def _utc_text(time_ns: int) -> str:

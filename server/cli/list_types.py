@@ -11,7 +11,7 @@ import click
 from rosld.adapters.base import Adapter, AdapterOptions, NullSink, Sink
 from rosld.adapters.model import Graph, Stale, TypeRef, Unreachable
 from rosld.adapters.registry import adapter_for
-from rosld.server.cli.failure import user_errors
+from rosld.server.cli.failure import ExitCode, user_errors
 
 OPEN_SECONDS = 5.0
 
@@ -53,7 +53,7 @@ def types_in_use(graph: Graph) -> set[TypeRef]:
 
 def types(source: str, options: AdapterOptions) -> None:
     """Print one line per type: its name and, after a tab, its hash if known."""
-    with user_errors(), open_source(source, options) as adapter:
+    with user_errors(ExitCode.USAGE), open_source(source, options) as adapter:
         found = types_in_use(adapter.graph) | set(adapter.known_types())
     hashed = {ref.name for ref in found if ref.hash is not None}
     for ref in sorted(found, key=lambda ref: (ref.name, ref.hash or "")):

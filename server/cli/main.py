@@ -3,46 +3,34 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
 import rosld
 from rosld.adapters.base import AdapterOptions
-from rosld.adapters.model import Qos, read_profile
+from rosld.adapters.model import Qos
 from rosld.server import settings as declared
-from rosld.server.cli.failure import Failure, user_errors
-from rosld.server.settings import Declaration, Settings
-
-_F = TypeVar("_F", bound=Callable[..., Any])
-_DEFAULT_BASE = "http://127.0.0.1:8080/"
-_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
-_FOLDER = click.Path(file_okay=False, path_type=Path)
-_KINDS: Mapping[str, click.ParamType[Any]] = {
-    "int": click.INT,
-    "float": click.FLOAT,
-    "str": click.STRING,
-    "Path | None": _FOLDER,
-    "tuple[Path, ...]": _FOLDER,
-}
+from rosld.server.cli.failure import EXIT_CODES, CommandGroup, Failure, user_errors
+from rosld.server.cli.options import (
+    DEFAULT_BASE,
+    FILE,
+    FOLDER,
+    GlobCommand,
+    output_option,
+    setting_options,
+    settings_of,
+)
+from rosld.server.cli.recording_commands import COMMANDS
+from rosld.server.settings import Settings
 
 
-class _GlobCommand(click.Command):
-    """A command with glob options, which a shell expands to file names unless they are quoted."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        try:
-            return super().parse_args(ctx, args)
-        except click.UsageError as error:
-            if "unexpected extra argument" not in error.message:
-                raise
-            words = "Quote globs, such as --history '*', or the shell expands them to file names"
-            raise click.UsageError(f"{error.message}. {words}", ctx) from error
-
-
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=CommandGroup,
+    epilog=EXIT_CODES,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
 @click.version_option(rosld.__version__, prog_name="rosld", message="%(prog)s %(version)s")
 def main() -> None:
     """rosld turns a robot into Linked Data: a web site to browse, query with SPARQL, and drive.
@@ -53,6 +41,10 @@ def main() -> None:
       rosld serve rover                    an embedded mobile robot: drive it, send it somewhere
       rosld serve run.bag                  a recording, played in a loop
       rosld serve ros1://localhost:11311   a live ROS 1 system
+      rosld info run.bag                   what a recording contains
+      rosld ls runs --where 'battery_state.percentage < 0.2'
+      rosld query run.bag 'SELECT ...'     SPARQL over a recording
+      rosld cut run.bag -o part.mcap --from 60 --to 90
       rosld lift run.bag -o run.nq.gz      a whole recording as RDF
       rosld types run.bag                  the message types in it
       rosld mcp rover                      tools for a language model, on stdin and stdout
@@ -67,74 +59,6 @@ def main() -> None:
         raise Failure("The server forks its workers, which needs a POSIX system: use Linux, or WSL on Windows.")
 
 
-def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    """Return the pairs in NAME=IP options."""
-    pairs = tuple((name, address) for name, _, address in (value.partition("=") for value in values))
-    for value, pair in zip(values, pairs, strict=True):
-        if not all(pair):
-            raise click.BadParameter(f"{value!r} is not NAME=IP")
-    return pairs
-
-
-def _profiles(
-    context: click.Context, parameter: click.Parameter, values: tuple[str, ...]
-) -> tuple[tuple[str, Qos], ...]:
-    """Return the globs and profiles in GLOB=PROFILE options; a glob may contain an equals sign, a profile does not."""
-    profiles: list[tuple[str, Qos]] = []
-    for value in values:
-        glob, _, profile = value.rpartition("=")
-        if not glob.startswith(("/", "*")):
-            raise click.BadParameter(f"{value!r} is not GLOB=PROFILE with the GLOB of a topic, such as '/camera/*'")
-        try:
-            profiles.append((glob, read_profile(profile)))
-        except ValueError as error:
-            raise click.BadParameter(f"in {value!r} {error}") from error
-    return tuple(profiles)
-
-
-_CALLBACKS: Mapping[str, Callable[[click.Context, click.Parameter, tuple[str, ...]], object]] = {
-    "host_map": _pairs,
-    "qos": _profiles,
-}
-
-
-def _option(one: Declaration) -> Callable[[_F], _F]:
-    """Return the click option of a declared setting."""
-    assert one.option is not None
-    if one.type == "bool":
-        return click.option(one.option, one.name, is_flag=True, help=one.help)
-    shown = one.default not in (None, ()) and one.name != "base_url"
-    return click.option(
-        one.option,
-        one.name,
-        type=_FILE if one.metavar == "FILE" else _KINDS.get(one.type, click.STRING),
-        multiple=one.type.startswith("tuple"),
-        callback=_CALLBACKS.get(one.name),
-        default=None if one.name == "base_url" else one.default,
-        show_default=shown,
-        metavar=one.metavar,
-        help=one.help,
-    )
-
-
-def _options(*names: str) -> Callable[[_F], _F]:
-    """Return the options of these settings, by default of all that have one."""
-
-    def decorate(command: _F) -> _F:
-        for one in reversed(declared.declarations()):
-            if one.option is not None and (not names or one.name in names):
-                command = _option(one)(command)
-        return command
-
-    return decorate
-
-
-def _output(help: str) -> Callable[[_F], _F]:
-    """Return the option that names the file to write."""
-    path = click.Path(dir_okay=False, path_type=Path)
-    return click.option("-o", "--output", required=True, type=path, metavar="FILE", help=help)
-
-
 def _others() -> str:
     """Return the settings without an option, as text for the help."""
     rows = (
@@ -145,9 +69,9 @@ def _others() -> str:
     return "\b\nWith --setting NAME VALUE (and their defaults):\n" + "\n".join(rows)
 
 
-@main.command(cls=_GlobCommand, epilog=_others())
+@main.command(cls=GlobCommand, epilog=_others())
 @click.argument("source")
-@_options()
+@setting_options()
 @click.option("--setting", "others", nargs=2, multiple=True, metavar="NAME VALUE", help="Any other setting; see below.")
 def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:
     """Serve SOURCE on the web.
@@ -168,9 +92,9 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
     run(source, settings, base_given=base_url is not None)
 
 
-@main.command("mcp", cls=_GlobCommand, short_help="Serve SOURCE to a language model, on stdin and stdout.")
+@main.command("mcp", cls=GlobCommand, short_help="Serve SOURCE to a language model, on stdin and stdout.")
 @click.argument("source")
-@_options()
+@setting_options()
 @click.option("--setting", "others", nargs=2, multiple=True, metavar="NAME VALUE", help="Any other setting; see serve.")
 def mcp(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:
     """Serve SOURCE to a language model: tools of the Model Context Protocol on stdin and stdout.
@@ -189,19 +113,10 @@ def mcp(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, 
     serve_tools(source, settings)
 
 
-def settings_of(others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> Settings:
-    """Return the settings for the parameters of `serve`. Raises Failure for inconsistent values."""
-    with user_errors():
-        options |= {name.replace("-", "_"): declared.parse(name, text) for name, text in others}
-        if base_url is not None:
-            options["base_url"] = declared.canonical_base(base_url)
-        return Settings(**options)
-
-
 @main.command()
 @click.argument("recording", type=click.Path(path_type=Path))
-@_output("Where to write: .nq, .nt, .ttl or .trig, each also with .gz.")
-@click.option("--base-url", default=_DEFAULT_BASE, show_default=True, metavar="URL", help="The base of all URLs.")
+@output_option("Where to write: .nq, .nt, .ttl or .trig, each also with .gz.")
+@click.option("--base-url", default=DEFAULT_BASE, show_default=True, metavar="URL", help="The base of all URLs.")
 @click.option(
     "--inline-limit",
     type=click.IntRange(0),
@@ -210,7 +125,7 @@ def settings_of(others: tuple[tuple[str, str], ...], base_url: str | None, **opt
     metavar="BYTES",
     help="Replace larger arrays and strings by their length and the URL of their bytes.",
 )
-@_options("types")
+@setting_options("types")
 def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types: tuple[Path, ...]) -> None:
     """Turn a whole RECORDING into RDF.
 
@@ -230,12 +145,12 @@ def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types:
     run(recording, output, base, AdapterOptions(types=types), LiftSettings(inline_limit=inline_limit))
 
 
-@main.command(cls=_GlobCommand, short_help="Record live topics of SOURCE into FILE.")
+@main.command(cls=GlobCommand, short_help="Record live topics of SOURCE into FILE.")
 @click.argument("source", default="ros2:")
-@_output("Where to write: x.mcap, x.bag (a ROS 1 bag), or a name without a suffix (a ROS 2 bag).")
+@output_option("Where to write: x.mcap, x.bag (a ROS 1 bag), or a name without a suffix (a ROS 2 bag).")
 @click.option("--topic", "topics", multiple=True, metavar="GLOB", help="Topics to record; default: all. Repeatable.")
 @click.option("--duration", type=click.FloatRange(min=0), metavar="SECONDS", help="Stop after this time.")
-@_options("types", "ros_ip", "host_map", "qos")
+@setting_options("types", "ros_ip", "host_map", "qos")
 def record(
     source: str,
     output: Path,
@@ -263,9 +178,9 @@ def record(
 
 @main.command(short_help="End the holds of a rosld that was killed.")
 @click.argument("source")
-@click.option("--data", "folder", required=True, type=_FOLDER, metavar="DIR", help="The --data of the rosld to watch.")
+@click.option("--data", "folder", required=True, type=FOLDER, metavar="DIR", help="The --data of the rosld to watch.")
 @click.option("--once", is_flag=True, help="Exit once nothing is left to do: for systemd's ExecStopPost.")
-@_options("types", "ros_ip", "host_map", "qos")
+@setting_options("types", "ros_ip", "host_map", "qos")
 def guard(
     source: str,
     folder: Path,
@@ -291,7 +206,7 @@ def guard(
 
 @main.command(short_help="List the message and service types of SOURCE.")
 @click.argument("source")
-@_options("types")
+@setting_options("types")
 def types(source: str, types: tuple[Path, ...]) -> None:
     """List the message and service types that SOURCE uses: name, tab, hash.
 
@@ -362,7 +277,7 @@ def token_remove(name: str, file: Path) -> None:
 
 @main.command(short_help="Copy the stored resources of DIR into a file.")
 @click.argument("folder", metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@_output("Where to write: a .tar.gz.")
+@output_option("Where to write: a .tar.gz.")
 def dump(folder: Path, output: Path) -> None:
     """Copy the stored resources, RDF and files, of DIR (`rosld serve --data DIR`) into FILE.
 
@@ -378,8 +293,8 @@ def dump(folder: Path, output: Path) -> None:
 
 
 @main.command(short_help="Restore a dump into DIR.")
-@click.argument("file", type=_FILE)
-@click.argument("folder", metavar="DIR", type=_FOLDER)
+@click.argument("file", type=FILE)
+@click.argument("folder", metavar="DIR", type=FOLDER)
 @click.option("--base-url", default=None, metavar="URL", help="The new base of IRIs that begin with the dump's base.")
 def load(file: Path, folder: Path, base_url: str | None) -> None:
     """Replace all stored resources of DIR by those of FILE, atomically.
@@ -398,3 +313,7 @@ def load(file: Path, folder: Path, base_url: str | None) -> None:
     with user_errors():
         base = None if base_url is None else declared.canonical_base(base_url)
     run(file, folder, base)
+
+
+for command in COMMANDS:
+    main.add_command(command)

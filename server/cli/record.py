@@ -15,7 +15,7 @@ import click
 from rosld.adapters.base import Adapter, AdapterOptions, NullSink
 from rosld.adapters.model import Encoding, Graph, RosError
 from rosld.adapters.registry import adapter_for
-from rosld.server.cli.failure import Failure, end_signals, user_errors
+from rosld.server.cli.failure import ExitCode, Failure, end_signals, user_errors
 from rosld.server.cli.list_types import open_at_once
 from rosld.server.history.bag_export import BAG, ROSBAG2, CannotExport, export
 from rosld.server.history.history_writer import require_room
@@ -30,37 +30,38 @@ _PROGRESS_SECONDS = 1.0
 
 def record(source: str, output: Path, topics: Sequence[str], duration: float | None, options: AdapterOptions) -> None:
     """Record until a signal, or for `duration` seconds, with progress on stderr. Raises Failure."""
-    file = _mcap_file(output)
+    file = mcap_file(output)
     for path in {output, file}:
         if path.exists():
-            raise Failure(f"{path} already exists: choose another file")
-    with user_errors():
+            raise Failure(f"{path} already exists: choose another file", ExitCode.OUTPUT)
+    with user_errors(ExitCode.USAGE):
         for glob in topics:
             check_topic_glob("--topic", glob)
         adapter = adapter_for(source, options)
         if adapter.capabilities.system == "recording":
             raise ValueError(_not_live(source))
-        _require_format(output, adapter.capabilities.encoding)
+        require_format(output, adapter.capabilities.encoding)
         writer = asyncio.run(_Recording(adapter, file, topics or ("*",)).run(duration))
     if writer.problem is not None:
-        raise Failure(writer.problem)
+        raise Failure(writer.problem, ExitCode.INCOMPLETE)
     if file != output:
         try:
-            _convert(file, output, options)
+            convert(file, output, options)
         except (OSError, RosError, CannotExport) as error:
-            raise Failure(f"{output} cannot be written: {error}; the recording is in {file}") from error
+            words = f"{output} cannot be written: {error}; the recording is in {file}"
+            raise Failure(words, ExitCode.OUTPUT) from error
         file.unlink()
     if writer.silent:
         click.echo(f"rosld: no messages received on {', '.join(writer.silent)}", err=True)
     click.echo(f"{output}: {writer.count} messages on {len(writer.counts)} topics", err=True)
 
 
-def _mcap_file(output: Path) -> Path:
+def mcap_file(output: Path) -> Path:
     """Return the file that is written first: the output, or a temporary one to convert at the end."""
     return output if output.suffix == SUFFIX else output.with_name(f"{output.name}{SUFFIX}")
 
 
-def _require_format(output: Path, encoding: Encoding) -> None:
+def require_format(output: Path, encoding: Encoding) -> None:
     """Raise ValueError if the name of the output has no known format, or that of the other ROS version."""
     own = "FILE.bag, a ROS 1 bag" if encoding is Encoding.ROS1 else "FOLDER, a ROS 2 bag"
     if output.suffix == SUFFIX or output.suffix == (BAG.suffix if encoding is Encoding.ROS1 else ""):
@@ -69,7 +70,7 @@ def _require_format(output: Path, encoding: Encoding) -> None:
     raise ValueError(f"-o {output}: the messages are of ROS {version}; use FILE.mcap or {own}")
 
 
-def _convert(file: Path, output: Path, options: AdapterOptions) -> None:
+def convert(file: Path, output: Path, options: AdapterOptions) -> None:
     """Convert the recording to the format of the output's name. Raises OSError, RosError and CannotExport."""
     wanted = BAG if output.suffix == BAG.suffix else ROSBAG2
     export(file, output, wanted, AdapterOptions(types=options.types))

@@ -8,7 +8,7 @@ import hashlib
 import logging
 import sqlite3
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeAlias
@@ -298,6 +298,13 @@ class HistoryRecording:
         except (OSError, ValueError, KeyError) as error:
             raise Unreachable(f"the history of {topic} cannot be read: {error}") from error
         return None if sample is None else RecordedMessage(sample.sequence - 1, topic, sample)
+
+    def latched_before(self, time_ns: int, selects: Callable[[str], bool]) -> Iterable[tuple[str, Sample]]:
+        """Return the latched messages that are in force at a time, with their topics. Raises Unreachable."""
+        try:
+            return self._writer.latched_at(time_ns, selects)
+        except (OSError, ValueError, KeyError) as error:
+            raise Unreachable(f"the history cannot be read: {error}") from error
 
     def select(self, criteria: MessageFilter, limit: int) -> MessagePage:
         """Return at most `limit` messages; reads only the chunks that the index selects."""

@@ -59,8 +59,9 @@ class Transport(Protocol):
 class LocalTransport:
     """Transport within the process, to an ASGI application."""
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, max_body: int = MAX_BODY) -> None:
         self._app = app
+        self._max_body = max_body
 
     async def send(self, caller: Caller, method: str, url: str, fields: Fields, body: bytes = b"") -> Answer:
         parts = urlsplit(url)
@@ -79,7 +80,7 @@ class LocalTransport:
             "client": caller.address,
             "server": (parts.hostname, parts.port),
         }
-        exchange = _LocalExchange(body)
+        exchange = _LocalExchange(body, self._max_body)
         await self._app(scope, exchange.receive, exchange.send)
         return exchange.answer()
 
@@ -87,7 +88,8 @@ class LocalTransport:
 class _LocalExchange:
     """Sides of one request in process: it disconnects once the response is known to be too long."""
 
-    def __init__(self, body: bytes) -> None:
+    def __init__(self, body: bytes, max_body: int) -> None:
+        self._max_body = max_body
         self._request: bytes | None = body
         self._ended = asyncio.Event()
         self._status = 500
@@ -109,16 +111,16 @@ class _LocalExchange:
                 (name.decode("latin-1").lower(), value.decode("latin-1")) for name, value in message["headers"]
             ]
             if any(name == "content-type" and value.startswith(_ENDLESS) for name, value in self._fields):
-                self._size = MAX_BODY + 1
+                self._size = self._max_body + 1
         elif not self._ended.is_set():
             chunk = message.get("body", b"")
             self._size += len(chunk)
             self._chunks.append(chunk)
-        if self._size > MAX_BODY:
+        if self._size > self._max_body:
             self._ended.set()
 
     def answer(self) -> Answer:
-        return Answer(self._status, self._fields, None if self._size > MAX_BODY else b"".join(self._chunks))
+        return Answer(self._status, self._fields, None if self._size > self._max_body else b"".join(self._chunks))
 
 
 class RemoteTransport:

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from rosld.adapters.base import AdapterOptions, NullSink
 from rosld.adapters.model import Unreachable
+from rosld.adapters.model.moment import Moment
 from rosld.adapters.recording import adapter
-from rosld.adapters.recording.part import Moment, Part, parse_part
+from rosld.adapters.recording.part import Part, parse_part
 from rosld.adapters.recording.player import Playback
 from tests.adapters.recording.recorder import lines, write_rosbag1
 

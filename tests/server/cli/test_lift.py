@@ -165,7 +165,7 @@ def test_a_name_that_says_no_syntax_and_what_is_missing_are_refused_in_one_line(
     assert not list(tmp_path.iterdir())
     (tmp_path / "x.nq").write_text("as it was")
     result = lift(tmp_path / "no-such.bag", tmp_path / "x.nq")
-    assert (result.exit_code, result.stderr.count("\n"), "no-such.bag" in result.stderr) == (1, 1, True)
+    assert (result.exit_code, result.stderr.count("\n"), "no-such.bag" in result.stderr) == (3, 1, True)
     assert (tmp_path / "x.nq").read_text() == "as it was"
     result = lift(bag, tmp_path / "none" / "x.nq")
     assert result.exit_code == 1

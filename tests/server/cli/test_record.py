@@ -49,7 +49,7 @@ def test_a_name_without_a_suffix_is_the_folder_of_a_ros_2_bag_and_each_ros_has_i
         assert f"{folder}: {reader.message_count} messages" in done.stderr
     assert [each.name for each in tmp_path.iterdir()] == ["drive"], "nothing else is left"
     for name in ("drive.bag", "drive.db3"):
-        refused = record(*command, tmp_path / name, code=1)
+        refused = record(*command, tmp_path / name, code=2)
         assert "the messages are of ROS 2; use FILE.mcap or FOLDER, a ROS 2 bag" in refused.stderr
 
 
@@ -68,12 +68,12 @@ def test_what_is_there_is_not_written_over_and_what_cannot_be_recorded_is_refuse
     path, other = tmp_path / "run.mcap", tmp_path / "other.mcap"
     path.write_bytes(b"mine")
     (tmp_path / "drive.bag").write_bytes(b"")
-    for arguments, words in (
-        (("rover", "-o", path), "already exists"),
-        ((tmp_path / "drive.bag", "-o", other), "is already a recording"),
-        (("rovre", "-o", other), "rovre is not a live source"),
-        (("rover", "-o", other, "--topic", "odom"), "--topic odom: must begin with a slash or a star"),
+    for arguments, code, words in (
+        (("rover", "-o", path), 5, "already exists"),
+        ((tmp_path / "drive.bag", "-o", other), 2, "is already a recording"),
+        (("rovre", "-o", other), 2, "rovre is not a live source"),
+        (("rover", "-o", other, "--topic", "odom"), 2, "--topic odom: must begin with a slash or a star"),
     ):
-        assert words in record(*arguments, code=1).stderr
+        assert words in record(*arguments, code=code).stderr
     assert path.read_bytes() == b"mine"
     assert not other.exists()

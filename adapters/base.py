@@ -394,7 +394,8 @@ class AdapterOptions(Struct, frozen=True):
     `qos` maps globs of topics to profiles; the first matching profile applies, as far as it is set. `message_limit` is
     the maximum size in bytes of a message or response from a robot's node. `recording_index_limit` is the maximum
     memory in bytes for the index of a recording, which may come from an untrusted source. `catalogue` is the path of
-    the catalogue of a source of many recordings, None for one in its first folder.
+    the catalogue of a source of many recordings, None for one in its first folder. `recording_name` replaces the name
+    that a recording has from its path.
     """
 
     types: tuple[Path, ...] = ()
@@ -406,6 +407,7 @@ class AdapterOptions(Struct, frozen=True):
     message_limit: int = MESSAGE_LIMIT
     recording_index_limit: int | None = None
     catalogue: Path | None = None
+    recording_name: str | None = None
 
 
 Factory: TypeAlias = Callable[[str, AdapterOptions], Adapter]

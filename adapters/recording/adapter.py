@@ -200,7 +200,8 @@ class RecordingAdapter(Adapter):
         self._library = TypeLibrary(ros_version=storage.ros_version, folders=self._options.types)
         self._encoding = Encoding.ROS1 if storage.ros_version == 1 else Encoding.CDR
         try:
-            return Bag(recording_name(self._path), self._path, storage, self._library, self._part, budget)
+            name = self._options.recording_name or recording_name(self._path)
+            return Bag(name, self._path, storage, self._library, self._part, budget)
         except BaseException as error:
             storage.close()
             if not isinstance(error, Damaged | OpeningRefused):

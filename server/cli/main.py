@@ -12,9 +12,9 @@ import rosld
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Qos
 from rosld.server import settings as declared
+from rosld.server.cli import conversion_commands
 from rosld.server.cli.failure import EXIT_CODES, CommandGroup, Failure, user_errors
 from rosld.server.cli.options import (
-    DEFAULT_BASE,
     FILE,
     FOLDER,
     GlobCommand,
@@ -23,7 +23,6 @@ from rosld.server.cli.options import (
     settings_of,
 )
 from rosld.server.cli.recording_commands import COMMANDS
-from rosld.server.settings import Settings
 
 
 @click.group(
@@ -111,38 +110,6 @@ def mcp(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, 
     from rosld.server.cli.mcp import serve_tools
 
     serve_tools(source, settings)
-
-
-@main.command()
-@click.argument("recording", type=click.Path(path_type=Path))
-@output_option("Where to write: .nq, .nt, .ttl or .trig, each also with .gz.")
-@click.option("--base-url", default=DEFAULT_BASE, show_default=True, metavar="URL", help="The base of all URLs.")
-@click.option(
-    "--inline-limit",
-    type=click.IntRange(0),
-    default=Settings.inline_limit,
-    show_default=True,
-    metavar="BYTES",
-    help="Replace larger arrays and strings by their length and the URL of their bytes.",
-)
-@setting_options("types")
-def lift(recording: Path, output: Path, base_url: str, inline_limit: int, types: tuple[Path, ...]) -> None:
-    """Turn a whole RECORDING into RDF.
-
-    Each message gets its own URL (BASE/bags/NAME/messages/K) and, in .nq and .trig, a named graph of that name. FILE
-    appears only once it is complete.
-
-    \b
-    Examples:
-      rosld lift run.bag -o run.nq
-      rosld lift run.mcap -o run.trig.gz --base-url https://data.example/
-    """
-    from rosld.ontology.lift import LiftSettings
-    from rosld.server.cli.lift import lift as run
-
-    with user_errors():
-        base = declared.canonical_base(base_url)
-    run(recording, output, base, AdapterOptions(types=types), LiftSettings(inline_limit=inline_limit))
 
 
 @main.command(cls=GlobCommand, short_help="Record live topics of SOURCE into FILE.")
@@ -315,5 +282,5 @@ def load(file: Path, folder: Path, base_url: str | None) -> None:
     run(file, folder, base)
 
 
-for command in COMMANDS:
+for command in (*COMMANDS, *conversion_commands.COMMANDS):
     main.add_command(command)

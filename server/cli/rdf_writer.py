@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 from msgspec.structs import replace
 
-from rosld.adapters.base import RecordedMessage, Recording
+from rosld.adapters.base import MessageFilter, RecordedMessage, Recording
 from rosld.adapters.model import MessageSchema, RosError, TypeRef
 from rosld.ontology.describe_bags import BagView, bag_document, bag_message_document
 from rosld.ontology.describe_types import type_document
@@ -36,6 +36,10 @@ class Reader(NamedTuple):
     lifter: Lifter
 
 
+_PAGE = 1000
+"""Number of messages read at once."""
+
+
 class Lifting:
     """The documents of one recording; `unread` counts, by topic and reason, the messages that could not be decoded."""
 
@@ -58,13 +62,17 @@ class Lifting:
             if isinstance(reader, Reader):
                 yield type_document(reader.schema, self._space, [other for other in refs if other.name == ref.name])
 
-    def messages(self) -> Iterator[DescribedMessage]:
-        """Yield every message in recorded order."""
-        for recorded in self.recording.messages():
-            described = self._describe(recorded)
-            if described.unreadable is not None:
-                self.unread[f"{recorded.topic}: {described.unreadable}"] += 1
-            yield described
+    def messages(self, criteria: MessageFilter = MessageFilter()) -> Iterator[DescribedMessage]:  # noqa: B008
+        """Yield the messages that match a filter, in recorded order."""
+        start: int | None = criteria.start
+        while start is not None:
+            page = self.recording.select(replace(criteria, start=start), _PAGE)
+            start = page.next
+            for recorded in page.messages:
+                described = self._describe(recorded)
+                if described.unreadable is not None:
+                    self.unread[f"{recorded.topic}: {described.unreadable}"] += 1
+                yield described
 
     def document(self, described: DescribedMessage) -> Document:
         """Return the document of one message."""

@@ -161,33 +161,37 @@ def test_a_large_array_is_elided_above_the_limit_only(bag: Path, tmp_path: Path)
 def test_a_name_that_says_no_syntax_and_what_is_missing_are_refused_in_one_line(bag: Path, tmp_path: Path) -> None:
     for name in ("x", "x.csv", "x.gz", "x.nq.zip", "nq"):
         result = lift(bag, tmp_path / name)
-        assert (result.exit_code, result.stderr.count("\n"), ".trig" in result.stderr) == (1, 1, True), name
+        assert (result.exit_code, result.stderr.count("\n"), ".trig" in result.stderr) == (2, 1, True), name
     assert not list(tmp_path.iterdir())
     (tmp_path / "x.nq").write_text("as it was")
     result = lift(tmp_path / "no-such.bag", tmp_path / "x.nq")
     assert (result.exit_code, result.stderr.count("\n"), "no-such.bag" in result.stderr) == (3, 1, True)
     assert (tmp_path / "x.nq").read_text() == "as it was"
     result = lift(bag, tmp_path / "none" / "x.nq")
-    assert result.exit_code == 1
+    assert result.exit_code == 5
     assert result.stderr.splitlines()[-1].startswith("rosld: ")
     assert "Traceback" not in result.stderr
 
 
 @pytest.mark.slow
-def test_a_run_that_is_ended_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_run_that_is_ended_leaves_the_output_as_it_was_and_the_same_command_continues(tmp_path: Path) -> None:
     long = record(tmp_path / "long.bag", 30_000)
     output = tmp_path / "out"
     output.mkdir()
     (output / "x.nt.gz").write_text("as it was")
-    command = [sys.executable, "-m", "rosld", "lift", str(long), "-o", str(output / "x.nt.gz")]
+    command = [sys.executable, "-m", "rosld", "lift", str(long), "-o", str(output / "x.nt.gz"), "--workers", "1"]
+    manifest = output / ".x.nt.gz.parts" / "manifest.jsonl"
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
         try:
-            while len(list(output.iterdir())) < 2 and process.poll() is None:
-                time.sleep(0.005)  # until the draft exists
+            while not (manifest.exists() and b"joined" in manifest.read_bytes()) and process.poll() is None:
+                time.sleep(0.005)
             process.send_signal(signal.SIGTERM)
             code = process.wait(60)
         finally:
             process.kill()
     assert code == 128 + signal.SIGTERM
-    assert [path.name for path in output.iterdir()] == ["x.nt.gz"]
     assert (output / "x.nt.gz").read_text() == "as it was"
+    assert lift(long, output / "x.nt.gz").exit_code == 0
+    assert lift(long, tmp_path / "y.nt.gz").exit_code == 0
+    assert (output / "x.nt.gz").read_bytes() == (tmp_path / "y.nt.gz").read_bytes()
+    assert [path.name for path in output.iterdir()] == ["x.nt.gz"]

@@ -60,8 +60,9 @@ owl = Namespace("http://www.w3.org/2002/07/owl#", "Class DatatypeProperty Object
 # SPARQL 1.1 Service Description.
 sd = Namespace(
     "http://www.w3.org/ns/sparql-service-description#",
-    "Service Dataset Graph Function endpoint supportedLanguage SPARQL11Query SPARQL11Update inputFormat resultFormat "
-    "feature UnionDefaultGraph defaultDataset defaultGraph defaultEntailmentRegime extensionFunction",
+    "Service Dataset Graph Function Aggregate endpoint supportedLanguage SPARQL11Query SPARQL11Update inputFormat "
+    "resultFormat feature UnionDefaultGraph defaultDataset defaultGraph defaultEntailmentRegime extensionFunction "
+    "extensionAggregate",
 )
 # XML Schema datatypes of ROS values.
 xsd = Namespace(
@@ -200,6 +201,7 @@ activity = Namespace(
 _PREFIXES = {"mapping": "map", "schema_org": "schema", "activity": "as", "owl_time": "owl-time"}
 PREFIXES: Mapping[str, str] = {
     **{_PREFIXES.get(name, name): each.iri for name, each in list(globals().items()) if isinstance(each, Namespace)},
+    "math": "http://www.w3.org/2005/xpath-functions/math#",
     "geof": "http://www.opengis.net/def/function/geosparql/",
     "uom": "http://www.opengis.net/def/uom/OGC/1.0/",
     "unit": "http://qudt.org/vocab/unit/",

@@ -325,6 +325,14 @@ class _ros(Namespace):
     min: NamedNode
     max: NamedNode
     mean: NamedNode
+    seconds: NamedNode
+    floor: NamedNode
+    asOf: NamedNode
+    previous: NamedNode
+    median: NamedNode
+    percentile: NamedNode
+    stdev: NamedNode
+    variance: NamedNode
     convert: NamedNode
     age: NamedNode
     transform: NamedNode
@@ -440,6 +448,7 @@ class _sd(Namespace):
     Dataset: NamedNode
     Graph: NamedNode
     Function: NamedNode
+    Aggregate: NamedNode
     endpoint: NamedNode
     supportedLanguage: NamedNode
     SPARQL11Query: NamedNode
@@ -452,6 +461,7 @@ class _sd(Namespace):
     defaultGraph: NamedNode
     defaultEntailmentRegime: NamedNode
     extensionFunction: NamedNode
+    extensionAggregate: NamedNode
 
 sd: _sd
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 from pyoxigraph import BlankNode, Literal, NamedNode, QueryBoolean, QuerySolutions, QueryTriples, Triple
 
@@ -11,6 +11,19 @@ Results: TypeAlias = QuerySolutions | QueryBoolean | QueryTriples
 Term: TypeAlias = NamedNode | BlankNode | Literal | Triple
 Function: TypeAlias = Callable[..., Term | None]
 """A SPARQL function of terms; None is SPARQL's type error. Must not raise."""
+
+
+class Aggregate(Protocol):
+    """Accumulator of the values of a group."""
+
+    def accumulate(self, term: Term) -> None:
+        """Add a value. Must not raise."""
+
+    def finish(self) -> Term | None:
+        """Return the result, None for an error. Must not raise."""
+
+
+AggregateFunction: TypeAlias = Callable[[], Aggregate]
 
 
 class QueryError(ValueError):

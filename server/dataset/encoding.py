@@ -109,6 +109,12 @@ def encode_literal(literal: Literal) -> Literal:
     return Literal(literal.value, datatype=private_datatype(name))
 
 
+def is_numeric(literal: Literal) -> bool:
+    """Whether the datatype of a literal is one of XSD's numbers."""
+    datatype = literal.datatype.value
+    return datatype.startswith(xsd.iri) and datatype[len(xsd.iri) :] in _PREFIXES
+
+
 def encode_triple(triple: Triple) -> Triple:
     """Return the triple as it is stored."""
     if not isinstance(triple.object, Literal):

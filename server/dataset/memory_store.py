@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from pyoxigraph import BlankNode, DefaultGraph, NamedNode, Quad, RdfFormat, Store, Triple, parse
 
-from rosld.server.dataset.base import Edit, Function, QueryError, Results
+from rosld.server.dataset.base import AggregateFunction, Edit, Function, QueryError, Results
 from rosld.server.dataset.encoding import decode_ntriples, decode_triple, encode_ntriples
 from rosld.server.dataset.private_functions import FUNCTIONS
 from rosld.server.runtime.process_memory import trim
@@ -207,6 +207,7 @@ class MemoryStore:
         default_graphs: Sequence[str] = (),
         named_graphs: Sequence[str] = (),
         past: bytes | None = None,
+        aggregates: Mapping[str, AggregateFunction] = {},
     ) -> Results:
         """Start a query; results are computed as they are read. Raises QueryError.
 
@@ -230,6 +231,7 @@ class MemoryStore:
                 default_graph=default if is_chosen else None,
                 named_graphs=named if is_chosen else None,
                 custom_functions=self._functions_by_node(functions),
+                custom_aggregate_functions={NamedNode(name): each for name, each in aggregates.items()},
             )
         except (SyntaxError, ValueError, RuntimeError) as error:
             raise QueryError(str(error)) from error

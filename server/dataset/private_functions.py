@@ -9,7 +9,7 @@ from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
 from rosld.ontology.vocab import rdf, xsd
 from rosld.server.dataset.base import Function, Term
-from rosld.server.dataset.encoding import NAMESPACE, decode_term, encode_literal
+from rosld.server.dataset.encoding import NAMESPACE, decode_term, encode_literal, is_numeric
 from rosld.server.dataset.sort_keys import sort_key
 
 KEY = f"{NAMESPACE}f:key"
@@ -23,6 +23,8 @@ LESS = f"{NAMESPACE}f:less"
 """IRI of the function that returns the lesser of the two, with `NOTHING` for none."""
 NOTHING = "~"
 """String that pyoxigraph considers greater than every number and every key."""
+PAIR = f"{NAMESPACE}f:pair"
+"""IRI of the function that returns two numbers as one string: the store's aggregates take one argument."""
 PACK = f"{NAMESPACE}f:pack"
 """IRI of the function that returns a sort key from which `UNPACK` restores the term: MIN and MAX compare these."""
 UNPACK = f"{NAMESPACE}f:unpack"
@@ -80,6 +82,12 @@ def _first(number: Term, packed: Term, precedes: Callable[[str, str], bool]) -> 
     return number if precedes(sort_key(number), packed.value) else _unpack(packed)
 
 
+def _pair(value: Term, other: Term) -> Term:
+    if isinstance(value, Literal) and isinstance(other, Literal) and is_numeric(value) and is_numeric(other):
+        return Literal(f"{other.value} {value.value}")
+    return Literal("")
+
+
 def _typed_literal(text: Term, datatype: Term) -> Term | None:
     if not isinstance(text, Literal) or text.datatype != xsd.string or not isinstance(datatype, NamedNode):
         return None
@@ -92,6 +100,7 @@ FUNCTIONS: Mapping[str, Function] = {
     KEY: _key,
     ORDER: _order,
     PACK: _pack,
+    PAIR: _pair,
     UNPACK: _unpack,
     GREATER: _greater,
     LESS: _less,

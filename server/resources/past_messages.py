@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import time
+from array import array
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
+from itertools import starmap
 from typing import NamedTuple
 
 from rosld.adapters.base import FOR_EVER, MessageFilter, RecordedMessage, RecordedTopic, Recording
 from rosld.adapters.model import MessageSchema, RosError, Sample, TypeRef
-from rosld.ontology.column_lift import ColumnLifter, column_lifter
+from rosld.ontology.column_lift import ColumnLifter, column_lifter, shorten_paths
 from rosld.ontology.describe_topics import MESSAGE
 from rosld.ontology.document import Envelope
 from rosld.ontology.geometry import TERMS, geometry_ntriples, geometry_of, has_place
@@ -27,6 +30,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.robot.session import Session
 from rosld.server.space.transforms import KEPT_NS, STATIC_TOPIC, TOPICS, TYPES, FrameBuffer, FrameRow
 from rosld.server.sparql.intervals import Interval
+from rosld.server.sparql.message_order import MessageTimes
 from rosld.server.sparql.past import MAX_TEXT, PastQuery, PastSelection, PastText
 from rosld.server.sparql.query_limits import MAX_PAST, out_of_time, too_much_past
 
@@ -230,6 +234,11 @@ class _Reading:
         self._until = until
         self._asks_transforms = query.asks_transforms
         self._placed_ns: list[int] = []
+        self._paths = query.paths
+        self._kept = query.kept or frozenset()
+        self._is_ordered = query.is_ordered
+        self._counts: Counter[str] = Counter()
+        self._times: dict[tuple[str, str], list[tuple[int, int]]] = {}
         self._size = 0
         self._read = 0
         self._lifters: dict[tuple[TypeRef, str], ColumnLifter | None] = {}
@@ -266,7 +275,8 @@ class _Reading:
                         time.sleep(_SLICE / 20)
                         pause = time.monotonic() + _SLICE
         transforms = self._transforms(recordings) if self._asks_transforms else ()
-        return PastText("".join(texts).encode(), is_whole, transforms)
+        times = [*starmap(_message_times, self._times.items())]
+        return PastText("".join(texts).encode(), is_whole, transforms, times, self._counts)
 
     def _transforms(self, recordings: Sequence[Recording]) -> Sequence[FrameRow]:
         """Return the transforms around the times of the lifted places. Raises Problems."""
@@ -307,7 +317,8 @@ class _Reading:
                 continue
             for each in selections:
                 if self._is_of(each, url, recording, topic):
-                    found.append(PastRange(name, max(each.time.low, 0), min(each.time.high, FOR_EVER)))
+                    low = _earlier(recording, name, max(each.time.low, 0), each.before)
+                    found.append(PastRange(name, low, min(each.time.high, FOR_EVER)))
         return merge_ranges(found)
 
     def _is_of(self, selection: PastSelection, url: str, recording: Recording, topic: RecordedTopic) -> bool:
@@ -361,8 +372,11 @@ class _Reading:
                     numbers = block.numbers()
                     documents = [f"{record_text.messages}{number}" for number in numbers]
                     times = block.rows.times.tolist()
-                    yield lifter.ntriples(documents, times, block.sequences(), columns), len(numbers)
-                    return
+                    text = lifter.ntriples(documents, times, block.sequences(), columns)
+                    if text is not None:
+                        self._note(record_text, channel.topic, times, numbers)
+                        yield text, len(numbers)
+                        return
         for message in block.messages():
             yield self._lift(recording, message, record_text), 1
 
@@ -377,8 +391,22 @@ class _Reading:
         key = schema.ref, topic
         if key not in self._lifters:
             assert self._only is not None
-            self._lifters[key] = column_lifter(self._lifter(schema), self._only, topic, MESSAGE)
+            lifter, is_simulated = self._lifter(schema), self._graph.simulated_time
+            self._lifters[key] = column_lifter(
+                lifter, self._only, topic, MESSAGE, self._shorten, simulated_time=is_simulated
+            )
         return self._lifters[key]
+
+    def _shorten(self, text: str, message: str) -> str:
+        """Return the text of a message with a statement for each of the query's paths."""
+        return shorten_paths(text, message, self._paths, self._kept) if self._paths else text
+
+    def _note(self, record_text: _RecordText, topic: str, times: Sequence[int], numbers: Sequence[int]) -> None:
+        """Count readable messages, and note their times and numbers if the query asks for their order."""
+        self._counts[topic] += len(numbers)
+        if self._is_ordered:
+            place = record_text.topic(topic), record_text.messages
+            self._times.setdefault(place, []).extend(zip(times, numbers, strict=True))
 
     def _lift(self, recording: Recording, message: RecordedMessage, record_text: _RecordText) -> str:
         """Return the text of a message and its record."""
@@ -398,10 +426,27 @@ class _Reading:
         lifted = self._lifter(schema).ntriples(
             decoded, url, MESSAGE, envelope=envelope, simulated_time=self._graph.simulated_time
         )
+        lifted = self._shorten(lifted, url + MESSAGE)
+        self._note(record_text, message.topic, [sample.received_ns], [message.index])
         if self._is_placed(schema) and (place := geometry_of(schema, decoded)) is not None:
             self._placed_ns.append(sample.received_ns)
             lifted += geometry_ntriples(url + MESSAGE, place, self._session.space.frames, only=self._only)
         return f"{record_text.of_record(url, message)}{lifted}"
+
+
+def _message_times(place: tuple[str, str], messages: list[tuple[int, int]]) -> MessageTimes:
+    ordered = sorted(messages)
+    times, numbers = (array("q", each) for each in zip(*ordered, strict=True))
+    return MessageTimes(*place, times, numbers)
+
+
+def _earlier(recording: Recording, topic: str, time_ns: int, count: int) -> int:
+    """Return the time of the message that is `count` messages before a time, or of the first."""
+    for _ in range(count):
+        with suppress(RosError):
+            found = recording.latest_at(topic, time_ns - 1) if time_ns else None
+            time_ns = time_ns if found is None else found.sample.received_ns
+    return time_ns
 
 
 class _RecordText:

@@ -40,6 +40,7 @@ from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.server.sparql import disconnect
 from rosld.server.sparql.disconnect import Disconnected
+from rosld.server.sparql.math_functions import AGGREGATES
 from rosld.server.sparql.protocol import (
     QUERY_MEDIA_TYPE,
     UPDATE_MEDIA_TYPE,
@@ -198,6 +199,9 @@ def _extensions(service: NamedNode) -> Iterable[Triple]:
     for iri in sorted(functions(lambda url: None)):
         yield from triples_about(service, (sd.extensionFunction, NamedNode(iri)))
         yield from triples_about(NamedNode(iri), (rdf.type, sd.Function))
+    for iri in sorted(AGGREGATES):
+        yield from triples_about(service, (sd.extensionAggregate, NamedNode(iri)))
+        yield from triples_about(NamedNode(iri), (rdf.type, sd.Aggregate))
 
 
 RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, HTML)))

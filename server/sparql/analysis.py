@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from urllib.parse import unquote
 
@@ -17,7 +17,8 @@ from rosld.server.http.problem import Problem
 from rosld.server.sparql.needs import Needs, groups_within, needs_of
 from rosld.server.sparql.past import MessageTerms, PastQuery, past_query
 from rosld.server.sparql.rewriting import rewrite
-from rosld.server.sparql.ros_functions import AGE
+from rosld.server.sparql.ros_functions import AGE, OWN
+from rosld.server.sparql.syntax.cursor import did_you_mean
 from rosld.server.sparql.syntax.lexer import (
     NO_SERVICES,
     CheckedText,
@@ -87,10 +88,11 @@ class Analyser:
         if keyword := update_keyword(checked.tokens):
             raise Problem(400, f"{keyword} is an update, but this is the query endpoint, which only reads.")
         query = parse_query(checked, self.prefixes, self.base, AGE)
+        _require_own_functions(query.functions)
         units = _units_of_variables(query.where, self._types) if ros.convert.value in query.functions else {}
         past = past_query(query, MessageTerms(self._types, self.base))
         return Analysis(
-            rewrite(checked.text, query.literals, query.expressions, units),
+            rewrite(checked.text, query.literals, query.expressions, units, () if past is None else past.replaced),
             query.form,
             needs_of(query, self.base),
             self._used_prefixes(checked),
@@ -162,6 +164,17 @@ def _is_of_offers(pattern: Pattern) -> bool:
         return True
     is_typed = isinstance(pattern.object, Iri) and not pattern.object.value.startswith(_OFFERS)
     return TYPE in pattern.predicates and (pattern.repeated or not is_typed)
+
+
+def _require_own_functions(iris: Iterable[str]) -> None:
+    """Raise a 400 Problem for a function that would be one of ours or XPath's: an empty result would be misleading."""
+    for iri in sorted(iris):
+        for prefix, namespace in (("ros", ros.iri), ("math", PREFIXES["math"])):
+            if iri.startswith(namespace) and iri not in OWN:
+                names = {each.removeprefix(namespace) for each in OWN if each.startswith(namespace)}
+                near = did_you_mean(iri.removeprefix(namespace), names)
+                more = "" if near else f" There are {', '.join(sorted(names))}."
+                raise Problem(400, f"{prefix}:{iri.removeprefix(namespace)} is not a SPARQL function{near}.{more}")
 
 
 def parse_problem(error: QueryError, text: str) -> Problem:

@@ -124,6 +124,12 @@ def knowledge_of(group: Group, outer: Knowledge, now: Interval) -> Knowledge:
     return known
 
 
+def time_of(operand: Operand, known: Knowledge, now: Interval) -> Interval:
+    """Return the interval of an expression, as far as it is a time."""
+    found = _sum([operand], now)
+    return _range_of(found, known) if found is not None and found.is_time else ANY_TIME
+
+
 def date_time_interval(value: Value) -> Interval | None:
     """Return the interval of an xsd:dateTime, None for any other literal; without a time zone it counts as UTC.
 

@@ -6,6 +6,8 @@ constraints that every relevant solution must satisfy:
 
 - a ros:past pattern matches messages of the topics, types and times that its own group specifies (patterns, FILTER,
   BIND, VALUES), or that enclosing groups specify for variables bound earlier;
+- `BIND(ros:asOf(?topic, ?time) AS ?message)` matches messages of this topic up to this time, and one before its
+  earliest; `BIND(ros:previous(?other) AS ?message)` those that `?other` matches, and one before;
 - any other pattern that can match a recorded message must concern a message of such a pattern: in its own group, in a
   group it is joined with, or in an enclosing one before it (OPTIONAL, MINUS, EXISTS). Otherwise everything is read.
 
@@ -15,6 +17,7 @@ Patterns in GRAPH do not match recorded messages, which have no graph of their o
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import takewhile
 from typing import NamedTuple, Protocol
 from urllib.parse import unquote
 
@@ -24,12 +27,17 @@ from msgspec.structs import replace
 from rosld.ontology import geometry
 from rosld.ontology.vocab import ldp, rdf, ros
 from rosld.server.auth.permissions import Permissions
+from rosld.server.dataset.encoding import NAMESPACE
 from rosld.server.http.problem import Problem
 from rosld.server.space.transforms import FrameRow
-from rosld.server.sparql.intervals import ANY_TIME, Interval, Knowledge, date_time_interval, knowledge_of
+from rosld.server.sparql.intervals import ANY_TIME, Interval, Knowledge, date_time_interval, knowledge_of, time_of
+from rosld.server.sparql.message_order import AS_OF, FUNCTIONS, MessageTimes
 from rosld.server.sparql.needs import document_of, groups_within, matches_any_node
 from rosld.server.sparql.ros_functions import TRANSFORM
+from rosld.server.sparql.syntax.expressions import calls_within
 from rosld.server.sparql.syntax.tree import (
+    Call,
+    Constant,
     Group,
     Iri,
     Pattern,
@@ -39,6 +47,7 @@ from rosld.server.sparql.syntax.tree import (
     Term,
     Value,
     Variable,
+    message_call,
     strip_brackets,
 )
 
@@ -98,6 +107,7 @@ class PastSelection(Struct, frozen=True):
     """Selection of messages received within `time`, of types that use all of `types`.
 
     Their topics have one of these `urls` and one of these `names` (None: any), and currently all of `topic_types`.
+    `before` is the number of messages of each topic before `time` that are selected, too.
     """
 
     urls: frozenset[str] | None = None
@@ -105,6 +115,7 @@ class PastSelection(Struct, frozen=True):
     topic_types: frozenset[str] = frozenset()
     types: frozenset[str] = frozenset()
     time: Interval = ANY_TIME
+    before: int = 0
 
 
 class PastEnd(NamedTuple):
@@ -135,7 +146,9 @@ class PastQuery:
     """A query about the past.
 
     `predicates` are the predicates of recorded messages that it can match, None for all. `is_linked`: it reaches nodes
-    within messages only through these predicates from the messages. `recordings` are the URLs of the recordings that it
+    within messages only through these predicates from the messages. Each path of fields in `paths` is one predicate of
+    the rewritten query, whose places are `replaced`; `kept` are the predicates of its other patterns. `is_ordered`: it
+    calls functions of the order of messages. `recordings` are the URLs of the recordings that it
     names, directly or by their messages.
     """
 
@@ -147,13 +160,47 @@ class PastQuery:
         self.recordings = frozenset(_recordings(query, terms.base))
         self.asks_transforms = TRANSFORM in query.functions
         self.is_linked = True
+        self.is_ordered = not query.functions.isdisjoint(FUNCTIONS)
         self.covered: Mapping[int, frozenset[str]] = self._message_variables_by_group()
         """Variables that stand for recorded messages or nodes in them, by the `id` of their group."""
+        self.paths: dict[str, tuple[str, ...]] = {}
+        self.replaced: list[tuple[int, int, str]] = []
+        self.kept = self.predicates
+        if self.predicates is not None:
+            self._replace_paths()
         self.end = self._end(query.slice)
 
     def selections(self, now: Interval) -> Sequence[PastSelection]:
         """Return the selections of messages that may take part in a match, for NOW() within an interval."""
         return list(dict.fromkeys(self._of(self._where, _Context(), now)))
+
+    def _replace_paths(self) -> None:
+        """Find the paths of fields that begin at recorded messages: each is read as a single statement of a message.
+
+        A field has one value, so that a path matches a message once, as a predicate does.
+        """
+        groups = [*_groups_of_default_graph(self._where)]
+        patterns = [each for group in groups for each in group.patterns]
+        messages = {name for group in groups for name in _links(group)}
+        messages -= {each.object.name for each in patterns if not _is_past(each) and isinstance(each.object, Variable)}
+        predicates: dict[tuple[str, ...], str] = {}
+        within: set[Pattern] = set()
+        for group in groups:
+            for chain in group.chains:
+                subject = chain.patterns[0].subject
+                if not isinstance(subject, Variable) or subject.name not in messages & self.covered.get(
+                    id(group), _NOTHING
+                ):
+                    continue
+                *steps, last = chain.steps
+                fields = steps if last == ros.dateTime.value else chain.steps
+                if all(self._terms.type_named(each) is not None for each in fields):
+                    predicate = predicates.setdefault(chain.steps, f"{NAMESPACE}path:{len(predicates)}")
+                    self.replaced.append((chain.start, chain.end, predicate))
+                    within.update(chain.patterns)
+        self.paths = {predicate: steps for steps, predicate in predicates.items()}
+        self.replaced = sorted(set(self.replaced))  # a path before several objects is written once
+        self.kept = frozenset().union(*(each.predicates or () for each in patterns if each not in within))
 
     def _end(self, slice: Slice | None) -> PastEnd | None:
         """Return the messages that the first solutions are about, None if they may be about any.
@@ -195,7 +242,7 @@ class PastQuery:
         known = knowledge_of(group, outer.known, now)
         topics = {**outer.topics, **self._topics(group, known, outer.topics)}
         own = [each for each in group.patterns if _is_past(each)]
-        ends = {each.object.name for each in own if isinstance(each.object, Variable)}
+        ends = _links(group)
         below = self._spread(group, outer.covered | ends)
         covered = self._spread(group, below | self._certain_of_children(group))
         if covered_by_group is not None:
@@ -203,6 +250,9 @@ class PastQuery:
         for pattern in own:
             if not (isinstance(pattern.object, Variable) and pattern.object.name in outer.covered):
                 yield self._selection(pattern, group, known, topics)
+        for name, operand in group.bindings:
+            if (call := message_call(operand)) is not None:
+                yield from self._ordered(name, call, group, _Context(known, topics), now)
         for pattern in group.patterns:
             if pattern not in own and not self._is_about(pattern, covered) and self._may_match(pattern, group):
                 self.is_linked = False
@@ -216,7 +266,7 @@ class PastQuery:
             else:
                 inner = around.restrict(child.given)
             yield from self._of(child, inner, now, covered_by_group)
-        bound = _bound(group) | self._certain_of_children(group)
+        bound = _bound(group) | ends | self._certain_of_children(group)
         for child in group.filters:
             yield from self._of(child, _Context(known, topics, covered).restrict(bound), now, covered_by_group)
 
@@ -240,6 +290,30 @@ class PastQuery:
             if each.predicates == _RECEIVED and not each.repeated:
                 time = time.meet(_time_of(each.object, known))
         return replace(found, types=types, time=time)
+
+    def _ordered(self, name: str, call: Call, group: Group, around: _Context, now: Interval) -> Iterator[PastSelection]:
+        """Yield the selections of a call of `ros:asOf` or `ros:previous`."""
+        first = strip_brackets(call.arguments[0]) if call.arguments else None
+        if call.iri == AS_OF:
+            topic: Term = Variable(first.name[1:]) if isinstance(first, Reference) else Variable("")
+            if isinstance(first, Constant):
+                topic = first.term
+            found = self._selection(Pattern(topic, _LINK, Variable(name)), group, around.known, around.topics)
+            time = time_of(call.arguments[1], around.known, now) if len(call.arguments) == 2 else ANY_TIME
+            yield replace(found, time=time, before=1)
+            return
+        of = first.name[1:] if isinstance(first, Reference) else ""
+        sources = [
+            self._selection(each, group, around.known, around.topics)
+            for each in group.patterns
+            if _is_past(each) and each.object == Variable(of)
+        ]
+        for other, operand in takewhile(lambda binding: binding[0] != name, group.bindings):
+            if other == of and (before := message_call(operand)) is not None:
+                sources += self._ordered(other, before, group, around, now)
+        for child in group.children if not sources else ():
+            sources += self._of(child, _Context(), now)
+        yield from (replace(each, before=each.before + 1) for each in sources or [PastSelection()])
 
     def _topics(
         self, group: Group, known: Knowledge, outer: Mapping[str, PastSelection]
@@ -310,8 +384,7 @@ class PastQuery:
         """Return the variables that stand for recorded messages in every solution of a joined group."""
         if group.graph is not None:
             return _NOTHING
-        own = (each.object.name for each in group.patterns if _is_past(each) and isinstance(each.object, Variable))
-        found = self._spread(group, frozenset(own)) | self._certain_of_children(group)
+        found = self._spread(group, _links(group)) | self._certain_of_children(group)
         return found & group.visible
 
     def _certain_of_children(self, group: Group) -> frozenset[str]:
@@ -322,16 +395,41 @@ class PastQuery:
 def past_query(query: Query, terms: MessageTerms) -> PastQuery | None:
     """Return the past query within a query, None if there is none. Raises Problem 400 for a ros:past in GRAPH."""
     groups = list(groups_within(query.where))
-    asking = [group for group in groups if any(_PAST in (each.predicates or ()) for each in group.patterns)]
+    asking = [
+        group
+        for group in groups
+        if any(_PAST in (each.predicates or ()) for each in group.patterns)
+        or any(message_call(operand) is not None for _, operand in group.bindings)
+    ]
+    _require_bound(query, groups)
     if not asking:
         return None
     if any(group.graph is not None for group in asking):
         raise Problem(
             400,
-            "ros:past is inside a GRAPH, but recorded messages are in the default graph. To select a recording, "
-            f"write ?message ros:recordedIn <{terms.base}bags/NAME/>.",
+            "ros:past, ros:asOf or ros:previous is inside a GRAPH, but recorded messages are in the default graph. To "
+            f"select a recording, write ?message ros:recordedIn <{terms.base}bags/NAME/>.",
         )
     return PastQuery(query, terms)
+
+
+def _require_bound(query: Query, groups: Iterable[Group]) -> None:
+    """Raise a 400 Problem for a call of `ros:asOf` or `ros:previous` that is not what a BIND binds."""
+    calls = (message_call(operand) for group in groups for _, operand in group.bindings)
+    bound = {each.start for each in calls if each is not None}
+    for each in query.expressions:
+        for call in calls_within(each.operand):
+            if call.iri in FUNCTIONS and call.start not in bound:
+                name = "ros:asOf(?topic, ?time)" if call.iri == AS_OF else "ros:previous(?other)"
+                raise Problem(400, f"A message in time needs a variable of its own: write BIND({name} AS ?message).")
+
+
+def _links(group: Group) -> frozenset[str]:
+    """Return the variables that a group binds to recorded messages."""
+    own = (each.object for each in group.patterns if _is_past(each))
+    return frozenset(each.name for each in own if isinstance(each, Variable)).union(
+        name for name, operand in group.bindings if message_call(operand) is not None
+    )
 
 
 def _groups_of_default_graph(group: Group) -> Iterator[Group]:
@@ -392,12 +490,15 @@ def _recordings(query: Query, base: str) -> Iterator[str]:
 class PastText(NamedTuple):
     """N-Triples about recorded messages; `is_whole`: all requested messages are included.
 
-    `transforms` are those around the times of the places in the text, if the query calls ros:transform.
+    `transforms` are those around the times of the places in the text, if the query calls ros:transform; `times` are the
+    times of all messages, if it calls functions of their order; `counts` are their numbers by topic.
     """
 
     text: bytes
     is_whole: bool = True
     transforms: Sequence[FrameRow] = ()
+    times: Sequence[MessageTimes] = ()
+    counts: Mapping[str, int] = {}
 
 
 class PastSource(Protocol):

@@ -15,7 +15,8 @@ from rosld.ontology.vocab import rdf, ros, xsd
 from rosld.server.dataset import Function
 from rosld.server.dataset.base import Term
 from rosld.server.space.transforms import FrameBuffer, FrameRow
-from rosld.server.sparql import geo_functions
+from rosld.server.sparql import geo_functions, math_functions
+from rosld.server.sparql.message_order import FUNCTIONS, MessageOrder, MessageTimes
 
 AGE = ros.age.value
 TRANSFORM = ros.transform.value
@@ -30,12 +31,15 @@ class _NoAnswer(Exception):
 
 
 def functions(
-    seconds_since: Callable[[str], float | None], base: str = "", rows: Iterable[FrameRow] = ()
+    seconds_since: Callable[[str], float | None],
+    base: str = "",
+    rows: Iterable[FrameRow] = (),
+    times: Iterable[MessageTimes] = (),
 ) -> Mapping[str, Function]:
     """Return the functions of one query, by IRI; a topic has one age per query, like NOW() (SPARQL 1.1, 17.4.5.1).
 
     `seconds_since` (thread-safe) returns the seconds since the newest message of the topic at a URL was received, None
-    if there was none. `rows` are the transforms of the robot at `base`.
+    if there was none. `rows` are the transforms of the robot at `base`, `times` those of the recorded messages.
     """
     ages: dict[str, float | None] = {}
 
@@ -48,7 +52,8 @@ def functions(
         return Literal(seconds)
 
     placed = partial(geo_functions.transform, FrameBuffer.of(rows), f"{base}frames")
-    return {**_LASTING, AGE: _guard(age), TRANSFORM: _guard(placed)}
+    ordered = {iri: _guard(function) for iri, function in MessageOrder(times).functions().items()}
+    return {**_LASTING, **ordered, AGE: _guard(age), TRANSFORM: _guard(placed)}
 
 
 def unknown_functions(iris: Iterable[str]) -> Mapping[str, Function]:
@@ -63,7 +68,7 @@ def _error(*arguments: Term) -> None:
 @lru_cache(maxsize=1024)
 def _is_known(iri: str) -> bool:
     """Whether a function is ours or the store's, which only reports unknown functions when it evaluates a call."""
-    if iri in _LASTING or iri in (AGE, TRANSFORM):
+    if iri in OWN:
         return True
     try:
         Store().query(f"SELECT ({NamedNode(iri)}(1) AS ?x) {{}}")
@@ -218,4 +223,6 @@ _LASTING: Mapping[str, Function] = {
         (ros.mean, mean),
         (ros.convert, convert),
     )
-} | {iri: _guard(function) for iri, function in geo_functions.FUNCTIONS.items()}
+} | {iri: _guard(function) for iri, function in {**geo_functions.FUNCTIONS, **math_functions.FUNCTIONS}.items()}
+OWN = frozenset({*_LASTING, AGE, TRANSFORM, *FUNCTIONS, *math_functions.AGGREGATES})
+"""IRIs of all functions and aggregates that the store does not implement."""

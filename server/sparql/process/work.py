@@ -26,6 +26,8 @@ from rosld.server.dataset.memory_store import MemoryStore
 from rosld.server.http.problem import AGENT_SAID, Problem
 from rosld.server.space.transforms import FrameRow
 from rosld.server.sparql import results, row_limit
+from rosld.server.sparql.math_functions import AGGREGATES
+from rosld.server.sparql.message_order import MessageTimes
 from rosld.server.sparql.ros_functions import functions, unknown_functions
 from rosld.server.sparql.update.evaluate import (
     GraphChange,
@@ -53,7 +55,8 @@ class QueryWork(NamedTuple):
     """A query as the store evaluates it. `functions` are the IRIs of the functions that it calls.
 
     `ages` are the seconds since the newest message of each topic, if the query needs them; `past` are N-Triples about
-    recorded messages, added to the default graph for this query only; `transforms` are those for ros:transform.
+    recorded messages, added to the default graph for this query only; `transforms` are those for ros:transform, and
+    `times` those of the messages for ros:asOf.
     """
 
     text: str
@@ -65,6 +68,7 @@ class QueryWork(NamedTuple):
     functions: frozenset[str] = frozenset()
     past: bytes | None = None
     transforms: tuple[FrameRow, ...] = ()
+    times: tuple[MessageTimes, ...] = ()
 
     def results(self, store: MemoryStore) -> Results:
         """Return the results. Raises QueryError."""
@@ -76,13 +80,14 @@ class QueryWork(NamedTuple):
             default_graphs=self.default_graphs,
             named_graphs=self.named_graphs,
             past=self.past,
+            aggregates=AGGREGATES,
         )
 
     def _callable_functions(self) -> Mapping[str, Function]:
         """Return the functions it may call; a call of an unknown one is an error of its expression."""
         known = _LASTING
-        if self.ages is not None or self.transforms:
-            known = functions((self.ages or {}).get, self.base, self.transforms)
+        if self.ages is not None or self.transforms or self.times:
+            known = functions((self.ages or {}).get, self.base, self.transforms, self.times)
         more = unknown_functions(self.functions) if self.functions else {}
         return {**known, **more} if more else known
 

@@ -6,6 +6,8 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 
 from rosld.server.http.problem import Problem
+from rosld.server.sparql.math_functions import AGGREGATE_ARGUMENTS
+from rosld.server.sparql.message_order import AS_OF, PREVIOUS
 from rosld.server.sparql.syntax.cursor import did_you_mean
 from rosld.server.sparql.syntax.lexer import CheckedText, line_and_column
 from rosld.server.sparql.syntax.token import AGGREGATES, ANY_NUMBER, ARGUMENTS, Kind, Token
@@ -34,6 +36,7 @@ _ARITHMETIC = frozenset({"+", "-", "*", "/"})
 _LOGIC = frozenset({"&&", "||"})
 _SIGNS = frozenset({"!", "+", "-"})
 _EXPRESSION = "an expression"
+_ARGUMENTS = {**AGGREGATE_ARGUMENTS, AS_OF: (2, 2), PREVIOUS: (1, 1)}
 CONSTRAINT = "an expression in brackets, EXISTS, NOT EXISTS or the call of a function"
 
 
@@ -172,7 +175,7 @@ class ExpressionParser(TripleParser):
         return Call(token.start, self.end, name, token.end, arguments)
 
     def _call_by_iri(self, token: Token, iri: str, group: Group) -> Call:
-        arguments = self._arguments(token, ANY_NUMBER, group)
+        arguments = self._arguments(token, _ARGUMENTS.get(iri, ANY_NUMBER), group)
         self.functions.add(iri)
         if iri == self._age:
             about = strip_brackets(arguments[0]) if len(arguments) == 1 else None
@@ -231,18 +234,30 @@ class ExpressionParser(TripleParser):
 
 def has_aggregate(operand: Operand) -> bool:
     """Whether an expression contains an aggregate."""
-    if isinstance(operand, Call) and operand.name in AGGREGATES:
+    if _is_aggregate(operand):
         return True
     return any(map(has_aggregate, _parts(operand)))
+
+
+def calls_within(operand: Operand) -> Iterator[Call]:
+    """Yield the function calls in an expression, those in EXISTS excluded."""
+    if isinstance(operand, Call):
+        yield operand
+    for part in _parts(operand):
+        yield from calls_within(part)
 
 
 def ungrouped(operand: Operand) -> Iterator[Reference]:
     """Yield the variables of an expression outside of its aggregates and EXISTS."""
     if isinstance(operand, Reference):
         yield operand
-    elif not (isinstance(operand, Call) and operand.name in AGGREGATES):
+    elif not _is_aggregate(operand):
         for part in _parts(operand):
             yield from ungrouped(part)
+
+
+def _is_aggregate(operand: Operand) -> bool:
+    return isinstance(operand, Call) and (operand.name in AGGREGATES or operand.iri in AGGREGATE_ARGUMENTS)
 
 
 def _parts(operand: Operand) -> Iterator[Operand]:

@@ -28,6 +28,7 @@ from rosld.server.sparql.syntax.tree import (
     Term,
     Value,
     Variable,
+    message_call,
     strip_brackets,
 )
 
@@ -337,7 +338,7 @@ class QueryParser(ExpressionParser):
             self.fail_expecting(_TRIPLE)
         elif key == "FILTER":
             self.advance()
-            group.tests.append(self.constraint(group))
+            group.tests.append(_without_aggregate(self.constraint(group)))
             self.add_expression(group.tests[-1], ExpressionPurpose.TEST)
             return  # triples on both sides form one block
         else:
@@ -398,7 +399,7 @@ class QueryParser(ExpressionParser):
 
     def _bind(self, group: Group) -> None:
         self.expect("(", "after BIND")
-        operand = self.expression(group)
+        operand = _without_aggregate(self.expression(group))
         self.add_expression(operand, ExpressionPurpose.TERM)
         self.expect("AS", "and a variable")
         variable = self.expect_variable()
@@ -455,10 +456,18 @@ class QueryParser(ExpressionParser):
 
 
 def _bound(group: Group) -> frozenset[str]:
-    """Return the variables bound by the patterns of a group parsed so far."""
-    return frozenset(
-        term.name for each in group.patterns for term in (each.subject, each.object) if isinstance(term, Variable)
+    """Return the variables bound by the patterns of a group parsed so far, and those that are recorded messages."""
+    terms = (term for each in group.patterns for term in (each.subject, each.object))
+    return frozenset(term.name for term in terms if isinstance(term, Variable)).union(
+        name for name, operand in group.bindings if message_call(operand) is not None
     )
+
+
+def _without_aggregate(operand: Operand) -> Operand:
+    """Return an operand. Raises a 400 Problem for an aggregate in it, as it is not over a group."""
+    if has_aggregate(operand):
+        raise Problem(400, "FILTER and BIND take no aggregates: compute them in SELECT, or compare them in HAVING.")
+    return operand
 
 
 def _ignore(*_: object) -> None:

@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 from msgspec import Struct, field
 from pyoxigraph import Literal
 
-from rosld.ontology.vocab import rdf
+from rosld.ontology.vocab import rdf, ros
 from rosld.server.sparql.syntax.token import Kind
 
 TYPE = rdf.type.value
@@ -56,6 +56,15 @@ class Pattern(NamedTuple):
     verb: Variable | None = None
 
 
+class WrittenChain(NamedTuple):
+    """A path of plain predicates, `first/second/third`, its place in the text, and its patterns, one per predicate."""
+
+    start: int
+    end: int
+    steps: tuple[str, ...]
+    patterns: tuple[Pattern, ...]
+
+
 class Group(Struct, eq=False):
     """A group graph pattern.
 
@@ -64,9 +73,9 @@ class Group(Struct, eq=False):
     are groups of EXISTS, `visible` the variables in scope after the group (18.2.1).
 
     `tests` are the expressions of its FILTERs, `bindings` those of its BINDs, `data` the possible values of variables
-    by VALUES (None: any). `joined`: its solutions are joined with those around it; an `alternative` (UNION) is joined
-    together with the other alternatives; OPTIONAL and MINUS are neither. `given` are the variables bound by patterns
-    before it.
+    by VALUES (None: any), `chains` its paths of plain predicates. `joined`: its solutions are joined with those around
+    it; an `alternative` (UNION) is joined together with the other alternatives; OPTIONAL and MINUS are neither. `given`
+    are the variables bound before it by patterns, or to recorded messages.
     """
 
     graph: Term | None = None
@@ -80,6 +89,7 @@ class Group(Struct, eq=False):
     tests: list[Operand] = field(default_factory=list)
     bindings: list[tuple[str, Operand]] = field(default_factory=list)
     data: list[tuple[str, frozenset[Iri | Value] | None]] = field(default_factory=list)
+    chains: list[WrittenChain] = field(default_factory=list)
     joined: bool = False
     alternative: bool = False
     given: frozenset[str] = frozenset()
@@ -112,9 +122,11 @@ class Inverse(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """`path / path`."""
+    """`path / path`, and its place in the text."""
 
     parts: tuple[Path, ...]
+    start: int = 0
+    end: int = 0
 
 
 class Choice(NamedTuple):
@@ -236,6 +248,12 @@ def strip_brackets(operand: Operand) -> Operand:
     while isinstance(operand, Expression) and len(operand.parts) == 1 and not isinstance(operand.parts[0], str):
         operand = operand.parts[0]
     return operand
+
+
+def message_call(operand: Operand) -> Call | None:
+    """Return the call of `ros:asOf` or `ros:previous` that an operand is, None for anything else."""
+    within = strip_brackets(operand)
+    return within if isinstance(within, Call) and within.iri in (ros.asOf.value, ros.previous.value) else None
 
 
 # --- queries

@@ -28,6 +28,7 @@ from rosld.server.sparql.syntax.tree import (
     Term,
     Value,
     Variable,
+    WrittenChain,
     may_be_empty,
     path_predicates,
 )
@@ -216,10 +217,11 @@ class TripleParser(Cursor):
         return parts[0] if len(parts) == 1 else Choice(tuple(parts))
 
     def _sequence(self) -> Path:
+        start = self.token.start
         parts = [self._element()]
         while self.take("/"):
             parts.append(self._element())
-        return parts[0] if len(parts) == 1 else Chain(tuple(parts))
+        return parts[0] if len(parts) == 1 else Chain(tuple(parts), start, self.end)
 
     def _element(self) -> Path:
         is_inverse = self.take("^")
@@ -270,8 +272,12 @@ class TripleParser(Cursor):
             self.add_path(group, object, path.path, subject)
         elif isinstance(path, Chain):
             ends = [subject, *(self.new_blank_node() for _ in path.parts[1:]), object]
+            before = len(group.patterns)
             for at, part in enumerate(path.parts):
                 self.add_path(group, ends[at], part, ends[at + 1])
+            steps = tuple(part.iri for part in path.parts if isinstance(part, PathStep))
+            if len(steps) == len(path.parts):
+                group.chains.append(WrittenChain(path.start, path.end, steps, tuple(group.patterns[before:])))
         else:
             predicates = path_predicates(path)
             is_simple = (

@@ -12,6 +12,7 @@ PREFIXES = (
     "PREFIX string: <https://w3id.org/rosld/types/std_msgs/msg/String#> "
     "PREFIX odom: <https://w3id.org/rosld/types/nav_msgs/msg/Odometry#> "
     "PREFIX cov: <https://w3id.org/rosld/types/geometry_msgs/msg/TwistWithCovariance#> "
+    "PREFIX header: <https://w3id.org/rosld/types/std_msgs/msg/Header#> "
     "PREFIX tf: <https://w3id.org/rosld/types/tf2_msgs/msg/TFMessage#> "
     "PREFIX geometry: <https://w3id.org/rosld/types/geometry_msgs/msg/> "
     "PREFIX std: <https://w3id.org/rosld/types/std_msgs/msg/> "
@@ -21,6 +22,8 @@ _FIELDS = (
     "odom:twist/cov:twist/twist:linear/vector:x {x}", "tf:transforms/rdf:rest*/rdf:first {x}", "a geometry:Twist",
     "a ?class{n}", "a std:String", "ros:sequence {x}", "?p{n} {x}", "(twist:linear|string:data) {x}",
     "!ros:received {x}",
+    "odom:header/header:stamp/ros:dateTime {x}", "odom:header/header:frame_id {x}", "odom:twist/cov:twist {x}, ?w{n}",
+    "odom:twist/cov:twist ?v{n} . ?v{n} twist:angular/vector:x {x}", "twist:linear/vector:x {x} ; a ?class{n}",
     "ros:recordedIn {x}", "^ros:recordedMessage/ros:index {x}", "^ros:recordedMessage ?r{n} . ?r{n} ros:onTopic {x}",
 )  # fmt: skip
 _AGGREGATES = (
@@ -137,12 +140,24 @@ class PastMaker:
                 "UNION",
                 "SELECT",
                 "BIND",
+                "asOf",
+                "previous",
                 "untied",
             ]
         )
         if kind == "BIND":
             number = self._number()
             return f"BIND({self._moment()} AS ?b{number}) FILTER({time} {random.choice('<>')} ?b{number})"
+        if kind in ("asOf", "previous"):
+            number = self._number()
+            topic = random.choice(["?topic", "</topics/odom>", "</topics/cmd_vel>"])
+            at = self._start + timedelta(seconds=random.uniform(-1, self._seconds + 1))
+            moment = f'"{at.isoformat().replace("+00:00", "Z")}"^^xsd:dateTime'
+            call = f"asOf({topic}, {random.choice([time, time, moment])})"
+            call = call if kind == "asOf" else f"previous({message})"
+            then = f"{self._field(f'?p{number}')} ?p{number} ros:received ?r{number} ."
+            then = random.choice(["", then, then, f"OPTIONAL {{ {then} }}", f"FILTER NOT EXISTS {{ {then} }}"])
+            return f"BIND(ros:{call} AS ?p{number}) {then}"
         if kind == "untied":
             return random.choice(
                 ["", f"?any ros:received {time} .", "?any string:data ?said .", "OPTIONAL { ?m string:data ?also }"]

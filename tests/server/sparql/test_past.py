@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from datetime import datetime, timezone
@@ -12,6 +13,7 @@ import httpx
 import pytest
 from pyoxigraph import (
     BlankNode,
+    NamedNode,
     QueryBoolean,
     QueryResultsFormat,
     QuerySolutions,
@@ -22,7 +24,7 @@ from pyoxigraph import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from rosld.ontology.vocab import PREFIXES, ros
+from rosld.ontology.vocab import PREFIXES, rdf, ros, xsd
 from tests.server.sparql import recorded
 from tests.server.sparql.past_at_random import PastMaker
 from tests.waiting import once_started
@@ -42,6 +44,7 @@ class Recorded(NamedTuple):
 
     http: httpx.Client
     full: Store
+    functions: dict[NamedNode, Callable[..., Any]]
     start: datetime
 
 
@@ -65,7 +68,8 @@ def past(tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., A
     source = str(write(tmp_path_factory.mktemp("past") / "run", start_ns))
     http: httpx.Client = start_server(source).http
     once_started(lambda: http.get("/sparql", params={"query": "ASK {}"}))
-    return Recorded(http, everything(http), datetime.fromtimestamp(start_ns // _SECOND, timezone.utc))
+    full = everything(http)
+    return Recorded(http, full, functions(full), datetime.fromtimestamp(start_ns // _SECOND, timezone.utc))
 
 
 def everything(http: httpx.Client) -> Store:
@@ -113,7 +117,36 @@ def shown(term: object) -> str:
 
 
 def expected(past: Recorded, query: str) -> list[tuple[str, ...]]:
-    return rows_of(past.full.query(query, base_iri=str(past.http.base_url), prefixes=dict(PREFIXES)))
+    query = _MESSAGE.sub(rf"COALESCE(\1, {rdf.nil})", query)
+    found = past.full.query(
+        query, base_iri=str(past.http.base_url), prefixes=dict(PREFIXES), custom_functions=past.functions
+    )
+    return rows_of(found)
+
+
+_MESSAGE = re.compile(r"(ros:(?:asOf|previous)\([^()]*\))")
+
+
+def functions(full: Store) -> dict[NamedNode, Callable[..., Any]]:
+    """Return `ros:asOf` and `ros:previous` over all messages, in SPARQL."""
+
+    def newest(where: str) -> Any:
+        found = full.query(f"SELECT ?found {{ {where} }} ORDER BY DESC(?time) LIMIT 1")
+        assert isinstance(found, QuerySolutions)
+        return next((row[0] for row in found), None)
+
+    def as_of(topic: Any, time: Any) -> Any:
+        is_time = isinstance(topic, NamedNode) and getattr(time, "datatype", None) == xsd.dateTime
+        every = f"{topic} {ros.past} ?found . ?found {ros.received} ?time FILTER(?time <= {time})"
+        return newest(every) if is_time else None
+
+    def previous(message: Any) -> Any:
+        if not isinstance(message, NamedNode):
+            return None
+        own = f"?topic {ros.past} {message}, ?found . {message} {ros.received} ?own . ?found {ros.received} ?time"
+        return newest(f"{own} FILTER(?time < ?own)")
+
+    return {ros.asOf: as_of, ros.previous: previous}
 
 
 ACCEPT = "application/sparql-results+json, application/n-triples;q=0.9, application/problem+json;q=0.8"

@@ -301,6 +301,10 @@ class Bag:
         """Return the types of the recorded topics."""
         return list(dict.fromkeys(ref for ref in self._types if ref.name))
 
+    def types_of(self, topic: str) -> frozenset[TypeRef]:
+        """Return all types that messages of a topic have."""
+        return frozenset(ref for stream in self.streams_by_topic.get(topic, ()) for ref in stream.types)
+
     def close(self) -> None:
         """Close the files. Idempotent."""
         self._storage.close()

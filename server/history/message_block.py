@@ -80,7 +80,20 @@ def columns_of(
     rows: ChunkRows, schema: MessageSchema, encoding: Encoding, paths: Sequence[tuple[str, ...]]
 ) -> Sequence[NDArray[Any]] | None:
     """Return a column of numbers for each path of fields, or None if the layouts of the messages differ."""
-    layout = _Layout(schema.types, encoding, rows.data[0].tobytes(), frozenset(paths))
+    layout = layout_of(rows, schema, encoding, frozenset(paths))
+    if layout is None or not layout.places.keys() >= set(paths):
+        return None
+    return [layout.cells(rows.data, path).reshape(-1) for path in paths]
+
+
+def layout_of(
+    rows: ChunkRows, schema: MessageSchema, encoding: Encoding, paths: frozenset[tuple[str, ...]] | None = None
+) -> Layout | None:
+    """Return the layout of all messages with the places of numbers, of all fields if `paths` is None.
+
+    None if the layouts of the messages differ.
+    """
+    layout = Layout(schema.types, encoding, rows.data[0].tobytes(), paths)
     try:
         layout.message(schema.ref.name, ())
         layout.end()
@@ -89,25 +102,25 @@ def columns_of(
     for at, size in layout.guards:
         if (rows.data[:, at : at + size] != rows.data[0, at : at + size]).any():
             return None
-    if not layout.places.keys() >= set(paths):
-        return None
-    return [_column(rows.data, *layout.places[path]) for path in paths]
+    return layout
 
 
-def _column(data: NDArray[np.uint8], at: int, kind: str) -> NDArray[Any]:
-    dtype = np.dtype(kind)
-    column = np.ascontiguousarray(data[:, at : at + dtype.itemsize]).view(dtype).reshape(-1)
-    return column.astype(dtype.newbyteorder("="))
+class Layout:
+    """Layout of a message: `guards` are the offsets of bytes that must be equal in all, `places` those of values.
 
-
-class _Layout:
-    """Layout of a message: `guards` are the offsets of bytes that must be equal in all, `places` those of numbers."""
+    `counts` are the lengths of arrays, and of strings in bytes.
+    """
 
     def __init__(
-        self, types: Mapping[str, MessageType], encoding: Encoding, data: bytes, paths: frozenset[tuple[str, ...]]
+        self,
+        types: Mapping[str, MessageType],
+        encoding: Encoding,
+        data: bytes,
+        paths: frozenset[tuple[str, ...]] | None,
     ) -> None:
         self.guards: list[tuple[int, int]] = []
         self.places: dict[tuple[str, ...], tuple[int, str]] = {}
+        self.counts: dict[tuple[str, ...], int] = {}
         self._types = types
         self._is_cdr = encoding is Encoding.CDR
         self._order = ">" if self._is_cdr and data[1:2] == b"\0" else "<"
@@ -131,6 +144,15 @@ class _Layout:
         if not 0 <= len(self._data) - self._at <= (_PADDING if self._is_cdr else 0):
             raise ValueError("the message is longer or shorter than its type says")
 
+    def cells(self, data: NDArray[np.uint8], path: tuple[str, ...]) -> NDArray[Any]:
+        """Return the numbers, or the bytes of strings, at a path: a row for each message."""
+        at, kind = self.places[path]
+        dtype, count = np.dtype(kind), self.counts.get(path, 1)
+        if not count:
+            return np.empty((len(data), 0), dtype.newbyteorder("="))
+        cells = np.ascontiguousarray(data[:, at : at + count * dtype.itemsize])
+        return cells != 0 if kind.endswith("?") else cells.view(dtype).astype(dtype.newbyteorder("="), copy=False)
+
     def _field(self, kind: FieldType, path: tuple[str, ...]) -> None:
         if isinstance(kind, Nested):
             self.message(kind.name, path)
@@ -139,19 +161,26 @@ class _Layout:
         elif kind.name in _DTYPES:
             code = _DTYPES[kind.name]
             self._align(np.dtype(code).itemsize)
-            if path in self._paths:
+            if self._paths is None or path in self._paths:
                 self.places[path] = self._at, self._order + code
             self._at += np.dtype(code).itemsize
         else:
             length = self._length()
+            if self._paths is None:
+                self.places[path], self.counts[path] = (self._at, "u1"), max(length - self._is_cdr, 0)
             self._at += length
 
     def _array(self, kind: Array, path: tuple[str, ...]) -> None:
         length = self._length() if kind.length is None else kind.length
+        if self._paths is None:
+            self.counts[path] = length
         if isinstance(kind.element, Primitive) and kind.element.name in _DTYPES:
-            size = np.dtype(_DTYPES[kind.element.name]).itemsize
+            code = _DTYPES[kind.element.name]
+            size = np.dtype(code).itemsize
             if length:
                 self._align(size)
+            if self._paths is None:
+                self.places[path] = self._at, self._order + code
             self._at += length * size
             return
         if length > _MAX_ELEMENTS:

@@ -46,6 +46,7 @@ from rosld.server.resources.messages import (
     picture_response,
     require_picture,
 )
+from rosld.server.resources.tables import TABLE_FORMAT, TABLE_READS
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
@@ -70,7 +71,8 @@ class BagMessages(BagBase):
     def __init__(self, bags: Bags, recording: Recording) -> None:
         super().__init__(bags, bags.session.space.bag_messages(recording.name))
         self.recording = recording
-        self.item = PathItem(f"The messages of {self.recording.name}", query=(FORMAT, _PAGE, *PARAMETERS))
+        about = f"The messages of {self.recording.name}"
+        self.item = PathItem(about, TABLE_READS, query=(TABLE_FORMAT, _PAGE, *PARAMETERS))
 
     async def state(self) -> State:
         recording, space, page = self.recording, self.space, self.number

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from fnmatch import fnmatchcase
 from functools import partial
@@ -31,6 +31,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.resources.bags import BagBase, Bags
 from rosld.server.resources.memento import read_time
 from rosld.server.resources.messages import DecodedSample, decode, lift_sample
+from rosld.server.resources.tables import BagTable, wanted_table
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, HTML, JSON, OFFERS
 from rosld.server.rest.path_item import QueryParameter
@@ -87,7 +88,9 @@ PARAMETERS = (
     QueryParameter("to", "Recorded until, in the same format."),
     QueryParameter("start", "The number of the first message of the page.", {"type": "integer", "minimum": 0}),
     QueryParameter(
-        "limit", "The maximum number of messages on a page.", {"type": "integer", "minimum": 1, "maximum": MAX_LIMIT}
+        "limit",
+        f"The maximum number of messages on a page (up to {MAX_LIMIT}) or in a table.",
+        {"type": "integer", "minimum": 1},
     ),
 )
 _NAMES = tuple(parameter.name for parameter in PARAMETERS)
@@ -207,11 +210,12 @@ class BagSelection(BagBase):
         }
 
 
-def selection_of(bags: Bags, recording: Recording, exchange: Exchange) -> BagSelection | None:
-    """Return the requested page, or None without a topic, time or number in the query. Raises Problems."""
+def selection_of(bags: Bags, recording: Recording, exchange: Exchange) -> BagSelection | BagTable | None:
+    """Return the requested page or table, or None without a topic, time or number in the query. Raises Problems."""
     query = exchange.query
     given = {name: query[name] for name in _NAMES if name in query}
-    if not given:
+    table = wanted_table(exchange)
+    if not given and table is None:
         return None
     now = time.time_ns()
     topics = topics_of(recording, given["topic"]) if "topic" in given else None
@@ -220,12 +224,19 @@ def selection_of(bags: Bags, recording: Recording, exchange: Exchange) -> BagSel
     if since > until:
         raise Problem(400, f"?from={given['from'][:60]} is after ?to={given['to'][:60]}.")
     start = _number("start", given.get("start", "0"), 0, FOR_EVER)
-    limit = _number("limit", given.get("limit", str(LIMIT)), 1, MAX_LIMIT)
-    text = "&".join(f"{name}={quote(value, safe='/:.-*')}" for name, value in given.items() if name != "start")
+    usual, most = (LIMIT, MAX_LIMIT) if table is None else (FOR_EVER, FOR_EVER)
+    limit = _number("limit", given["limit"], 1, most) if "limit" in given else usual
     wanted = MessageFilter(topics, max(since, 0), until, max(start, recording.first))
     if start and start < recording.first:
         raise Problem(410, f"?start={start}: the oldest messages were removed, the first is {recording.first}.")
+    if table is not None:
+        return BagTable(bags, recording, wanted, limit, _query(given), table)
+    text = _query({name: value for name, value in given.items() if name != "start"})
     return BagSelection(bags, recording, wanted, limit, text, detail_of(exchange))
+
+
+def _query(given: Mapping[str, str]) -> str:
+    return "&".join(f"{name}={quote(value, safe='/:.-*')}" for name, value in given.items())
 
 
 def topics_of(recording: Recording, text: str) -> frozenset[str]:

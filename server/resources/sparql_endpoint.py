@@ -13,6 +13,7 @@ from rosld.ontology.triples import statements, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sd
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.history.tables import TableParts
 from rosld.server.html.page import Notice, NoticeLevel, PageResults, SparqlPage, StoredQueryLink
 from rosld.server.html.render import render_sparql
 from rosld.server.html.site import QUERY_EDITOR_POLICY
@@ -29,8 +30,10 @@ from rosld.server.hypermedia.json_schema import (
     json_array,
     json_object,
 )
+from rosld.server.resources.ldp.bodies import single_chunk
+from rosld.server.resources.tables import table_response
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import HTML, RDF_BODIES
+from rosld.server.rest.formats import COLUMNS, HTML, RDF_BODIES
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Resource
@@ -51,7 +54,8 @@ from rosld.server.sparql.protocol import (
 )
 from rosld.server.sparql.query_limits import describe_limits
 from rosld.server.sparql.query_service import QueryAnswer, QueryService
-from rosld.server.sparql.results import GRAPHS, SOLUTIONS, XML_REASON, media_types_of, without_xml
+from rosld.server.sparql.result_tables import table_of_results
+from rosld.server.sparql.results import GRAPHS, QUADS, SOLUTIONS, XML_REASON, media_types_of, without_xml
 from rosld.server.sparql.ros_functions import functions
 from rosld.server.sparql.update.base import UpdateRunner
 
@@ -72,6 +76,7 @@ FORMATS: Mapping[str, str] = {
     "n3": "text/n3",
     "nq": "application/n-quads",
     "trig": "application/trig",
+    **COLUMNS,
 }
 """Accept values by `?format=`; results and graphs have different media types for JSON and XML."""
 _ALSO: Mapping[str, str] = {"turtle": "ttl", "json-ld": "jsonld", "rdf+xml": "rdf", "rdf xml": "rdf", "ntriples": "nt"}
@@ -86,7 +91,7 @@ _PROTOCOL = frozenset({"query", "update", "default-graph-uri", "named-graph-uri"
 
 def available_formats(form: str | None) -> Mapping[str, str]:
     """Return the `FORMATS` of results of a query of this form, except pages."""
-    offers = media_types_of(form)
+    offers = (*media_types_of(form), *(() if form in GRAPH_FORMS else COLUMNS.values()))
     return {name: accept for name, accept in FORMATS.items() if choose_offer(accept, offers) is not None}
 
 
@@ -118,6 +123,12 @@ async def answer_query(
     permissions: Permissions = ALLOW_ALL,
 ) -> Response:
     """Return the response with the results of a query, in another accepted format if XML cannot represent them."""
+    if accept is not None and any(each in accept for each in COLUMNS.values()):
+        form = service.check(request.text).form
+        chosen = choose_offer(accept, (*media_types_of(QUADS if request.quads else form), *COLUMNS.values()))
+        table = next((name for name, media_type in COLUMNS.items() if media_type == chosen), None)
+        if table is not None and form not in GRAPH_FORMS and not request.quads:
+            return await _table(await service.answer(request, _JSON, disconnected, permissions), table)
     try:
         answer = await service.answer(request, accept, disconnected, permissions)
     except Problem as problem:
@@ -128,15 +139,34 @@ async def answer_query(
     return results_response(answer)
 
 
+_JSON = "application/sparql-results+json"
+_MAX_TABLE = 64 * 1024 * 1024
+"""Maximum number of bytes of results in JSON that are made into a table, which needs ten times as much memory."""
+
+
+async def _table(answer: QueryAnswer, format: str) -> Response:
+    """Return the response with results as a table. Raises Problems: 406 without pyarrow, 503 for too many results."""
+    parts, size = [], 0
+    async for part in single_chunk(answer.body) if isinstance(answer.body, bytes) else answer.body:
+        parts.append(part)
+        size += len(part)
+        if size > _MAX_TABLE:
+            words = f"The results exceed {_MAX_TABLE >> 20} MiB in JSON, the most that becomes a table: "
+            raise Problem(503, f"{words}ask for text/csv, which is sent as it is made, or for fewer rows.")
+
+    def make() -> TableParts:
+        table = table_of_results(b"".join(parts))
+        return table.schema, (table,)
+
+    return await table_response(format, make, "results", dict(_unread(answer)))
+
+
 def results_response(answer: QueryAnswer) -> Response:
     """Return the response with the results of a query; a stream is aborted if it cannot be completed.
 
     The field `Unread-Graphs` of a partial answer lists the documents that could not be read (RFC 9651 3.1).
     """
-    fixed_headers = _FIXED_HEADERS
-    if answer.unread:
-        unread = ", ".join(f'"{url}"' for url in sorted(answer.unread)[:_MAX_UNREAD])
-        fixed_headers = (*_FIXED_HEADERS, (b"unread-graphs", unread.encode("ascii")))
+    fixed_headers = (*_FIXED_HEADERS, *((name.encode(), value.encode("ascii")) for name, value in _unread(answer)))
     if isinstance(answer.body, bytes):
         length = (b"content-length", b"%d" % len(answer.body))
         kind = (b"content-type", answer.content_type.encode("ascii"))
@@ -144,6 +174,11 @@ def results_response(answer: QueryAnswer) -> Response:
     stream: AsyncIterator[bytes] = answer.body
     headers = {name.decode(): value.decode() for name, value in fixed_headers}
     return StreamingResponse(stream, headers={**headers, "Content-Type": answer.content_type})
+
+
+def _unread(answer: QueryAnswer) -> Iterable[tuple[str, str]]:
+    if answer.unread:
+        yield "unread-graphs", ", ".join(f'"{url}"' for url in sorted(answer.unread)[:_MAX_UNREAD])
 
 
 _FIXED_HEADERS: tuple[tuple[bytes, bytes], ...] = ((b"vary", b"Accept"), (b"cache-control", b"no-cache"))
@@ -204,7 +239,7 @@ def _extensions(service: NamedNode) -> Iterable[Triple]:
         yield from triples_about(NamedNode(iri), (rdf.type, sd.Aggregate))
 
 
-RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, HTML)))
+RESULTS = tuple(dict.fromkeys((*SOLUTIONS, *GRAPHS, *COLUMNS.values(), HTML)))
 """The media types of results."""
 RESULT_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS]})
 PARTIAL = QueryParameter(

@@ -22,3 +22,11 @@ OFFERS = (*RDF_BODIES, JSON, HTML)
 """Media types of every resource, the default first. `application/json` is JSON-LD if there is no ROS value."""
 OFFER_TYPE = "application/vnd.rosld.offer+json"
 """Media type of offers."""
+CSV = "text/csv"
+COLUMNS: Mapping[str, str] = {
+    "parquet": "application/vnd.apache.parquet",
+    "arrow": "application/vnd.apache.arrow.stream",
+}
+"""Media types of tables with typed columns, by their names in `?format=`."""
+TABLES: Mapping[str, str] = {**COLUMNS, "csv": CSV}
+"""Media types of tables, by their names in `?format=`."""

@@ -91,6 +91,7 @@ SAMPLES: Mapping[str, tuple[str, ...]] = {
     "bags": (
         "/bags/", "/bags/done", "/bags/done/", "/bags/done/file", "/bags/done/messages/", "/bags/done/messages/?page=0",
         "/bags/done/messages/?start=0", "/bags/done/messages/?topic=/zq7x9_speed", "/bags/done/messages/?topic=*",
+        "/bags/done/messages/?topic=/zq7x9_speed&format=csv", "/bags/done/messages/?topic=*&format=csv",
         "/bags/done/messages/?topic=/never", "/bags/done/at", "/bags/done/at?topic=/zq7x9_speed", "/bags/done/ldes",
         "/bags/sent/", "/bags/sent/file", "/bags/sent/at", "/bags/sent/messages/?start=0", "/bags/running/",
         "/bags/running/file", "/bags/armed/", "/bags/mapped/", "/bags/history/", "/bags/history/file",

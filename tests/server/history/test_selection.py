@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import random
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 from rosld.adapters.base import FOR_EVER, MessageFilter, RecordedMessage
 from rosld.server.history import history
@@ -174,3 +178,28 @@ def test_a_parameter_that_makes_no_sense_is_refused_and_says_why(talk: Any) -> N
         answer = talk.http.get(f"/bags/talk/messages/?{query}", headers=JSON)
         assert answer.status_code == (404 if query == "topic=/none" else 400), query
         assert len(answer.json()["detail"]) > 20
+
+
+@pytest.mark.slow
+def test_a_topic_of_a_recording_is_a_table(talk: Any) -> None:
+    http, base = talk.http, "/bags/talk/messages/"
+    one = pages(http, f"{base}?limit=20")
+    topic = one[0]["topic"]
+    answer = http.get(f"{base}?topic={topic}&from={one[4]['time']}&limit=9", headers={"Accept": "text/csv"})
+    assert answer.headers["content-type"] == "text/csv; charset=utf-8"
+    head, *rows = csv.reader(io.StringIO(answer.text))
+    assert head == ["received", "index", "publisher", "data"]
+    assert [(int(index), data) for _, index, _, data in rows] == [(number, str(number)) for number in range(4, 13)]
+    for format in ("parquet", "arrow"):
+        path = f"{base}?topic={topic}&format={format}"
+        answer = http.get(path)
+        read = parquet.read_table if format == "parquet" else lambda file: pa.ipc.open_stream(file).read_all()
+        assert read(io.BytesIO(answer.content))["data"].to_pylist() == [str(number) for number in range(20)]
+        assert answer.headers["content-type"] == f"application/vnd.apache.{format}{'.stream' * (format == 'arrow')}"
+        assert http.get(path, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
+        assert http.head(path).headers["etag"] == answer.headers["etag"]
+    answer = http.get("/bags/history/messages/?format=csv")
+    assert (answer.status_code, "name it" in answer.text) == (400, True), answer.text
+    until(lambda: "/aircraft/engine/speed" in http.get("/bags/history/messages/?start=0", headers=JSON).text, "a past")
+    history = http.get("/bags/history/messages/?topic=/aircraft/engine/speed&format=parquet&to=-0.1")
+    assert parquet.read_table(io.BytesIO(history.content)).schema.metadata[b"topic"] == b"/aircraft/engine/speed"

@@ -165,7 +165,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         authenticator.changed.watch(broadcasters.wake_all)
         router.add({"acl": single_route(partial(AclResource, space, authenticator))})
     triggers = RecordingTriggers(session, services.affordances, services.mappings, router.at, authenticator)
-    router.add({"bags": partial(bag_route, factory.bags, triggers=triggers)})
+    router.add({"bags": partial(bag_route, factory.bags, triggers=triggers, queries=sparql.queries)})
     near = partial(near_urls, space, session.adapter, services.affordances)
     dispatcher = Dispatcher(services.instance_id, session, pages, broadcasters, keyed_lock, large, near)
     clients = client_limiter(settings)

@@ -22,6 +22,7 @@ from rosld.adapters.registry import adapter_for
 from rosld.server.auth.rules import Agent
 from rosld.server.history.armed_recordings import ArmedRecording, ArmedRecordings, MayRecord, Occurrences
 from rosld.server.history.bag_export import ExportFormat
+from rosld.server.history.cut import Span, write_cut
 from rosld.server.history.history import NAME as HISTORY
 from rosld.server.history.history import History
 from rosld.server.history.history_writer import require_room
@@ -268,6 +269,37 @@ class Recordings:
             raise RecordingRefused(f"{name} was rejected: {error}", is_too_large=error.is_too_large) from error
         finally:
             self._receiving.discard(name)
+
+    async def cut(
+        self, recording: Recording, name: str | None, selects: Callable[[str], bool], spans: Sequence[Span]
+    ) -> Sequence[str]:
+        """Write each span as a recording of its own, and return their names: NAME-1, NAME-2 and so on for several.
+
+        Raises RecordingRefused, CutRefused, OSError, and RosError if the recording cannot be read.
+        """
+        base = self._free_name(name)
+        names = [base] if len(spans) == 1 else [f"{base}-{number}" for number in range(1, len(spans) + 1)]
+        for each in names:
+            self._require_free(each)
+        if len(self._receiving) >= _MAX_RUNNING:
+            raise RecordingRefused("Too many recordings are being stored: try again later", is_conflict=True)
+        record_step(f"cut {recording.name} as {', '.join(names)}"[:_LONGEST_STEP])
+        end_dry_run()
+        encoding, stored = self.encoding(recording), list[str]()
+        self._receiving.update(names)
+        try:
+            for each, span in zip(names, spans, strict=True):
+                path = self._path(each, SUFFIX)
+                await asyncio.to_thread(write_cut, recording, path, encoding, selects, span)
+                await self._open(each, path)
+                stored.append(each)
+        except BaseException:
+            for each in stored:
+                await self.delete(each)
+            raise
+        finally:
+            self._receiving.difference_update(names)
+        return names
 
     async def delete(self, name: str) -> bool:
         """End and delete a recording, or disarm it; return whether it existed."""

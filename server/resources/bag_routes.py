@@ -17,6 +17,7 @@ from rosld.adapters.model import Encoding, RosError
 from rosld.ontology.describe_graph import container_document
 from rosld.ontology.urls import Location
 from rosld.server.history.bag_export import EXPORT_FORMATS, CannotExport, ExportFormat, require_encoding
+from rosld.server.history.cut import CutRefused, selected
 from rosld.server.history.recording_orders import RecordingOrder, RecordingRefused
 from rosld.server.history.recordings import Recordings
 from rosld.server.html.forms import Form
@@ -28,7 +29,9 @@ from rosld.server.resources.bag_messages import BagMessage, BagMessages, bag_mom
 from rosld.server.resources.bags import ArmedBag, BagBase, BagResource, Bags, RunningBag, bag_urls
 from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
 from rosld.server.resources.ldp.bodies import single_chunk
-from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, read_order, recording_form
+from rosld.server.resources.past_messages import may_read_recording
+from rosld.server.resources.recording_cut import CutOrder, cut_order_of, spans_of
+from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, order_of, read_members, recording_form
 from rosld.server.resources.recording_trigger import (
     NOTHING_IS_RECORDED,
     RecordingTriggers,
@@ -53,6 +56,7 @@ from rosld.server.rest.resource import (
 from rosld.server.rest.responses import UNKNOWN, cancel_on_disconnect, file_response, file_stream, resource_headers
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
+from rosld.server.sparql.query_service import QueryService
 
 _EXPORTED = tuple(each.media_type for each in EXPORT_FORMATS.values())
 _FORMAT = QueryParameter(
@@ -253,10 +257,13 @@ class BagContainer(BagBase):
 
     is_cacheable = True
 
-    def __init__(self, bags: Bags, triggers: RecordingTriggers | None = None) -> None:
-        """`triggers` follows the triggers of recordings; without it, triggers are refused."""
+    def __init__(
+        self, bags: Bags, triggers: RecordingTriggers | None = None, queries: QueryService | None = None
+    ) -> None:
+        """`triggers` follows the triggers of recordings, `queries` finds events; without these, they are refused."""
         super().__init__(bags, bags.session.space.container("bags"))
         self._triggers = triggers
+        self._queries = queries
 
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():
@@ -265,8 +272,7 @@ class BagContainer(BagBase):
         return (recording_form({name: space.topic(name) for name in self.session.graph.topics}),)
 
     def methods(self) -> frozenset[str]:
-        is_open = can_record(self.session.settings, self.session.adapter.capabilities)
-        return READ | {"POST"} if is_open else READ
+        return READ if self.session.settings.read_only else READ | {"POST"}
 
     def deny_reason(self, method: str) -> str:
         if method == "POST":
@@ -274,7 +280,11 @@ class BagContainer(BagBase):
         return super().deny_reason(method)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        post = WriteMethod("Records topics, the last seconds of the history before them", sends=SCHEMA, done=(201,))
+        post = WriteMethod(
+            "Records topics, the last seconds of the history before them, or cuts a recording",
+            sends=SCHEMA,
+            done=(201,),
+        )
         return PathItem("The recordings", writes={"POST": post})
 
     async def state(self) -> State:
@@ -285,22 +295,31 @@ class BagContainer(BagBase):
         )
 
     async def post(self, exchange: Exchange) -> Answer:
-        """Start a recording of topics that the agent may read, or let it wait for its trigger: 201.
+        """Start a recording of topics that the agent may read, let it wait for its trigger, or cut another one: 201.
 
         Raises a 403 Problem for a topic that the agent may not read, 409 if the name is taken, 507 if storing fails.
         """
-        order = await self._read_order(exchange)
+        body = await exchange.body()
+        members = read_members(body, exchange.media_type, self.url, is_form=bool(exchange.typed))
         try:
-            resource = await self._begin(order, exchange)
+            resource: BagResource | RunningBag | ArmedBag
+            if "of" in members:
+                order = cut_order_of(members)
+                resource = await self._cut(order._replace(selection=self._allowed(order.selection, exchange)), exchange)
+            else:
+                resource = await self._begin(self._allowed(order_of(members), exchange), exchange)
         except RecordingRefused as error:
             raise Problem(409 if error.is_conflict else 422, f"{error}.") from error
+        except CutRefused as error:
+            raise Problem(422, f"{error}.") from error
+        except RosError as error:
+            raise problem_of(error) from error
         except OSError as error:
             raise Problem(507, f"The recording cannot be stored: {error.strerror or error}.") from error
         return CreatedAnswer(resource.url, resource, await resource.state())
 
-    async def _read_order(self, exchange: Exchange) -> RecordingOrder:
-        """Return the order in a body and `Slug`. Raises a 403 Problem for a topic that the agent may not read."""
-        order = read_order(await exchange.body(), exchange.media_type, self.url, is_form=bool(exchange.typed))
+    def _allowed(self, order: RecordingOrder, exchange: Exchange) -> RecordingOrder:
+        """Return an order, named by `Slug`. Raises a 403 Problem for a topic that the agent may not read."""
         slug = exchange.header("slug")
         if order.name is None and slug is not None and self.recordings.can_be_named(slug):
             order = replace(order, name=slug)
@@ -311,6 +330,8 @@ class BagContainer(BagBase):
 
     async def _begin(self, order: RecordingOrder, exchange: Exchange) -> RunningBag | ArmedBag:
         """Start a recording, or let it wait for its trigger, and return it. Raises RecordingRefused, OSError."""
+        if not can_record(self.session.settings, self.session.adapter.capabilities):
+            raise RecordingRefused("this server has nothing live to record: `of` cuts a recording")
         if order.trigger is None:
             may_record = partial(may_read_topic, self.space, exchange.permissions)
             return RunningBag(self.bags, self.recordings.begin(order, may_record))
@@ -320,13 +341,35 @@ class BagContainer(BagBase):
         armed = await self.recordings.arm(order, exchange.agent, self._triggers.occurrences)
         return ArmedBag(self.bags, armed)
 
+    async def _cut(self, order: CutOrder, exchange: Exchange) -> BagResource:
+        """Cut a recording that the agent may read, and return the first cut.
 
-def bag_route(bags: Bags, location: Location, *, triggers: RecordingTriggers | None = None) -> Resource:
+        Raises RecordingRefused, CutRefused, OSError, RosError and Problems.
+        """
+        space, permissions, recording = self.space, exchange.permissions, self.recordings.find(order.of)
+        if recording is None or not may_read_recording(space, permissions, recording):
+            raise Problem(422, f"There is no recording {order.of[:100]} to cut.")
+        spans = await spans_of(order, recording, self._queries, permissions, space)
+        selects, may_record = selected(order.selection.topics), partial(may_read_topic, space, permissions)
+        cuts = self.recordings.cut(
+            recording, order.selection.name, lambda topic: selects(topic) and may_record(topic), spans
+        )
+        names = await asyncio.shield(asyncio.ensure_future(cuts))
+        return BagResource(self.bags, self.recordings.finished[names[0]])
+
+
+def bag_route(
+    bags: Bags,
+    location: Location,
+    *,
+    triggers: RecordingTriggers | None = None,
+    queries: QueryService | None = None,
+) -> Resource:
     """Return the resource at `/bags/` or below. Raises a 404 Problem, or 308 if only the slash differs."""
     space, recordings = bags.session.space, bags.recordings
     match location.segments, location.is_container:
         case (), True:
-            return BagContainer(bags, triggers)
+            return BagContainer(bags, triggers, queries)
         case (name,), False:
             return BagUpload(bags, name)
         case (name,), True:

@@ -135,6 +135,12 @@ def _spans(recording: Recording, span: PastRange, most: int, *, is_newest: bool)
             yield begins, ends, max(1, count // pieces)
 
 
+def may_read_recording(space: Space, permissions: Permissions, recording: Recording) -> bool:
+    """Whether an agent may read a recording and its messages; topics are checked separately."""
+    messages = f"{space.bag_messages(recording.name)}{{index}}"
+    return permissions.may_read(space.bag(recording.name)) and permissions.may_template("GET", messages)
+
+
 _SLICE = 0.004
 """Seconds of lifting between pauses that let the loop run."""
 
@@ -158,7 +164,7 @@ class RecordedPast:
         """Return the text of the messages that a query selects, or of about `most` at one end. Raises Problems."""
         recordings = self._find(query, graphs)
         selections = query.selections(now)
-        readable = [one for one in recordings if self._may_read(one, permissions)]
+        readable = [one for one in recordings if may_read_recording(self._session.space, permissions, one)]
         for selection in selections:
             self._require_recorded(selection, readable, permissions)
         reading = _Reading(self._session, query, permissions, until)
@@ -190,12 +196,6 @@ class RecordedPast:
             "Nothing is recorded, so there is no past: start rosld with --history GLOB (--history '*' for all "
             f"topics), or name a recording by ?message ros:recordedIn <{space.container('bags')}NAME/>.",
         )
-
-    def _may_read(self, recording: Recording, permissions: Permissions) -> bool:
-        """Whether an agent may read a recording and its messages; topics are checked separately."""
-        space = self._session.space
-        messages = f"{space.bag_messages(recording.name)}{{index}}"
-        return permissions.may_read(space.bag(recording.name)) and permissions.may_template("GET", messages)
 
     def _require_recorded(
         self, selection: PastSelection, recordings: Sequence[Recording], permissions: Permissions

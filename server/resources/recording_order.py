@@ -29,12 +29,21 @@ float64 before
 string trigger_resource
 string trigger_condition
 uint8 trigger_limit
+string of
+string from
+string to
+string around
+float64 after
 """
-_FOLDED = frozenset({"topics", "before", "trigger_resource", "trigger_condition", "trigger_limit"})
+_OF_CUTS = ("of", "from", "to", "around", "after")
+_FOLDED = frozenset({"topics", "before", "trigger_resource", "trigger_condition", "trigger_limit", *_OF_CUTS})
 _ABOUT = (
     "Topics: those that you tick, all where you tick none. Duration: seconds, 0 for as long as you like. More: globs "
     "of topics with spaces between them, such as /odom /camera/*; seconds out of the history before; a condition, "
-    "such as percentage < 0.2, that begins the recording when it becomes true for the value at a URL."
+    "such as percentage < 0.2, that begins the recording when it becomes true for the value at a URL. "
+    "Of: the name of a recording, to cut out a part of it from and to a time (a date, or seconds after its start, as "
+    "60, or before its end, as -60), or around events: a time, a condition such as battery_state.percentage < 0.2, or "
+    "a SPARQL query for times."
 )
 
 
@@ -60,6 +69,9 @@ def recording_form(topics: Mapping[str, str]) -> ValueForm:
 
 def order_of_form(members: Mapping[str, object]) -> dict[str, object]:
     """Return the order in a form; empty inputs are omitted."""
+    if members.get("of"):
+        found = {key: members[key] for key in (*_OF_CUTS, "name", "before") if members.get(key)}
+        return found | ({"topics": str(members["topics"]).split()} if members.get("topics") else {})
     found = {key: members[key] for key in ("name", "before", "duration") if members.get(key)}
     found["topics"] = str(members.get("topics", "")).split() or ["*"]
     if members.get("trigger_condition") or members.get("trigger_resource"):
@@ -91,28 +103,36 @@ _TRIGGER: JsonSchema = {
     },
     "required": ["condition"],
 }
+_TIME = "seconds after the start of that recording, or before its end (-60)"
 SCHEMA: JsonSchema = json_object(
-    {
+    optional={
         "topics": {
             "type": "array",
             "items": TEXT,
             "minItems": 1,
             "description": "Names of topics, or globs such as /camera/*.",
-        }
-    },
-    {
+        },
         "name": {**TEXT, "description": "The name, for /bags/NAME/; default: the start time."},
         "before": {**_SECONDS, "description": "Seconds of the history to include at the start."},
         "duration": {**_SECONDS, "description": "Seconds after which it ends; otherwise it ends by PATCH."},
         "trigger": _TRIGGER,
+        "of": {**TEXT, "description": "Cuts out a part of the recording of this name."},
+        "from": {"type": ["string", "number"], "description": f"The first time of a cut: xsd:dateTime, {_TIME}."},
+        "to": {"type": ["string", "number"], "description": "The last time of a cut, in the same form."},
+        "around": {
+            **TEXT,
+            "description": "Cuts around events: a time, a condition such as battery_state.percentage < 0.2, or a "
+            "SPARQL query whose results have times; one recording (NAME-1, NAME-2 ...) each.",
+        },
+        "after": {**_SECONDS, "description": "Seconds after an event; those before it are `before`. Default: 5."},
     },
-)
+) | {"anyOf": [{"required": ["topics"]}, {"required": ["of"]}]}
 
 
-def read_order(data: bytes, media_type: str, url: str, *, is_form: bool = False) -> RecordingOrder:
-    """Return the order in a body that was sent to `url`. Raises BodyError, and 422 Problems."""
+def read_members(data: bytes, media_type: str, url: str, *, is_form: bool = False) -> Mapping[str, object]:
+    """Return the members of an order in a body that was sent to `url`. Raises BodyError, and 400 and 422 Problems."""
     members = _of_json(data) if media_type == JSON else _of_rdf(parse_body(data, media_type, url))
-    return order_of(order_of_form(members) if is_form else members)
+    return order_of_form(members) if is_form else members
 
 
 def order_of(members: Mapping[str, object]) -> RecordingOrder:
@@ -124,8 +144,8 @@ def order_of(members: Mapping[str, object]) -> RecordingOrder:
     name = members.get("name")
     if name is not None and not isinstance(name, str):
         raise Problem(422, f"name is {str(name)[:100]!r}, not a string.")
-    before = _seconds(members, "before")
-    duration, trigger = _seconds(members, "duration"), _trigger(members.get("trigger"))
+    before = read_seconds(members, "before")
+    duration, trigger = read_seconds(members, "duration"), _trigger(members.get("trigger"))
     if trigger is not None and trigger.limit > 1 and duration is None:
         raise Problem(422, "A recording that a trigger starts repeatedly needs a duration.")
     return RecordingOrder(_topics(members.get("topics")), name, before or 0.0, duration, trigger)
@@ -207,7 +227,8 @@ def _topics(value: object) -> tuple[str, ...]:
     return topics
 
 
-def _seconds(members: Mapping[str, object], key: str) -> float | None:
+def read_seconds(members: Mapping[str, object], key: str) -> float | None:
+    """Return the number of seconds of a member, or None without it. Raises a 422 Problem."""
     value = members.get(key)
     if value is None:
         return None

@@ -136,7 +136,8 @@ def test_what_a_recording_is_ordered_by_is_told_by_the_container_in_shacl_and_js
     description = Description(http.get("/openapi.json?below=/bags/").json())
     body = description.resolved(description.document["paths"]["/bags/"]["post"]["requestBody"])
     members = description.resolved(body["content"]["application/json"]["schema"])["properties"]
-    assert members.keys() == {"topics", "name", "before", "duration", "trigger"}
+    of_cuts = {"of", "from", "to", "around", "after"}
+    assert members.keys() == {"topics", "name", "before", "duration", "trigger", *of_cuts}
     assert all("description" in description.resolved(each) for each in members.values())
 
 
@@ -231,7 +232,8 @@ def test_a_person_begins_ends_and_deletes_a_recording_on_its_pages(armed: Any) -
     assert page.index('name="duration"') < page.index("<summary>More</summary>") < page.index('name="before"')
     hidden = form(page, "POST")
     filled = {**hidden, "name": "by-hand", "topics": "", "?choice": SPEED, "before": "0", "duration": "0",
-              "trigger_resource": "", "trigger_condition": "", "trigger_limit": "1"}  # fmt: skip
+              "trigger_resource": "", "trigger_condition": "", "trigger_limit": "1",
+              "of": "", "from": "", "to": "", "around": "", "after": "0"}  # fmt: skip
     forged = http.post("/bags/", data={**filled, "name": "forged", "csrf": "x"}, headers=HTML, follow_redirects=False)
     assert forged.status_code == 403
     made = http.post("/bags/", data=filled, headers=HTML, follow_redirects=False)

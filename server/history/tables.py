@@ -431,6 +431,22 @@ def _add_field(fields: dict[str, pa.Field], field: pa.Field) -> str:
     return name
 
 
+def table_of_columns(columns: Mapping[str, Sequence[float | None]], units: Mapping[str, str | None]) -> TableParts:
+    """Return columns of numbers, of which `time` is in ns, as a table, with their units (QUDT). Raises NoPyarrow."""
+    require_pyarrow()
+    import pyarrow as pa
+
+    arrays, fields = [], []
+    for name, values in columns.items():
+        is_whole = any(isinstance(each, int) for each in values)
+        type = pa.timestamp("ns", "UTC") if name == "time" else pa.int64() if is_whole else pa.float64()
+        arrays.append(pa.array(values, type))
+        unit = units.get(name)
+        fields.append(pa.field(name, type, metadata=None if unit is None else {"unit": unit}))
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+    return table.schema, (table,)
+
+
 # Files
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime, timezone
-from typing import NamedTuple, Protocol
+from functools import partial
+from typing import Any, NamedTuple, Protocol
 from urllib.parse import quote
 
 import orjson
@@ -17,6 +19,7 @@ from starlette.responses import Response
 
 from rosld.adapters.model import Array, MessageSchema, Primitive, Sample, TypeRef, UnknownType
 from rosld.ontology.describe_views import series_document
+from rosld.ontology.document import Document
 from rosld.ontology.fields import field_at, number_type
 from rosld.ontology.units import UNKNOWN, Quantity, quantity_at
 from rosld.ontology.urls import Space
@@ -24,11 +27,14 @@ from rosld.server.history.chunk_index import ChunkRow
 from rosld.server.history.history import History
 from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.message_block import MessageBlock, columns_of, number_paths
-from rosld.server.http.negotiation import choose_offer
+from rosld.server.history.tables import table_of_columns
+from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.json_schema import TEXT, json_array
 from rosld.server.resources.memento import is_recorded, read_time
+from rosld.server.resources.tables import table_response, wanted_table
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import OFFERS
+from rosld.server.rest.formats import CSV, JSON, TABLES
 from rosld.server.rest.path_item import QueryParameter
 from rosld.server.rest.resource import RESOURCE, Resource
 from rosld.server.rest.state import State
@@ -167,14 +173,14 @@ def _received(sample: Sample) -> int:
     return sample.received_ns
 
 
-CSV = "text/csv"
 POINTS, MAX_POINTS = 500, 10_000
 _SECONDS_BEFORE = 60.0
 _MAX_FIELD = 500
+_MAX_SERIES = 20
 _MAX_NAMED = 12
 """Maximum number of fields suggested for a wrong path."""
 PARAMETERS = (
-    QueryParameter("series", "The path of a number, such as `pose.position.x`: its values over a time."),
+    QueryParameter("series", "Paths of numbers, such as `pose.position.x`, whose values are read.", json_array(TEXT)),
     QueryParameter("from", "Since when: an xsd:dateTime, or seconds before now as `-60`. Default: a minute ago."),
     QueryParameter("to", "Until when, in the same format. Default: now."),
     QueryParameter(
@@ -185,61 +191,83 @@ PARAMETERS = (
 
 
 class SeriesResource(Resource):
-    """A series of a topic."""
+    """Series of one or several fields of a topic; several are available as columns, not as RDF."""
 
     kind = "Series"
     shape = "Series"
     links = (RESOURCE,)
 
-    def __init__(self, space: Space, history: History, topic: str, field: str, wanted: SeriesRange, query: str) -> None:
+    def __init__(
+        self, space: Space, history: History, topic: str, fields: Sequence[str], wanted: SeriesRange, query: str
+    ) -> None:
         super().__init__(space, f"{space.topic(topic)}?{query}")
         self.history = history
         self.topic = topic
-        self.field = field
+        self.fields = fields
         self.wanted = wanted
 
     async def state(self) -> State:
         found = await self._read()
-        points = [(point.time_ns, *point.statistic) for point in found.points]
-        url, topic, field, is_reduced = self.url, self.space.topic(self.topic), self.field, found.is_reduced
-        quantity = self._quantity()
+        times, *others = columns(found)
+        table = {"time": [_utc_text(at) for at in times.values], **{each.name: each.values for each in others}}
+        quantities = {field: self._quantity(field) for field in self.fields}
+        if len(found) > 1:
+            units = {field: quantity.symbol for field, quantity in quantities.items()}
+            data = orjson.dumps({"topic": self.topic, "fields": self.fields, "units": units, **table})
+            return State(self._no_document, lambda: data, token=digest(data))
+        ((field, series),) = found.items()
+        points = [(point.time_ns, *point.statistic) for point in series.points]
+        url, topic, is_reduced, quantity = self.url, self.space.topic(self.topic), series.is_reduced, quantities[field]
         return State(
             lambda: series_document(url, topic, field, points, is_reduced=is_reduced, quantity=quantity),
-            lambda: orjson.dumps({"topic": self.topic, "field": field, "unit": quantity.symbol, **columns(found)}),
+            lambda: orjson.dumps({"topic": self.topic, "field": field, "unit": quantity.symbol, **table}),
         )
 
+    def _no_document(self) -> Document:
+        others = ", ".join((JSON, *TABLES.values()))
+        raise Problem(406, f"Several series are columns, available as {others}; ask for one ?series= as RDF or a page.")
+
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """Return the columns as CSV (RFC 4180), if requested."""
-        requested = exchange.query.get("format")
-        wanted = choose_offer(exchange.accept, (*OFFERS, CSV)) if requested is None else requested
-        if wanted not in (CSV, "csv"):
+        """Return the columns as a table, if requested; CSV (RFC 4180) needs no pyarrow."""
+        format = wanted_table(exchange)
+        if format is None:
             return None
         table = columns(await self._read())
-        lines = [",".join(table), *(",".join(map(str, row)) for row in zip(*table.values(), strict=True))]
+        if format != "csv":
+            units = {each.name: self._quantity(each.field).unit for each in table if each.field}
+            values = {each.name: each.values for each in table}
+            return await table_response(format, partial(table_of_columns, values, units), "series", {})
+        times, *others = table
+        rows = zip(map(_utc_text, times.values), *(each.values for each in others), strict=True)
+        lines = [",".join(each.name for each in table)]
+        lines += (",".join("" if each is None else str(each) for each in row) for row in rows)
         headers = {"Vary": "Accept", "Cache-Control": "no-cache"}
         return Response("\r\n".join(lines) + "\r\n", media_type=CSV, headers=headers)
 
-    def _quantity(self) -> Quantity:
-        """Return what the field measures in all types that the topic has had."""
+    def _quantity(self, field: str) -> Quantity:
+        """Return what a field measures in all types that the topic has had."""
         recording, found = self.history.recording, set[Quantity]()
         for ref in recording.types_of(self.topic):
             with suppress(UnknownType):
                 schema = recording.schema(ref)
-                found.add(quantity_at(schema, self.field) if isinstance(schema, MessageSchema) else UNKNOWN)
+                found.add(quantity_at(schema, field) if isinstance(schema, MessageSchema) else UNKNOWN)
         return found.pop() if len(found) == 1 else UNKNOWN
 
-    async def _read(self) -> Series:
-        values = FieldValues(self.history.recording.schema, self.field)
-        writer = self.history.writer
-        try:
-            found = await asyncio.to_thread(read_series, writer, self.topic, self.field, self.wanted, values)
-        except SeriesTooLong as error:
-            raise Problem(422, f"{error}: request a shorter period.") from error
-        except (OSError, ValueError, KeyError) as error:
-            raise Problem(503, f"The history cannot be read at the moment: {error}.") from error
-        if not found.points and values.problem is not None:
-            raise Problem(404, f"{values.problem}.")
-        return found
+    async def _read(self) -> Mapping[str, Series]:
+        series: dict[str, Series] = {}
+        for field in self.fields:
+            values = FieldValues(self.history.recording.schema, field)
+            writer = self.history.writer
+            try:
+                found = await asyncio.to_thread(read_series, writer, self.topic, field, self.wanted, values)
+            except SeriesTooLong as error:
+                raise Problem(422, f"{error}: request a shorter period.") from error
+            except (OSError, ValueError, KeyError) as error:
+                raise Problem(503, f"The history cannot be read at the moment: {error}.") from error
+            if not found.points and values.problem is not None:
+                raise Problem(404, f"{values.problem}.")
+            series[field] = found
+        return series
 
 
 class FieldValues:
@@ -305,28 +333,57 @@ def _suggestion(schema: MessageSchema, path: str) -> str:
         return f"; numbers are {few}{' and others' if len(near) > _MAX_NAMED else ''}" if few else ""
 
 
-def columns(series: Series) -> dict[str, list[float | str]]:
-    """Return a series as columns: time and value of each message, or aggregates of intervals."""
-    points: Sequence[Point] = series.points
-    times: list[float | str] = [_utc_text(each.time_ns) for each in points]
-    if not series.is_reduced:
-        return {"time": times, "value": [each.statistic.minimum for each in points]}
-    return {
-        "time": times,
-        "min": [each.statistic.minimum for each in points],
-        "max": [each.statistic.maximum for each in points],
-        "mean": [each.statistic.total / each.statistic.numbers for each in points],
-        "count": [each.statistic.numbers for each in points],
-    }
+class Column(NamedTuple):
+    """A column of series; `field` is the path of what its values measure, empty for times in ns and counts."""
+
+    name: str
+    field: str
+    values: Sequence[Any]
+
+
+_STATISTICS: Mapping[str, Callable[[Statistic], float]] = {
+    "min": lambda each: each.minimum,
+    "max": lambda each: each.maximum,
+    "mean": lambda each: each.total / each.numbers,
+    "count": lambda each: each.numbers,
+}
+
+
+def columns(found: Mapping[str, Series]) -> list[Column]:
+    """Return series as columns: time and value of each message, or aggregates of intervals.
+
+    With several fields their paths are in the names, and a value is None where a field has none at that time.
+    """
+    points: dict[str, dict[tuple[int, int], Statistic]] = {}
+    for field, series in found.items():
+        count: Counter[int] = Counter()
+        points[field] = {}
+        for at, statistic in series.points:  # messages may have the same time
+            points[field][at, count[at]] = statistic
+            count[at] += 1
+    keys = sorted(set().union(*points.values()))
+    table = [Column("time", "", [at for at, _ in keys])]
+    for field, series in found.items():
+        own, prefix = [points[field].get(key) for key in keys], "" if len(found) == 1 else f"{field}."
+        if not series.is_reduced:
+            values = [None if each is None else each.minimum for each in own]
+            table.append(Column(field if prefix else "value", field, values))
+            continue
+        for name, read in _STATISTICS.items():
+            values = [None if each is None else read(each) for each in own]
+            table.append(Column(f"{prefix}{name}", "" if name == "count" else field, values))
+    return table
 
 
 def series_of(space: Space, history: History, topic: str, exchange: Exchange) -> SeriesResource:
     """Return the requested series of a topic. Raises Problems."""
     require_history(history, topic)
     query, now = exchange.query, time.time_ns()
-    field = query["series"]
-    if not 0 < len(field) <= _MAX_FIELD:
-        raise Problem(400, "?series= must be the path of a number, such as pose.position.x.")
+    fields = exchange.query_values("series")
+    if not fields or max(map(len, fields)) > _MAX_FIELD or len(fields) > _MAX_SERIES:
+        raise Problem(
+            400, f"?series= must be the path of a number, such as pose.position.x; up to {_MAX_SERIES} times."
+        )
     since = read_time(query.get("from", str(-_SECONDS_BEFORE)), now)
     until = read_time(query["to"], now) if "to" in query else now
     points = query.get("points", str(POINTS))
@@ -336,9 +393,10 @@ def series_of(space: Space, history: History, topic: str, exchange: Exchange) ->
         end = f"?to={query['to'][:60]}" if "to" in query else "now"
         begin = f"?from={query['from'][:60]}" if "from" in query else "?from=, by default a minute ago,"
         raise Problem(400, f"{begin} is not before {end}.")
-    requested = {name: query[name] for name in ("series", "from", "to", "points") if name in query}
-    text = "&".join(f"{name}={quote(value, safe='/:.-')}" for name, value in requested.items())
-    return SeriesResource(space, history, topic, field, SeriesRange(since, until, int(points)), text)
+    others = [(name, query[name]) for name in ("from", "to", "points") if name in query]
+    requested = [*(("series", field) for field in fields), *others]
+    text = "&".join(f"{name}={quote(value, safe='/:.-')}" for name, value in requested)
+    return SeriesResource(space, history, topic, fields, SeriesRange(since, until, int(points)), text)
 
 
 def require_history(history: History, topic: str) -> None:

@@ -8,7 +8,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 import httpx
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 from pyoxigraph import RdfFormat, parse
 
 TYPES = "https://w3id.org/rosld/types/"
@@ -104,6 +106,25 @@ def test_ask_is_a_table_of_one_column_in_csv_and_tsv(http: httpx.Client) -> None
         assert ask(http, query, "text/csv").text == f"_askResult\r\n{value}\r\n"
         assert ask(http, query, "text/tab-separated-values").text == f"?_askResult\n{value}\n"
         assert ask(http, query, JSON).json()["boolean"] is (value == "true")
+
+
+def test_solutions_are_tables_of_arrow_too(http: httpx.Client) -> None:
+    query = "SELECT ?n ?x { VALUES (?n ?x) { (1 1.5e0) (2 UNDEF) } }"
+    expected = {"n": [1, 2], "x": [1.5, None]}
+    for params, headers in (
+        ({"format": "parquet"}, {}),
+        ({}, {"Accept": "application/vnd.apache.parquet, text/turtle;q=0.5"}),
+    ):
+        answer = http.get("/sparql", params={"query": query, **params}, headers=headers)
+        assert answer.headers["content-type"] == "application/vnd.apache.parquet"
+        assert parquet.read_table(io.BytesIO(answer.content)).to_pydict() == expected
+    answer = http.post("/sparql", data={"query": query}, headers={"Accept": "application/vnd.apache.arrow.stream"})
+    assert pa.ipc.open_stream(answer.content).read_all().to_pydict() == expected
+    answer = http.get("/queries/inventory", params={"format": "arrow"})
+    assert pa.ipc.open_stream(answer.content).read_all().num_columns > 0, answer.text
+    for form in ("CONSTRUCT { ?s ?p ?o } { ?s ?p ?o }", "SELEKT"):
+        answer = http.get("/sparql", params={"query": form, "format": "parquet"})
+        assert answer.status_code == (406 if form.startswith("C") else 400), answer.text
 
 
 def test_a_graph_names_the_prefixes_that_it_uses(http: httpx.Client) -> None:

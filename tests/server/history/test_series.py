@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Callable
 from datetime import datetime, timedelta, timezone
 from email.utils import format_datetime
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from pyarrow import parquet
 
 from tests.server.history.mcap_files import decode, read
 from tests.waiting import until
@@ -111,6 +113,34 @@ NO_PAST = {
           f"series={FIELD}&from=-1e400", f"series={FIELD}&from=-1e30&to=-1e29", "at=now"),
     404: ("series=header.frame_id", "series=header", "at=0001-01-01T00:00:00Z", "at=-1e30"),
 }  # fmt: skip
+
+
+def test_several_series_are_columns_of_one_table(past: Past) -> None:
+    for points in (10000, 7):
+        query = f"from={moment(past.times[0] - 1000)}&to={moment(past.times[-1] + 1000)}&points={points}"
+        other = "twist.twist.linear.x"
+        one, two = (columns(past.http, f"series={field}&{query}") for field in (FIELD, other))
+        both = columns(past.http, f"series={FIELD}&series={other}&{query}")
+        assert (both["fields"], both["units"]) == ([FIELD, other], {FIELD: one["unit"], other: "m/s"})
+        assert both["time"] == one["time"] == two["time"]
+        names = (
+            {FIELD: "value"} if points > 7 else {f"{FIELD}.{each}": each for each in ("min", "max", "mean", "count")}
+        )
+        for name, each in names.items():
+            assert (both[name], both[name.replace(FIELD, other)]) == (one[each], two[each])
+        rows = [
+            *csv.DictReader(
+                past.http.get(f"/topics/odom?series={FIELD}&series={other}&{query}&format=csv").text.splitlines()
+            )
+        ]
+        assert [float(row[next(iter(names))]) for row in rows] == both[next(iter(names))]
+        file = past.http.get(f"/topics/odom?series={FIELD}&series={other}&{query}&format=parquet").content
+        table = parquet.read_table(io.BytesIO(file))
+        assert table.schema.names == [name for name in both if name not in ("topic", "fields", "units")]
+        assert table.schema[-1 if points > 7 else -2].metadata[b"unit"].endswith(b"M-PER-SEC")
+        assert {name: table[name].to_pylist() for name in names} == {name: both[name] for name in names}
+    refused = past.http.get(f"/topics/odom?series={FIELD}&series={other}", headers={"Accept": "text/turtle"})
+    assert (refused.status_code, "text/csv" in refused.text) == (406, True)
 
 
 def test_a_past_that_cannot_be_read_is_refused_with_what_there_is_instead(past: Past) -> None:

@@ -340,7 +340,7 @@ def test_every_imported_distribution_is_declared_and_only_some_features_need_ext
     """A dependency of a dependency may go with any of its releases."""
     files = ("cli/mcp", "mcp/prompts", "mcp/protocol", "mcp/subscriptions", "mcp/tools")
     assert undeclared(ROOMS, declared()) == {
-        "distributed in server/cli/parallel.py",
+        "distributed in server/cli/workers.py",
         "fsspec in server/cli/recording_inputs.py",
         "jwt in server/auth/oidc.py",
         *(f"pyarrow in server/{file}.py" for file in ("history/tables", "sparql/result_tables")),

@@ -51,6 +51,9 @@ def _conversion(command: _F) -> _F:
     metavar="FILE",
     help="Where to write: .nq, .nt, .ttl or .trig, each also with .gz; - for stdout.",
 )
+@click.option("--into", metavar="URL", help="Send it to this store instead: Graph Store Protocol, in N-Quads.")
+@click.option("--graph", metavar="IRI", help="With --into: everything in this graph, in N-Triples.")
+@click.option("--token", envvar="ROSLD_TOKEN", metavar="TOKEN", help="With --into: a bearer token.")
 @click.option("--format", default="nq", show_default=True, metavar="SUFFIX", help="The format of stdout.")
 @click.option("--base-url", default=DEFAULT_BASE, show_default=True, metavar="URL", help="The base of all URLs.")
 @click.option(
@@ -65,6 +68,9 @@ def _conversion(command: _F) -> _F:
 def lift(
     recordings: tuple[str, ...],
     output: Path | None,
+    into: str | None,
+    graph: str | None,
+    token: str | None,
     format: str,
     topics: tuple[str, ...],
     begin: Moment | None,
@@ -82,27 +88,40 @@ def lift(
     .trig, a named graph of that name. TIME is an xsd:dateTime, or seconds after the start of each recording (60), or
     before its end (-60).
 
-    FILE appears only once it is complete. After an interruption, the same command continues.
+    FILE appears only once it is complete. After an interruption, the same command continues. A store receives requests
+    of about a megabyte, each repeated if the store is busy; USER:PASSWORD may stand in its URL.
 
     \b
     Examples:
       rosld lift run.bag -o run.nq
       rosld lift run.mcap -o run.trig.gz --base-url https://data.example/
       rosld lift recordings/ -o all.nq.gz --topic /odom --from -60 --workers 8
+      rosld lift run.mcap --into http://localhost:7878/store
     """
     from rosld.ontology.lift import LiftSettings
     from rosld.server.cli.lift import LiftJob, target
     from rosld.server.cli.lift import lift as run
     from rosld.server.cli.recording_inputs import Selection
+    from rosld.server.cli.store_upload import UploadJob, destination, upload
 
-    if output is None:
-        raise click.UsageError("Missing option '-o' / '--output'.")
+    if (output is None) == (into is None):
+        raise click.UsageError("Give either -o FILE or --into URL.")
+    selection, settings = Selection(topics, begin, end), LiftSettings(inline_limit=inline_limit)
     with user_errors(ExitCode.USAGE):
         base = declared.canonical_base(base_url)
-        wanted = target(f"stdout.{format}" if str(output) == "-" else str(output))
-    settings = LiftSettings(inline_limit=inline_limit)
-    job = LiftJob(selection=Selection(topics, begin, end), base=base, settings=settings, target=wanted)
-    run(recordings, output, job, types, workers, dask)
+        if output is not None:
+            wanted = target(f"stdout.{format}" if str(output) == "-" else str(output))
+            job = LiftJob(selection=selection, base=base, settings=settings, target=wanted)
+        else:
+            url, authorization = destination(str(into), graph, token)
+            wanted = target("x.nq" if graph is None else "x.nt")
+            sending = UploadJob(
+                selection=selection, base=base, settings=settings, target=wanted, url=url, authorization=authorization
+            )
+    if output is not None:
+        run(recordings, types, job, output, workers, dask)
+    else:
+        upload(recordings, types, sending, workers, dask)
 
 
 COMMANDS = (lift,)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import gc
 import gzip
 import os
 import shutil
-import signal
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, NoReturn
+from typing import BinaryIO
 
 from msgspec import Struct
 
@@ -20,10 +17,10 @@ from rosld.adapters.base import Recording
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
-from rosld.server.cli.failure import ExitCode, Failure, end_signals, output_errors, user_errors
-from rosld.server.cli.parallel import SMALL, Job, Manifest, Outcome, Part, Pool, run_parts, usable_cores
+from rosld.server.cli.conversion import Manifest, Output, Run, convert
+from rosld.server.cli.parts import Job, Outcome, Part
 from rosld.server.cli.rdf_writer import Lifting, writer
-from rosld.server.cli.recording_inputs import Source, find_sources, read_types
+from rosld.server.cli.recording_inputs import Source
 
 SYNTAXES: Mapping[str, Syntax] = {
     ".nq": Syntax.N_QUADS,
@@ -91,90 +88,51 @@ class LiftJob(Job, frozen=True, kw_only=True):
 
 
 def lift(
-    inputs: Sequence[str], output: Path, job: LiftJob, types: Sequence[Path], workers: int | None, dask: str | None
+    inputs: Sequence[str], types: Sequence[Path], job: LiftJob, output: Path, workers: int | None, dask: str | None
 ) -> None:
-    """Write recordings to `output` (`-`: stdout). Raises Failure if not all parts could be written."""
-    sources = find_sources(inputs)
-    with user_errors(), ended_by_signals(), _draft_folder(output) as folder:
-        texts = read_types(types)
-        with output_errors():
-            manifest = Manifest(folder, sources, texts, job)
-        try:
-            with Pool(worker_count(workers, sources), dask) as pool:
-                joined = _Joined(manifest, sys.stdout.buffer if str(output) == "-" else None)
-                run = run_parts(job, sources, texts, pool, manifest, joined.append)
-        except Failure:
-            if not manifest.done:
-                manifest.remove()
-            raise
-        finally:
-            manifest.close()
-        if not run.report(sources):
-            words = f"{output} is not complete; the same command computes the parts that are missing"
-            raise Failure(words, ExitCode.INCOMPLETE)
-        joined.finish(output)
-        manifest.remove()
-        if run.unreadable:
-            raise Failure(f"{len(run.unreadable)} of {len(sources)} recordings are left out", ExitCode.INCOMPLETE)
-
-
-def worker_count(workers: int | None, sources: Sequence[Source]) -> int:
-    """Return the number of workers: that of the option, else one per core, or one for small recordings."""
-    if workers is not None:
-        return workers
-    return usable_cores() if sum(source.size for source in sources) > SMALL else 1
-
-
-@contextmanager
-def ended_by_signals() -> Iterator[None]:
-    """Turn signals that end the command into exceptions, so that workers are ended, too."""
-    before = {number: signal.signal(number, _exit) for number in end_signals() if number is not signal.SIGINT}
-    gc.freeze()  # the garbage collector need not scan the loaded objects repeatedly
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _exit(number: int, frame: object) -> NoReturn:
-    sys.exit(128 + number)
-
-
-@contextmanager
-def _draft_folder(output: Path) -> Iterator[Path]:
-    """Yield the folder for the parts of an output, a temporary one for stdout."""
+    """Write recordings to a file, or to stdout (`-`). Raises Failure."""
     if str(output) != "-":
-        yield output.with_name(f".{output.name}.parts")
+        convert(inputs, types, job, FileOutput(output), output.with_name(f".{output.name}.parts"), workers, dask)
         return
     with tempfile.TemporaryDirectory(prefix="rosld-") as folder:
-        yield Path(folder)
+        convert(inputs, types, job, Stdout(), Path(folder, "parts"), workers, dask)
 
 
-class _Joined:
-    """The finished parts in order: in a file that replaces the output at the end, or on stdout."""
+class Stdout(Output):
+    """The parts in order on stdout."""
 
-    def __init__(self, manifest: Manifest, stdout: BinaryIO | None) -> None:
-        """Continue after the parts that were joined before."""
-        self._manifest = manifest
-        self._stdout = stdout
-        self._file: BinaryIO = stdout or manifest.joined_file.open("ab")
-        if stdout is None:
-            self._file.truncate(manifest.size)
+    name = "stdout"
 
-    def append(self, part: Part) -> None:
-        """Append a part, and remove it."""
-        folder = self._manifest.folder / part.folder
+    def begin(self, manifest: Manifest, sources: Sequence[Source]) -> None:
+        self._folder = manifest.folder
+        self._file: BinaryIO = sys.stdout.buffer
+
+    def add(self, part: Part) -> None:
+        folder = self._folder / part.folder
         with (folder / _LIFTED).open("rb") as lifted:
             shutil.copyfileobj(lifted, self._file, _BUFFER)
         self._file.flush()
-        if self._stdout is None:
-            self._manifest.note(joined=part, size=self._file.tell())
         shutil.rmtree(folder)
 
-    def finish(self, output: Path) -> None:
-        """Replace the output. The file is on the disk by then."""
-        if self._stdout is None:
-            os.fsync(self._file.fileno())
-            self._file.close()
-            self._manifest.joined_file.replace(output)
+
+class FileOutput(Stdout):
+    """The parts in order in a file, which replaces the output once it is complete."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.name = str(path)
+
+    def begin(self, manifest: Manifest, sources: Sequence[Source]) -> None:
+        super().begin(manifest, sources)
+        self._manifest = manifest
+        self._file = manifest.joined_file.open("ab")
+        self._file.truncate(manifest.size)
+
+    def add(self, part: Part) -> None:
+        super().add(part)
+        self._manifest.note(joined=part, size=self._file.tell())
+
+    def finish(self, run: Run) -> None:
+        os.fsync(self._file.fileno())
+        self._file.close()
+        self._manifest.joined_file.replace(self._path)

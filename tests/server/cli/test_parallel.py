@@ -17,7 +17,8 @@ from rosld.adapters.base import Recording
 from rosld.server.cli import lift as lift_module
 from rosld.server.cli.lift import LiftJob
 from rosld.server.cli.main import main
-from rosld.server.cli.parallel import Cut, Outcome, Part, run_task
+from rosld.server.cli.parts import Cut, Job, Outcome, Part, run_task
+from rosld.server.cli.recording_inputs import Selection
 from tests.runs import write_run
 
 
@@ -30,7 +31,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cut recordings into parts of 150 messages, and blocks of 50."""
-    monkeypatch.setattr("rosld.server.cli.parallel.BLOCK_MESSAGES", 50)
+    monkeypatch.setattr("rosld.server.cli.parts.BLOCK_MESSAGES", 50)
     monkeypatch.setattr(lift_module, "_PART_MESSAGES", 150)
 
 
@@ -51,12 +52,14 @@ def lines(text: bytes) -> set[str]:
 
 
 def test_a_cut_covers_all_messages_once_in_parts_of_whole_blocks() -> None:
-    for count, size, most in ((0, 10, 1000), (1, 10, 1000), (2500, 10, 1000), (100_000, 1 << 30, 1 << 62)):
+    job = Job(selection=Selection())
+    for count, size in ((0, 10), (1, 10), (2500, 40 << 20), (100_000, 1 << 30)):
         cut = Cut(count, 100, "", is_selected=True)
-        parts = cut.parts(0, size, most)
+        parts = cut.parts(0, size, job)
+        assert len(parts) >= size // job.part_bytes
         assert [part.start for part in parts] == [0, *(part.end for part in parts[:-1])]
         assert parts[-1].end == count
-        assert all(part.start % 100 == 0 and part.end - part.start <= most for part in parts)
+        assert all(part.start % 100 == 0 for part in parts)
         for part in parts:
             halves = cut.halves(part)
             assert not halves or (halves[0].start, halves[-1].end) == (part.start, part.end)

@@ -1,4 +1,4 @@
-"""Mementos (RFC 7089): a recorded resource is its own TimeGate, `?at=` are its mementos, `?timemap` lists them."""
+"""Mementos (RFC 7089): `?at=` are those of a recorded resource, `?timegate` is its TimeGate, `?timemap` lists them."""
 
 from __future__ import annotations
 
@@ -48,6 +48,7 @@ SETTLED_NS = 3_000_000_000
 TIMEMAP = (
     QueryParameter("timemap", "The mementos that there are of it (RFC 7089), `start` the number of the first."),
     QueryParameter("start", "The number of the first memento that `timemap` tells."),
+    QueryParameter("timegate", "Redirects to the memento at the time in Accept-Datetime, by default the last one."),
 )
 PAST = (QueryParameter("at", "The resource as it was at this time, an xsd:dateTime, by the history."), *TIMEMAP)
 """Query parameters for past states of a resource."""
@@ -65,8 +66,9 @@ def is_recorded(history: History, topic: str) -> bool:
 
 
 def timegate_links(url: str) -> tuple[Link, ...]:
-    """Return the links of an original resource that is its own TimeGate, and of its mementos (RFC 7089 2.2)."""
-    return (Link(url, "original"), Link(url, "timegate"), Link(f"{url}?timemap", "timemap", type=LINK_FORMAT))
+    """Return the links of an original resource and of its mementos (RFC 7089 2.2)."""
+    timemap = Link(f"{url}?timemap", "timemap", type=LINK_FORMAT)
+    return (Link(url, "original"), Link(f"{url}?timegate", "timegate"), timemap)
 
 
 def memento_url(url: str, time_ns: int) -> str:
@@ -77,6 +79,31 @@ def memento_url(url: str, time_ns: int) -> str:
 def memento_datetime(time_ns: int) -> str:
     """Return a time in the format of `Memento-Datetime` and of links to mementos, which has whole seconds."""
     return format_datetime(datetime.fromtimestamp(time_ns // _SECOND, timezone.utc), usegmt=True)
+
+
+def wanted_datetime(exchange: Exchange) -> str | None:
+    """Return the Accept-Datetime of a request to a TimeGate: `?timegate`, or GET of the resource itself.
+
+    HEAD of the resource is about its present state: memento-client finds a TimeGate only by a link of a response that
+    does not vary by Accept-Datetime itself.
+    """
+    wanted = exchange.headers.get("accept-datetime")
+    if "timegate" in exchange.query:
+        return wanted or format_datetime(datetime.now(timezone.utc), usegmt=True)
+    return wanted if exchange.method == "GET" else None
+
+
+async def present(now: Resource, exchange: Exchange) -> Resource:
+    """Return the resource, for HEAD with Accept-Datetime as a representation that does not vary by it."""
+    if exchange.method != "HEAD" or "accept-datetime" not in exchange.headers:
+        return now
+    await now.prepare()
+
+    async def state() -> State:
+        found = await now.state()
+        return replace(found, headers={**found.headers, "vary": "Accept"}, renderings={}, redactions={})
+
+    return Memento(now, now.kind, "", state)
 
 
 def parse_accept_datetime(text: str) -> int:
@@ -235,7 +262,7 @@ def _time_map_response(
     if times and after is None:
         rels[-1] = "last memento"
     links = [
-        Link(original, "original timegate"),
+        *timegate_links(original)[:2],
         Link(resource.url, "self", type=LINK_FORMAT, attributes=ends),
         *(_memento(original, rel, each) for rel, each in zip(rels, times, strict=True)),
     ]
@@ -311,7 +338,7 @@ class PastReadings:
 
 
 class TimeGate(CommandResource):
-    """Base class of properties and complex resources, which are TimeGates of their mementos (RFC 7089)."""
+    """Base class of properties and complex resources, which have mementos and a TimeGate (RFC 7089)."""
 
     def __init__(
         self,
@@ -358,7 +385,8 @@ class TimeGate(CommandResource):
             return time_map_of(self.space, self.history, self.url, self.name, topics, exchange)
         requested = requested_time(self.history, self.url, exchange)
         if requested is None:
-            return await super().select_variant(exchange)
+            found = await super().select_variant(exchange)
+            return await present(found, exchange) if self.history.is_enabled else found
         at_ns, text = requested
         await self.prepare()
         return Memento(self, "Resource as it was", text, partial(self._state_at, at_ns), self.get_part)
@@ -381,12 +409,14 @@ class TimeGate(CommandResource):
 
 def requested_time(history: History, url: str, exchange: Exchange) -> tuple[int, str] | None:
     """Return the time in `?at=` and its text, or None for the current state. Raises Problems: 302, 400, 404."""
-    wanted = exchange.headers.get("accept-datetime")
+    wanted = wanted_datetime(exchange)
     if exchange.method not in ("GET", "HEAD") or ("at" not in exchange.query and wanted is None):
         return None
     if "at" not in exchange.query:
-        if wanted is None or not history.is_enabled:
+        if wanted is None or (not history.is_enabled and "timegate" not in exchange.query):
             return None
+        if not history.is_enabled:
+            raise Problem(404, _NOT_KEPT)
         at_ns = min(parse_accept_datetime(wanted), time.time_ns() - SETTLED_NS)
         raise found(memento_url(url, at_ns), timegate_links(url))
     if not history.is_enabled:

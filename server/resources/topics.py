@@ -41,10 +41,12 @@ from rosld.server.resources.memento import (
     is_recorded,
     memento_datetime,
     negotiate_topic,
+    present,
     read_history,
     read_time,
     time_map_of,
     timegate_links,
+    wanted_datetime,
 )
 from rosld.server.resources.messages import (
     CLOUD_PARAMETERS,
@@ -119,7 +121,7 @@ class TopicResource(PublishingResource):
         self._allowed: tuple[Graph, frozenset[str], str | None] | None = None
 
     async def prepare(self) -> None:
-        """Add TimeGate links if the topic is recorded: it is its own TimeGate."""
+        """Add links to the TimeGate and the TimeMap if the topic is recorded."""
         gate = timegate_links(self.url) if is_recorded(self.history, self.name) else ()
         self.links = (*type(self).links, *gate)
 
@@ -360,7 +362,7 @@ class TopicResource(PublishingResource):
         """
         if exchange.method in ("GET", "HEAD"):
             query = exchange.query if exchange.request.scope["query_string"] else {}
-            asks_the_past = not query.keys().isdisjoint(("series", "timemap", "at"))
+            asks_the_past = not query.keys().isdisjoint(("series", "timemap", "timegate", "at"))
             if asks_the_past and self.found is None and not is_recorded(self.history, self.name):
                 raise self.missing()
             if "series" in query:
@@ -371,8 +373,13 @@ class TopicResource(PublishingResource):
                 return time_map_of(self.space, self.history, self.url, self.name, topics, exchange)
             if "at" in query:
                 return await self._past(query["at"])
-            if "accept-datetime" in exchange.headers and is_recorded(self.history, self.name):
-                raise await negotiate_topic(self.space, self.history, self.name, exchange.headers["accept-datetime"])
+            if "timegate" in query:
+                require_history(self.history, self.name)
+            if is_recorded(self.history, self.name):
+                wanted = wanted_datetime(exchange)
+                if wanted is not None:
+                    raise await negotiate_topic(self.space, self.history, self.name, wanted)
+                return await present(await super().select_variant(exchange), exchange)
         return await super().select_variant(exchange)
 
     async def _past(self, text: str) -> Resource:

@@ -83,10 +83,11 @@ def with_constraint_link(resource: Resource, error: BodyError | LoweringError | 
 
 
 def with_type_links(resource: Resource, problem: Problem) -> Problem:
-    """Return a refusal with links to the types of the resource; a missing resource has none."""
+    """Return a refusal with the links of the resource, each once; a missing resource has none."""
     if problem.status not in (404, 410) and resource.links:
-        there = problem.headers.get("Link")
-        problem.headers["Link"] = ", ".join([render_links(resource.links), *([there] if there else ())])
+        there = problem.headers.get("Link", "")
+        links = render_links([each for each in resource.links if str(each) not in there])
+        problem.headers["Link"] = ", ".join(each for each in (links, there) if each)
     return problem
 
 

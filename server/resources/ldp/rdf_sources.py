@@ -53,7 +53,7 @@ from rosld.server.resources.ldp.statements import (
     require_same_members,
 )
 from rosld.server.resources.ldp.versions import former_of, has_versions
-from rosld.server.resources.memento import VARY, timegate_links
+from rosld.server.resources.memento import VARY, present, timegate_links
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.interaction import model_links
@@ -94,13 +94,16 @@ class RdfSourceResource(StoredResource):
     }
 
     async def prepare(self) -> None:
-        """Add TimeGate links if versions are stored: the resource is its own TimeGate."""
+        """Add links to the TimeGate and the TimeMap if versions are stored."""
         if has_versions(self.documents.settings, self.path):
             self.links = (*type(self).links, *timegate_links(self.url))
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the former version (`?at=TIME`) or the TimeMap (`?timemap`) that the request selects."""
-        return former_of(self.documents, self.path, exchange) or await super().select_variant(exchange)
+        former = former_of(self.documents, self.path, exchange)
+        if former is None and has_versions(self.documents.settings, self.path):
+            return await present(await super().select_variant(exchange), exchange)
+        return former or await super().select_variant(exchange)
 
     @property
     def conforms_to(self) -> Sequence[str]:

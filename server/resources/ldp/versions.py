@@ -22,6 +22,7 @@ from rosld.server.resources.memento import (
     parse_accept_datetime,
     read_time,
     timegate_links,
+    wanted_datetime,
 )
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
@@ -58,8 +59,8 @@ def former_of(documents: Documents, path: str, exchange: Exchange) -> Resource |
     """Return the requested former version of a document, or None. Raises Problems: 302, 400, 404."""
     if exchange.method not in ("GET", "HEAD"):
         return None
-    query, wanted = exchange.query, exchange.headers.get("accept-datetime")
-    parameter = next((name for name in ("timemap", "at") if name in query), None)
+    query, wanted = exchange.query, wanted_datetime(exchange)
+    parameter = next((name for name in ("timemap", "timegate", "at") if name in query), None)
     if not has_versions(documents.settings, path):
         if parameter is not None and path.startswith(_ROOTS) and documents.settings.versions == 0:
             raise Problem(404, f"?{parameter}: no former versions are kept; start with rosld serve --versions N.")

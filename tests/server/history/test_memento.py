@@ -54,7 +54,7 @@ def test_a_recorded_topic_is_its_own_timegate_and_names_its_timemap(gate: Any) -
     assert "accept-datetime" in answer.headers["vary"].lower()
     assert "memento-datetime" not in answer.headers
     url = f"{gate.url}topics{SPEED}"
-    assert [each.target for each in links(answer)["timegate"]] == [url]
+    assert [each.target for each in links(answer)["timegate"]] == [f"{url}?timegate"]
     assert [each.target for each in links(answer)["timemap"]] == [f"{url}?timemap"]
     other = gate.http.get("/topics/aircraft/position", headers=JSON)
     assert "timegate" not in links(other)
@@ -102,6 +102,11 @@ def leads_to_memento(gate: Any, listed: list[Any], when: int | str) -> None:
     assert "memento-datetime" not in answer.headers
     assert "accept-datetime" in answer.headers["vary"].lower()
     assert {"original", "timegate", "timemap", "first", "last", "memento"} <= links(answer).keys()
+    assert len(links(answer)["timegate"]) == len(links(answer)["original"]) == len(links(answer)["timemap"]) == 1
+    there = gate.http.get(f"/topics{SPEED}?timegate", headers=JSON | {"Accept-Datetime": asked}, follow_redirects=False)
+    assert [there.headers[name] for name in ("location", "vary")] == [
+        answer.headers[name] for name in ("location", "vary")
+    ]
     memento = gate.http.get(answer.headers["location"], headers=JSON)
     assert memento.status_code == 200
     if "1990" in asked:

@@ -20,7 +20,7 @@ from rosld.ontology.compile import TIME
 from rosld.ontology.document import Envelope
 from rosld.ontology.lift import Lifter
 from rosld.ontology.literals import date_time, scalar_texts
-from rosld.ontology.vocab import rdf, ros
+from rosld.ontology.vocab import rdf, ros, xsd
 
 _DOCUMENT = "urn:x-rosld-document"
 _SEQUENCE = 987654321987654321
@@ -28,6 +28,7 @@ _SINGLE = 1 << 23
 """The first mark of a float32, which cannot contain text; integers of this size are exact."""
 
 
+_DATATYPE = re.compile(rf'"\^\^<{re.escape(xsd.iri)}([A-Za-z]+)>')
 _STAMP = 876_543_210
 """The first mark of the seconds of a stamp; that of the nanoseconds follows."""
 _NO_NUMBERS = frozenset(each.value for each in (ros.sentBy, ros.elidedLength, ros.bytes, rdf.first, rdf.rest))
@@ -47,10 +48,15 @@ class ColumnLifter:
         marks: Sequence[str],
         paths: Mapping[str, tuple[str, ...]],
         stamps: Mapping[str, str],
+        endings: Mapping[str, tuple[str, str]],
     ) -> None:
-        """`stamps` are the marks of the nanoseconds of stamps by those of the seconds."""
+        """`stamps` are the marks of the nanoseconds of stamps by those of the seconds.
+
+        `endings` are those of literals of floats by their marks, first as written, then as stored.
+        """
         self.paths = list(paths.values())
         self._stamps = stamps
+        self._endings = endings
         self._format = "%s".join(part.replace("%", "%%") for part in parts)
         self._marks = marks
         self._names = list(paths)
@@ -69,6 +75,9 @@ class ColumnLifter:
         values: dict[str, Sequence[object]] = {
             name: scalar_texts(cast("Any", column)) for name, column in zip(self._names, columns, strict=True)
         }
+        for name, (written, stored) in self._endings.items():
+            texts = cast("Sequence[str]", values[name])
+            values[name] = [each + (stored if each[-2:] == ".0" or "e" in each else written) for each in texts]
         for seconds, nanoseconds in self._stamps.items():
             pair = [columns[self._names.index(each)].tolist() for each in (seconds, nanoseconds)]
             stamps = [*zip(*pair, strict=True)]
@@ -90,12 +99,15 @@ def column_lifter(
     node: str,
     reshape: Callable[[str, str], str] = lambda text, message: text,
     *,
+    datatype: Callable[[str], str] = xsd.iri.__add__,
     simulated_time: bool = False,
 ) -> ColumnLifter | None:
-    """Return the lifter of many messages, including the link from their topic; None if it needs more than numbers.
+    """Return the lifter of many messages, with the link from their topic if needed; None if it needs more than numbers.
 
     `lifter` writes the statements with the predicates `only`; `node` is the fragment of the message (`#message`).
-    `reshape` changes the text of a message, given its IRI. With `simulated_time` stamps are not times.
+    `reshape` changes the text of a message, given its IRI. Literals that the store would change have another
+    `datatype`, given its local name in XSD: integers of other types than xsd:integer, and floats with an exponent or
+    without decimals. With `simulated_time` stamps are not times.
     """
     has_stamps = ros.dateTime.value in only
     if not only.isdisjoint(_NO_NUMBERS) or (has_stamps and simulated_time):
@@ -106,7 +118,8 @@ def column_lifter(
         text = lifter.ntriples(cast("Message", probe), _DOCUMENT, node, envelope=Envelope(0, _SEQUENCE))
     except _NotNumbers:
         return None
-    text = f"<{topic}> <{ros.past.value}> <{_DOCUMENT}{node}> .\n{reshape(text, _DOCUMENT + node)}"
+    link = f"<{topic}> <{ros.past.value}> <{_DOCUMENT}{node}> .\n" if ros.past.value in only else ""
+    text = f"{link}{reshape(text, _DOCUMENT + node)}"
     stamps = {each: each + 1 for each in probe.found if isinstance(each, int) and each + 1 in probe.found}
     marks = {
         _DOCUMENT: _DOCUMENT,
@@ -122,11 +135,20 @@ def column_lifter(
         parts.append(text[at : match.start()])
         order.append(marks[match[0]])
         at = match.end()
+    parts.append(text[at:])
+    endings: dict[str, tuple[str, str]] = {}
+    for place, mark in enumerate(order, 1):
+        if (found := _DATATYPE.match(parts[place])) and found[1] not in ("integer", "dateTime"):
+            stored = f'"^^<{datatype(found[1])}>'
+            is_float = found[1] in ("float", "double")
+            parts[place] = ("" if is_float else stored) + parts[place][found.end() :]
+            if is_float:
+                endings[mark] = found[0], stored
     used = {f"stamp {seconds}": (seconds, nanoseconds) for seconds, nanoseconds in stamps.items()}
     stamps = dict(used[mark] for mark in used if mark in order)
     needed = {*order, *map(str, (*stamps, *stamps.values()))}
     paths = {str(mark): path for mark, path in probe.found.items() if str(mark) in needed}
-    return ColumnLifter([*parts, text[at:]], order, paths, {str(each): str(after) for each, after in stamps.items()})
+    return ColumnLifter(parts, order, paths, {str(each): str(after) for each, after in stamps.items()}, endings)
 
 
 def shorten_paths(text: str, message: str, paths: Mapping[str, Sequence[str]], kept: frozenset[str]) -> str:

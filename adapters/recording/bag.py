@@ -6,6 +6,7 @@ import logging
 import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
@@ -239,19 +240,33 @@ class Bag:
     def select(self, criteria: MessageFilter, limit: int) -> MessagePage:
         """Return at most `limit` messages; only these are read from the disk."""
         indexes = self._indexes(criteria, limit + 1)
+        columns = (self._table.connections, self._table.places, self._table.offsets, self.times, self._sequences)
+        rows = zip(indexes, *(each[indexes].tolist() for each in columns), strict=True)
         messages: list[RecordedMessage] = []
         size = 0
-        for place, index in enumerate(indexes):
-            if place == limit or size >= PAGE_BYTES:
+        for count, (index, connection, place, offset, received, sequence) in enumerate(rows):
+            if count == limit or size >= PAGE_BYTES:
                 return MessagePage(messages, index)
             try:
-                message = self.message(index)
+                data = self._data(index, place, offset)
             except Unreachable as error:
                 log.warning("%s", error)
-            else:
-                messages.append(message)
-                size += len(message.sample.data)
+                continue
+            source = self._connections[connection]
+            kind, publisher, latched = self._types[connection], source.publisher, source.latched
+            sample = Sample(data, source.encoding, kind, publisher, received, sequence, 0, latched)
+            is_opening = index < self._openings or source.is_opening
+            messages.append(RecordedMessage(index, source.topic, sample, is_opening))
+            size += len(data)
         return MessagePage(messages, None)
+
+    @cached_property
+    def _sequences(self) -> NDArray[np.uint32]:
+        """The number of each message among those of its stream, from 1."""
+        found = np.zeros(self.count, np.uint32)
+        for stream in self.streams:
+            found[stream.positions] = np.arange(1, len(stream.positions) + 1)
+        return found
 
     def _indexes(self, criteria: MessageFilter, limit: int) -> list[int]:
         """Return the indexes of the first `limit` messages that match a filter."""
@@ -284,15 +299,18 @@ class Bag:
     def sample(self, index: int, sequence: int, epoch: int = 0) -> Sample:
         """Return message `index` as a sample with this sequence and epoch. Raises Unreachable."""
         connection = int(self._table.connections[index])
-        try:
-            data = self._storage.read(int(self._table.places[index]), int(self._table.offsets[index]))
-        except Damaged as damage:
-            raise Unreachable(f"message {index} of the recording {self.name} cannot be read: {damage}") from damage
+        data = self._data(index, int(self._table.places[index]), int(self._table.offsets[index]))
         source = self._connections[connection]
         received = int(self.times[index])
         return Sample(
             data, source.encoding, self._types[connection], source.publisher, received, sequence, epoch, source.latched
         )
+
+    def _data(self, index: int, place: int, offset: int) -> bytes:
+        try:
+            return self._storage.read(place, offset)
+        except Damaged as damage:
+            raise Unreachable(f"message {index} of the recording {self.name} cannot be read: {damage}") from damage
 
     def schema(self, ref: TypeRef) -> Schema:
         return self._library.find(ref)

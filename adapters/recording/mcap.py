@@ -83,10 +83,11 @@ class Mcap(ChunkedFile):
     def read(self, place: int, offset: int) -> bytes:
         """Return the bytes of the message record at `offset` in the file or in a chunk. Raises Damaged."""
         source = self._source(place)
-        record = _record_at(source, offset)
-        if record.op != _MESSAGE or record.size < _MESSAGE_HEAD.size:
+        head = read_exactly(source, offset, 9)
+        size = int.from_bytes(head[1:], "little") - _MESSAGE_HEAD.size
+        if head[0] != _MESSAGE or size < 0:
             raise Damaged(f"there is no message at {offset}")
-        return read_exactly(source, record.data_at + _MESSAGE_HEAD.size, record.size - _MESSAGE_HEAD.size)
+        return read_exactly(source, offset + 9 + _MESSAGE_HEAD.size, size)
 
     def _read_header(self, file: RandomFile) -> int:
         header = _record_at(file, len(MAGIC))

@@ -207,12 +207,14 @@ class MemoryStore:
         default_graphs: Sequence[str] = (),
         named_graphs: Sequence[str] = (),
         past: bytes | None = None,
+        stored_past: bytes = b"",
         aggregates: Mapping[str, AggregateFunction] = {},
     ) -> Results:
         """Start a query; results are computed as they are read. Raises QueryError.
 
         `default_graphs` and `named_graphs` are the dataset (SPARQL 1.1, 13.2) and override FROM in the text: with
-        either given, only these graphs exist. `past` are additional N-Triples in the default graph.
+        either given, only these graphs exist. `past` are additional N-Triples in the default graph, and
+        `stored_past` those in their stored form.
         """
         source = self._store
         default: list[NamedNode | BlankNode | DefaultGraph] = [*map(NamedNode, default_graphs)]
@@ -223,6 +225,7 @@ class MemoryStore:
             if past is not None:
                 self.is_modified |= source is self._store
                 source.load(encode_ntriples(past.decode()).encode(), RdfFormat.N_TRIPLES)
+                source.load(stored_past, RdfFormat.N_TRIPLES)
             is_chosen = bool(default or named)
             return source.query(
                 text,

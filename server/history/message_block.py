@@ -8,7 +8,7 @@ decoded one by one.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -236,12 +236,22 @@ class MessageBlock:
     @classmethod
     def grouped(cls, messages: Iterable[RecordedMessage]) -> Iterator[MessageBlock]:
         """Yield messages in memory as blocks of one channel and length, with rows."""
-        groups: dict[tuple[Channel, int], list[RecordedMessage]] = {}
+        groups: dict[Hashable, list[RecordedMessage]] = {}
         for each in messages:
-            groups.setdefault((channel_of(each.topic, each.sample), len(each.sample.data)), []).append(each)
-        for (channel, length), members in groups.items():
+            data, encoding, schema, publisher, *_, latched = each.sample
+            key = (
+                each.topic,
+                id(encoding),
+                id(schema),
+                publisher,
+                latched,
+                len(data),
+            )  # these hash in C, unlike a Channel
+            groups.setdefault(key, []).append(each)
+        for members in groups.values():
+            length = len(members[0].sample.data)
             block = cls.of(members)
-            block._channels = {0: channel}
+            block._channels = {0: channel_of(members[0].topic, members[0].sample)}
             block.rows = ChunkRows(
                 0,
                 np.array([each.sample.sequence for each in members], np.uint64),

@@ -6,9 +6,9 @@ import asyncio
 import time
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import starmap
 from typing import NamedTuple
 
@@ -23,6 +23,7 @@ from rosld.ontology.literals import date_time, quote
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ldp, rdf, rdfs, ros, xsd
 from rosld.server.auth.permissions import Permissions
+from rosld.server.dataset.encoding import private_datatype
 from rosld.server.history.history import HistoryRecording
 from rosld.server.history.message_block import MessageBlock, columns_of
 from rosld.server.history.recordings import Recordings
@@ -229,15 +230,13 @@ class _Reading:
         self._graph = session.graph
         self._end = query.end
         self._only = query.predicates
-        self._is_linked = query.is_linked
         self._permissions = permissions
         self._until = until
-        self._asks_transforms = query.asks_transforms
         self._placed_ns: list[int] = []
-        self._paths = query.paths
-        self._kept = query.kept or frozenset()
-        self._is_ordered = query.is_ordered
+        self._query = query
+        self._variables: dict[str, set[str]] = {}
         self._counts: Counter[str] = Counter()
+        self._needs: dict[str, tuple[frozenset[str] | None, Mapping[str, Sequence[str]], frozenset[str] | None]] = {}
         self._times: dict[tuple[str, str], list[tuple[int, int]]] = {}
         self._size = 0
         self._read = 0
@@ -256,13 +255,13 @@ class _Reading:
         topics = sorted({each.topic for _, ranges in plans for each in ranges})
         if count > MAX_PAST + 1000 * len(topics):  # chunks at the edges are counted in full
             raise self._too_much(f"{count} recorded messages of {_list(topics)} may take part in this query")
-        texts: list[str] = []
+        texts: tuple[list[str], list[str]] = [], []
         pause = time.monotonic() + _SLICE
         for recording, ranges in plans:
             record_text = _RecordText(self._session.space, recording, self._only)
             for block in read_past(recording, ranges):
-                for text, count in self._lift_block(recording, block, record_text):
-                    texts.append(text)
+                for text, count, is_stored in self._lift_block(recording, block, record_text):
+                    texts[is_stored].append(text)
                     self._read += count
                     self._size += len(text)
                     if self._read > MAX_PAST:
@@ -274,9 +273,10 @@ class _Reading:
                             raise out_of_time(self._session.settings.query_time_limit)
                         time.sleep(_SLICE / 20)
                         pause = time.monotonic() + _SLICE
-        transforms = self._transforms(recordings) if self._asks_transforms else ()
+        transforms = self._transforms(recordings) if self._query.asks_transforms else ()
         times = [*starmap(_message_times, self._times.items())]
-        return PastText("".join(texts).encode(), is_whole, transforms, times, self._counts)
+        plain, stored = ("".join(each).encode() for each in texts)
+        return PastText(plain, stored, is_whole, transforms, times, self._counts)
 
     def _transforms(self, recordings: Sequence[Recording]) -> Sequence[FrameRow]:
         """Return the transforms around the times of the lifted places. Raises Problems."""
@@ -317,6 +317,7 @@ class _Reading:
                 continue
             for each in selections:
                 if self._is_of(each, url, recording, topic):
+                    self._variables.setdefault(name, set()).add(each.variable)
                     low = _earlier(recording, name, max(each.time.low, 0), each.before)
                     found.append(PastRange(name, low, min(each.time.high, FOR_EVER)))
         return merge_ranges(found)
@@ -354,8 +355,11 @@ class _Reading:
 
     def _lift_block(
         self, recording: Recording, block: MessageBlock, record_text: _RecordText
-    ) -> Iterator[tuple[str, int]]:
-        """Yield texts, each with its number of messages; by columns if only numeric fields are needed."""
+    ) -> Iterator[tuple[str, int, bool]]:
+        """Yield texts, each with its number of messages, and whether it is in its stored form.
+
+        That is what is read by columns, if only numeric fields are needed: 3 times as fast as encoding the text.
+        """
         if block.rows is not None and not len(block.rows.times):
             return
         if block.rows is not None and self._only is not None and not record_text.is_more:
@@ -364,7 +368,7 @@ class _Reading:
             lifter = (
                 None
                 if schema is None or self._is_placed(schema)
-                else self._column_lifter(schema, record_text.topic(channel.topic))
+                else self._column_lifter(schema, channel.topic, record_text.topic(channel.topic))
             )
             if schema is not None and lifter is not None:
                 columns = columns_of(block.rows, schema, channel.encoding, lifter.paths)
@@ -375,36 +379,53 @@ class _Reading:
                     text = lifter.ntriples(documents, times, block.sequences(), columns)
                     if text is not None:
                         self._note(record_text, channel.topic, times, numbers)
-                        yield text, len(numbers)
+                        yield text, len(numbers), True
                         return
         for message in block.messages():
-            yield self._lift(recording, message, record_text), 1
+            yield self._lift(recording, message, record_text), 1, False
 
     def _is_placed(self, schema: MessageSchema) -> bool:
         """Whether the query needs geometries, and messages of this type have one."""
         return (self._only is None or not self._only.isdisjoint(TERMS)) and has_place(schema)
 
-    def _lifter(self, schema: MessageSchema) -> Lifter:
-        return partial_lifter(schema, self._session.lifting, self._only, is_linked=self._is_linked)
+    def _needed(self, topic: str) -> tuple[frozenset[str] | None, Mapping[str, Sequence[str]], frozenset[str] | None]:
+        """Return the predicates that are lifted, None for all, the paths, and the predicates that remain."""
+        if topic not in self._needs:
+            kept = self._query.predicates_of(self._variables.get(topic, ("",)))
+            paths = {name: steps for name, steps in self._query.paths.items() if kept is not None and name in kept}
+            self._needs[topic] = None if kept is None else kept.union(*paths.values()), paths, kept
+        return self._needs[topic]
 
-    def _column_lifter(self, schema: MessageSchema, topic: str) -> ColumnLifter | None:
+    def _lifter(self, schema: MessageSchema, topic: str) -> Lifter:
+        only, _, _ = self._needed(topic)
+        return partial_lifter(schema, self._session.lifting, only, is_linked=self._query.is_linked)
+
+    def _column_lifter(self, schema: MessageSchema, topic: str, url: str) -> ColumnLifter | None:
         key = schema.ref, topic
         if key not in self._lifters:
-            assert self._only is not None
-            lifter, is_simulated = self._lifter(schema), self._graph.simulated_time
+            only, _, _ = self._needed(topic)
+            lifter, is_simulated = self._lifter(schema, topic), self._graph.simulated_time
+            assert only is not None
             self._lifters[key] = column_lifter(
-                lifter, self._only, topic, MESSAGE, self._shorten, simulated_time=is_simulated
+                lifter,
+                only,
+                url,
+                MESSAGE,
+                partial(self._shorten, topic),
+                datatype=_datatype,
+                simulated_time=is_simulated,
             )
         return self._lifters[key]
 
-    def _shorten(self, text: str, message: str) -> str:
-        """Return the text of a message with a statement for each of the query's paths."""
-        return shorten_paths(text, message, self._paths, self._kept) if self._paths else text
+    def _shorten(self, topic: str, text: str, message: str) -> str:
+        """Return the text of a message with a statement for each path that is needed of it."""
+        _, paths, kept = self._needed(topic)
+        return shorten_paths(text, message, paths, kept) if paths and kept is not None else text
 
     def _note(self, record_text: _RecordText, topic: str, times: Sequence[int], numbers: Sequence[int]) -> None:
         """Count readable messages, and note their times and numbers if the query asks for their order."""
         self._counts[topic] += len(numbers)
-        if self._is_ordered:
+        if self._query.is_ordered:
             place = record_text.topic(topic), record_text.messages
             self._times.setdefault(place, []).extend(zip(times, numbers, strict=True))
 
@@ -423,10 +444,10 @@ class _Reading:
         if publisher is not None and not self._permissions.may_read(publisher):
             publisher = None
         envelope = Envelope(sample.received_ns, sample.sequence, publisher)
-        lifted = self._lifter(schema).ntriples(
+        lifted = self._lifter(schema, message.topic).ntriples(
             decoded, url, MESSAGE, envelope=envelope, simulated_time=self._graph.simulated_time
         )
-        lifted = self._shorten(lifted, url + MESSAGE)
+        lifted = self._shorten(message.topic, lifted, url + MESSAGE)
         self._note(record_text, message.topic, [sample.received_ns], [message.index])
         if self._is_placed(schema) and (place := geometry_of(schema, decoded)) is not None:
             self._placed_ns.append(sample.received_ns)
@@ -434,9 +455,13 @@ class _Reading:
         return f"{record_text.of_record(url, message)}{lifted}"
 
 
+def _datatype(name: str) -> str:
+    return private_datatype(name).value
+
+
 def _message_times(place: tuple[str, str], messages: list[tuple[int, int]]) -> MessageTimes:
-    ordered = sorted(messages)
-    times, numbers = (array("q", each) for each in zip(*ordered, strict=True))
+    messages.sort()
+    times, numbers = (array("q", each) for each in zip(*messages, strict=True))
     return MessageTimes(*place, times, numbers)
 
 

@@ -16,7 +16,7 @@ Patterns in GRAPH do not match recorded messages, which have no graph of their o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import takewhile
 from typing import NamedTuple, Protocol
 from urllib.parse import unquote
@@ -107,7 +107,8 @@ class PastSelection(Struct, frozen=True):
     """Selection of messages received within `time`, of types that use all of `types`.
 
     Their topics have one of these `urls` and one of these `names` (None: any), and currently all of `topic_types`.
-    `before` is the number of messages of each topic before `time` that are selected, too.
+    `before` is the number of messages of each topic before `time` that are selected, too. `variable` stands for the
+    messages, "" for those of any.
     """
 
     urls: frozenset[str] | None = None
@@ -116,6 +117,7 @@ class PastSelection(Struct, frozen=True):
     types: frozenset[str] = frozenset()
     time: Interval = ANY_TIME
     before: int = 0
+    variable: str = ""
 
 
 class PastEnd(NamedTuple):
@@ -147,9 +149,8 @@ class PastQuery:
 
     `predicates` are the predicates of recorded messages that it can match, None for all. `is_linked`: it reaches nodes
     within messages only through these predicates from the messages. Each path of fields in `paths` is one predicate of
-    the rewritten query, whose places are `replaced`; `kept` are the predicates of its other patterns. `is_ordered`: it
-    calls functions of the order of messages. `recordings` are the URLs of the recordings that it
-    names, directly or by their messages.
+    the rewritten query; their places are `replaced`. `is_ordered`: it calls functions of the order of messages.
+    `recordings` are the URLs of the recordings that it names, directly or by their messages.
     """
 
     def __init__(self, query: Query, terms: MessageTerms) -> None:
@@ -165,42 +166,74 @@ class PastQuery:
         """Variables that stand for recorded messages or nodes in them, by the `id` of their group."""
         self.paths: dict[str, tuple[str, ...]] = {}
         self.replaced: list[tuple[int, int, str]] = []
-        self.kept = self.predicates
+        self._common, self._kept, self._by_variable = _NOTHING, _NOTHING, dict[str, frozenset[str]]()
         if self.predicates is not None:
-            self._replace_paths()
+            self._find_predicates()
         self.end = self._end(query.slice)
 
     def selections(self, now: Interval) -> Sequence[PastSelection]:
         """Return the selections of messages that may take part in a match, for NOW() within an interval."""
         return list(dict.fromkeys(self._of(self._where, _Context(), now)))
 
-    def _replace_paths(self) -> None:
-        """Find the paths of fields that begin at recorded messages: each is read as a single statement of a message.
+    def predicates_of(self, variables: Collection[str]) -> frozenset[str] | None:
+        """Return the predicates that the query can match on messages of these variables, None for all."""
+        if self.predicates is None:
+            return None
+        of_each = (self._by_variable.get(each, _NOTHING) if each else self._kept for each in variables)
+        return self._common.union(*of_each)
+
+    def _find_predicates(self) -> None:
+        """Find the predicates of the messages of each variable, with a single predicate for a path of fields.
 
         A field has one value, so that a path matches a message once, as a predicate does.
         """
         groups = [*_groups_of_default_graph(self._where)]
-        patterns = [each for group in groups for each in group.patterns]
-        messages = {name for group in groups for name in _links(group)}
-        messages -= {each.object.name for each in patterns if not _is_past(each) and isinstance(each.object, Variable)}
+        roots = self._roots([each for group in groups for each in group.patterns])
+        found: dict[str | None, set[str]] = {}
         predicates: dict[tuple[str, ...], str] = {}
-        within: set[Pattern] = set()
         for group in groups:
+            covered = self.covered.get(id(group), _NOTHING)
+            within: set[Pattern] = set()
             for chain in group.chains:
                 subject = chain.patterns[0].subject
-                if not isinstance(subject, Variable) or subject.name not in messages & self.covered.get(
-                    id(group), _NOTHING
-                ):
-                    continue
-                *steps, last = chain.steps
-                fields = steps if last == ros.dateTime.value else chain.steps
-                if all(self._terms.type_named(each) is not None for each in fields):
+                name = subject.name if isinstance(subject, Variable) else ""
+                fields = chain.steps[:-1] if chain.steps[-1] == ros.dateTime.value else chain.steps
+                is_short = all(self._terms.type_named(each) is not None for each in fields)
+                if is_short and name in covered and roots.get(name) == name:
                     predicate = predicates.setdefault(chain.steps, f"{NAMESPACE}path:{len(predicates)}")
                     self.replaced.append((chain.start, chain.end, predicate))
                     within.update(chain.patterns)
+                    found.setdefault(name, set()).add(predicate)
+            for each in group.patterns:
+                end = each.object if _is_past(each) else each.subject
+                root = roots.get(end.name) if isinstance(end, Variable) and end.name in covered else None
+                if (each.repeated or each.empty) and not self._terms.stays_in_message(each):
+                    root = None
+                if each not in within:
+                    found.setdefault(root, set()).update(each.predicates or ())
         self.paths = {predicate: steps for steps, predicate in predicates.items()}
         self.replaced = sorted(set(self.replaced))  # a path before several objects is written once
-        self.kept = frozenset().union(*(each.predicates or () for each in patterns if each not in within))
+        self._common = frozenset(found.pop(None, ()))
+        self._by_variable = {name: frozenset(each) for name, each in found.items() if name is not None}
+        self._kept = self._common.union(*self._by_variable.values())
+
+    def _roots(self, patterns: Sequence[Pattern]) -> Mapping[str, str | None]:
+        """Return the variables of the messages that variables are or are nodes of, None if that is ambiguous."""
+        messages = {name for group in _groups_of_default_graph(self._where) for name in _links(group)}
+        roots: dict[str, str | None] = {name: name for name in messages}
+        before: dict[str, str | None] = {}
+        steps = [each for each in patterns if not _is_past(each) and self._terms.stays_in_message(each)]
+        others = [each for each in patterns if not _is_past(each) and each not in steps]
+        roots |= {each.object.name: None for each in others if isinstance(each.object, Variable)}
+        while before != roots:
+            before = dict(roots)
+            for each in steps:
+                ends = each.subject, each.object
+                names = [end.name for end in ends if isinstance(end, Variable)]
+                if len(names) == 2 and names[0] in roots:
+                    root = roots[names[0]]
+                    roots[names[1]] = root if roots.get(names[1], root) == root else None
+        return roots
 
     def _end(self, slice: Slice | None) -> PastEnd | None:
         """Return the messages that the first solutions are about, None if they may be about any.
@@ -285,7 +318,7 @@ class PastQuery:
             return found
         about = [each for each in group.patterns if each.subject == message]
         types = frozenset().union(*(self._terms.types_of(each) for each in about))
-        time = ANY_TIME
+        found, time = replace(found, variable=message.name), ANY_TIME
         for each in about:
             if each.predicates == _RECEIVED and not each.repeated:
                 time = time.meet(_time_of(each.object, known))
@@ -313,7 +346,7 @@ class PastQuery:
                 sources += self._ordered(other, before, group, around, now)
         for child in group.children if not sources else ():
             sources += self._of(child, _Context(), now)
-        yield from (replace(each, before=each.before + 1) for each in sources or [PastSelection()])
+        yield from (replace(each, before=each.before + 1, variable=name) for each in sources or [PastSelection()])
 
     def _topics(
         self, group: Group, known: Knowledge, outer: Mapping[str, PastSelection]
@@ -488,13 +521,15 @@ def _recordings(query: Query, base: str) -> Iterator[str]:
 
 
 class PastText(NamedTuple):
-    """N-Triples about recorded messages; `is_whole`: all requested messages are included.
+    """N-Triples about recorded messages, and others that are `stored` in their stored form.
 
+    `is_whole`: all requested messages are included.
     `transforms` are those around the times of the places in the text, if the query calls ros:transform; `times` are the
     times of all messages, if it calls functions of their order; `counts` are their numbers by topic.
     """
 
     text: bytes
+    stored: bytes = b""
     is_whole: bool = True
     transforms: Sequence[FrameRow] = ()
     times: Sequence[MessageTimes] = ()

@@ -203,8 +203,8 @@ class QueryService:
                 if not request.partial:
                     _require_complete(unread)
                 query = self._query(analysis, request, permissions, None if past is None else past.text)
-                if past is not None and past.times:
-                    query = query._replace(times=tuple(past.times))
+                if past is not None:
+                    query = query._replace(stored_past=past.stored, times=tuple(past.times))
                 if TRANSFORM in analysis.functions:
                     query = query._replace(transforms=await self._transforms_for(permissions, past))
                 work = make_work(query, least, unread)

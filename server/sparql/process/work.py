@@ -55,8 +55,8 @@ class QueryWork(NamedTuple):
     """A query as the store evaluates it. `functions` are the IRIs of the functions that it calls.
 
     `ages` are the seconds since the newest message of each topic, if the query needs them; `past` are N-Triples about
-    recorded messages, added to the default graph for this query only; `transforms` are those for ros:transform, and
-    `times` those of the messages for ros:asOf.
+    recorded messages, added to the default graph for this query only, `stored_past` those in their stored form;
+    `transforms` are those for ros:transform, and `times` those of the messages for ros:asOf.
     """
 
     text: str
@@ -67,6 +67,7 @@ class QueryWork(NamedTuple):
     ages: Mapping[str, float] | None = None
     functions: frozenset[str] = frozenset()
     past: bytes | None = None
+    stored_past: bytes = b""
     transforms: tuple[FrameRow, ...] = ()
     times: tuple[MessageTimes, ...] = ()
 
@@ -80,6 +81,7 @@ class QueryWork(NamedTuple):
             default_graphs=self.default_graphs,
             named_graphs=self.named_graphs,
             past=self.past,
+            stored_past=self.stored_past,
             aggregates=AGGREGATES,
         )
 

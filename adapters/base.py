@@ -184,6 +184,10 @@ class Recording(Protocol):
         """The human-readable name of the file format."""
 
     @property
+    def encoding(self) -> Encoding:
+        """The encoding of the messages, that of the ROS that recorded them."""
+
+    @property
     def first(self) -> int:
         """The index of the first stored message: 0 unless the oldest messages were removed."""
 

@@ -24,7 +24,7 @@ _TABLES = """
 CREATE TABLE IF NOT EXISTS recording (
     id INTEGER PRIMARY KEY, identity TEXT, name TEXT UNIQUE, path TEXT UNIQUE, format TEXT, ros INTEGER, size INTEGER,
     mtime_ns INTEGER, start_ns INTEGER, end_ns INTEGER, count INTEGER, silent TEXT, problem TEXT, missing INTEGER,
-    own INTEGER);
+    own INTEGER, version INTEGER DEFAULT 0);
 CREATE INDEX IF NOT EXISTS recording_identity ON recording (identity);
 CREATE TABLE IF NOT EXISTS topic (
     recording INTEGER, name TEXT, type TEXT, hash TEXT, count INTEGER, unreadable TEXT,
@@ -35,9 +35,12 @@ CREATE TABLE IF NOT EXISTS event (recording INTEGER, name TEXT, start_ns INTEGER
 CREATE INDEX IF NOT EXISTS event_recording ON event (recording);
 """
 _COLUMNS = (
-    "id, identity, name, path, format, ros, size, mtime_ns, start_ns, end_ns, count, silent, problem, missing, own"
+    "id, identity, name, path, format, ros, size, mtime_ns, start_ns, end_ns, count, silent, problem, missing, own, "
+    "version"
 )
 _SEPARATOR = "\n"
+_PRESENT, _VANISHED, _ELSEWHERE = 0, 1, 2
+"""Values of `missing`: recordings elsewhere exist, but not in what is served now."""
 _ANNOTATIONS = frozenset({"tag", "event"})
 
 
@@ -81,7 +84,10 @@ class Entry(Struct, frozen=True):
 
 
 class Row(Struct, frozen=True):
-    """A catalogued recording, without its topics, tags and events. `is_missing`: its file has vanished."""
+    """A catalogued recording, without its topics, tags and events. `is_missing`: its file has vanished.
+
+    `version` changes with each of these.
+    """
 
     id: int
     identity: str
@@ -98,6 +104,7 @@ class Row(Struct, frozen=True):
     problem: str | None
     is_missing: bool
     is_own: bool
+    version: int = 0
 
     @property
     def is_readable(self) -> bool:
@@ -127,7 +134,7 @@ class Selection(Struct, frozen=True):
 
     def condition(self) -> tuple[str, list[object]]:
         """Return a condition on `recording`, and its parameters."""
-        terms: list[str] = ["1"]
+        terms: list[str] = [f"missing <> {_ELSEWHERE}"]
         values: list[object] = []
 
         def add(term: str, *parameters: object) -> None:
@@ -220,30 +227,39 @@ class Catalogue:
             for entry in entries:
                 _put(db, entry, names.get(entry.path, (entry.path.stem,)), batch)
 
-    def keep_only(self, paths: Collection[Path]) -> None:
-        """Mark the recordings of the source at other paths as missing."""
-        known = {str(path) for path in paths}
-        found = self.read("SELECT id, path, missing FROM recording WHERE NOT own")
-        gone = [(each,) for each, path, missing in found if path not in known and not missing]
-        if gone:
-            with self.transaction() as db:
-                db.executemany("UPDATE recording SET missing = 1 WHERE id = ?", gone)
+    def keep_only(self, paths: Collection[Path], *, own: bool = False) -> None:
+        """Mark the recordings of the source, or the server's own, at other paths as missing.
 
-    def forget(self, name: str) -> None:
-        """Remove a recording with all that is known of it."""
+        Those whose files exist elsewhere are not listed as long as these are not served.
+        """
+        known = {str(path) for path in paths}
+        found = self.read("SELECT id, path, missing FROM recording WHERE own = ?", (int(own),))
+        states = [(_state(path, known), each, missing) for each, path, missing in found]
+        changed = [(state, each) for state, each, missing in states if state != missing]
+        if changed:
+            with self.transaction() as db:
+                db.executemany("UPDATE recording SET missing = ?, version = version + 1 WHERE id = ?", changed)
+
+    def leave_out_source(self) -> None:
+        """List none of the recordings of the source, which are not served now."""
         with self.transaction() as db:
-            for (id,) in db.execute("SELECT id FROM recording WHERE name = ?", (name,)).fetchall():
+            db.execute(f"UPDATE recording SET missing = {_ELSEWHERE} WHERE NOT own")
+
+    def forget(self, path: Path) -> None:
+        """Remove the recording at a path with all that is known of it."""
+        with self.transaction() as db:
+            for (id,) in db.execute("SELECT id FROM recording WHERE path = ?", (str(path.absolute()),)).fetchall():
                 for table in _tables_about_recordings(db):
                     db.execute(f"DELETE FROM {table} WHERE recording = ?", (id,))
                 db.execute("DELETE FROM recording WHERE id = ?", (id,))
 
     def find(self, name: str) -> Row | None:
         """Return the recording of a name, or None."""
-        return next(self._rows(f"SELECT {_COLUMNS} FROM recording WHERE name = ?", (name,)), None)
+        return next(self._rows(f"SELECT {_COLUMNS} FROM recording WHERE name = ? AND missing <> 2", (name,)), None)
 
     def at(self, path: Path) -> Row | None:
         """Return the recording at a path, or None."""
-        return next(self._rows(f"SELECT {_COLUMNS} FROM recording WHERE path = ?", (str(path),)), None)
+        return next(self._rows(f"SELECT {_COLUMNS} FROM recording WHERE path = ?", (str(path.absolute()),)), None)
 
     def number_of(self, selection: Selection = EVERYTHING) -> int:
         """Return the number of selected recordings."""
@@ -258,6 +274,15 @@ class Catalogue:
         order = SORTS[sort.removeprefix("-")] + (" DESC" if sort.startswith("-") else "")
         query = f"SELECT {_COLUMNS} FROM recording WHERE {where} ORDER BY {order}, name LIMIT ? OFFSET ?"
         return self._rows(query, (*values, limit, start))
+
+    def names(self) -> list[str]:
+        """Return the names of all recordings, those of damaged and missing ones included."""
+        query = f"SELECT name FROM recording WHERE missing <> {_ELSEWHERE} ORDER BY name"
+        return [name for (name,) in self.read(query)]
+
+    def topic_names(self) -> list[str]:
+        """Return the names of the topics of all recordings."""
+        return [name for (name,) in self.read("SELECT DISTINCT name FROM topic ORDER BY name")]
 
     def readable_names(self) -> list[str]:
         """Return the names of the readable recordings of the source."""
@@ -313,6 +338,7 @@ class Catalogue:
             db.execute("DELETE FROM event WHERE recording = ?", (id,))
             db.executemany("INSERT INTO tag VALUES (?, ?)", [(id, tag) for tag in dict.fromkeys(tags)])
             db.executemany("INSERT INTO event VALUES (?, ?, ?, ?)", [(id, *event) for event in dict.fromkeys(events)])
+            db.execute("UPDATE recording SET version = version + 1 WHERE id = ?", (id,))
 
     def close(self) -> None:
         """Close the database. Idempotent."""
@@ -346,13 +372,16 @@ def _put(db: sqlite3.Connection, entry: Entry, names: Sequence[str], batch: Mapp
     id = _known(db, entry.identity, path, batch)
     if id is None:
         id = db.execute("INSERT INTO recording (name) VALUES (?)", (_free_name(db, names),)).lastrowid
+    if entry.own:  # the server has named it
+        db.execute("UPDATE recording SET name = name || '-' || id WHERE name = ? AND id <> ?", (names[0], id))
+        db.execute("UPDATE recording SET name = ? WHERE id = ?", (names[0], id))
     if db.execute("SELECT 1 FROM recording WHERE id = ? AND identity <> ?", (id, entry.identity)).fetchone():
         for table in _tables_about_recordings(db) - _ANNOTATIONS:  # what was computed from the former content
             db.execute(f"DELETE FROM {table} WHERE recording = ?", (id,))
     db.execute("UPDATE recording SET path = NULL, missing = 1 WHERE path = ? AND id <> ?", (path, id))
     db.execute(
         "UPDATE recording SET (identity, path, format, ros, size, mtime_ns, start_ns, end_ns, count, silent, problem, "
-        "missing, own) = (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 0, ?) WHERE id = ?",
+        "missing, own, version) = (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 0, ?, version + 1) WHERE id = ?",
         (
             *(entry.identity, path, entry.format, entry.ros_version, entry.size, entry.mtime_ns),
             *(entry.start_ns, entry.end_ns, entry.count, _SEPARATOR.join(entry.silent), entry.problem),
@@ -364,6 +393,12 @@ def _put(db: sqlite3.Connection, entry: Entry, names: Sequence[str], batch: Mapp
         "INSERT OR REPLACE INTO topic VALUES (?, ?, ?, ?, ?, ?)",
         [(id, each.name, each.type.name, each.type.hash, each.count, each.unreadable) for each in entry.topics],
     )
+
+
+def _state(path: str | None, known: Collection[str]) -> int:
+    if path is None or path in known:
+        return _VANISHED if path is None else _PRESENT
+    return _ELSEWHERE if Path(path).exists() else _VANISHED
 
 
 def _tables_about_recordings(db: sqlite3.Connection) -> frozenset[str]:
@@ -392,12 +427,12 @@ def _free_name(db: sqlite3.Connection, names: Sequence[str]) -> str:
 
 
 def _row(row: tuple[Any, ...]) -> Row:
-    id, identity, name, path, format, ros, size, mtime, start, end, number, silent, problem, missing, own = row
+    id, identity, name, path, format, ros, size, mtime, start, end, number, silent, problem, *rest = row
     times = (mtime, start, end)
     names = tuple(silent.split(_SEPARATOR)) if silent else ()
     return Row(
-        *(id, identity, name, Path(path or ""), format, ros, size, *times, number, names, problem, bool(missing)),
-        bool(own),
+        *(id, identity, name, Path(path or ""), format, ros, size, *times, number, names, problem),
+        *(bool(rest[0]), bool(rest[1]), rest[2]),
     )
 
 

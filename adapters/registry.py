@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 
@@ -30,6 +31,17 @@ def scheme_of(source: str, schemes: frozenset[str]) -> str:
         names = ", ".join(sorted(schemes))
         raise ValueError(f"no adapter for {match[1]!r} in {source!r}; installed: {names}")
     return RECORDING
+
+
+def joined(sources: Sequence[str]) -> str:
+    """Return one source, or several recordings as one source: a line each. Raises ValueError for several others."""
+    if len(sources) == 1:
+        return sources[0]
+    schemes = frozenset(installed())
+    other = next((each for each in sources if scheme_of(each, schemes) != RECORDING), None)
+    if other is not None:
+        raise ValueError(f"{other!r} is no recording: of several sources, each must be one, or a folder of recordings")
+    return f"{RECORDING}:" + "\n".join(each.removeprefix(f"{RECORDING}:") for each in sources)
 
 
 def installed() -> dict[str, EntryPoint]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
@@ -29,7 +30,7 @@ from rosld.ontology.triples import (
     triples_about,
 )
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import dcat, dcterms, ldes, ldp, rdf, rdfs, ros, sosa, spdx, tree, xhv, xsd
+from rosld.ontology.vocab import dcat, dcterms, ldes, ldp, prov, rdf, rdfs, ros, sosa, spdx, tree, xhv, xsd
 
 
 class Track(Protocol):
@@ -103,13 +104,25 @@ class RecordingOrder(Protocol):
     def trigger(self) -> Trigger | None: ...
 
 
+class Event(Protocol):
+    """An event in a recording, at a time or during a span (ns)."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def start_ns(self) -> int: ...
+    @property
+    def end_ns(self) -> int | None: ...
+
+
 class BagView(NamedTuple):
     """A recording with all that its document describes.
 
     `sha256` is the digest of its file in hexadecimal, if known. `dropped` is the number of lost messages by topic,
     `problem` the reason why recording stopped. `size` is the size of its file in bytes, `status` is None for a complete
     recording, `order` has the parameters of one in progress, which has no readable messages yet. `triggered` is the
-    number of recordings that its trigger has started, if it waits for that.
+    number of recordings that its trigger has started, if it waits for that. `is_readable`: its messages can be read;
+    `is_folder`: it consists of several files. `tags` and `events` are those that clients have added.
     """
 
     bag: Bag
@@ -120,17 +133,21 @@ class BagView(NamedTuple):
     status: str | None = None
     order: RecordingOrder | None = None
     triggered: int | None = None
+    is_readable: bool = True
+    is_folder: bool = False
+    tags: Sequence[str] = ()
+    events: Sequence[Event] = ()
 
     @property
     def has_file(self) -> bool:
-        return self.size is not None and self.order is None
+        return self.size is not None and self.order is None and self.is_readable and not self.is_folder
 
 
 _OCTETS = NamedNode(f"{IANA}application/octet-stream")
 _SIZE: kinds.Kind[int] = kinds.Kind(
     lambda size: Literal(str(size), datatype=xsd.nonNegativeInteger), "sh:datatype xsd:nonNegativeInteger"
 )
-_STATUS = 'sh:in ( "armed" "suspended" "recording" "interrupted" "ended" )'
+_STATUS = 'sh:in ( "armed" "suspended" "recording" "interrupted" "ended" "damaged" "missing" )'
 _BAG = NodeShape[BagView]("Bag", "a recording", ros.Bag, dcat.Dataset, *CONTAINER_TYPES).with_properties(
     one(ros.name, kinds.TEXT, lambda view: view.bag.name),
     one(dcterms.title, kinds.TEXT, lambda view: view.bag.name),
@@ -138,7 +155,7 @@ _BAG = NodeShape[BagView]("Bag", "a recording", ros.Bag, dcat.Dataset, *CONTAINE
     one(dcterms.format, kinds.TEXT, lambda view: view.bag.format),
     optional(dcterms.issued, kinds.DATE_TIME, lambda view: view.bag.end_ns if view.bag.count else None),
     optional(dcterms.temporal, kinds.FRAGMENT, lambda view: "#time" if view.bag.count else None),
-    many(dcat.keyword, kinds.TEXT, lambda view: view.bag.topics),
+    many(dcat.keyword, kinds.TEXT, lambda view: (*view.bag.topics, *view.tags)),
     optional(dcat.distribution, kinds.FRAGMENT, lambda view: "file" if view.has_file else None),
     one(ros.count, kinds.COUNT, lambda view: view.bag.count),
     optional(ros.recordingProblem, kinds.TEXT, lambda view: view.problem),
@@ -159,6 +176,7 @@ _BAG = NodeShape[BagView]("Bag", "a recording", ros.Bag, dcat.Dataset, *CONTAINE
     optional(rdfs.seeAlso, kinds.IRI.where('sh:pattern "/ldes$"')),
     many(ros.hasRecordedTopic, kinds.IRI.where("sh:class ros:BagTopic")),
     many(ros.silentTopic, kinds.TEXT.where('sh:pattern "^[/*]"'), lambda view: view.bag.silent),
+    many(ros.hasEvent, kinds.IRI.where("sh:class ros:RecordedEvent")),
     optional(spdx.checksum, kinds.node("Checksum")),
 )
 _PERIOD = NodeShape[Bag]("PeriodOfTime", "the time of a recording", dcterms.PeriodOfTime).with_properties(
@@ -181,6 +199,11 @@ _CHECKSUM = NodeShape[str]("Checksum", "the checksum of the file of a recording"
     one(spdx.algorithm, kinds.TERM.where(_ALGORITHM), lambda _: spdx.checksumAlgorithm_sha256),
     one(spdx.checksumValue, _SHA256, lambda sha256: sha256),
 )
+_EVENT = NodeShape[Event]("RecordedEvent", "an event in a recording", ros.RecordedEvent, prov.Activity).with_properties(
+    one(rdfs.label, kinds.TEXT, lambda event: event.name),
+    one(prov.startedAtTime, kinds.DATE_TIME, lambda event: event.start_ns),
+    one(prov.endedAtTime, kinds.DATE_TIME, lambda event: event.start_ns if event.end_ns is None else event.end_ns),
+)
 _TRACK = NodeShape[Track]("BagTopic", "a topic of a recording", ros.BagTopic).with_properties(
     one(ros.name, kinds.NAME, lambda track: track.name),
     one(ros.hasMessageType, kinds.CLASS, lambda track: track.type),
@@ -199,9 +222,14 @@ def bag_document(view: BagView, space: Space) -> Document:
     tracks = {
         NamedNode(space.fragment(url, "topic", *name[1:].split("/"))): track for name, track in bag.topics.items()
     }
-    readable = ((ldp.contains, NamedNode(messages)), (rdfs.seeAlso, NamedNode(stream))) if view.order is None else ()
+    events = {NamedNode(f"{url}#event-{_event_key(event)}"): event for event in view.events}
+    has_messages = view.order is None and view.is_readable
+    readable = ((ldp.contains, NamedNode(messages)), (rdfs.seeAlso, NamedNode(stream))) if has_messages else ()
     trigger = _trigger(view.order.trigger, space) if view.order and view.order.trigger else ()
-    more = (*readable, *trigger, *statements(ros.hasRecordedTopic, tracks), (spdx.checksum, checksum))
+    more = (
+        *(*readable, *trigger, *statements(ros.hasRecordedTopic, tracks), *statements(ros.hasEvent, events)),
+        (spdx.checksum, checksum),
+    )
     triples = _BAG.triples(NamedNode(url), view, space, *more)
     if checksum and view.sha256:
         triples += _CHECKSUM.triples(checksum, view.sha256, space)
@@ -209,7 +237,9 @@ def bag_document(view: BagView, space: Space) -> Document:
         triples += _PERIOD.triples(NamedNode(f"{url}#time"), bag, space)
     if view.has_file:
         triples += _FILE.triples(NamedNode(f"{url}file"), view, space, (spdx.checksum, checksum))
-    if view.order is None:
+    for node, event in events.items():
+        triples += _EVENT.triples(node, event, space)
+    if has_messages:
         triples.append(Triple(NamedNode(messages), rdfs.label, Literal(f"Messages of {bag.name}")))
     for node, track in tracks.items():
         lost = integer(view.dropped.get(track.name) or None)
@@ -217,6 +247,10 @@ def bag_document(view: BagView, space: Space) -> Document:
     for ref in dict.fromkeys(track.type for track in bag.topics.values()):
         triples += type_url(ref, space)
     return Document(url, tuple(triples))
+
+
+def _event_key(event: Event) -> str:
+    return f"{zlib.crc32(f'{event.name} {event.start_ns} {event.end_ns}'.encode()):08x}"
 
 
 def _trigger(trigger: Trigger, space: Space) -> tuple[Statement, ...]:

@@ -224,9 +224,11 @@ class _ros(Namespace):
     FaultHealed: NamedNode
     Bag: NamedNode
     BagTopic: NamedNode
+    RecordedEvent: NamedNode
     Record: NamedNode
     recordedIn: NamedNode
     hasRecordedTopic: NamedNode
+    hasEvent: NamedNode
     onTopic: NamedNode
     recordedMessage: NamedNode
     past: NamedNode

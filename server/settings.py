@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 from rosld.adapters.base import MESSAGE_LIMIT, AdapterOptions
+from rosld.adapters.catalogue import NAME as CATALOGUE
 from rosld.adapters.model import Qos
 from rosld.server.http.origin import is_loopback, is_wildcard, normalize_origin
 
@@ -406,6 +407,7 @@ class Settings:
             rate=self.rate,
             once=self.once,
             message_limit=self.message_limit,
+            catalogue=None if self.data is None else self.data / CATALOGUE,
         )
 
 

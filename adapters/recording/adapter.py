@@ -6,11 +6,14 @@ The format of a file is determined by its first bytes, not by its name.
 from __future__ import annotations
 
 import asyncio
+import shutil
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -39,51 +42,92 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.mcap import MAGIC
 from rosld.adapters.recording import mcap, rosbag1
 from rosld.adapters.recording.bag import Bag, log
+from rosld.adapters.recording.byte_source import STEP, ZSTD_MAGIC, inflate_file
 from rosld.adapters.recording.part import WHOLE, Part
 from rosld.adapters.recording.player import Playback, Position, TopicPlayer
 from rosld.adapters.recording.rosbag2 import SQLITE_MAGIC, Rosbag2, Sqlite
 from rosld.adapters.recording.storage import Damaged, OpenBudget, OpeningRefused, Storage
 
 
-def open_storage(path: Path, budget: OpenBudget | None = None) -> Storage:
-    """Return the recording at `path`. Raises NotFound, or Unreadable with a sentence about the defect."""
+def open_storage(path: Path, budget: OpenBudget | None = None, *, only_totals: bool = False) -> Storage:
+    """Return the recording at `path`, perhaps for its totals only.
+
+    Raises NotFound, or Unreadable with a sentence about the defect.
+    """
+    opener = partial(open_file, only_totals=only_totals)
     budget = OpenBudget() if budget is None else budget
     if not path.exists():
         raise NotFound(f"there is no recording {str(path)!r}")
     try:
-        return Rosbag2(path, open_file, budget) if path.is_dir() else open_file(path, budget)
+        return Rosbag2(path, opener, budget) if path.is_dir() else opener(path, budget)
     except (Damaged, OpeningRefused) as damage:
         raise Unreadable(f"{str(path)!r} cannot be read as a recording: {damage}") from damage
     except OSError as error:
         raise Unreadable(f"{str(path)!r} cannot be opened: {error.strerror or error}") from error
 
 
-def open_file(path: Path, budget: OpenBudget) -> Storage:
-    """Return the recording in one file. Raises Damaged, OpeningRefused and OSError."""
+def open_file(path: Path, budget: OpenBudget, *, only_totals: bool = False, is_inflated: bool = False) -> Storage:
+    """Return the recording in one file, perhaps compressed. Raises Damaged, OpeningRefused and OSError."""
     budget.allow(path.stat().st_size)
     with path.open("rb") as file:
         head = file.read(16)
     if not head:
         raise Damaged("the file is empty")
     if head.startswith(rosbag1.MAGIC):
-        return rosbag1.Rosbag1(path, budget)
+        return rosbag1.Rosbag1(path, budget, only_totals=only_totals)
     if head.startswith(MAGIC):
-        return mcap.Mcap(path, budget)
+        return mcap.Mcap(path, budget, only_totals=only_totals)
     if head.startswith(SQLITE_MAGIC):
-        return Sqlite(path, budget)
+        return Sqlite(path, budget, only_totals=only_totals)
+    if head.startswith(ZSTD_MAGIC) and not is_inflated:
+        with tempfile.TemporaryDirectory(prefix="rosld-") as folder:  # an open file outlives its name
+            plain = Path(folder) / "plain"
+            inflate_file(path, plain, lambda _: _require_room(plain.parent, budget))
+            return open_file(plain, budget, only_totals=only_totals, is_inflated=True)
     raise Damaged("it is not a ROS 1 bag, an MCAP file or a ROS 2 database")
+
+
+def _require_room(folder: Path, budget: OpenBudget) -> None:
+    """Raise Damaged if decompression would fill the disk with the temporary files."""
+    budget.work(STEP)
+    if shutil.disk_usage(folder).free < _RESERVE:
+        raise Damaged(
+            f"decompressed, it does not fit in {tempfile.gettempdir()}: set the environment variable TMPDIR to a "
+            "folder on a larger disk"
+        )
 
 
 def recording_name(path: Path) -> str:
     """Return the name of a recording: that of its folder, or of its file without suffixes (`x` for `x.bag.active`)."""
     resolved = path.resolve()
     name = resolved.name if resolved.is_dir() else resolved.name.removesuffix(".active")
-    stem = name if resolved.is_dir() else Path(name).stem
+    stem = name if resolved.is_dir() else Path(name.removesuffix(".zst").removesuffix(".zstd")).stem
     return stem or "recording"
 
 
-_UNFORESEEN = (ArithmeticError, AssertionError, LookupError, MemoryError, RecursionError, TypeError, ValueError)
+_RESERVE = 256 << 20
+"""Free bytes reserved on the disk with temporary files."""
+UNFORESEEN = (ArithmeticError, AssertionError, LookupError, MemoryError, RecursionError, TypeError, ValueError)
 """Errors that reading a file may raise: it is untrusted, and may be malformed in unforeseen ways."""
+
+
+def open_bag(
+    path: Path, folders: Sequence[Path], budget: OpenBudget, part: Part = WHOLE, name: str | None = None
+) -> Bag:
+    """Return part of the recording at a path. Raises NotFound, and Unreadable with the defect."""
+    try:
+        storage = open_storage(path, budget)
+        library = TypeLibrary(ros_version=storage.ros_version, folders=folders)
+        try:
+            return Bag(name or recording_name(path), path, storage, library, part, budget)
+        except BaseException as error:
+            storage.close()
+            if not isinstance(error, Damaged | OpeningRefused):
+                raise
+            raise Unreadable(f"{str(path)!r} cannot be played: {error}") from error
+    except UNFORESEEN as error:
+        words = " ".join(str(error).split()) or type(error).__name__
+        raise Unreadable(f"{str(path)!r} cannot be read as a recording: {words}") from error
 
 
 class RecordingAdapter(Adapter):
@@ -101,22 +145,13 @@ class RecordingAdapter(Adapter):
         self._clock = clock
         self._began = 0
         self._bag: Bag | None = None
-        self._library: TypeLibrary | None = None
         self._players: dict[str, TopicPlayer] = {}
         self._graph = Graph(1)
-        self._encoding = Encoding.CDR
 
     @property
     def capabilities(self) -> Capabilities:
         """Capabilities for reading only; names that ROS 2 hides are hidden in its recordings, too."""
-        return Capabilities(
-            "recording",
-            self._encoding,
-            writes=False,
-            creates_topics=False,
-            parameter_trees=False,
-            hidden_names=self._encoding is Encoding.CDR,
-        )
+        return recording_capabilities(Encoding.CDR if self._bag is None else self._bag.encoding)
 
     @property
     def graph(self) -> Graph:
@@ -138,7 +173,8 @@ class RecordingAdapter(Adapter):
             return
         span = max(deadline - asyncio.get_running_loop().time(), 0)
         budget = OpenBudget(self._options.recording_index_limit)
-        reading = asyncio.ensure_future(_on_a_thread(lambda: self._open(budget)))
+        opened = partial(open_bag, self._path, self._options.types, budget, self._part, self._options.recording_name)
+        reading = asyncio.ensure_future(_on_a_thread(opened))
         try:
             previous = -1
             while not (await asyncio.wait({reading}, timeout=span))[0]:
@@ -169,9 +205,9 @@ class RecordingAdapter(Adapter):
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
         """Return the schema of a type as recorded, else as shipped. Raises UnknownType."""
-        if self._library is None:
+        if self._bag is None:
             raise UnknownType(f"the type {ref.name} is not known: the recording is not open")
-        return self._library.find(ref)
+        return self._bag.schema(ref)
 
     def known_types(self) -> Sequence[TypeRef]:
         """Return the types of the recorded topics."""
@@ -187,26 +223,6 @@ class RecordingAdapter(Adapter):
             return 0
         playback = self._playback(self._bag)
         return playback.since(Position(sample.epoch, sample.received_ns - self._bag.start_ns), self._elapsed_ns())
-
-    def _open(self, budget: OpenBudget) -> Bag:
-        try:
-            return self._read(budget)
-        except _UNFORESEEN as error:
-            words = " ".join(str(error).split()) or type(error).__name__
-            raise Unreadable(f"{str(self._path)!r} cannot be read as a recording: {words}") from error
-
-    def _read(self, budget: OpenBudget) -> Bag:
-        storage = open_storage(self._path, budget)
-        self._library = TypeLibrary(ros_version=storage.ros_version, folders=self._options.types)
-        self._encoding = Encoding.ROS1 if storage.ros_version == 1 else Encoding.CDR
-        try:
-            name = self._options.recording_name or recording_name(self._path)
-            return Bag(name, self._path, storage, self._library, self._part, budget)
-        except BaseException as error:
-            storage.close()
-            if not isinstance(error, Damaged | OpeningRefused):
-                raise
-            raise Unreadable(f"{str(self._path)!r} cannot be played: {error}") from error
 
     def _player(self, topic: str) -> TopicPlayer:
         if self._bag is None:
@@ -224,6 +240,18 @@ class RecordingAdapter(Adapter):
 
     def _elapsed_ns(self) -> int:
         return self._clock() - self._began
+
+
+def recording_capabilities(encoding: Encoding) -> Capabilities:
+    """Return the capabilities of recordings: nothing can be written, and what ROS 2 hides is hidden."""
+    return Capabilities(
+        "recording",
+        encoding,
+        writes=False,
+        creates_topics=False,
+        parameter_trees=False,
+        hidden_names=encoding is Encoding.CDR,
+    )
 
 
 def recorded_graph(bag: Bag, revision: int) -> Graph:

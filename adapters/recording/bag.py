@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_typestore
 from rosbags.typesys.base import TypesysError
 
 from rosld.adapters.base import PAGE_BYTES, MessageFilter, MessagePage, RecordedMessage, RecordedTopic
-from rosld.adapters.model import MessageSchema, NotFound, Sample, Schema, TypeRef, UnknownType, Unreachable
+from rosld.adapters.model import Encoding, MessageSchema, NotFound, Sample, Schema, TypeRef, UnknownType, Unreachable
 from rosld.adapters.model.codec import store_name
 from rosld.adapters.model.definition import derived_from, require_short, split_action, split_service, written_form
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
@@ -174,11 +174,12 @@ class Bag:
         self.name = name
         self.path = path
         self.format = storage.format
+        self.encoding = Encoding.ROS1 if storage.ros_version == 1 else Encoding.CDR
         self.notes = tuple(storage.notes)
         self.first = 0
         self._storage = storage
         self._library = library
-        self._connections = tuple(map(_with_global_names, storage.connections))
+        self._connections = tuple(map(with_global_names, storage.connections))
         results = _learn_all(library, self._connections, storage.ros_version, budget or OpenBudget())
         self._types = [ref for ref, _ in results]
         self._unreadable = [words for _, words in results]
@@ -323,6 +324,10 @@ class Bag:
         """Return all types that messages of a topic have."""
         return frozenset(ref for stream in self.streams_by_topic.get(topic, ()) for ref in stream.types)
 
+    def limit_cache(self, max_bytes: int) -> None:
+        """Limit the memory for recent chunks."""
+        self._storage.limit_cache(max_bytes)
+
     def close(self) -> None:
         """Close the files. Idempotent."""
         self._storage.close()
@@ -379,7 +384,7 @@ def _learn_all(
     return [results[key] for key in keys]
 
 
-def _with_global_names(connection: RecordedConnection) -> RecordedConnection:
+def with_global_names(connection: RecordedConnection) -> RecordedConnection:
     """Return the connection with global names, as on a master: old recordings omit the leading slash."""
     topic, publisher = global_name(connection.topic or "unnamed"), connection.publisher
     latched = connection.latched or topic == _STATIC_TOPIC  # tf2 relies on it; some recorders omit the QoS

@@ -8,7 +8,7 @@ import threading
 import zlib
 from abc import abstractmethod
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, cast
 
@@ -17,7 +17,15 @@ from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from rosld.adapters.model import Encoding
-from rosld.adapters.recording.storage import Damaged, MessageTable, OpenBudget, RecordedConnection, Storage, concatenate
+from rosld.adapters.recording.storage import (
+    Damaged,
+    MessageTable,
+    OpenBudget,
+    RecordedConnection,
+    Storage,
+    Totals,
+    concatenate,
+)
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -29,6 +37,7 @@ MAX_PIECE = 256 << 20
 
 Recorders close a chunk after a few megabytes, or after a single longer message.
 """
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 STEP = 1 << 20
 """Bytes decompressed at a time, so that memory use depends on the data, not on the size claimed in a header."""
 
@@ -183,7 +192,7 @@ class ChunkCache:
 
     def __init__(self, load: Callable[[int], bytes], max_bytes: int = 64 << 20) -> None:
         self._load = load
-        self._limit = max_bytes
+        self.limit = max_bytes
         self._size = 0
         self._chunks: OrderedDict[int, BytesSource | Damaged] = OrderedDict()
         self._lock = threading.Lock()
@@ -211,7 +220,7 @@ class ChunkCache:
             if chunk not in self._chunks:
                 self._chunks[chunk] = source
                 self._size += _weight(source)
-            while self._size > self._limit and len(self._chunks) > 1:
+            while self._size > self.limit and len(self._chunks) > 1:
                 _, dropped = self._chunks.popitem(last=False)
                 self._size -= _weight(dropped)
         return source
@@ -232,10 +241,15 @@ class Chunk(NamedTuple):
 
 
 class Scan:
-    """Results of scanning so far: connections by their number in the file, chunks, and tables of messages."""
+    """Results of scanning so far: connections by their number in the file, chunks, and tables of messages.
 
-    def __init__(self, budget: OpenBudget, encoding: Encoding, kind: str) -> None:
+    `only_totals`: the totals in a summary suffice, without the tables.
+    """
+
+    def __init__(self, budget: OpenBudget, encoding: Encoding, kind: str, *, only_totals: bool = False) -> None:
         self.budget = budget
+        self.only_totals = only_totals
+        self.totals: Totals | None = None
         self.numbers: dict[int, int] = {}
         self.connections: list[RecordedConnection] = []
         self.chunks: list[Chunk] = []
@@ -258,6 +272,13 @@ class Scan:
             odd = f"the recording does not describe its {self._kind} {number}"
             self.add(number, RecordedConnection(f"/{self._kind}_{number}", "", self._encoding, odd=odd))
         return self.numbers[number]
+
+    def set_totals(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> bool:
+        """Use the totals of a summary; return whether they can be right, and count no message twice."""
+        known = counts.keys() <= self.numbers.keys() and 0 <= start_ns <= end_ns < 1 << 63
+        if known and not any(each.is_opening for each in self.connections):
+            self.totals = Totals([counts.get(number, 0) for number in self.numbers], start_ns, end_ns)
+        return self.totals is not None
 
     def table(self, number: int, place: int, times: NDArray[Any], offsets: NDArray[Any]) -> MessageTable:
         """Return the table of a connection's messages in one place."""
@@ -282,11 +303,11 @@ class ChunkedFile(Storage):
     kind: ClassVar[str]
     """Name of a connection in the format."""
 
-    def __init__(self, path: Path, budget: OpenBudget) -> None:
+    def __init__(self, path: Path, budget: OpenBudget, *, only_totals: bool = False) -> None:
         self._file = RandomFile(path)
         try:
             begin = self._read_header(self._file)
-            scan = Scan(budget, self.encoding, self.kind)
+            scan = Scan(budget, self.encoding, self.kind, only_totals=only_totals)
             try:
                 self._read_index(self._file, scan)
             except Damaged as damage:
@@ -302,6 +323,7 @@ class ChunkedFile(Storage):
         self._cache = ChunkCache(lambda number: inflate(self._file, chunks[number], OpenBudget()))
         self.connections, self.messages = scan.connections, concatenate(scan.tables)
         self.places, self.notes, self.silent = 1 + len(chunks), tuple(scan.notes), scan.silent
+        self.totals = scan.totals
 
     @abstractmethod
     def _read_header(self, file: RandomFile) -> int:
@@ -317,6 +339,9 @@ class ChunkedFile(Storage):
 
     def _source(self, place: int) -> ByteSource:
         return self._cache.get(place - 1) if place else self._file
+
+    def limit_cache(self, max_bytes: int) -> None:
+        self._cache.limit = max_bytes
 
     def close(self) -> None:
         self._file.close()

@@ -100,6 +100,7 @@ class Mcap(ChunkedFile):
         schemas: _Schemas = {}
         indexes: list[_Fields] = []
         counted: int | None = None
+        statistics: _Fields | None = None
         for record in _records(file, _summary(file), file.size - _FOOTER_SIZE):
             scan.budget.work()
             if record.op in (_SCHEMA, _CHANNEL):
@@ -110,7 +111,10 @@ class Mcap(ChunkedFile):
             elif record.op == _METADATA_INDEX:
                 scan.silent += _silent(file, _fields(file, record), scan.budget)
             elif record.op == _STATISTICS:
-                counted = _fields(file, record).uint(8)
+                statistics = _fields(file, record)
+                counted = statistics.uint(8)
+        if scan.only_totals and statistics is not None and _has_totals(statistics, counted, scan):
+            return
         for index in indexes:
             _chunk_by_index(file, index, schemas, scan)
         messages = sum(len(each.times) for each in scan.tables)
@@ -119,6 +123,18 @@ class Mcap(ChunkedFile):
 
     def _read_through(self, file: RandomFile, at: int, scan: Scan) -> None:
         _walk(file, at, 0, {}, scan)
+
+
+def _has_totals(statistics: _Fields, counted: int | None, scan: Scan) -> bool:
+    """Use the totals in statistics, after the number of messages; return whether they are complete."""
+    for size in (2, 4, 4, 4, 4):
+        statistics.uint(size)
+    start_ns, end_ns, pairs = statistics.uint(8), statistics.uint(8), _Fields(statistics.octets())
+    counts: dict[int, int] = {}
+    while pairs.more():
+        number = pairs.uint(2)
+        counts[number] = pairs.uint(8)
+    return sum(counts.values()) == counted and scan.set_totals(counts, start_ns, end_ns)
 
 
 def _describe(record: _Record, source: ByteSource, schemas: _Schemas, scan: Scan) -> None:

@@ -7,7 +7,8 @@ truncated), the complete chunks are scanned instead, and a note says so.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -52,8 +53,8 @@ class _Record(NamedTuple):
     def uint64(self, name: bytes) -> int:
         return _uint(_UINT64, self.header, name)
 
-    def time(self) -> int:
-        value = self.uint64(b"time")
+    def time(self, name: bytes = b"time") -> int:
+        value = self.uint64(name)
         return (value & 0xFFFFFFFF) * 10**9 + (value >> 32)
 
 
@@ -103,6 +104,8 @@ class Rosbag1(ChunkedFile):
                 chunk_infos.append(record)
         if len(chunk_infos) < self._header.uint32(b"chunk_count"):
             raise Damaged(f"it lists {len(chunk_infos)} of {self._header.uint32(b'chunk_count')} chunks")
+        if scan.only_totals and _has_totals(file, chunk_infos, scan):
+            return
         for info in chunk_infos:
             _chunk_by_index(file, info, scan)
 
@@ -116,6 +119,20 @@ class Rosbag1(ChunkedFile):
                     _walk_chunk(file, record, *_place(record, scan), scan)
         except Damaged as damage:
             scan.notes.append(f"it ends early: {damage}")
+
+
+def _has_totals(file: RandomFile, chunk_infos: Iterable[_Record], scan: Scan) -> bool:
+    """Use the totals in the descriptions of chunks; return whether they are complete."""
+    counts: Counter[int] = Counter()
+    times: list[int] = []
+    for info in chunk_infos:
+        data = read_exactly(file, info.data_at, info.size)
+        scan.budget.work(len(data))
+        pairs = np.frombuffer(data[: len(data) // 8 * 8], "<u4").reshape(-1, 2).tolist()
+        counts.update(dict(pairs))
+        if pairs:
+            times += info.time(b"start_time"), info.time(b"end_time")
+    return scan.set_totals(counts, min(times, default=0), max(times, default=0))
 
 
 def _chunk_by_index(file: RandomFile, info: _Record, scan: Scan) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
 import sys
-import tempfile
 import threading
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +16,7 @@ from ruamel.yaml import YAML, events
 from ruamel.yaml.error import YAMLError
 
 from rosld.adapters.model import Encoding
-from rosld.adapters.recording.byte_source import MAX_PIECE, STEP, decompress_zstd, inflate_file
+from rosld.adapters.recording.byte_source import MAX_PIECE, decompress_zstd
 from rosld.adapters.recording.mcap import latched
 from rosld.adapters.recording.storage import (
     Damaged,
@@ -27,12 +25,12 @@ from rosld.adapters.recording.storage import (
     OpeningRefused,
     RecordedConnection,
     Storage,
+    Totals,
     concatenate,
+    message_table,
 )
 
 METADATA = "metadata.yaml"
-_RESERVE = 256 << 20
-"""Free bytes reserved on the disk with temporary files."""
 _MAX_BYTES = 2 * 1024 * 1024
 """Maximum bytes of metadata, enough for some 4,000 topics."""
 _MAX_LEVELS = 20
@@ -54,7 +52,6 @@ class Rosbag2(Storage):
     def __init__(self, folder: Path, open_file: Callable[[Path, OpenBudget], Storage], budget: OpenBudget) -> None:
         metadata, notes = _metadata(folder, budget)
         self._per_message = metadata.compression == "message"
-        self._inflated: tempfile.TemporaryDirectory[str] | None = None
         self._files: list[Storage] = []
         paths = _files(folder, metadata)
         if not paths:
@@ -62,7 +59,7 @@ class Rosbag2(Storage):
         for path in paths:
             try:
                 budget.spend(parts=1)
-                self._files.append(open_file(self._plain(path, budget), budget))
+                self._files.append(open_file(path, budget))
             except (Damaged, OSError) as error:
                 notes.append(f"{path.name} is left out: {error}")
             except BaseException:
@@ -82,6 +79,14 @@ class Rosbag2(Storage):
         self._starts = np.cumsum([0, *(file.places for file in self._files)]).tolist()
         self.places = self._starts[-1]
         self.messages = self._join()
+        totals = [each for file in self._files if (each := file.totals) is not None]
+        if len(totals) == len(self._files):
+            spans = [each for each in totals if sum(each.counts)]
+            first, last = (
+                min((each.start_ns for each in spans), default=0),
+                max((each.end_ns for each in spans), default=0),
+            )
+            self.totals = Totals([count for each in totals for count in each.counts], first, last)
 
     def read(self, place: int, offset: int) -> bytes:
         """Return the bytes of the message, decompressed if messages are compressed individually. Raises Damaged."""
@@ -89,13 +94,14 @@ class Rosbag2(Storage):
         data = self._files[number].read(place - self._starts[number], offset)
         return decompress_zstd(data) if self._per_message else data
 
+    def limit_cache(self, max_bytes: int) -> None:
+        for file in self._files:
+            file.limit_cache(max_bytes // len(self._files))
+
     def close(self) -> None:
-        """Close all files, and delete decompressed copies."""
+        """Close all files."""
         for file in self._files:
             file.close()
-        if self._inflated is not None:
-            self._inflated.cleanup()
-            self._inflated = None
 
     def _join(self) -> MessageTable:
         tables: list[MessageTable] = []
@@ -107,30 +113,15 @@ class Rosbag2(Storage):
             first += len(file.connections)
         return concatenate(tables)
 
-    def _plain(self, path: Path, budget: OpenBudget) -> Path:
-        """Return the path of the file, or of a decompressed copy if the whole file is compressed."""
-        if path.suffix != ".zstd":
-            return path
-        if self._inflated is None:
-            self._inflated = tempfile.TemporaryDirectory(prefix="rosld-")
-        plain = Path(self._inflated.name) / path.stem
-        budget.allow(path.stat().st_size)
-        try:
-            inflate_file(path, plain, lambda _: _require_room(plain.parent, budget))
-        except BaseException:
-            plain.unlink(missing_ok=True)
-            raise
-        return plain
 
-
-def _require_room(folder: Path, budget: OpenBudget) -> None:
-    """Raise Damaged if decompression would fill the disk with the temporary files."""
-    budget.work(STEP)
-    if shutil.disk_usage(folder).free < _RESERVE:
-        raise Damaged(
-            f"decompressed, it does not fit in {tempfile.gettempdir()}: set the environment variable TMPDIR to a "
-            "folder on a larger disk"
-        )
+def is_one_recording(folder: Path) -> bool:
+    """Whether a folder is a ROS 2 bag: it has metadata, or only the parts `FOLDER_0.mcap`, `FOLDER_1.mcap`, ..."""
+    if (folder / METADATA).is_file():
+        return True
+    names = {path.name for path in folder.iterdir() if path.name.endswith((*_SUFFIXES, ".bag", ".zst"))}
+    return bool(names) and any(
+        names == {f"{folder.name}_{number}{suffix}" for number in range(len(names))} for suffix in _SUFFIXES
+    )
 
 
 def _metadata(folder: Path, budget: OpenBudget) -> tuple[Metadata, list[str]]:
@@ -228,7 +219,7 @@ class Sqlite(Storage):
 
     format = "ROS 2 bag (sqlite3)"
 
-    def __init__(self, path: Path, budget: OpenBudget) -> None:
+    def __init__(self, path: Path, budget: OpenBudget, *, only_totals: bool = False) -> None:
         # immutable: neither lock nor journal is created, because the disk may be read-only
         address = f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1"
         try:
@@ -239,7 +230,11 @@ class Sqlite(Storage):
         try:
             _distrust(self._database, budget)
             self.connections, numbers = _topics(self._database, budget)
-            self.messages = _messages(self._database, numbers, budget)
+            if only_totals:
+                self.totals = _totals(self._database, numbers)
+                self.messages = message_table([], [], [], [])
+            else:
+                self.messages = _messages(self._database, numbers, budget)
             self._database.set_progress_handler(None, 0)
         except (sqlite3.Error, UnicodeDecodeError) as error:
             self._database.close()
@@ -338,6 +333,14 @@ def _connection(fields: dict[str, str], definitions: dict[str, tuple[str, str]])
         latched=latched(fields.get("offered_qos_profiles", "")),
         odd=odd,
     )
+
+
+def _totals(database: sqlite3.Connection, numbers: dict[int, int]) -> Totals:
+    query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+    rows = [row for row in database.execute(query) if row[0] in numbers and all(isinstance(one, int) for one in row)]
+    counts = {numbers[topic]: count for topic, count, _, _ in rows}
+    first, last = min((row[2] for row in rows), default=0), max((row[3] for row in rows), default=0)
+    return Totals([counts.get(number, 0) for number in range(len(numbers))], first, last)
 
 
 def _messages(database: sqlite3.Connection, numbers: dict[int, int], budget: OpenBudget) -> MessageTable:

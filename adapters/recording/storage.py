@@ -104,11 +104,20 @@ def concatenate(tables: Iterable[MessageTable]) -> MessageTable:
     return MessageTable(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
+class Totals(NamedTuple):
+    """Numbers of messages by connection, and the first and the last time in ns (0 if there are none)."""
+
+    counts: Sequence[int]
+    start_ns: int
+    end_ns: int
+
+
 class Storage(ABC):
     """An open recording of one format: its connections, to which the table of all messages (in any order) refers.
 
     `ros_version`, that of the ROS that wrote it, determines the kind of type hashes. `places` counts those of the
     table. `silent` are selected topics without a message, `notes` sentences about defects and how they were handled.
+    `totals` are those in the summary of a file that was opened for them only, and has no table then.
     """
 
     format: str
@@ -118,10 +127,15 @@ class Storage(ABC):
     places: int = 1
     silent: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    totals: Totals | None = None
 
     @abstractmethod
     def read(self, place: int, offset: int) -> bytes:
         """Return the bytes of a message (thread-safe). Raises Damaged."""
+
+    def limit_cache(self, max_bytes: int) -> None:
+        """Limit the memory for recent chunks, if the format has such."""
+        return
 
     @abstractmethod
     def close(self) -> None:

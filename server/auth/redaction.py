@@ -149,7 +149,9 @@ class _Redaction:
 
     def _is_hidden_topic(self, term: _Term) -> bool:
         """Whether a literal is a topic name (or a glob treated as one) that the agent may not read."""
-        return isinstance(term, Literal) and not self._permissions.may_read_topic(term.value)
+        if not isinstance(term, Literal) or not term.value.startswith(("/", "*")):  # a tag is no name
+            return False
+        return not self._permissions.may_read_topic(term.value)
 
     def _is_hidden(self, term: _Term) -> bool:
         if not isinstance(term, NamedNode):

@@ -38,6 +38,7 @@ def open_source(source: str, options: AdapterOptions) -> Iterator[Adapter]:
     loop = asyncio.new_event_loop()
     try:
         loop.run_until_complete(open_at_once(adapter, NullSink()))
+        loop.run_until_complete(adapter.wait_for_recordings())
         yield adapter
     finally:
         loop.run_until_complete(adapter.close())

@@ -21,6 +21,7 @@ from rosld.server.cli.options import (
     output_option,
     setting_options,
     settings_of,
+    source_argument,
 )
 from rosld.server.cli.recording_commands import COMMANDS
 
@@ -51,8 +52,9 @@ def main() -> None:
       rosld token add anna --file a.toml   a token for a user of a server with --auth
       rosld dump DIR -o data.tar.gz        a copy of stored resources; restore it with rosld load
 
-    A SOURCE is `aircraft`, `rover`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder), `ros1://HOST:PORT`
-    (`ros1:` takes ROS_MASTER_URI), or `ros2:?domain=42&namespace=/robot1` (`ros2:` takes ROS_DOMAIN_ID).
+    A SOURCE is `aircraft`, `rover`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder) or of a folder of
+    recordings, `ros1://HOST:PORT` (`ros1:` takes ROS_MASTER_URI), or `ros2:?domain=42&namespace=/robot1` (`ros2:` takes
+    ROS_DOMAIN_ID).
     """
     if os.name != "posix":
         raise Failure("The server forks its workers, which needs a POSIX system: use Linux, or WSL on Windows.")
@@ -69,11 +71,11 @@ def _others() -> str:
 
 
 @main.command(cls=GlobCommand, epilog=_others())
-@click.argument("source")
+@source_argument
 @setting_options()
 @click.option("--setting", "others", nargs=2, multiple=True, metavar="NAME VALUE", help="Any other setting; see below.")
 def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:
-    """Serve SOURCE on the web.
+    """Serve SOURCE on the web: a robot, a recording, or all recordings of folders, files and globs.
 
     Listens once the source is open, then prints one line, the URL of the start page. Exits on Ctrl-C, SIGTERM, SIGQUIT,
     and SIGHUP unless that is ignored (nohup).
@@ -82,6 +84,7 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
     Examples:
       rosld serve aircraft --port 0
       rosld serve run.mcap --rate 0.5 --subscribe '/camera/*'
+      rosld serve runs/ more/ 'old/*.bag'
       rosld serve ros1://robot:11311 --ros-ip 10.0.0.7 --allow-publish /cmd_vel
       rosld serve ros1: --host 0.0.0.0 --base-url http://robot.example:8080/
     """
@@ -92,7 +95,7 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
 
 
 @main.command("mcp", cls=GlobCommand, short_help="Serve SOURCE to a language model, on stdin and stdout.")
-@click.argument("source")
+@source_argument
 @setting_options()
 @click.option("--setting", "others", nargs=2, multiple=True, metavar="NAME VALUE", help="Any other setting; see serve.")
 def mcp(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:

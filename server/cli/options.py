@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import click
 
 from rosld.adapters.model import Qos, read_profile
+from rosld.adapters.registry import joined
 from rosld.server import settings as declared
 from rosld.server.cli.failure import ExitCode, user_errors
 from rosld.server.settings import Declaration, Settings
@@ -26,6 +27,9 @@ _KINDS: Mapping[str, click.ParamType[Any]] = {
 }
 
 
+_QUOTE = "Quote globs, such as --history '*', or the shell expands them to file names"
+
+
 class GlobCommand(click.Command):
     """A command with glob options, which a shell expands to file names unless they are quoted."""
 
@@ -35,8 +39,20 @@ class GlobCommand(click.Command):
         except click.UsageError as error:
             if "unexpected extra argument" not in error.message:
                 raise
-            words = "Quote globs, such as --history '*', or the shell expands them to file names"
-            raise click.UsageError(f"{error.message}. {words}", ctx) from error
+            raise click.UsageError(f"{error.message}. {_QUOTE}", ctx) from error
+
+
+def source_argument(command: _F) -> _F:
+    """Add the argument of one source, or of several recordings and folders, which are a collection."""
+    return click.argument("source", nargs=-1, required=True, callback=_joined)(command)
+
+
+def _joined(context: click.Context, parameter: click.Parameter, sources: tuple[str, ...]) -> str:
+    """Return one source, or several as the source of a collection. Raises UsageError unless several are recordings."""
+    try:
+        return joined(sources)
+    except ValueError as error:
+        raise click.UsageError(f"{error}. {_QUOTE}", context) from error
 
 
 def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[str, str], ...]:

@@ -209,12 +209,14 @@ class HistoryRecording:
         writer: HistoryWriter,
         folders: Sequence[Path],
         silent: Callable[[Collection[str]], Sequence[str]] = lambda _: (),
+        encoding: Encoding = Encoding.CDR,
     ) -> None:
         """`silent` returns the recorded topics and globs that have no message yet."""
         self.path = writer.segments.folder or Path()  # a folder, because there is no file to send
         self._writer = writer
         self._folders = folders
         self._silent = silent
+        self.encoding = encoding
         self._libraries: _Libraries = {}
 
     @property
@@ -383,7 +385,10 @@ class History:
         segments = Segments(folder, history_limits(settings), lambda: live.latched(self.writer))
         self.writer = HistoryWriter(segments, definition_of)
         self.recording = HistoryRecording(
-            self.writer, settings.types, lambda recorded: live.silent(self.writer, settings.history, recorded)
+            self.writer,
+            settings.types,
+            lambda recorded: live.silent(self.writer, settings.history, recorded),
+            adapter.capabilities.encoding,
         )
         self.digests = FileDigests()
         """Digests of the recordings other than the history."""

@@ -9,14 +9,27 @@ import secrets
 import tempfile
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Hashable, Mapping, Sequence
+from collections.abc import (
+    AsyncIterator,
+    Awaitable,
+    Callable,
+    Collection,
+    Hashable,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
 from fnmatch import fnmatchcase
-from functools import partial
+from functools import cached_property, partial
 from io import FileIO
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 from rosld.adapters.base import Adapter, AdapterOptions, NullSink, Recording
+from rosld.adapters.catalogue import NAME as CATALOGUE
+from rosld.adapters.catalogue import Catalogue, Entry, Event, Row
 from rosld.adapters.model import Encoding, RosError, TypeRef
 from rosld.adapters.registry import adapter_for
 from rosld.server.auth.rules import Agent
@@ -66,6 +79,26 @@ _MAX_CHECKED = 4
 """Maximum number of concurrent checks: a slow one must not block the others."""
 _CHECK_BYTES = 3 * 1024 * 1024 * 1024
 """Address space of a checking process in bytes; the libraries use a third of it."""
+
+
+class _Readable(Mapping[str, Recording]):
+    """Recordings of several owners by name; an earlier owner of a name wins."""
+
+    def __init__(self, *owners: Mapping[str, Recording]) -> None:
+        self._owners = owners
+
+    def __getitem__(self, name: str) -> Recording:
+        for owner in self._owners:
+            found = owner.get(name)
+            if found is not None:
+                return found
+        raise KeyError(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys(chain.from_iterable(reversed(self._owners))))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
 
 
 class UnreadableFile(NamedTuple):
@@ -139,7 +172,7 @@ class Recordings:
         """Value that changes with the set of recordings, and every few seconds while something is recorded."""
         is_recording = self.history.is_enabled or bool(self._running)
         moment = int(time.monotonic() / _REVISION_SECONDS) if is_recording else 0
-        return self._changes, self._armed.revision, moment
+        return self._changes, self._armed.revision, moment, self.catalogue.revision
 
     def recorded_topics(self) -> Collection[str]:
         """Return the topics that are recorded now, by the history or for a client."""
@@ -154,16 +187,23 @@ class Recordings:
     def readable(self) -> Mapping[str, Recording]:
         """All readable recordings by name: the history, those of clients, those of the source."""
         own = {HISTORY: self.history.recording} if self.history.is_enabled else {}
-        return {**own, **self.finished, **self._adapter.recordings}
+        return _Readable(self._adapter.recordings, self.finished, own)
+
+    @property
+    def few(self) -> Mapping[str, Recording]:
+        """The readable recordings without those of a source of many."""
+        own = {HISTORY: self.history.recording} if self.history.is_enabled else {}
+        return {**own, **self.finished, **(self._adapter.recordings if self._adapter.catalogue is None else {})}
+
+    @cached_property
+    def catalogue(self) -> Catalogue:
+        """The catalogue of finished recordings: that of the source, if it has one, with those of the server."""
+        data = self._settings.data
+        return self._adapter.catalogue or Catalogue(None if data is None else data / CATALOGUE)
 
     def find(self, name: str) -> Recording | None:
         """Return the readable recording of a name, or None (thread-safe)."""
-        found, opened = self._adapter.recordings.get(name), self._opened.get(name)
-        if found is None and opened is not None:
-            return opened[1]
-        if found is None and name == HISTORY and self.history.is_enabled:
-            return self.history.recording
-        return found
+        return self.readable.get(name)
 
     @property
     def unreadable(self) -> Mapping[str, UnreadableFile]:
@@ -187,17 +227,24 @@ class Recordings:
     async def start(self) -> None:
         """Start the history, and open the stored recordings. Unreadable ones are logged and reserve their names."""
         await self.history.start()
-        if self._folder is None or not self._folder.is_dir():
-            return
-        await asyncio.to_thread(remove_drafts, self._folder)
-        for name in active_recordings(self._folder):
+        if self._adapter.catalogue is None:
+            self.catalogue.leave_out_source()
+            for recording in self._adapter.recordings.values():
+                self._add_to_catalogue(recording)
+        if self._folder is not None and self._folder.is_dir():
+            await self._open_stored(self._folder)
+        self.catalogue.keep_only([each.path.absolute() for each in self.few.values()], own=True)
+        self._armed.load()
+
+    async def _open_stored(self, folder: Path) -> None:
+        await asyncio.to_thread(remove_drafts, folder)
+        for name in active_recordings(folder):
             await self._interruptions.add(name, KILLED)
-        await asyncio.to_thread(complete_active, self._folder)
-        for path in sorted(self._folder.iterdir()):
+        await asyncio.to_thread(complete_active, folder)
+        for path in await asyncio.to_thread(lambda: sorted(folder.iterdir())):
             if path.suffix in SUFFIXES.values():
                 await self._open_or_keep(path.stem, path)
         self._interruptions.load({*self._opened, *self._unreadable})
-        self._armed.load()
 
     def resume(self, occurrences: Occurrences) -> None:
         """Wait for the triggers of the orders stored before the restart."""
@@ -320,6 +367,7 @@ class Recordings:
         self._changes += 1
         await found[0].close()
         self.history.digests.forget(found[1].path)
+        self.catalogue.forget(found[1].path)
         await asyncio.to_thread(found[1].path.unlink, True)
         await self._interruptions.remove(name)
         return True
@@ -330,8 +378,19 @@ class Recordings:
 
     def encoding(self, recording: Recording) -> Encoding:
         """Return the encoding of a recording's messages."""
-        own = self._opened.get(recording.name)
-        return (self._adapter if own is None else own[0]).capabilities.encoding
+        return recording.encoding
+
+    async def annotate(self, row: Row, tags: Iterable[str], events: Iterable[Event]) -> None:
+        """Replace the tags and the events of a recording. Raises sqlite3.Error."""
+        record_step(f"annotate the recording {row.name}")
+        end_dry_run()
+        await asyncio.to_thread(self.catalogue.annotate, row.id, tags, events)
+
+    async def forget(self, row: Row) -> None:
+        """Remove a missing recording from the catalogue."""
+        record_step(f"forget the recording {row.name}")
+        end_dry_run()
+        await asyncio.to_thread(self.catalogue.forget, row.path)
 
     async def export(self, recording: Recording, format: ExportFormat) -> FileIO:
         """Return an open file with a recording in a format. Raises CannotExport, OSError, RosError, and Problems."""
@@ -358,6 +417,8 @@ class Recordings:
         self.history.close()
         for adapter, _ in self._opened.values():
             await adapter.close()
+        if "catalogue" in vars(self) and self.catalogue is not self._adapter.catalogue:
+            self.catalogue.close()
         if self._temporary is not None:
             self._temporary.cleanup()
 
@@ -401,8 +462,20 @@ class Recordings:
     async def _open(self, name: str, path: Path) -> None:
         adapter, recording = await self._opened_adapter(name, path)
         self._opened[name] = adapter, recording
+        self._add_to_catalogue(recording)
         self._unreadable.pop(name, None)
         self._changes += 1
+
+    def _add_to_catalogue(self, recording: Recording) -> None:
+        path = recording.path.absolute()
+        status = path.stat()
+        entry = Entry(
+            *(f"{recording.identity}-{status.st_size}", path, status.st_size, status.st_mtime_ns),
+            *(recording.format, 1 if recording.encoding is Encoding.ROS1 else 2, recording.start_ns, recording.end_ns),
+            *(recording.count, tuple(recording.silent), tuple(recording.topics.values())),
+            own=True,
+        )
+        self.catalogue.put([entry], {path: (recording.name,)})
 
     async def _check(self, name: str, path: Path) -> None:
         """Check in another process that a file can be opened. Raises RecordingRefused, and as `WorkerPool.run`."""

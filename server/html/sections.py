@@ -268,7 +268,9 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
     urls += [url for url in cells if url not in set(urls) and listing is not None and url in listing.cells]
     names = listing.names if listing else {}
     anchors = {url: _anchor(site, url, document.url, names.get(url)) for url in urls}
-    containers = {url for url in urls if url.endswith("/") and url.removesuffix("/") not in anchors}
+    containers = {
+        url for url in urls if url.endswith("/") and url.removesuffix("/") not in anchors and url not in cells
+    }
     members = tuple(
         ListingRow(
             anchors[url],
@@ -277,7 +279,7 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
             listing is not None and url in listing.failed,
         )
         for url in urls
-        if not url.endswith("/")
+        if not url.endswith("/") or (listing is not None and url in cells)
     )
     namespaces = tuple(anchors[url] for url in urls if url in containers)
     groups = group_names(members, lambda row: row.anchor.text)

@@ -226,7 +226,14 @@ class PathCollector(Struct, frozen=True):
         space = self.space
         yield self._path("/bags/")
         yield self._template("/bags/{name}", "/bags/any", name="Its name in the URL.")
-        for name, recording in self.recordings.readable.items():
+        few = self.recordings.few
+        if (example := next((each for each in self.recordings.readable if each not in few), None)) is not None:
+            for below in ("", "file", "at", "ldes", "messages/"):
+                path = self._of(f"{space.bag(example)}{below}")
+                yield self._template(f"/bags/{{name}}/{below}", path, name="Its name in the URL.")
+            template, path = "/bags/{name}/messages/{index}", self._of(space.bag_message(example, 0))
+            yield self._template(template, path, name="Its name in the URL.", index="From 0 to the last.")
+        for name, recording in few.items():
             yield self._path(self._of(space.bag(name)))
             if recording.path.is_file():
                 yield self._path(self._of(f"{space.bag(name)}file"))

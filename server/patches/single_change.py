@@ -41,15 +41,22 @@ class SingleChange(Struct, frozen=True):
             if change != self.json:
                 raise Problem(422, self.words)
             return
-        known = set(before)
-        if media_type == _N3_PATCH:
-            after = set(apply_patch(read_patch(data, url), list(known)))
-        else:
-            known, after = _updated(b"DELETE DATA {}", known, url), _updated(data, known, url)
+        known, after = patched(data, media_type, url, before)
         own = {each for each in after if each.predicate == self.predicate}
         rest = {each for each in known if each.predicate != self.predicate}
         if own != {Triple(NamedNode(url), self.predicate, self.value)} or after - own != rest:
             raise Problem(422, self.words)
+
+
+def patched(data: bytes, media_type: str, url: str, before: Iterable[Triple]) -> tuple[set[Triple], set[Triple]]:
+    """Return the triples of a resource before and after a patch of its RDF, in the same spelling of values.
+
+    Raises Problems: 400 for an unreadable patch, 409 for an N3 patch that does not match.
+    """
+    known = set(before)
+    if media_type == _N3_PATCH:
+        return known, set(apply_patch(read_patch(data, url), list(known)))
+    return _updated(b"DELETE DATA {}", known, url), _updated(data, known, url)
 
 
 def _updated(update: bytes, before: Iterable[Triple], url: str) -> set[Triple]:

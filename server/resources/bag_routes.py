@@ -14,7 +14,6 @@ from starlette.responses import Response
 
 from rosld.adapters.base import Recording
 from rosld.adapters.model import Encoding, RosError
-from rosld.ontology.describe_graph import container_document
 from rosld.ontology.urls import Location
 from rosld.server.history.bag_export import EXPORT_FORMATS, CannotExport, ExportFormat, require_encoding
 from rosld.server.history.cut import CutRefused, selected
@@ -25,8 +24,9 @@ from rosld.server.http.conditional import ETag, check_preconditions, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import MessageSchemas
+from rosld.server.resources.bag_listing import FILTERS, ListedBags
 from rosld.server.resources.bag_messages import BagMessage, BagMessages, bag_moment
-from rosld.server.resources.bags import ArmedBag, BagBase, BagResource, Bags, RunningBag, bag_urls
+from rosld.server.resources.bags import ArmedBag, BagBase, BagResource, Bags, LostBag, RunningBag
 from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
 from rosld.server.resources.ldp.bodies import single_chunk
 from rosld.server.resources.past_messages import may_read_recording
@@ -41,7 +41,7 @@ from rosld.server.resources.recording_trigger import (
     urls_of,
 )
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.path_item import ANY_TYPE, BYTES, PathItem, QueryParameter, WriteMethod
+from rosld.server.rest.path_item import ANY_TYPE, BYTES, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import (
     ABSENT,
     BASIC_CONTAINER,
@@ -246,7 +246,7 @@ def _file_status(path: Path) -> os.stat_result | None:
         return None
 
 
-class BagContainer(BagBase):
+class BagContainer(ListedBags):
     """`/bags/`: the recordings of this source, the history, and recordings that clients start or upload."""
 
     kind = "Recordings"
@@ -285,14 +285,7 @@ class BagContainer(BagBase):
             sends=SCHEMA,
             done=(201,),
         )
-        return PathItem("The recordings", writes={"POST": post})
-
-    async def state(self) -> State:
-        members = bag_urls(self.space, self.recordings)
-        version = members, tuple(self.session.graph.topics)  # the form on the page lists the topics
-        return self.states.get_or_make(
-            self.url, version, lambda: State(lambda: container_document(self.url, members, "Recordings"))
-        )
+        return PathItem("The recordings", query=(FORMAT, *FILTERS), writes={"POST": post}, is_paged=True)
 
     async def post(self, exchange: Exchange) -> Answer:
         """Start a recording of topics that the agent may read, let it wait for its trigger, or cut another one: 201.
@@ -403,6 +396,9 @@ def _bag(bags: Bags, name: str) -> Resource:
         return ArmedBag(bags, recordings.armed[name])
     if name in recordings.unreadable:
         return UnreadableBag(bags, name)
+    row = recordings.catalogue.find(name)
+    if row is not None and not row.is_readable and name not in recordings.readable:
+        return LostBag(bags, row)
     running = recordings.running.get(name)
     return BagResource(bags, _recording(recordings, name)) if running is None else RunningBag(bags, running)
 
@@ -424,6 +420,9 @@ def _recording(recordings: Recordings, name: str) -> Recording:
         raise Problem(404, f"The recording {name} is waiting for its trigger: it has no messages yet.")
     if found is None and name in recordings.running:
         raise Problem(404, f'The recording {name} is still running: PATCH it with {{"status": "ended"}} first.')
+    row = recordings.catalogue.find(name) if found is None else None
+    if row is not None:
+        raise Problem(404, f"The recording {name} cannot be read: {row.problem or 'its file has vanished'}.")
     if found is None:
         raise Problem(404, f"There is no recording {name}: /bags/ lists the recordings.")
     return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
@@ -14,6 +15,7 @@ from pyoxigraph import Literal
 from starlette.responses import Response
 
 from rosld.adapters.base import RecordedTopic, Recording, Watch
+from rosld.adapters.catalogue import Catalogue, Row
 from rosld.ontology.describe_bags import BagView, bag_document
 from rosld.ontology.describe_datasets import CROISSANT, structured_data
 from rosld.ontology.document import Document
@@ -32,6 +34,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import JsonSchema, MessageSchemas, json_object
 from rosld.server.patches.single_change import PATCHES, SingleChange
 from rosld.server.pictures.picture_cache import PictureCache
+from rosld.server.resources.annotations import ANNOTATIONS, Annotations, read_patch
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS
 from rosld.server.rest.path_item import FORMAT, PathItem, WriteMethod
@@ -80,7 +83,8 @@ class UnfinishedView(Struct, frozen=True):
 
 def bag_urls(space: Space, recordings: Recordings) -> tuple[str, ...]:
     """Return the URLs of all recordings, including running and waiting ones."""
-    names = (*recordings.readable, *recordings.running, *recordings.armed)
+    history = (recordings.history.recording.name,) if recordings.history.is_enabled else ()
+    names = (*history, *recordings.catalogue.names(), *recordings.running, *recordings.armed)
     return tuple(map(space.bag, dict.fromkeys(names)))
 
 
@@ -89,12 +93,47 @@ def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> 
     history = recordings.history
     if recording is history.recording:
         return bag_document(BagView(recording, dropped=history.dropped(), problem=history.problem), space)
+    catalogue, row = recordings.catalogue, recordings.catalogue.at(recording.path)
     size: int | None = None
     with contextlib.suppress(OSError):
         size = recording.path.stat().st_size if recording.path.is_file() else None
     why = recordings.interruption(recording.name)
     digest, status = history.digests.peek(recording.path), None if why is None else "interrupted"
-    return bag_document(BagView(recording, digest, size=size, problem=why, status=status), space)
+    view = BagView(recording, digest, size=size, problem=why, status=status)
+    if row is not None:
+        if size is None and not row.is_own:
+            view = view._replace(size=row.size, is_folder=True)
+        view = view._replace(tags=catalogue.tags(row.id), events=catalogue.events(row.id))
+    return bag_document(view, space)
+
+
+def describe_row(space: Space, recordings: Recordings, name: str) -> Document:
+    """Return the document of a catalogued recording, which may be damaged or missing."""
+    recording, row = recordings.readable.get(name), recordings.catalogue.find(name)
+    if recording is not None or row is None:
+        return Document(space.bag(name), ()) if recording is None else describe_bag(space, recordings, recording)
+    return _describe_lost(space, recordings.catalogue, row)
+
+
+def _describe_lost(space: Space, catalogue: Catalogue, row: Row) -> Document:
+    topics = {topic.name: topic for topic in catalogue.topics(row.id)}
+    bag = UnfinishedView(row.name, topics, row.silent, row.count, row.start_ns, row.end_ns, 0, row.format or "unknown")
+    problem, status = (f"{_MISSING}.", "missing") if row.is_missing else (row.problem, "damaged")
+    return bag_document(
+        BagView(
+            bag,
+            size=row.size,
+            problem=problem,
+            status=status,
+            is_readable=False,
+            tags=catalogue.tags(row.id),
+            events=catalogue.events(row.id),
+        ),
+        space,
+    )
+
+
+_MISSING = "Its file has vanished, or its folder is not there"
 
 
 def describe_running(space: Space, recordings: Recordings, one: RunningRecording) -> Document:
@@ -133,11 +172,14 @@ class BagResource(BagBase):
 
     kind = "Recording"
     shape = "Bag"
+    accepts: Mapping[str, Sequence[str]] = {"PATCH": PATCHES}
+    in_turn = frozenset({"PATCH"})
 
     def __init__(self, bags: Bags, recording: Recording) -> None:
         super().__init__(bags, bags.session.space.bag(recording.name))
         self.recording = recording
-        self.item = PathItem(f"The recording {self.recording.name}", query=(_FORMAT,))
+        writes = {"PATCH": WriteMethod("Replaces its tags and events", sends=ANNOTATIONS)}
+        self.item = PathItem(f"The recording {self.recording.name}", query=(_FORMAT,), writes=writes)
         croissant = Link(
             f"{self.url}?format={_CROISSANT}", "alternate", type=_JSON_LD, attributes=(("profile", CROISSANT),)
         )
@@ -153,8 +195,9 @@ class BagResource(BagBase):
         return bytes_response(exchange, data, f'{_JSON_LD};profile="{CROISSANT}"', ETag(digest(data), _CROISSANT))
 
     def methods(self) -> frozenset[str]:
-        is_own = self.recording.name in self.recordings.finished and not self.session.settings.read_only
-        return READ | {"DELETE"} if is_own else READ
+        if self.session.settings.read_only or self.recording is self.recordings.history.recording:
+            return READ
+        return READ | ({"PATCH", "DELETE"} if self.recording.name in self.recordings.finished else {"PATCH"})
 
     def deny_reason(self, method: str) -> str:
         if method in ("PATCH", "DELETE") and self.recording is self.recordings.history.recording:
@@ -162,8 +205,6 @@ class BagResource(BagBase):
                 "The history runs as long as rosld, within --history-time and --history-size, and cannot be ended or "
                 "deleted. POST to /bags/ to record its content."
             )
-        if method == "PATCH" and self.recording.name in self.recordings.finished:
-            return f"The recording {self.recording.name} has ended and cannot be changed."
         return super().deny_reason(method)
 
     async def state(self) -> State:
@@ -171,8 +212,9 @@ class BagResource(BagBase):
         is_history = recording is history.recording
         digest = None if is_history else history.digests.get(recording.path)
         trouble = (history.problem, sum(history.dropped().values())) if is_history else None
-        why = self.recordings.interruption(recording.name)
-        version = recording.first, recording.count, recording.start_ns, trouble, digest, why
+        why, row = self.recordings.interruption(recording.name), self.row
+        noted = None if row is None else row.version
+        version = recording.first, recording.count, recording.start_ns, trouble, digest, why, noted
         # not a partial, which another process would be asked to evaluate
         return self.states.get_or_make(
             self.url,
@@ -182,6 +224,12 @@ class BagResource(BagBase):
                 weight=len(recording.topics) * _TOPIC_BYTES,
             ),
         )
+
+    @property
+    def row(self) -> Row | None:
+        """Its entry in the catalogue; the history has none."""
+        is_history = self.recording is self.recordings.history.recording
+        return None if is_history else self.recordings.catalogue.at(self.recording.path)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         history = self.recordings.history
@@ -196,9 +244,51 @@ class BagResource(BagBase):
         is_file = self.recording is not self.recordings.history.recording and self.recording.path.is_file()
         return (SequenceLink("enclosure", f"{self.url}file"),) if is_file else ()
 
+    async def patch(self, exchange: Exchange) -> Answer:
+        """Replace tags and events, as a merge patch or a patch of its RDF has them. Raises a 507 Problem."""
+        row, catalogue = self.row, self.recordings.catalogue
+        if row is None:
+            raise self.not_allowed("PATCH")
+        before = Annotations(catalogue.tags(row.id), catalogue.events(row.id))
+        document = describe_bag(self.space, self.recordings, self.recording)
+        after = read_patch(await exchange.body(), exchange.media_type, self.url, document.triples, before)
+        try:
+            await self.recordings.annotate(row, after.tags, after.events)
+        except sqlite3.Error as error:
+            raise Problem(507, f"The tags and events cannot be stored: {error}.") from error
+        return ShownAnswer(self, await self.state())
+
     async def delete(self, exchange: Exchange) -> Answer:
         """Delete the recording and its file."""
         await self.recordings.delete(self.recording.name)
+        return Response(status_code=204)
+
+
+class LostBag(BagBase):
+    """A catalogued recording that is damaged or missing. DELETE forgets a missing one."""
+
+    kind = "Recording that cannot be read"
+    shape = "Bag"
+    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+
+    def __init__(self, bags: Bags, row: Row) -> None:
+        super().__init__(bags, bags.session.space.bag(row.name))
+        self.row = row
+        self.item = PathItem(f"The recording {row.name}, which cannot be read")
+
+    def methods(self) -> frozenset[str]:
+        return READ | {"DELETE"} if self.row.is_missing and not self.session.settings.read_only else READ
+
+    async def state(self) -> State:
+        return State(partial(_describe_lost, self.space, self.recordings.catalogue, self.row))
+
+    async def forms(self) -> Sequence[Form]:
+        about = "Its name, tags and events are deleted. If its file returns, it is new."
+        return (DeleteForm("Forget the recording", "Forget", about),) if "DELETE" in self.methods() else ()
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """Forget the recording."""
+        await self.recordings.forget(self.row)
         return Response(status_code=204)
 
 

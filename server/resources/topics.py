@@ -14,6 +14,7 @@ from pyoxigraph import Triple
 from starlette.responses import Response
 
 from rosld.adapters.base import Watch
+from rosld.adapters.catalogue import Selection
 from rosld.adapters.model import Graph, Kind, MessageSchema, Operation, RosError, Sample, Topic
 from rosld.ontology.body import parse_json
 from rosld.ontology.describe_body import sources_of_topic
@@ -26,6 +27,8 @@ from rosld.ontology.observations import role_of
 from rosld.server.history.history import History
 from rosld.server.html.forms import DeleteForm, Form, message_form
 from rosld.server.html.inputs import Json
+from rosld.server.html.page import Csrf, Notice, Page
+from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, MessageSchemas, message_schema, nullable, patch_schema
@@ -258,6 +261,17 @@ class TopicResource(PublishingResource):
             decoded = [await decode(self.session.schemas, sample) for sample in view.samples]
             known = self.states.put(self.url, version, self._state(topic, view, decoded))
         return known
+
+    def page(
+        self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]
+    ) -> Page | bytes:
+        """Return its page; that of a collection says in how many recordings the topic is."""
+        page, catalogue = super().page(site, state, forms, csrf, notices), self.session.adapter.catalogue
+        if catalogue is None or not isinstance(page, Page):
+            return page
+        count = catalogue.number_of(Selection(topics=frozenset({self.name})))
+        words = f"Nothing is live: it is a topic of {count:,} recordings, which /bags/?topic={self.name} lists."
+        return replace(page, summary=words)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
         holds = self.holds.changes.watch(wake, lambda about: about == self.name)

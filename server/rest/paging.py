@@ -193,10 +193,10 @@ class PagedContainer(Resource):
         return () if page is None else page.neighbours()
 
 
-def require_page(exchange: Exchange, container: str, count: int) -> None:
-    """Raise the 303 to the first page if the response must be paged."""
+def require_page(exchange: Exchange, container: str, count: int, most: int = MAX_PAGE_SIZE) -> None:
+    """Raise the 303 to the first page if the response must be paged, which has at most `most` members."""
     query = exchange.request.scope["query_string"].decode("latin-1")
-    first = redirect_to_first(container, count, exchange.prefer, query)
+    first = redirect_to_first(container, count, exchange.prefer, query, most)
     if first is not None:
         raise first
 
@@ -294,13 +294,15 @@ def requested_page_size(preferences: Preferences) -> int | None:
     return None if found is None else min(MAX_PAGE_SIZE, int(found[1]))
 
 
-def redirect_to_first(container: str, count: int, preferences: Preferences, query: str = "") -> Problem | None:
+def redirect_to_first(
+    container: str, count: int, preferences: Preferences, query: str = "", most: int = MAX_PAGE_SIZE
+) -> Problem | None:
     """Return the 303 to the first page of a container of `count` members, None if it needs no paging.
 
-    It is paged if it has more members than `MAX_PAGE_SIZE`, or than the request prefers. The other parameters in
+    It is paged if it has more members than `most`, or than the request prefers. The other parameters in
     `query` (such as `format=ttl`) are retained.
     """
-    limit = requested_page_size(preferences) or MAX_PAGE_SIZE
+    limit = requested_page_size(preferences) or most
     if count <= limit:
         return None
     first = page_url(container, PagePosition(0, limit).token) + (f"&{query}" if query else "")

@@ -65,7 +65,7 @@ class FaultFollower:
         self.faults = faults = Faults()
         self._session = session
         self._reports = _Reports(session, faults) if subscribes else None
-        live = () if session.adapter.recordings else (_Nodes(faults), _Rhythms(session, faults))
+        live = () if session.adapter.capabilities.system == "recording" else (_Nodes(faults), _Rhythms(session, faults))
         self._watchers: tuple[_Outcomes | _Nodes | _Rhythms, ...] = (_Outcomes(session, faults), *live)
         self._task: asyncio.Task[None] | None = None
 

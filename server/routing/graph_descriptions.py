@@ -28,7 +28,7 @@ from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
 from rosld.server.resources import types
 from rosld.server.resources.actions import ActionResource
-from rosld.server.resources.bags import bag_urls, describe_armed, describe_bag, describe_running
+from rosld.server.resources.bags import bag_urls, describe_armed, describe_bag, describe_row, describe_running
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.namespaces import listed_graph, namespaces
 from rosld.server.resources.nodes import NodeResource
@@ -180,11 +180,13 @@ class GraphDescriptions:
         yield _container(space.container("bags"), urls, "Recordings")
         dataset = self._factory.dataset()
         yield _graph_entry(dataset.url, *dataset.outline())
-        for recording in recordings.readable.values():
-            digest = recordings.history.digests.peek(recording.path)
-            why = recordings.interruption(recording.name)
-            size = recording.first, recording.count, recordings.history.problem, digest, why
-            yield _graph_entry(space.bag(recording.name), size, partial(describe_bag, space, recordings, recording))
+        if recordings.history.is_enabled:
+            past = recordings.history.recording
+            size = past.first, past.count, recordings.history.problem
+            yield _graph_entry(space.bag(past.name), size, partial(describe_bag, space, recordings, past))
+        for row in recordings.catalogue.rows():
+            token = row.version, recordings.history.digests.peek(row.path), recordings.interruption(row.name)
+            yield _graph_entry(space.bag(row.name), token, partial(describe_row, space, recordings, row.name))
         for armed in recordings.armed.values():
             waits = armed.count, armed.suspended, armed.problem
             yield _graph_entry(space.bag(armed.name), waits, partial(describe_armed, space, armed))

@@ -125,7 +125,7 @@ def test_topics_play_and_a_latched_message_is_there_whenever_it_is_looked_at(wal
 
 
 def test_nothing_is_writable_and_allow_says_so(walk: Any) -> None:
-    for path in ("/topics/walk/point", "/topics/new", "/bags/walk/messages/3", "/parameters/x", "/bags/walk/"):
+    for path in ("/topics/walk/point", "/topics/new", "/bags/walk/messages/3", "/parameters/x", "/bags/walk/at"):
         there = "OPTIONS" if path in ("/topics/new", "/parameters/x") else "GET, HEAD, OPTIONS"
         assert walk.http.options(path).headers["allow"] == there, path
         for method in ("PUT", "PATCH", "DELETE", "POST"):

@@ -140,8 +140,8 @@ def test_a_file_comes_in_ranges_is_not_sent_twice_and_is_no_bag_of_another_ros(r
     assert rest.content == whole[100:]
     assert http.head("/bags/talk/file").headers["content-length"] == str(len(whole))
     ended = http.patch("/bags/talk/", content='{"status": "ended"}', headers=MERGE_PATCH | JSON)
-    assert ended.status_code == 405
-    assert ended.json()["detail"] == "The recording talk has ended and cannot be changed."
+    assert ended.status_code == 422
+    assert ended.json()["detail"].startswith("A recording takes tags and events: send ")
     assert http.get("/bags/talk/file?format=bag").content == whole
     for accept in ("*/*", "text/html,*/*;q=0.8", "application/x-tar;q=0.1, application/octet-stream"):
         assert http.get("/bags/talk/file", headers={"Accept": accept}).headers["content-type"] == UNKNOWN

@@ -103,6 +103,7 @@ class MadeUp:
 
     capabilities = Capabilities("made-up", Encoding.ROS1, writes=True, creates_topics=False, parameter_trees=True)
     recordings: Mapping[str, Recording] = MappingProxyType({})
+    catalogue: None = None
 
     def __init__(self) -> None:
         self.calls: Counter[str] = Counter()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-import shutil
 import sys
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -19,13 +17,12 @@ from rosld.ontology.literals import date_time_nanoseconds
 from rosld.server.cli.failure import ExitCode, Failure, output_errors, user_errors
 from rosld.server.cli.info import open_recording
 from rosld.server.cli.query import query_text, solutions
-from rosld.server.cli.record import convert, mcap_file, require_format
+from rosld.server.cli.record import STDOUT, convert, mcap_file, require_format, require_pipe
 from rosld.server.history.cut import CutRefused, Span, selected, spans_around, write_cut
 from rosld.server.history.recording_writer import RecordingWriter
 from rosld.server.resources.number_conditions import ConditionReader, parse_condition
 from rosld.server.settings import Settings, check_topic_glob
 
-STDOUT = Path("-")
 _QUERY = re.compile(r"\bSELECT\b", re.IGNORECASE)
 
 
@@ -72,12 +69,7 @@ def _write(
     options: AdapterOptions,
 ) -> RecordingWriter:
     if target == STDOUT:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "cut.mcap"
-            writer = write_cut(recording, file, encoding, selects, span)
-            with file.open("rb") as source:
-                shutil.copyfileobj(source, sys.stdout.buffer)
-        return writer
+        return write_cut(recording, target, encoding, selects, span, sys.stdout.buffer)
     file = mcap_file(target)
     writer = write_cut(recording, file, encoding, selects, span)
     if file != target:
@@ -93,8 +85,7 @@ def _targets(output: Path, count: int) -> Sequence[Path]:
     if output == STDOUT:
         if count > 1:
             raise Failure(f"{count} events were found, and -o - is for one: name a file", ExitCode.USAGE)
-        if sys.stdout.isatty():
-            raise Failure("-o - writes bytes: redirect them to a file or a pipe", ExitCode.USAGE)
+        require_pipe()
         return [output]
     names = [output.with_name(f"{output.stem}-{number}{output.suffix}") for number in range(1, count + 1)]
     targets = names if count > 1 else [output]

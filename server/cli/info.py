@@ -10,13 +10,12 @@ from typing import Any, TypeAlias
 from urllib.parse import urlencode
 
 import click
-import orjson
 
 from rosld.adapters.base import Adapter, AdapterOptions, Recording
 from rosld.ontology.literals import date_time
 from rosld.server.cli.failure import ExitCode, Failure, user_errors
 from rosld.server.cli.list_types import open_source
-from rosld.server.cli.tables import duration_text, print_table, size_text
+from rosld.server.cli.tables import duration_text, json_text, print_table, size_text
 from rosld.server.history.cut import selected
 
 Facts: TypeAlias = dict[str, Any]
@@ -118,8 +117,3 @@ def _print(facts: Facts) -> None:
     ]
     click.echo()
     print_table(("topic", "type", "messages", "rate", "problem"), rows, frozenset({"messages", "rate"}))
-
-
-def json_text(value: object) -> str:
-    """Return a value as JSON for people."""
-    return orjson.dumps(value, option=orjson.OPT_INDENT_2).decode()

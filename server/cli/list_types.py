@@ -12,6 +12,7 @@ from rosld.adapters.base import Adapter, AdapterOptions, NullSink, Sink
 from rosld.adapters.model import Graph, Stale, TypeRef, Unreachable
 from rosld.adapters.registry import adapter_for
 from rosld.server.cli.failure import ExitCode, user_errors
+from rosld.server.cli.tables import json_text
 
 OPEN_SECONDS = 5.0
 
@@ -52,13 +53,15 @@ def types_in_use(graph: Graph) -> set[TypeRef]:
     return topics | services | {action.type for action in graph.actions.values() if action.type is not None}
 
 
-def types(source: str, options: AdapterOptions) -> None:
-    """Print one line per type: its name and, after a tab, its hash if known."""
+def types(source: str, options: AdapterOptions, *, as_json: bool = False) -> None:
+    """Print one line per type: its name and, after a tab, its hash if known; or all as JSON."""
     with user_errors(ExitCode.USAGE), open_source(source, options) as adapter:
         found = types_in_use(adapter.graph) | set(adapter.known_types())
     hashed = {ref.name for ref in found if ref.hash is not None}
-    for ref in sorted(found, key=lambda ref: (ref.name, ref.hash or "")):
-        if ref.hash is not None:
-            click.echo(f"{ref.name}\t{ref.hash}")
-        elif ref.name not in hashed:
-            click.echo(ref.name)
+    listed = [ref for ref in found if ref.hash is not None or ref.name not in hashed]
+    listed.sort(key=lambda ref: (ref.name, ref.hash or ""))
+    if as_json:
+        click.echo(json_text([{"name": ref.name, "hash": ref.hash} for ref in listed]))
+        return
+    for ref in listed:
+        click.echo(ref.name if ref.hash is None else f"{ref.name}\t{ref.hash}")

@@ -10,8 +10,8 @@ import click
 
 from rosld.adapters.base import AdapterOptions
 from rosld.server.cli.failure import ExitCode, Failure, user_errors
-from rosld.server.cli.info import Facts, facts_of, json_text, open_recording, size_of
-from rosld.server.cli.tables import duration_text, print_table, size_text
+from rosld.server.cli.info import Facts, facts_of, open_recording, size_of
+from rosld.server.cli.tables import duration_text, json_text, print_table, size_text
 from rosld.server.history.cut import selected
 from rosld.server.resources.number_conditions import ConditionReader, parse_condition
 

@@ -117,7 +117,7 @@ def mcp(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, 
 
 @main.command(cls=GlobCommand, short_help="Record live topics of SOURCE into FILE.")
 @click.argument("source", default="ros2:")
-@output_option("Where to write: x.mcap, x.bag (a ROS 1 bag), or a name without a suffix (a ROS 2 bag).")
+@output_option("Where to write: x.mcap, x.bag (a ROS 1 bag), a name without a suffix (a ROS 2 bag), or - (MCAP).")
 @click.option("--topic", "topics", multiple=True, metavar="GLOB", help="Topics to record; default: all. Repeatable.")
 @click.option("--duration", type=click.FloatRange(min=0), metavar="SECONDS", help="Stop after this time.")
 @setting_options("types", "ros_ip", "host_map", "qos")
@@ -134,7 +134,7 @@ def record(
     """Record live topics of SOURCE (default ros2:) into FILE, until Ctrl-C or for --duration seconds.
 
     FILE.mcap is written as MCAP, FILE.bag as a ROS 1 bag for rosbag, and a name without a suffix as the folder of a
-    ROS 2 bag for ros2 bag. The output appears under its name once it is complete.
+    ROS 2 bag for ros2 bag. The output appears under its name once it is complete; - writes MCAP to a pipe.
 
     \b
     Examples:
@@ -176,8 +176,9 @@ def guard(
 
 @main.command(short_help="List the message and service types of SOURCE.")
 @click.argument("source")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @setting_options("types")
-def types(source: str, types: tuple[Path, ...]) -> None:
+def types(source: str, types: tuple[Path, ...], *, as_json: bool) -> None:
     """List the message and service types that SOURCE uses: name, tab, hash.
 
     \b
@@ -187,7 +188,7 @@ def types(source: str, types: tuple[Path, ...]) -> None:
     """
     from rosld.server.cli.list_types import types as run
 
-    run(source, AdapterOptions(types=types))
+    run(source, AdapterOptions(types=types), as_json=as_json)
 
 
 @main.group(short_help="Manage tokens for a server with --auth.")

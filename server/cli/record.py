@@ -26,12 +26,16 @@ from rosld.server.robot.schemas import Schemas
 from rosld.server.settings import check_topic_glob
 
 _PROGRESS_SECONDS = 1.0
+STDOUT = Path("-")
+"""Name of the output that is written to stdout."""
 
 
 def record(source: str, output: Path, topics: Sequence[str], duration: float | None, options: AdapterOptions) -> None:
     """Record until a signal, or for `duration` seconds, with progress on stderr. Raises Failure."""
     file = mcap_file(output)
-    for path in {output, file}:
+    if output == STDOUT:
+        require_pipe()
+    for path in {output, file} - {STDOUT}:
         if path.exists():
             raise Failure(f"{path} already exists: choose another file", ExitCode.OUTPUT)
     with user_errors(ExitCode.USAGE):
@@ -58,13 +62,19 @@ def record(source: str, output: Path, topics: Sequence[str], duration: float | N
 
 def mcap_file(output: Path) -> Path:
     """Return the file that is written first: the output, or a temporary one to convert at the end."""
-    return output if output.suffix == SUFFIX else output.with_name(f"{output.name}{SUFFIX}")
+    return output if output.suffix == SUFFIX or output == STDOUT else output.with_name(f"{output.name}{SUFFIX}")
+
+
+def require_pipe() -> None:
+    """Raise Failure if stdout is a terminal, to which no recording is written."""
+    if sys.stdout.isatty():
+        raise Failure("-o - writes bytes: redirect them to a file or a pipe", ExitCode.USAGE)
 
 
 def require_format(output: Path, encoding: Encoding) -> None:
     """Raise ValueError if the name of the output has no known format, or that of the other ROS version."""
     own = "FILE.bag, a ROS 1 bag" if encoding is Encoding.ROS1 else "FOLDER, a ROS 2 bag"
-    if output.suffix == SUFFIX or output.suffix == (BAG.suffix if encoding is Encoding.ROS1 else ""):
+    if output == STDOUT or output.suffix in (SUFFIX, BAG.suffix if encoding is Encoding.ROS1 else ""):
         return
     version = 1 if encoding is Encoding.ROS1 else 2
     raise ValueError(f"-o {output}: the messages are of ROS {version}; use FILE.mcap or {own}")
@@ -103,7 +113,11 @@ class _Recording(NullSink):
         await open_at_once(self._adapter, self)
         try:
             writer = RecordingWriter(
-                self._output, self._adapter.capabilities.encoding, self._schemas.definition_of, require_room
+                self._output,
+                self._adapter.capabilities.encoding,
+                self._schemas.definition_of,
+                require_room,
+                stream=sys.stdout.buffer if self._output == STDOUT else None,
             )
             self._live.add(writer, lambda topic: any(fnmatchcase(topic, glob) for glob in self._topics))
             progress = loop.create_task(self._report_progress(writer, ended))

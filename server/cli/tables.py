@@ -1,10 +1,11 @@
-"""Tables for people: aligned columns, bold heads on terminals, sizes and durations with units."""
+"""Tables for people (aligned columns, bold heads on terminals, sizes and durations with units), and JSON."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import click
+import orjson
 
 _UNITS = ("B", "kB", "MB", "GB", "TB")
 
@@ -36,3 +37,8 @@ def duration_text(seconds: float) -> str:
     hours, minutes = divmod(int(minutes), 60)
     parts = [f"{number} {unit}" for number, unit in ((hours, "h"), (minutes, "min")) if number]
     return " ".join([*parts, f"{rest:.1f} s"])
+
+
+def json_text(value: object) -> str:
+    """Return a value as JSON for people."""
+    return orjson.dumps(value, option=orjson.OPT_INDENT_2).decode()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from rosld.adapters.base import MessageFilter, Recording
 from rosld.adapters.model import Encoding, TypeRef, UnknownType
@@ -54,11 +54,17 @@ def selected(topics: Sequence[str]) -> Callable[[str], bool]:
 
 
 def write_cut(
-    recording: Recording, path: Path, encoding: Encoding, selects: Callable[[str], bool], span: Span
+    recording: Recording,
+    path: Path,
+    encoding: Encoding,
+    selects: Callable[[str], bool],
+    span: Span,
+    stream: BinaryIO | None = None,
 ) -> RecordingWriter:
-    """Write a cut as MCAP, opened by the latched messages in force at its start; return its closed writer.
+    """Write a cut as MCAP to a path or a stream; return its closed writer.
 
-    Raises CutRefused if it has no message, OSError, and RosError if the recording cannot be read.
+    The latched messages in force at its start open it. Raises CutRefused if it has no message, OSError, and RosError if
+    the recording cannot be read.
     """
 
     def definition_of(ref: TypeRef) -> str:
@@ -67,7 +73,7 @@ def write_cut(
         except UnknownType:
             return ""
 
-    writer = RecordingWriter(path, encoding, definition_of, require_room, span.from_ns)
+    writer = RecordingWriter(path, encoding, definition_of, require_room, span.from_ns, stream)
     try:
         for topic, sample in recording.latched_before(span.from_ns, selects):
             writer.add(topic, sample)

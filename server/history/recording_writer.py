@@ -7,11 +7,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 from rosld.adapters.model import Encoding, Sample, TypeRef
 from rosld.server.history.channel import channel_of
 from rosld.server.history.mcap_writer import McapWriter, TopicChunk, recover
-from rosld.server.history.segment_file import DiskFile
+from rosld.server.history.segment_file import DiskFile, PipedFile
 
 log = logging.getLogger("rosld.history")
 ACTIVE = ".active"
@@ -31,8 +32,9 @@ class RecordingWriter:
         definition_of: Callable[[TypeRef], str],
         require_room: Callable[[Path], None],
         since_ns: int | None = None,
+        stream: BinaryIO | None = None,
     ) -> None:
-        """Begin the file of a recording that starts at a time (None: now). Raises OSError."""
+        """Begin the file of a recording that starts at a time (None: now), or write it to a stream. Raises OSError."""
         self.path = path
         self.since_ns = time.time_ns() if since_ns is None else since_ns
         self.count = 0
@@ -44,9 +46,10 @@ class RecordingWriter:
         self.silent: Sequence[str] = ()
         """Selected topics and globs without a message, as written to the file."""
         self._require_room = require_room
-        self._active = path.with_name(path.name + ACTIVE)
+        self._active = None if stream is not None else path.with_name(path.name + ACTIVE)
         require_room(path.parent)
-        self._writer: McapWriter | None = McapWriter(DiskFile(self._active), encoding, definition_of, 0)
+        file = PipedFile(stream) if stream is not None else DiskFile(path.with_name(path.name + ACTIVE))
+        self._writer: McapWriter | None = McapWriter(file, encoding, definition_of, 0)
         self._open: dict[str, TopicChunk] = {}
 
     @property
@@ -92,7 +95,8 @@ class RecordingWriter:
         writer, self._writer = self._writer, None
         try:
             writer.finish(self.silent)
-            self._active.replace(self.path)
+            if self._active is not None:
+                self._active.replace(self.path)
         except OSError as error:  # without a summary the file is readable, and it is completed at the next start
             self._end(error.strerror or str(error))
 

@@ -6,7 +6,7 @@ import contextlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import BinaryIO, NamedTuple, Protocol
 
 from rosld.server.history import mcap_records as mcap
 
@@ -34,6 +34,28 @@ class SegmentFile(Protocol):
     def remove(self) -> None:
         """Free the storage. Idempotent."""
         ...
+
+
+class PipedFile:
+    """A stream, such as stdout, that is only appended to."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self.size = 0
+
+    def append(self, data: bytes) -> None:
+        """Write all of the data. Raises OSError."""
+        self._stream.write(data)
+        self.size += len(data)
+
+    def read(self, at: int, size: int) -> bytes:
+        raise OSError("a stream cannot be read")
+
+    def close(self) -> None:
+        self._stream.flush()
+
+    def remove(self) -> None:
+        """Do nothing: nothing is stored."""
 
 
 class DiskFile:

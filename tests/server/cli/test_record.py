@@ -53,6 +53,14 @@ def test_a_name_without_a_suffix_is_the_folder_of_a_ros_2_bag_and_each_ros_has_i
         assert "the messages are of ROS 2; use FILE.mcap or FOLDER, a ROS 2 bag" in refused.stderr
 
 
+def test_a_pipe_gets_mcap(tmp_path: Path) -> None:
+    piped = record("rover", "-o", "-", "--duration", "1", "--topic", "/odom")
+    path = tmp_path / "piped.mcap"
+    path.write_bytes(piped.stdout_bytes)
+    assert {one.topic for one in read(path)} == {"/odom"}
+    assert "-: " in piped.stderr
+
+
 def test_a_signal_ends_it_and_the_file_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     process = subprocess.Popen([*RECORD, "rover", "-o", str(path)], stderr=subprocess.PIPE, text=True)

@@ -171,6 +171,14 @@ def test_a_query_finds_the_events(tmp_path: Path) -> None:
     assert len(list(messages(tmp_path / "top-2.mcap"))) == 11 + 1
 
 
+def test_an_interruption_has_its_own_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("rosld.server.cli.info.info", interrupted)
+    assert "interrupted" in run("info", "x.bag", code=130).stderr
+
+
 def test_shells_complete_commands_and_a_pipe_has_no_colours(runs: Path) -> None:
     for shell in ("bash", "zsh", "fish"):
         assert "_ROSLD_COMPLETE" in run("completion", shell).stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
 import socket
@@ -167,6 +168,8 @@ def test_help_explains_itself_with_examples_and_the_version_is_printed() -> None
 def test_types_lists_names_and_hashes() -> None:
     result = CliRunner().invoke(main, ["types", "aircraft"])
     assert "std_msgs/msg/Float64\tfdb28210bfa9d7c91146260178d9a584\n" in result.output
+    listed = json.loads(CliRunner().invoke(main, ["types", "aircraft", "--json"]).stdout)
+    assert {"name": "std_msgs/msg/Float64", "hash": "fdb28210bfa9d7c91146260178d9a584"} in listed
     missing = CliRunner().invoke(main, ["types", "no-such.bag"])
     assert (missing.exit_code, missing.stdout, missing.stderr.count("\n")) == (3, "", 1)
 

@@ -343,7 +343,10 @@ def test_every_imported_distribution_is_declared_and_only_some_features_need_ext
         "distributed in server/cli/workers.py",
         "fsspec in server/cli/recording_inputs.py",
         "jwt in server/auth/oidc.py",
-        *(f"pyarrow in server/{file}.py" for file in ("history/tables", "sparql/result_tables")),
+        *(
+            f"pyarrow in server/{file}.py"
+            for file in ("history/message_columns", "history/table_files", "history/tables", "sparql/result_tables")
+        ),
         *(f"mcp in server/{file}.py" for file in files),
     }
     assert not undeclared(ROOMS, declared("oidc", "mcp", "dask", "files", "parquet"))

@@ -27,7 +27,7 @@ from rosld.server.history.chunk_index import ChunkRow
 from rosld.server.history.history import History
 from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.message_block import MessageBlock, columns_of, number_paths
-from rosld.server.history.tables import table_of_columns
+from rosld.server.history.tables import TableParts
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT, json_array
@@ -236,7 +236,7 @@ class SeriesResource(Resource):
         if format != "csv":
             units = {each.name: self._quantity(each.field).unit for each in table if each.field}
             values = {each.name: each.values for each in table}
-            return await table_response(format, partial(table_of_columns, values, units), "series", {})
+            return await table_response(format, partial(_table, values, units), "series", {})
         times, *others = table
         rows = zip(map(_utc_text, times.values), *(each.values for each in others), strict=True)
         lines = [",".join(each.name for each in table)]
@@ -373,6 +373,13 @@ def columns(found: Mapping[str, Series]) -> list[Column]:
             values = [None if each is None else read(each) for each in own]
             table.append(Column(f"{prefix}{name}", "" if name == "count" else field, values))
     return table
+
+
+def _table(columns: Mapping[str, Sequence[float | None]], units: Mapping[str, str | None]) -> TableParts:
+    from rosld.server.history.table_files import table_of_columns
+
+    table = table_of_columns(columns, units)
+    return table.schema, (table,)
 
 
 def series_of(space: Space, history: History, topic: str, exchange: Exchange) -> SeriesResource:

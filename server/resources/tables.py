@@ -17,9 +17,7 @@ from rosld.server.history.tables import (
     Rows,
     TableParts,
     TopicTable,
-    arrow_pieces,
-    csv_pieces,
-    parquet_pieces,
+    pieces,
     require_pyarrow,
 )
 from rosld.server.http.conditional import ETag, check_preconditions, digest
@@ -71,15 +69,11 @@ async def table_response(
         return RawResponse(200, b"", _encoded(fields))
     loop = asyncio.get_running_loop()
 
-    def pieces() -> Iterator[bytes]:
+    def made() -> Iterator[bytes]:
         require_pyarrow()
-        schema, parts = make()
-        if format == "parquet":
-            yield from parquet_pieces(schema, parts, footer)
-        else:
-            yield from (arrow_pieces if format == "arrow" else csv_pieces)(schema, parts)
+        yield from pieces(format, make(), footer)
 
-    source = pieces()
+    source = made()
 
     def following() -> bytes | None:
         return next(source, None)
@@ -157,7 +151,7 @@ class BagTable(BagBase):
             make,
             name,
             {"etag": str(etag)},
-            lambda: {"unreadable": str(tables[0].unreadable)},
+            lambda: tables[0].footer(),
             is_head=exchange.method == "HEAD",
         )
 

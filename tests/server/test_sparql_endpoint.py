@@ -122,6 +122,8 @@ def test_solutions_are_tables_of_arrow_too(http: httpx.Client) -> None:
     assert pa.ipc.open_stream(answer.content).read_all().to_pydict() == expected
     answer = http.get("/queries/inventory", params={"format": "arrow"})
     assert pa.ipc.open_stream(answer.content).read_all().num_columns > 0, answer.text
+    answer = http.get("/sparql", params={"query": "SELECT ?s { FILTER(false) }", "format": "parquet"})
+    assert parquet.read_table(io.BytesIO(answer.content)).to_pydict() == {"s": []}
     for form in ("CONSTRUCT { ?s ?p ?o } { ?s ?p ?o }", "SELEKT"):
         answer = http.get("/sparql", params={"query": form, "format": "parquet"})
         assert answer.status_code == (406 if form.startswith("C") else 400), answer.text

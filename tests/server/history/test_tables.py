@@ -15,8 +15,10 @@ from pyarrow import parquet
 from rosld.adapters.base import MessageFilter, MessagePage, RecordedMessage, RecordedTopic
 from rosld.adapters.model import Encoding, MessageSchema, Sample, TypeRef
 from rosld.ontology.fields import field_at
-from rosld.server.history import tables
-from rosld.server.history.tables import NoTable, Rows, TopicTable, csv_pieces, write_parquet
+from rosld.server.history import table_files, tables
+from rosld.server.history.message_columns import DURATION, TIME
+from rosld.server.history.table_files import csv_pieces
+from rosld.server.history.tables import NoTable, Rows, TopicTable, write_parquet
 from tests.server.history.test_columns import LIBRARIES, TYPES, made
 
 START = 1_700_000_000_000_000_123
@@ -107,7 +109,7 @@ def whole(recording: Any, rows: Rows = Rows()) -> pa.Table:  # noqa: B008
 def plain(value: Any) -> Any:
     """Return a value of a message as Arrow's Python values are."""
     if hasattr(value, "__msgtype__"):
-        if value.__msgtype__ in (tables.TIME, tables.DURATION):
+        if value.__msgtype__ in (TIME, DURATION):
             return value.sec * 10**9 + value.nanosec
         members = {name: plain(each) for name, each in vars(value).items() if name[0].islower()}
         return 0 if set(members) <= {"structure_needs_at_least_one_member"} else members
@@ -212,12 +214,13 @@ def test_a_topic_of_two_types_is_one_table() -> None:
 def test_equal_messages_give_equal_files_in_row_groups(monkeypatch: pytest.MonkeyPatch) -> None:
     schema, samples = of_type("float64 x", [{"x": place / 8} for place in range(100)])
     recording = Recorded(samples, [schema], page=10)
-    monkeypatch.setattr(tables, "_GROUP_ROWS", 30)
+    monkeypatch.setattr(table_files, "_GROUP_ROWS", 30)
     files = []
     for _ in range(2):
         files.append(io.BytesIO())
         write_parquet(recording, "/a b", files[-1], Rows(start=5, end=95, to_ns=START + 90 * 1_000_001))
     assert files[0].getvalue() == files[1].getvalue()
+    assert write_parquet(recording, "/a b", io.BytesIO(), Rows(start=500)) == (0, 0)
     read = parquet.ParquetFile(files[0])
     assert [read.metadata.row_group(place).num_rows for place in range(read.num_row_groups)] == [30, 30, 26]
     assert read.read()["x"].to_pylist() == [place / 8 for place in range(5, 91)]
@@ -232,8 +235,8 @@ def test_csv_has_times_as_text_and_arrays_as_json() -> None:
     message = build(
         "made_up/msg/Csv",
         {
-            "at": build(tables.TIME, {"sec": 1_700_000_000, "nanosec": 5}),
-            "left": build(tables.DURATION, {"sec": -1, "nanosec": 500_000_000}),
+            "at": build(TIME, {"sec": 1_700_000_000, "nanosec": 5}),
+            "left": build(DURATION, {"sec": -1, "nanosec": 500_000_000}),
             "ranges": np.array([0.1, float("nan"), float("inf")], "f4"),
             "data": np.array([1, 255], "u1"),
             "says": 'a "b"\n',

@@ -17,7 +17,7 @@ from rosld.adapters.base import PAGE_BYTES, Adapter, MessageFilter, MessagePage,
 from rosld.adapters.model import Encoding, NotFound, Sample, Schema, TypeRef, UnknownType, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.server.history.bag_export import BagExports
-from rosld.server.history.chunk_index import ChunkRow, unpack_numbers
+from rosld.server.history.chunk_index import ChunkIndex, ChunkRow, unpack_numbers
 from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.message_block import MessageBlock
 from rosld.server.history.recorder import Sink
@@ -314,19 +314,35 @@ class HistoryRecording:
 
     def blocks_between(self, topic: str, from_ns: int, until_ns: int) -> Iterator[MessageBlock]:
         """Yield the messages of a topic between two times, in any order and without unreadable ones."""
-        segments = self._writer.segments
+        rows, unwritten = self.chunks_between(topic, from_ns, until_ns)
+        for row in rows:
+            block = self.block(row, from_ns, until_ns)
+            if block is not None:
+                yield block
+        yield unwritten
+
+    def chunks_between(self, topic: str, from_ns: int, until_ns: int) -> tuple[Sequence[ChunkRow], MessageBlock]:
+        """Return the chunks with messages of a topic between two times, and the messages that are in none yet."""
         at_hand = {each.sequence - 1: each for each in self._writer.unwritten(topic)}
-        for row in segments.index.of_topic(topic, from_ns, until_ns):
-            try:
-                block = MessageBlock(segments, row, from_ns, until_ns)
-            except (OSError, ValueError, KeyError):  # a damaged or removed segment
-                continue
+        rows = self._writer.segments.index.of_topic(topic, from_ns, until_ns)
+        for row in rows:
             if at_hand and row.last >= min(at_hand):  # written in the meantime
-                for number in block.numbers():
+                for number in unpack_numbers(row).tolist():
                     at_hand.pop(number, None)
-            yield block
         left = [RecordedMessage(number, topic, each) for number, each in at_hand.items()]
-        yield MessageBlock.of([each for each in left if from_ns <= each.sample.received_ns <= until_ns])
+        return rows, MessageBlock.of([each for each in left if from_ns <= each.sample.received_ns <= until_ns])
+
+    def block(self, row: ChunkRow, from_ns: int, until_ns: int) -> MessageBlock | None:
+        """Return the messages of a chunk between two times, or None if it is damaged or was removed."""
+        try:
+            return MessageBlock(self._writer.segments, row, from_ns, until_ns)
+        except (OSError, ValueError, KeyError):
+            return None
+
+    @property
+    def index(self) -> ChunkIndex:
+        """The index of its chunks."""
+        return self._writer.segments.index
 
     def count_between(self, topic: str, from_ns: int, until_ns: int) -> int:
         """Return an upper bound of the number of messages of a topic between two times, without reading them."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -259,6 +260,15 @@ class MessageBlock:
                 np.frombuffer(b"".join(each.sample.data for each in members), np.uint8).reshape(len(members), length),
             )
             yield block
+
+    def where(self, is_wanted: NDArray[np.bool_]) -> MessageBlock:
+        """Return the block with only some of its rows; `messages` may yield more."""
+        assert self.rows is not None
+        block = copy(self)
+        channel, sequences, times, data = self.rows
+        block.rows = ChunkRows(channel, sequences[is_wanted], times[is_wanted], data[is_wanted])
+        block._at_hand = [each for each, one in zip(self._at_hand, is_wanted.tolist(), strict=False) if one]
+        return block
 
     @property
     def channel(self) -> Channel:

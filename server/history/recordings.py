@@ -48,6 +48,7 @@ from rosld.server.history.recording_orders import (
     RecordingRefused,
 )
 from rosld.server.history.recording_writer import RecordingWriter, active_recordings, complete_active
+from rosld.server.history.statistics import STATISTICS, Statistics
 from rosld.server.history.topic_feed import LiveRecorder
 from rosld.server.history.uploads import (
     DRAFT,
@@ -159,6 +160,12 @@ class Recordings:
         self._receiving: set[str] = set()
         self._checkers = WorkerPool(_MAX_CHECKED, memory=_CHECK_BYTES, subject="recording")
         self._settings = settings
+
+    @cached_property
+    def statistics(self) -> Statistics:
+        """Statistics of the messages of recordings; without a data folder they are in memory."""
+        data = self._settings.data
+        return Statistics(None if data is None or not data.is_dir() else data / STATISTICS)
 
     @property
     def _folder(self) -> Path | None:
@@ -415,6 +422,8 @@ class Recordings:
             await self.end(name)
         await self._live.stop()
         self.history.close()
+        if "statistics" in vars(self):
+            self.statistics.close()
         for adapter, _ in self._opened.values():
             await adapter.close()
         if "catalogue" in vars(self) and self.catalogue is not self._adapter.catalogue:

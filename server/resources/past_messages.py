@@ -12,6 +12,8 @@ from functools import lru_cache, partial
 from itertools import starmap
 from typing import NamedTuple
 
+import numpy as np
+
 from rosld.adapters.base import FOR_EVER, MessageFilter, RecordedMessage, RecordedTopic, Recording
 from rosld.adapters.model import MessageSchema, RosError, Sample, TypeRef
 from rosld.ontology.column_lift import ColumnLifter, column_lifter, shorten_paths
@@ -25,63 +27,92 @@ from rosld.ontology.vocab import ldp, rdf, rdfs, ros, xsd
 from rosld.server.auth.permissions import Permissions
 from rosld.server.dataset.encoding import private_datatype
 from rosld.server.history.history import HistoryRecording
-from rosld.server.history.message_block import MessageBlock, columns_of
+from rosld.server.history.message_block import MessageBlock, columns_of, number_paths
 from rosld.server.history.recordings import Recordings
+from rosld.server.history.statistics import Statistics, key_of, pages
 from rosld.server.http.problem import Problem
+from rosld.server.resources.past_summaries import SummaryText, field_path
 from rosld.server.robot.session import Session
 from rosld.server.space.transforms import KEPT_NS, STATIC_TOPIC, TOPICS, TYPES, FrameBuffer, FrameRow
-from rosld.server.sparql.intervals import Interval
+from rosld.server.sparql.intervals import Bounds, Interval
 from rosld.server.sparql.message_order import MessageTimes
-from rosld.server.sparql.past import MAX_TEXT, PastQuery, PastSelection, PastText
+from rosld.server.sparql.past import MAX_TEXT, PastDataset, PastQuery, PastSelection, PastText
 from rosld.server.sparql.query_limits import MAX_PAST, out_of_time, too_much_past
+from rosld.server.sparql.summaries import SummaryQuery
 
 _PAGE = 2000
 """Number of messages read from a file at a time."""
 
 
 class PastRange(NamedTuple):
-    """Messages of one topic between two times in ns (inclusive)."""
+    """Messages of one topic between two times in ns (inclusive), whose numbers at some paths are within bounds."""
 
     topic: str
     from_ns: int
     until_ns: int
+    numbers: tuple[tuple[tuple[str, ...], Bounds], ...] = ()
 
 
 def count_past(recording: Recording, ranges: Sequence[PastRange]) -> int:
     """Return an upper bound of the number of messages, as far as it is known without reading."""
-    if isinstance(recording, HistoryRecording):
-        return sum(recording.count_between(*each) for each in ranges)
-    return 0
+    found = 0
+    for each in ranges:
+        if isinstance(recording, HistoryRecording):
+            found += recording.count_between(*each[:3])
+        elif each.from_ns <= recording.start_ns and recording.end_ns <= each.until_ns:
+            found += recording.topics[each.topic].count
+    return found
 
 
-def read_past(recording: Recording, ranges: Sequence[PastRange]) -> Iterator[MessageBlock]:
+def read_past(
+    recording: Recording, ranges: Sequence[PastRange], statistics: Statistics | None = None
+) -> Iterator[MessageBlock]:
     """Yield each message once, in any order, without unreadable ones.
 
-    Ranges of one topic must not overlap.
+    Ranges of one topic must not overlap. Blocks whose `statistics` show that no message can be wanted are not read.
     """
     for each in ranges:
         if isinstance(recording, HistoryRecording):
-            yield from recording.blocks_between(*each)
-        else:
-            yield from _in_pages(recording, each)
+            yield from recording.blocks_between(*each[:3])
+            continue
+        for first, beyond in _parts(recording, each, statistics):
+            criteria = MessageFilter(frozenset({each.topic}), each.from_ns, each.until_ns, first, beyond)
+            for messages in pages(recording, criteria, _PAGE):
+                yield from MessageBlock.grouped(messages)
 
 
-def _in_pages(recording: Recording, span: PastRange) -> Iterator[MessageBlock]:
-    start: int | None = recording.first
-    while start is not None:
-        criteria = MessageFilter(frozenset({span.topic}), span.from_ns, span.until_ns, start)
-        page = recording.select(criteria, _PAGE)
-        yield from MessageBlock.grouped(page.messages)
-        start = page.next
+def _parts(recording: Recording, span: PastRange, statistics: Statistics | None) -> Iterator[tuple[int, int]]:
+    """Yield the ranges of indexes, from a first one up to and excluding another, of messages that may be wanted."""
+    key = key_of(recording) if span.numbers and statistics is not None else None
+    found = None
+    if key is not None and statistics is not None:
+        found = statistics.find(key, span.topic, [".".join(path) for path, _ in span.numbers])
+    if found is None:
+        yield recording.first, FOR_EVER
+        return
+    chosen: list[tuple[int, int]] = []
+    for each in found.values():
+        is_wanted = (each.blocks[:, 3] >= span.from_ns) & (each.blocks[:, 2] <= span.until_ns)
+        for path, bounds in span.numbers:
+            numbers = each.fields.get(".".join(path))
+            if numbers is not None:
+                is_wanted &= (numbers[:, 0] <= bounds.high) & (numbers[:, 1] >= bounds.low)
+        chosen += each.blocks[is_wanted, :2].tolist()
+    end = -1
+    for first, last in sorted(chosen):  # blocks of several types may overlap
+        if last > end:
+            yield max(first, end + 1), last + 1
+            end = last
 
 
 def merge_ranges(ranges: Sequence[PastRange]) -> list[PastRange]:
-    """Return ranges for the same times that do not overlap."""
+    """Return ranges for the same messages that do not overlap."""
     merged: list[PastRange] = []
     for each in sorted(ranges):
         last = merged[-1] if merged else None
         if last is not None and last.topic == each.topic and each.from_ns <= last.until_ns:
-            merged[-1] = last._replace(until_ns=max(last.until_ns, each.until_ns))
+            numbers = last.numbers if last.numbers == each.numbers else ()
+            merged[-1] = last._replace(until_ns=max(last.until_ns, each.until_ns), numbers=numbers)
         elif each.from_ns <= each.until_ns:
             merged.append(each)
     return merged
@@ -122,7 +153,9 @@ def clip_ranges(ranges: Sequence[PastRange], bound: int, *, is_newest: bool) -> 
 def _spans(recording: Recording, span: PastRange, most: int, *, is_newest: bool) -> Iterator[tuple[int, int, int]]:
     """Yield start, end and number of messages of time ranges; altogether more than `most` messages, or all."""
     if isinstance(recording, HistoryRecording):
-        yield from recording.spans_at_end(*span, most + 1, is_newest=is_newest)  # each span has at least one message
+        yield from recording.spans_at_end(
+            *span[:3], most + 1, is_newest=is_newest
+        )  # each span has at least one message
         return
     count = recording.topics[span.topic].count
     start, end = recording.start_ns, recording.end_ns
@@ -154,32 +187,48 @@ class RecordedPast:
         self._recordings = recordings
 
     async def read(
-        self,
-        query: PastQuery,
-        graphs: tuple[str, ...],
-        permissions: Permissions,
-        now: Interval,
-        until: float,
-        most: int | None = None,
+        self, query: PastQuery, dataset: PastDataset, now: Interval, until: float, most: int | None = None
     ) -> PastText:
         """Return the text of the messages that a query selects, or of about `most` at one end. Raises Problems."""
-        recordings = self._find(query, graphs)
-        selections = query.selections(now)
-        readable = [one for one in recordings if may_read_recording(self._session.space, permissions, one)]
-        for selection in selections:
-            self._require_recorded(selection, readable, permissions)
-        reading = _Reading(self._session, query, permissions, until)
+        readable, selections = self._chosen(query, dataset, now)
+        reading = _Reading(self._session, query, dataset, until, self._recordings.statistics)
         try:
             return await asyncio.to_thread(reading.read, readable, selections, most)
         finally:
-            for ref, schema in reading.learned.items():
-                self._session.schemas.add(ref, schema)
+            self._learn(reading)
+
+    async def summarize(
+        self, query: PastQuery, summary: SummaryQuery, dataset: PastDataset, until: float
+    ) -> PastText | None:
+        """Return the text of summaries of the selected messages, or None if they are not known. Raises Problems."""
+        readable, selections = self._chosen(query, dataset, summary.time)
+        reading = _Reading(self._session, query, dataset, until, self._recordings.statistics)
+        try:
+            return await asyncio.to_thread(reading.summarize, readable, selections, summary)
+        finally:
+            self._learn(reading)
+
+    def _chosen(
+        self, query: PastQuery, dataset: PastDataset, now: Interval
+    ) -> tuple[Sequence[Recording], Sequence[PastSelection]]:
+        """Return the readable recordings and the selections of a query. Raises Problems."""
+        recordings = self._find(query, dataset.graphs)
+        selections = query.selections(now)
+        readable = [one for one in recordings if may_read_recording(self._session.space, dataset.permissions, one)]
+        for selection in selections:
+            self._require_recorded(selection, readable, dataset.permissions)
+        return readable, selections
+
+    def _learn(self, reading: _Reading) -> None:
+        for ref, schema in reading.learned.items():
+            self._session.schemas.add(ref, schema)
 
     def _find(self, query: PastQuery, graphs: tuple[str, ...]) -> Sequence[Recording]:
         """Return the recordings of a query. Raises a 400 Problem if there are none."""
         space = self._session.space
         by_url = {space.bag(one.name): one for one in self._recordings.readable.values()}
-        named = query.recordings & set(graphs) if graphs else query.recordings
+        asked = frozenset(by_url) if query.asks_all else query.recordings
+        named = asked & set(graphs) if graphs else asked
         if graphs and not named:
             raise Problem(400, "ros:past needs a recording in the dataset: name one, as in FROM </bags/history/>.")
         unknown = sorted(named - by_url.keys())
@@ -224,59 +273,107 @@ class RecordedPast:
 class _Reading:
     """One read operation on a thread. `learned` are newly loaded types."""
 
-    def __init__(self, session: Session, query: PastQuery, permissions: Permissions, until: float) -> None:
+    def __init__(
+        self, session: Session, query: PastQuery, dataset: PastDataset, until: float, statistics: Statistics
+    ) -> None:
         self.learned: dict[TypeRef, MessageSchema] = {}
         self._session = session
-        self._graph = session.graph
-        self._end = query.end
-        self._only = query.predicates
-        self._permissions = permissions
+        self._query = query
+        self._dataset = dataset
+        self._statistics = statistics
         self._until = until
         self._placed_ns: list[int] = []
-        self._query = query
         self._variables: dict[str, set[str]] = {}
-        self._counts: Counter[str] = Counter()
         self._needs: dict[str, tuple[frozenset[str] | None, Mapping[str, Sequence[str]], frozenset[str] | None]] = {}
         self._times: dict[tuple[str, str], list[tuple[int, int]]] = {}
         self._size = 0
-        self._read = 0
+        self._read = Counter[tuple[str, str]]()
+        """Numbers of messages read, by topic and recording."""
+        self._pause = time.monotonic() + _SLICE
         self._lifters: dict[tuple[TypeRef, str], ColumnLifter | None] = {}
 
     def read(self, recordings: Sequence[Recording], selections: Sequence[PastSelection], most: int | None) -> PastText:
         """Return the text of all messages, or of about `most` at the relevant end. Raises Problems."""
         plans = [(one, self._ranges(one, selections)) for one in recordings]
         is_whole = True
-        if most is not None and self._end is not None:
-            bound = time_of_end(plans, most, is_newest=self._end.is_newest)
+        if most is not None and self._query.end is not None:
+            bound = time_of_end(plans, most, is_newest=self._query.end.is_newest)
             is_whole = bound is None
             if bound is not None:
-                plans = [(one, clip_ranges(ranges, bound, is_newest=self._end.is_newest)) for one, ranges in plans]
-        count = sum(count_past(*plan) for plan in plans)
-        topics = sorted({each.topic for _, ranges in plans for each in ranges})
-        if count > MAX_PAST + 1000 * len(topics):  # chunks at the edges are counted in full
-            raise self._too_much(f"{count} recorded messages of {_list(topics)} may take part in this query")
+                plans = [
+                    (one, clip_ranges(ranges, bound, is_newest=self._query.end.is_newest)) for one, ranges in plans
+                ]
+        self._require_few(plans)
         texts: tuple[list[str], list[str]] = [], []
-        pause = time.monotonic() + _SLICE
+        count = 0
         for recording, ranges in plans:
-            record_text = _RecordText(self._session.space, recording, self._only)
-            for block in read_past(recording, ranges):
-                for text, count, is_stored in self._lift_block(recording, block, record_text):
-                    texts[is_stored].append(text)
-                    self._read += count
-                    self._size += len(text)
-                    if self._read > MAX_PAST:
-                        raise self._too_much(f"More recorded messages of {_list(topics)} may take part in this query")
-                    if self._size > MAX_TEXT:
-                        raise self._too_much(f"Recorded messages of {_list(topics)} exceed {MAX_TEXT >> 20} MiB")
-                    if time.monotonic() > pause:
-                        if time.monotonic() > self._until:
-                            raise out_of_time(self._session.settings.query_time_limit)
-                        time.sleep(_SLICE / 20)
-                        pause = time.monotonic() + _SLICE
+            record_text = _RecordText(
+                self._session.space, recording, self._query.predicates, is_linked=self._query.is_linked
+            )
+            for each in ranges:
+                for block in read_past(recording, [each], self._statistics):
+                    for text, messages, is_stored in self._lift_block(
+                        recording, self._narrow(recording, block, each), record_text
+                    ):
+                        texts[is_stored].append(text)
+                        self._size += len(text)
+                        self._read[each.topic, recording.name] += messages
+                        count += messages
+                        if count > MAX_PAST:
+                            raise self._too_much(self._read, "may take part in this query")
+                        if self._size > MAX_TEXT:
+                            raise self._too_much(self._read, f"would exceed {MAX_TEXT >> 20} MiB")
+                        self._yield_to_others()
+                    self._yield_to_others()
         transforms = self._transforms(recordings) if self._query.asks_transforms else ()
         times = [*starmap(_message_times, self._times.items())]
         plain, stored = ("".join(each).encode() for each in texts)
-        return PastText(plain, stored, is_whole, transforms, times, self._counts)
+        return PastText(plain, stored, is_whole, transforms, times, _by_topic(self._read))
+
+    def summarize(
+        self, recordings: Sequence[Recording], selections: Sequence[PastSelection], query: SummaryQuery
+    ) -> PastText | None:
+        """Return the text of summaries of all messages, None if some statistics are not known. Raises Problems."""
+        plans = [(one, self._ranges(one, selections)) for one in recordings]
+        summaries = SummaryText(self._session.space, query, self._query.predicates or frozenset(), self._statistics)
+        text = summaries.of(plans, self._schema, lambda _: self._yield_to_others())
+        return None if text is None else PastText(text.encode())
+
+    def _require_few(self, plans: Sequence[tuple[Recording, Sequence[PastRange]]]) -> None:
+        """Raise a 503 Problem if far too many messages are known to take part; bounded numbers may exclude any."""
+        known = Counter[tuple[str, str]]()
+        for recording, ranges in plans:
+            for each in ranges:
+                if not each.numbers:
+                    known[each.topic, recording.name] += count_past(recording, [each])
+        if sum(known.values()) > MAX_PAST + 1000 * len(known):  # chunks at the edges are counted in full
+            raise self._too_much(known, "may take part in this query")
+
+    def _yield_to_others(self) -> None:
+        """Let the loop run, now and then. Raises a 503 Problem after the deadline."""
+        if time.monotonic() <= self._pause:
+            return
+        if time.monotonic() > self._until:
+            raise out_of_time(self._session.settings.query_time_limit)
+        time.sleep(_SLICE / 20)
+        self._pause = time.monotonic() + _SLICE
+
+    def _narrow(self, recording: Recording, block: MessageBlock, span: PastRange) -> MessageBlock:
+        """Return a block without messages whose numbers are out of bounds, as far as its layout permits."""
+        if not span.numbers or block.rows is None or not len(block.rows.times):
+            return block
+        schema = self._schema(recording, block.channel.type)
+        paths = [] if schema is None else [path for path, _ in span.numbers if path in set(number_paths(schema))]
+        columns = (
+            columns_of(block.rows, schema, block.channel.encoding, paths) if schema is not None and paths else None
+        )
+        if columns is None:
+            return block
+        is_wanted = np.ones(len(block.rows.times), bool)
+        bounds = dict(span.numbers)
+        for path, column in zip(paths, columns, strict=True):
+            is_wanted &= (column >= bounds[path].low) & (column <= bounds[path].high)
+        return block if is_wanted.all() else block.where(is_wanted)
 
     def _transforms(self, recordings: Sequence[Recording]) -> Sequence[FrameRow]:
         """Return the transforms around the times of the lifted places. Raises Problems."""
@@ -286,12 +383,14 @@ class _Reading:
         low, high = min(self._placed_ns) - KEPT_NS, max(self._placed_ns) + KEPT_NS
         for recording in recordings:
             for topic in TOPICS:
-                if topic not in recording.topics or not self._permissions.may_read(self._session.space.topic(topic)):
+                if topic not in recording.topics or not self._dataset.permissions.may_read(
+                    self._session.space.topic(topic)
+                ):
                     continue
                 is_static = topic == STATIC_TOPIC
                 span = PastRange(topic, 0 if is_static else max(low, 0), high)
-                if count_past(recording, [span]) > MAX_PAST:
-                    raise self._too_much(f"More than {MAX_PAST} messages of {topic} may take part in this query")
+                if (count := count_past(recording, [span])) > MAX_PAST:
+                    raise self._too_much({(topic, recording.name): count}, "may take part in this query")
                 for block in read_past(recording, [span]):
                     for message in block.messages():
                         self._add_transforms(recording, message.sample, buffer, is_static=is_static)
@@ -306,20 +405,31 @@ class _Reading:
             with suppress(ValueError):  # undecodable messages contain no frames
                 buffer.add(schema.codec.decode(sample.data, sample.encoding), sample, is_static=is_static)
 
-    def _too_much(self, what: str) -> Problem:
-        return too_much_past(f"{what}; the limit is {MAX_PAST}.")
+    def _too_much(self, counts: Mapping[tuple[str, str], int], why: str) -> Problem:
+        """Return the problem of too many messages, whose numbers are by topic and recording."""
+        (largest, recording), _ = Counter(counts).most_common(1)[0]
+        more = "" if len(counts) == 1 else f", most of {largest} in <{self._session.space.bag(recording)}>"
+        named = _list([topic for topic, _ in _by_topic(counts).most_common()])
+        return too_much_past(
+            f"{sum(counts.values())} recorded messages of {named} {why}{more}; the limit is {MAX_PAST}."
+        )
 
     def _ranges(self, recording: Recording, selections: Sequence[PastSelection]) -> list[PastRange]:
         found: list[PastRange] = []
+        bag = self._session.space.bag(recording.name)
+        selections = [each for each in selections if self._dataset.includes(each, bag)]
+        if not selections:
+            return found
         for name, topic in recording.topics.items():
             url = self._session.space.topic(name)
-            if not self._permissions.may_read(url):
+            if not self._dataset.permissions.may_read(url):
                 continue
             for each in selections:
                 if self._is_of(each, url, recording, topic):
                     self._variables.setdefault(name, set()).add(each.variable)
                     low = _earlier(recording, name, max(each.time.low, 0), each.before)
-                    found.append(PastRange(name, low, min(each.time.high, FOR_EVER)))
+                    numbers = tuple((field_path(path), bounds) for path, bounds in each.numbers)
+                    found.append(PastRange(name, low, min(each.time.high, FOR_EVER), numbers))
         return merge_ranges(found)
 
     def _is_of(self, selection: PastSelection, url: str, recording: Recording, topic: RecordedTopic) -> bool:
@@ -328,7 +438,7 @@ class _Reading:
             return False
         if selection.names is not None and topic.name not in selection.names:
             return False
-        live = self._graph.topics.get(topic.name)
+        live = self._session.graph.topics.get(topic.name)
         if live is not None and not selection.topic_types <= {ref.name for ref in live.types}:
             return False
         if not selection.types:
@@ -362,7 +472,7 @@ class _Reading:
         """
         if block.rows is not None and not len(block.rows.times):
             return
-        if block.rows is not None and self._only is not None and not record_text.is_more:
+        if block.rows is not None and self._query.predicates is not None and not record_text.is_of_records:
             channel = block.channel
             schema = self._schema(recording, channel.type)
             lifter = (
@@ -379,14 +489,14 @@ class _Reading:
                     text = lifter.ntriples(documents, times, block.sequences(), columns)
                     if text is not None:
                         self._note(record_text, channel.topic, times, numbers)
-                        yield text, len(numbers), True
+                        yield text + record_text.recorded_in(documents), len(numbers), True
                         return
         for message in block.messages():
             yield self._lift(recording, message, record_text), 1, False
 
     def _is_placed(self, schema: MessageSchema) -> bool:
         """Whether the query needs geometries, and messages of this type have one."""
-        return (self._only is None or not self._only.isdisjoint(TERMS)) and has_place(schema)
+        return (self._query.predicates is None or not self._query.predicates.isdisjoint(TERMS)) and has_place(schema)
 
     def _needed(self, topic: str) -> tuple[frozenset[str] | None, Mapping[str, Sequence[str]], frozenset[str] | None]:
         """Return the predicates that are lifted, None for all, the paths, and the predicates that remain."""
@@ -404,7 +514,7 @@ class _Reading:
         key = schema.ref, topic
         if key not in self._lifters:
             only, _, _ = self._needed(topic)
-            lifter, is_simulated = self._lifter(schema, topic), self._graph.simulated_time
+            lifter, is_simulated = self._lifter(schema, topic), self._session.graph.simulated_time
             assert only is not None
             self._lifters[key] = column_lifter(
                 lifter,
@@ -423,8 +533,7 @@ class _Reading:
         return shorten_paths(text, message, paths, kept) if paths and kept is not None else text
 
     def _note(self, record_text: _RecordText, topic: str, times: Sequence[int], numbers: Sequence[int]) -> None:
-        """Count readable messages, and note their times and numbers if the query asks for their order."""
-        self._counts[topic] += len(numbers)
+        """Note the times and numbers if the query asks for their order."""
         if self._query.is_ordered:
             place = record_text.topic(topic), record_text.messages
             self._times.setdefault(place, []).extend(zip(times, numbers, strict=True))
@@ -441,22 +550,29 @@ class _Reading:
         except ValueError as error:
             return record_text.of_record(url, message, str(error))
         publisher = self._session.space.node(sample.publisher) if sample.publisher else None
-        if publisher is not None and not self._permissions.may_read(publisher):
+        if publisher is not None and not self._dataset.permissions.may_read(publisher):
             publisher = None
         envelope = Envelope(sample.received_ns, sample.sequence, publisher)
         lifted = self._lifter(schema, message.topic).ntriples(
-            decoded, url, MESSAGE, envelope=envelope, simulated_time=self._graph.simulated_time
+            decoded, url, MESSAGE, envelope=envelope, simulated_time=self._session.graph.simulated_time
         )
         lifted = self._shorten(message.topic, lifted, url + MESSAGE)
         self._note(record_text, message.topic, [sample.received_ns], [message.index])
         if self._is_placed(schema) and (place := geometry_of(schema, decoded)) is not None:
             self._placed_ns.append(sample.received_ns)
-            lifted += geometry_ntriples(url + MESSAGE, place, self._session.space.frames, only=self._only)
+            lifted += geometry_ntriples(url + MESSAGE, place, self._session.space.frames, only=self._query.predicates)
         return f"{record_text.of_record(url, message)}{lifted}"
 
 
 def _datatype(name: str) -> str:
     return private_datatype(name).value
+
+
+def _by_topic(counts: Mapping[tuple[str, str], int]) -> Counter[str]:
+    found = Counter[str]()
+    for (topic, _), count in counts.items():
+        found[topic] += count
+    return found
 
 
 def _message_times(place: tuple[str, str], messages: list[tuple[int, int]]) -> MessageTimes:
@@ -477,13 +593,23 @@ def _earlier(recording: Recording, topic: str, time_ns: int, count: int) -> int:
 class _RecordText:
     """N-Triples about the messages of a recording, without their content."""
 
-    def __init__(self, space: Space, recording: Recording, only: frozenset[str] | None) -> None:
+    def __init__(self, space: Space, recording: Recording, only: frozenset[str] | None, *, is_linked: bool) -> None:
         self.messages = space.bag_messages(recording.name)
         self._bag = space.bag(recording.name)
         self._name = recording.name
         self.topic = lru_cache(maxsize=1024)(space.topic)
         self._only = only
         self.is_more = only is None or not only.isdisjoint(_OF_RECORDS)
+        self.is_of_records = self.is_more
+        """Whether more is needed of records than that a message is recorded in the recording."""
+        if only is not None and is_linked and only & _OF_RECORDS == {ros.recordedIn.value}:
+            self.is_of_records = False
+
+    def recorded_in(self, documents: Sequence[str]) -> str:
+        """Return the statements that the messages of these records are in this recording, if they are needed."""
+        if not self.is_more:
+            return ""
+        return "".join(f"<{each}{MESSAGE}> <{ros.recordedIn.value}> <{self._bag}> .\n" for each in documents)
 
     def of_record(self, url: str, message: RecordedMessage, reason: str | None = None) -> str:
         """Return the text about one message; `reason` says why it is unreadable, if it is."""
@@ -505,7 +631,7 @@ class _RecordText:
             *([(ros.opensRecording, f'"true"^^<{xsd.boolean.value}>')] if message.is_opening else []),
             (ros.recordedMessage, f"<{url}{MESSAGE}>") if reason is None else (ros.unreadable, quote(reason or "")),
         ]
-        for predicate, value in record_text:
+        for predicate, value in record_text if self.is_of_records else ():
             if self._only is None or predicate.value in self._only:
                 yield f"<{url}> <{predicate.value}> {value} .\n"
         if reason is None and (self._only is None or ros.recordedIn.value in self._only):

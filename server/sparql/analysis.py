@@ -18,6 +18,7 @@ from rosld.server.sparql.needs import Needs, groups_within, needs_of
 from rosld.server.sparql.past import MessageTerms, PastQuery, past_query
 from rosld.server.sparql.rewriting import rewrite
 from rosld.server.sparql.ros_functions import AGE, OWN
+from rosld.server.sparql.summaries import SummaryQuery, summary_query
 from rosld.server.sparql.syntax.cursor import did_you_mean
 from rosld.server.sparql.syntax.lexer import (
     NO_SERVICES,
@@ -42,7 +43,7 @@ class Analysis(Struct, frozen=True):
     and `named_graphs`. `prefixes` are the server's prefixes that the query uses. `is_enclosed` holds the graphs named
     by GRAPH if every pattern is inside one, else None. `asks_age`: the query calls ros:age, or may do so. `functions`
     are the functions it calls by IRI. `past` describes the recorded messages it reads. `finds_offers`: its patterns may
-    match affordances and forms.
+    match affordances and forms. `summary` has the same results, if it can be answered from statistics.
     """
 
     text: str
@@ -56,6 +57,14 @@ class Analysis(Struct, frozen=True):
     functions: frozenset[str] = frozenset()
     past: PastQuery | None = None
     finds_offers: bool = True
+    summary: Summary | None = None
+
+
+class Summary(Struct, frozen=True):
+    """A query over summaries of messages, and its analysis."""
+
+    query: SummaryQuery
+    analysis: Analysis
 
 
 class Analyser:
@@ -79,8 +88,8 @@ class Analyser:
         self.analyse = lru_cache(maxsize=_CACHE_SIZE)(self.analyse_once)
         """Cached `analyse_once`."""
 
-    def analyse_once(self, text: str) -> Analysis:
-        """Return the analysis of a query (thread-safe).
+    def analyse_once(self, text: str, *, is_over_summaries: bool = False) -> Analysis:
+        """Return the analysis of a query (thread-safe), possibly over summaries of messages.
 
         Raises the Problems of `check_text` and `parse_query`, and Problem 400 for an update.
         """
@@ -91,8 +100,10 @@ class Analyser:
         _require_own_functions(query.functions)
         units = _units_of_variables(query.where, self._types) if ros.convert.value in query.functions else {}
         past = past_query(query, MessageTerms(self._types, self.base))
+        summary = None if past is None or is_over_summaries else summary_query(query, past, self._types)
+        replaced = () if past is None or is_over_summaries else past.replaced
         return Analysis(
-            rewrite(checked.text, query.literals, query.expressions, units, () if past is None else past.replaced),
+            rewrite(checked.text, query.literals, query.expressions, units, replaced),
             query.form,
             needs_of(query, self.base),
             self._used_prefixes(checked),
@@ -103,7 +114,15 @@ class Analyser:
             query.functions,
             past,
             query.form == "DESCRIBE" or _finds_offers(query.where),
+            None if summary is None else self._over_summaries(summary),
         )
+
+    def _over_summaries(self, summary: SummaryQuery) -> Summary | None:
+        """Return the query over summaries with its analysis, None where its text exceeds the bounds of a query."""
+        try:
+            return Summary(summary, self.analyse_once(summary.text, is_over_summaries=True))
+        except Problem:
+            return None
 
     def _used_prefixes(self, checked: CheckedText) -> Mapping[str, str]:
         """Return only the prefixes that a query uses, because the store's parser copies every prefix passed to it."""

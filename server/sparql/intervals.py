@@ -9,9 +9,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from math import inf, isfinite, nan
 from typing import NamedTuple
 
 from msgspec import Struct, field
+from msgspec.structs import replace
 from pyoxigraph import Literal, NamedNode
 
 from rosld.ontology.vocab import xsd
@@ -34,6 +36,10 @@ FOR_EVER = 1 << 80
 _STAMP, _DAY_TIME, _DURATION_TYPE = (
     NamedNode(xsd.iri + name) for name in ("dateTimeStamp", "dayTimeDuration", "duration")
 )
+_NUMBERS = frozenset((xsd.integer, xsd.decimal, xsd.double, xsd.float))
+_ROUNDING = 1e-6
+"""Relative margin of bounds; a float has 24 binary digits."""
+_LEAST_FLOAT, _MOST_FLOAT = 1e-44, 3.4e38
 _ROUNDS = 3
 """Maximum number of passes over the filters; each pass may use results of the previous one."""
 _TURNED = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "=": "="}
@@ -62,11 +68,23 @@ class Interval(NamedTuple):
 ANY_TIME = Interval()
 
 
+class Bounds(NamedTuple):
+    """Closed interval of numbers, slightly too wide: a float may equal a decimal that differs from it as a double."""
+
+    low: float = -inf
+    high: float = inf
+
+    def meet(self, other: Bounds) -> Bounds:
+        """Return the intersection of both."""
+        return Bounds(max(self.low, other.low), min(self.high, other.high))
+
+
 class Knowledge(Struct, frozen=True):
-    """Constraints on variables: their time intervals (as far as they are times) and their possible terms."""
+    """Constraints on variables: their intervals as far as they are times or numbers, and their possible terms."""
 
     times: Mapping[str, Interval] = field(default_factory=dict)
     terms: Mapping[str, frozenset[Iri | Value]] = field(default_factory=dict)
+    numbers: Mapping[str, Bounds] = field(default_factory=dict)
 
     def of_time(self, variable: str) -> Interval:
         """Return the time interval of a variable."""
@@ -77,22 +95,32 @@ class Knowledge(Struct, frozen=True):
         return Knowledge(
             {name: each for name, each in self.times.items() if name in variables},
             {name: each for name, each in self.terms.items() if name in variables},
+            {name: each for name, each in self.numbers.items() if name in variables},
         )
 
     def with_time(self, variable: str, time: Interval) -> Knowledge:
         """Return these constraints with a variable further limited to an interval."""
-        return Knowledge({**self.times, variable: self.of_time(variable).meet(time)}, self.terms)
+        return replace(self, times={**self.times, variable: self.of_time(variable).meet(time)})
 
     def with_terms(self, variable: str, terms: frozenset[Iri | Value]) -> Knowledge:
         """Return these constraints with a variable further limited to these terms."""
         known = self.terms.get(variable)
-        return Knowledge(self.times, {**self.terms, variable: terms if known is None else known & terms})
+        return replace(self, terms={**self.terms, variable: terms if known is None else known & terms})
+
+    def with_number(self, variable: str, bounds: Bounds) -> Knowledge:
+        """Return these constraints with a variable further limited to these numbers."""
+        return replace(self, numbers={**self.numbers, variable: self.numbers.get(variable, Bounds()).meet(bounds)})
 
     def join(self, other: Knowledge) -> Knowledge:
         """Return the constraints that hold if either set of constraints does."""
         return Knowledge(
             {name: each.hull(other.times[name]) for name, each in self.times.items() if name in other.times},
             {name: each | other.terms[name] for name, each in self.terms.items() if name in other.terms},
+            {
+                name: Bounds(min(each.low, other.numbers[name].low), max(each.high, other.numbers[name].high))
+                for name, each in self.numbers.items()
+                if name in other.numbers
+            },
         )
 
 
@@ -254,6 +282,8 @@ def _compare(parts: Sequence[Part], known: Knowledge, now: Interval) -> Knowledg
             variable, constant = _operand(side), _operand(other)
             if isinstance(variable, Reference) and isinstance(constant, Constant):
                 known = _with_values(known, variable.name[1:], frozenset({constant.term}))
+    known = _bound_number(before, operator, after, known)
+    known = _bound_number(after, _TURNED[operator], before, known)
     left, right = _sum(before, now), _sum(after, now)
     if left is None or right is None or left.is_time != right.is_time:
         return known
@@ -262,6 +292,33 @@ def _compare(parts: Sequence[Part], known: Knowledge, now: Interval) -> Knowledg
     if operator != "<" and operator != "<=":
         known = _at_most(right, left, known)
     return known
+
+
+def _bound_number(one: Sequence[Part], operator: str, other: Sequence[Part], known: Knowledge) -> Knowledge:
+    """Return the constraints where a variable compares to a number."""
+    variable = _operand(one[0]) if len(one) == 1 else None
+    number = _number(other)
+    if not isinstance(variable, Reference) or number is None:
+        return known
+    margin = abs(number) * _ROUNDING + _LEAST_FLOAT
+    low = -inf if operator in ("<", "<=") or number < -_MOST_FLOAT else number - margin
+    high = inf if operator in (">", ">=") or number > _MOST_FLOAT else number + margin
+    return known.with_number(variable.name[1:], Bounds(low, high))
+
+
+def _number(parts: Sequence[Part]) -> float | None:
+    sign = -1 if len(parts) == 2 and parts[0] == "-" else 1
+    constant = _operand(parts[-1]) if len(parts) == 1 or sign < 0 else None
+    if isinstance(constant, Expression):
+        return _number(constant.parts)
+    if not isinstance(constant, Constant) or not isinstance(constant.term, Value):
+        return None
+    literal = constant.term.literal
+    try:
+        number = sign * float(literal.value) if literal.datatype in _NUMBERS else nan
+    except ValueError:
+        return None
+    return number if isfinite(number) else None
 
 
 def _among(part: Part, choices: Choices, known: Knowledge) -> Knowledge:

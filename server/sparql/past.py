@@ -16,6 +16,7 @@ Patterns in GRAPH do not match recorded messages, which have no graph of their o
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import takewhile
 from typing import NamedTuple, Protocol
@@ -30,10 +31,19 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.dataset.encoding import NAMESPACE
 from rosld.server.http.problem import Problem
 from rosld.server.space.transforms import FrameRow
-from rosld.server.sparql.intervals import ANY_TIME, Interval, Knowledge, date_time_interval, knowledge_of, time_of
+from rosld.server.sparql.intervals import (
+    ANY_TIME,
+    Bounds,
+    Interval,
+    Knowledge,
+    date_time_interval,
+    knowledge_of,
+    time_of,
+)
 from rosld.server.sparql.message_order import AS_OF, FUNCTIONS, MessageTimes
 from rosld.server.sparql.needs import document_of, groups_within, matches_any_node
 from rosld.server.sparql.ros_functions import TRANSFORM
+from rosld.server.sparql.summaries import SummaryQuery
 from rosld.server.sparql.syntax.expressions import calls_within
 from rosld.server.sparql.syntax.tree import (
     Call,
@@ -49,12 +59,16 @@ from rosld.server.sparql.syntax.tree import (
     Variable,
     message_call,
     strip_brackets,
+    variables_in,
 )
 
 _PAST = ros.past.value
-_LINK, _RECEIVED, _NAME, _TYPE, _OF_RECORD = (
-    frozenset({each.value}) for each in (ros.past, ros.received, ros.name, ros.hasMessageType, ros.recordedMessage)
+_LINK, _RECEIVED, _NAME, _TYPE, _OF_RECORD, _IN = (
+    frozenset({each.value})
+    for each in (ros.past, ros.received, ros.name, ros.hasMessageType, ros.recordedMessage, ros.recordedIn)
 )
+_MAX_PATH = 16
+"""Maximum number of fields from a message to a number."""
 _NOTHING = frozenset[str]()
 _WITHIN = geometry.TERMS.union(
     each.value for each in (rdf.first, rdf.rest, ros.latest, ros.latestFrom, ros.recordedMessage)
@@ -106,9 +120,10 @@ class MessageTerms(Struct, frozen=True):
 class PastSelection(Struct, frozen=True):
     """Selection of messages received within `time`, of types that use all of `types`.
 
-    Their topics have one of these `urls` and one of these `names` (None: any), and currently all of `topic_types`.
-    `before` is the number of messages of each topic before `time` that are selected, too. `variable` stands for the
-    messages, "" for those of any.
+    Their topics have one of these `urls` and one of these `names` (None: any), and currently all of `topic_types`. They
+    are in one of these `recordings` (None: any), and in one of those that the query `choice` finds, if there is one.
+    `numbers` are the intervals of their numbers, by path (predicates from the message on). `before` is the number of
+    messages of each topic before `time` that are selected, too. `variable` stands for the messages ("": for any).
     """
 
     urls: frozenset[str] | None = None
@@ -118,6 +133,9 @@ class PastSelection(Struct, frozen=True):
     time: Interval = ANY_TIME
     before: int = 0
     variable: str = ""
+    recordings: frozenset[str] | None = None
+    choice: str | None = None
+    numbers: tuple[tuple[tuple[str, ...], Bounds], ...] = ()
 
 
 class PastEnd(NamedTuple):
@@ -150,10 +168,12 @@ class PastQuery:
     `predicates` are the predicates of recorded messages that it can match, None for all. `is_linked`: it reaches nodes
     within messages only through these predicates from the messages. Each path of fields in `paths` is one predicate of
     the rewritten query; their places are `replaced`. `is_ordered`: it calls functions of the order of messages.
-    `recordings` are the URLs of the recordings that it names, directly or by their messages.
+    `recordings` are the URLs of the recordings that it names, directly or by their messages; `asks_all`: it is about
+    all recordings, because a message is recorded in a variable that may be any.
     """
 
     def __init__(self, query: Query, terms: MessageTerms) -> None:
+        self._query = query
         self._where = query.where
         self._terms = terms
         named = [each.predicates for group in _groups_of_default_graph(query.where) for each in group.patterns]
@@ -170,6 +190,7 @@ class PastQuery:
         if self.predicates is not None:
             self._find_predicates()
         self.end = self._end(query.slice)
+        self.asks_all = self._asks_all(query.where, Knowledge())
 
     def selections(self, now: Interval) -> Sequence[PastSelection]:
         """Return the selections of messages that may take part in a match, for NOW() within an interval."""
@@ -235,6 +256,21 @@ class PastQuery:
                     roots[names[1]] = root if roots.get(names[1], root) == root else None
         return roots
 
+    def _asks_all(self, group: Group, outer: Knowledge) -> bool:
+        """Whether a pattern says that something is recorded in a variable whose values are not given."""
+        if group.graph is not None:
+            return False
+        known = knowledge_of(group, outer, ANY_TIME)
+        bags = (
+            each.object
+            for each in group.patterns
+            if (each.predicates or _NOTHING) >= _IN and isinstance(each.subject, Variable)
+        )
+        return any(isinstance(bag, Variable) and bag.name not in known.terms for bag in bags) or any(
+            self._asks_all(each, known if each.joined and not each.scoped else Knowledge())
+            for each in (*group.children, *group.filters)
+        )
+
     def _end(self, slice: Slice | None) -> PastEnd | None:
         """Return the messages that the first solutions are about, None if they may be about any.
 
@@ -282,10 +318,10 @@ class PastQuery:
             covered_by_group[id(group)] = covered
         for pattern in own:
             if not (isinstance(pattern.object, Variable) and pattern.object.name in outer.covered):
-                yield self._selection(pattern, group, known, topics)
+                yield self._selection(pattern, group, known, topics, covered)
         for name, operand in group.bindings:
             if (call := message_call(operand)) is not None:
-                yield from self._ordered(name, call, group, _Context(known, topics), now)
+                yield from self._ordered(name, call, group, _Context(known, topics, covered), now)
         for pattern in group.patterns:
             if pattern not in own and not self._is_about(pattern, covered) and self._may_match(pattern, group):
                 self.is_linked = False
@@ -306,7 +342,12 @@ class PastQuery:
     # --- selections
 
     def _selection(
-        self, pattern: Pattern, group: Group, known: Knowledge, topics: Mapping[str, PastSelection]
+        self,
+        pattern: Pattern,
+        group: Group,
+        known: Knowledge,
+        topics: Mapping[str, PastSelection],
+        covered: frozenset[str],
     ) -> PastSelection:
         topic, message = pattern.subject, pattern.object
         found = PastSelection()
@@ -322,7 +363,60 @@ class PastQuery:
         for each in about:
             if each.predicates == _RECEIVED and not each.repeated:
                 time = time.meet(_time_of(each.object, known))
-        return replace(found, types=types, time=time)
+        bags = self._bags(message, group)
+        return replace(
+            found,
+            types=types,
+            time=time,
+            recordings=_recordings_of(bags, known),
+            choice=next((text for bag in bags if (text := self._choice(bag, group, covered))), None),
+            numbers=() if self.is_ordered else tuple(self._numbers(message, (), group, known)),
+        )
+
+    def _bags(self, message: Variable, group: Group) -> Sequence[Term]:
+        """Return what a message, or its record, is said to be recorded in."""
+        records = {each.subject for each in group.patterns if _is_plain(each, _OF_RECORD) and each.object == message}
+        return [each.object for each in group.patterns if _is_plain(each, _IN) and each.subject in {message, *records}]
+
+    def _numbers(
+        self, node: Variable, path: tuple[str, ...], group: Group, known: Knowledge
+    ) -> Iterator[tuple[tuple[str, ...], Bounds]]:
+        """Yield the paths from a node of a message to bounded numbers, and their bounds."""
+        for each in group.patterns:
+            if each.subject != node or not isinstance(each.object, Variable) or not _is_plain(each, each.predicates):
+                continue
+            [predicate] = each.predicates or (None,)
+            if predicate is None or not predicate.startswith(self._terms.types) or len(path) > _MAX_PATH:
+                continue
+            if each.object.name in known.numbers:
+                yield (*path, predicate), known.numbers[each.object.name]
+            yield from self._numbers(each.object, (*path, predicate), group, known)
+
+    def _choice(self, bag: Term, group: Group, covered: frozenset[str]) -> str | None:
+        """Return a query for the recordings that patterns of a group select which are about no message, if any do."""
+        if not isinstance(bag, Variable):
+            return None
+        patterns = [
+            each
+            for each in group.patterns
+            if _is_plain(each, each.predicates)
+            and covered.isdisjoint(_names(each))
+            and not _is_past(each)
+            and not self._may_match(each, group)
+        ]
+        bound, found = {bag.name}, list[Pattern]()
+        while more := [each for each in patterns if each not in found and not bound.isdisjoint(_names(each))]:
+            found += more
+            bound = bound.union(*map(_names, more))
+        tests = [each for each in group.tests if (names := variables_in(each)) and names <= bound]
+        if not any(not isinstance(each.object, Variable) and each.predicates != _CLASS for each in found) and not (
+            found and tests
+        ):
+            return None
+        lines = [f"{_written(each.subject)} <{min(each.predicates or ())}> {_written(each.object)} ." for each in found]
+        lines += [f"FILTER({self._query.text[each.start : each.end]})" for each in tests]
+        prologue = self._query.text[: self._query.start]
+        return f"{prologue}SELECT DISTINCT {_written(bag)} WHERE {{ {' '.join(lines)} }}"
 
     def _ordered(self, name: str, call: Call, group: Group, around: _Context, now: Interval) -> Iterator[PastSelection]:
         """Yield the selections of a call of `ros:asOf` or `ros:previous`."""
@@ -331,13 +425,14 @@ class PastQuery:
             topic: Term = Variable(first.name[1:]) if isinstance(first, Reference) else Variable("")
             if isinstance(first, Constant):
                 topic = first.term
-            found = self._selection(Pattern(topic, _LINK, Variable(name)), group, around.known, around.topics)
+            pattern = Pattern(topic, _LINK, Variable(name))
+            found = self._selection(pattern, group, around.known, around.topics, around.covered)
             time = time_of(call.arguments[1], around.known, now) if len(call.arguments) == 2 else ANY_TIME
-            yield replace(found, time=time, before=1)
+            yield replace(found, time=time, before=1, recordings=None, choice=None)  # the newest of all recordings
             return
         of = first.name[1:] if isinstance(first, Reference) else ""
         sources = [
-            self._selection(each, group, around.known, around.topics)
+            self._selection(each, group, around.known, around.topics, around.covered)
             for each in group.patterns
             if _is_past(each) and each.object == Variable(of)
         ]
@@ -469,6 +564,33 @@ def _groups_of_default_graph(group: Group) -> Iterator[Group]:
     return (each for each in groups_within(group) if each.graph is None)
 
 
+def _is_plain(pattern: Pattern, predicates: frozenset[str] | None) -> bool:
+    """Whether a pattern matches single triples with one of these predicates."""
+    return pattern.predicates == predicates and not (pattern.repeated or pattern.empty) and len(predicates or ()) == 1
+
+
+def _names(pattern: Pattern) -> frozenset[str]:
+    return frozenset(each.name for each in (pattern.subject, pattern.object) if isinstance(each, Variable))
+
+
+def _written(term: Term) -> str:
+    """Return a term as it is written in a query."""
+    if isinstance(term, Variable):
+        return f"?rosld_{re.sub('[^A-Za-z0-9]', '_', term.name)}" if term.is_blank else f"?{term.name}"
+    return f"<{term.value}>" if isinstance(term, Iri) else str(term.literal)
+
+
+def _recordings_of(bags: Sequence[Term], known: Knowledge) -> frozenset[str] | None:
+    """Return the recordings that all of these terms can be, None for any."""
+    found: frozenset[str] | None = None
+    for bag in bags:
+        if isinstance(bag, Variable):
+            found = _meet(found, _iris(known.terms[bag.name]) if bag.name in known.terms else None)
+        else:
+            found = _meet(found, frozenset({bag.value}) if isinstance(bag, Iri) else _NOTHING)
+    return found
+
+
 def _is_past(pattern: Pattern) -> bool:
     return pattern.predicates == _LINK and not pattern.repeated and not pattern.empty
 
@@ -536,14 +658,30 @@ class PastText(NamedTuple):
     counts: Mapping[str, int] = {}
 
 
+class PastDataset(NamedTuple):
+    """What may be read: for an agent with `permissions`, in the default graph of `graphs` (empty for all).
+
+    `chosen` are the recordings that each `choice` of a selection has found.
+    """
+
+    graphs: tuple[str, ...]
+    permissions: Permissions
+    chosen: Mapping[str, frozenset[str]] = {}
+
+    def includes(self, selection: PastSelection, recording: str) -> bool:
+        """Whether messages of a recording may be selected."""
+        if selection.recordings is not None and recording not in selection.recordings:
+            return False
+        return selection.choice is None or recording in self.chosen[selection.choice]
+
+
 class PastSource(Protocol):
     """Reader of recorded messages. Called on the loop."""
 
     async def read(
         self,
         query: PastQuery,
-        graphs: tuple[str, ...],
-        permissions: Permissions,
+        dataset: PastDataset,
         now: Interval,
         until: float,
         most: int | None = None,
@@ -551,7 +689,13 @@ class PastSource(Protocol):
         """Return the triples of the messages that a query selects, as far as they may be read.
 
         With a number `most`, about that many messages are read: those at the query's `end`, and always all on one side
-        of some time. `graphs` make up the default graph (empty for all). NOW() will be within `now`; `until` is the
-        deadline (monotonic). Raises Problem 400 if there is no past to be read, and 503 for too much.
+        of some time. NOW() will be within `now`; `until` is the deadline (monotonic). Raises Problem 400 if there is no
+        past to be read, and 503 for too much.
         """
+        ...
+
+    async def summarize(
+        self, query: PastQuery, summary: SummaryQuery, dataset: PastDataset, until: float
+    ) -> PastText | None:
+        """Return the triples of summaries of the messages, None if messages must be read. Raises as `read` does."""
         ...

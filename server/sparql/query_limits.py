@@ -88,8 +88,9 @@ def too_much_past(words: str) -> Problem:
     return _stop_problem(
         StopReason.PAST,
         f"{words} Ask for less: name in the group of each ros:past a topic (or its ros:name, or a field of "
-        'one message type) and a time, as in FILTER(?received > NOW() - "PT60S"^^xsd:dayTimeDuration). A '
-        "message pattern without ros:past matches all messages.",
+        'one message type) and a time, as in FILTER(?received > NOW() - "PT60S"^^xsd:dayTimeDuration), or a '
+        'recording, as in ?bag ros:name "NAME"; or for aggregates of numbers (MIN, MAX, SUM, AVG, COUNT), which are '
+        "answered from statistics. A message pattern without ros:past matches all messages.",
     )
 
 

@@ -9,6 +9,9 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequenc
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
+from msgspec.structs import replace
+from pyoxigraph import NamedNode
+
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset import QueryError
 from rosld.server.http.problem import Problem
@@ -17,10 +20,10 @@ from rosld.server.space.transforms import TOPICS, FrameRow
 from rosld.server.sparql import results, row_limit
 from rosld.server.sparql.analysis import Analyser, Analysis, parse_problem
 from rosld.server.sparql.disconnect import Disconnected
-from rosld.server.sparql.intervals import Interval
+from rosld.server.sparql.intervals import ANY_TIME, Interval
 from rosld.server.sparql.materializer import DatasetVersions, Materializer
 from rosld.server.sparql.needs import Needs
-from rosld.server.sparql.past import PastSource, PastText
+from rosld.server.sparql.past import PastDataset, PastSource, PastText
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import AnswerWork, QueryWork, TableWork, Work
 from rosld.server.sparql.protocol import QueryRequest
@@ -49,6 +52,7 @@ class QueryAnswer(NamedTuple):
 _SECOND = 1_000_000_000
 _GROWTH = 8
 """Factor by which more messages are read if those at an end were too few: in all a seventh more than needed."""
+_MOST_RECORDINGS = 1_000_000
 _LONG = 8 * 1024
 """Minimum number of characters of a query that is analysed off the loop."""
 
@@ -198,21 +202,21 @@ class QueryService:
         await self._process.wait_ready(until)
         needs, scope, deadline = _needs(analysis, request), _scope(analysis, request), loop_time() + limits.seconds
         body: bytes | AsyncIterator[bytes] = b""
-        async for past, least in self._read_past(run, is_counted):
+        async for evaluated, past, least in self._read_past(run, is_counted):
             async with self._materializer.materialize(needs, permissions, deadline=deadline, scope=scope) as unread:
                 if not request.partial:
                     _require_complete(unread)
-                query = self._query(analysis, request, permissions, None if past is None else past.text)
+                query = self._query(evaluated, request, permissions, None if past is None else past.text)
                 if past is not None:
                     query = query._replace(stored_past=past.stored, times=tuple(past.times))
-                if TRANSFORM in analysis.functions:
+                if TRANSFORM in evaluated.functions:
                     query = query._replace(transforms=await self._transforms_for(permissions, past))
                 work = make_work(query, least, unread)
                 dataset = await self._dataset_for(run)
                 try:
                     body = await self._process.answer(work, limits, until, disconnected, dataset)
                 except QueryError as error:
-                    raise parse_problem(error, analysis.text) from error
+                    raise parse_problem(error, evaluated.text) from error
             if not least or (body := await _whole(body)):
                 break
         return body, unread
@@ -232,33 +236,55 @@ class QueryService:
             raise Problem(403, "Queries are allowed only for agents that may read everything.")
         return await self._restricted.dataset_for(permissions, run.limits, run.until)
 
-    async def _read_past(self, run: _Run, is_counted: bool) -> AsyncIterator[tuple[PastText | None, int]]:
+    async def _read_past(self, run: _Run, is_counted: bool) -> AsyncIterator[tuple[Analysis, PastText | None, int]]:
         """Yield N-Triples about the recorded messages that a query selects, None if it selects none. Raises Problems.
 
-        If only the newest or oldest matter and rows can be counted (`is_counted`), each text has more messages than the
-        one before, with the number of rows that makes it sufficient; the last text is complete, with 0 rows.
+        They come with the query to evaluate over them. If only the newest or oldest matter and rows can be counted
+        (`is_counted`), each text has more messages than the one before, with the number of rows that makes it
+        sufficient; the last text is complete, with 0 rows.
         """
         request, analysis, permissions, limits, until, _ = run
         if analysis.past is None:
-            yield None, 0
+            yield analysis, None, 0
             return
         if self._past is None:
             raise Problem(400, "This server has no recordings: ros:past cannot be used.")
         now = time.time_ns()
         moments = Interval(now - _SECOND, now + int((limits.seconds + 1) * _SECOND))
         graphs, _ = _dataset(analysis, request)
+        dataset = PastDataset(graphs, permissions, await self._choose(run))
+        if analysis.summary is not None:
+            summaries = await self._past.summarize(analysis.past, analysis.summary.query, dataset, until)
+            if summaries is not None:
+                yield analysis.summary.analysis, summaries, 0
+                return
         end = analysis.past.end
         if end is not None and is_counted:
             most = end.messages
             while True:
-                found = await self._past.read(analysis.past, graphs, permissions, moments, until, most)
+                found = await self._past.read(analysis.past, dataset, moments, until, most)
                 if found.is_whole:
-                    yield found, 0
+                    yield analysis, found, 0
                     return
-                yield found, end.rows
+                yield analysis, found, end.rows
                 most *= _GROWTH
-        found = await self._past.read(analysis.past, graphs, permissions, moments, until)
-        yield found, 0
+        found = await self._past.read(analysis.past, dataset, moments, until)
+        yield analysis, found, 0
+
+    async def _choose(self, run: _Run) -> dict[str, frozenset[str]]:
+        """Return the recordings that each query in the selections finds; the agent sees only what they may read."""
+        chosen: dict[str, frozenset[str]] = {}
+        request = run.request
+        for each in () if run.analysis.past is None else run.analysis.past.selections(ANY_TIME):
+            if each.choice is None or each.choice in chosen:
+                continue
+            asked = replace(request, text=each.choice, timeout=max(0.1, run.until - time.monotonic()))
+            if not asked.default_graphs and not asked.named_graphs:
+                default, named = run.analysis.default_graphs, run.analysis.named_graphs
+                asked = replace(asked, default_graphs=default, named_graphs=named)
+            table = await self.table(asked, _MOST_RECORDINGS, run.disconnected, run.permissions)
+            chosen[each.choice] = frozenset(row[0].value for row in table.rows if isinstance(row[0], NamedNode))
+        return chosen
 
     def _query(
         self,

@@ -27,6 +27,7 @@ from rosld.server.sparql.syntax.tree import (
     Reference,
     Term,
     Variable,
+    parts_of,
     strip_brackets,
 )
 from rosld.server.sparql.syntax.triples import TripleParser
@@ -234,16 +235,16 @@ class ExpressionParser(TripleParser):
 
 def has_aggregate(operand: Operand) -> bool:
     """Whether an expression contains an aggregate."""
-    if _is_aggregate(operand):
+    if is_aggregate(operand):
         return True
-    return any(map(has_aggregate, _parts(operand)))
+    return any(map(has_aggregate, parts_of(operand)))
 
 
 def calls_within(operand: Operand) -> Iterator[Call]:
     """Yield the function calls in an expression, those in EXISTS excluded."""
     if isinstance(operand, Call):
         yield operand
-    for part in _parts(operand):
+    for part in parts_of(operand):
         yield from calls_within(part)
 
 
@@ -251,19 +252,11 @@ def ungrouped(operand: Operand) -> Iterator[Reference]:
     """Yield the variables of an expression outside of its aggregates and EXISTS."""
     if isinstance(operand, Reference):
         yield operand
-    elif not _is_aggregate(operand):
-        for part in _parts(operand):
+    elif not is_aggregate(operand):
+        for part in parts_of(operand):
             yield from ungrouped(part)
 
 
-def _is_aggregate(operand: Operand) -> bool:
+def is_aggregate(operand: Operand) -> bool:
+    """Whether an expression is the call of an aggregate."""
     return isinstance(operand, Call) and (operand.name in AGGREGATES or operand.iri in AGGREGATE_ARGUMENTS)
-
-
-def _parts(operand: Operand) -> Iterator[Operand]:
-    if isinstance(operand, Expression):
-        yield from (part for part in operand.parts if not isinstance(part, str))
-    elif isinstance(operand, Call):
-        yield from operand.arguments
-    elif isinstance(operand, Choices):
-        yield from operand.items

@@ -67,6 +67,8 @@ class _Solutions(NamedTuple):
 class QueryParser(ExpressionParser):
     """Parser of a complete query."""
 
+    _braces = (0, 0)
+
     def query(self) -> Query:
         """Parse the whole text as one query. Raises a 400 Problem with the position and what was expected there."""
         self.prologue()
@@ -98,6 +100,10 @@ class QueryParser(ExpressionParser):
             tuple(self.literals),
             tuple(self.expressions),
             slice,
+            self.text,
+            self.taken_since(0),
+            form.start,
+            self._braces,
         )
 
     def _ask_construct_or_describe(self, form: str) -> tuple[tuple[str, ...], tuple[str, ...], Group]:
@@ -179,7 +185,9 @@ class QueryParser(ExpressionParser):
     def _solve(self, selection: _Selection, outer: Group, graph: Term | None) -> tuple[Group, Slice | None]:
         """Parse the group of a SELECT and its modifiers; return the group with the projection as visible variables."""
         self.take("WHERE")
+        start = self.token.start
         group = self.group(graph)
+        self._braces = (start, self.end - 1)
         solutions = self._modifiers(outer)
         group.filters.extend(outer.filters)
         group.visible = self._selected_variables(selection, group.visible, solutions)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from enum import Enum
 from typing import NamedTuple, TypeAlias
 
@@ -9,7 +10,7 @@ from msgspec import Struct, field
 from pyoxigraph import Literal
 
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.sparql.syntax.token import Kind
+from rosld.server.sparql.syntax.token import Kind, Token
 
 TYPE = rdf.type.value
 
@@ -256,6 +257,26 @@ def message_call(operand: Operand) -> Call | None:
     return within if isinstance(within, Call) and within.iri in (ros.asOf.value, ros.previous.value) else None
 
 
+def parts_of(operand: Operand) -> Iterator[Operand]:
+    """Yield the operands directly within an operand."""
+    if isinstance(operand, Expression):
+        yield from (part for part in operand.parts if not isinstance(part, str))
+    elif isinstance(operand, Call):
+        yield from operand.arguments
+    elif isinstance(operand, Choices):
+        yield from operand.items
+
+
+def variables_in(operand: Operand) -> frozenset[str] | None:
+    """Return the variables of an expression, None if it has an EXISTS."""
+    if isinstance(operand, Reference):
+        return frozenset({operand.name[1:]})
+    found = [frozenset[str](), *map(variables_in, parts_of(operand))]
+    if isinstance(operand, Exists) or None in found:
+        return None
+    return frozenset().union(*(each for each in found if each is not None))
+
+
 # --- queries
 
 
@@ -275,7 +296,8 @@ class Query(Struct, frozen=True):
     """A query: its form, the group of its WHERE, its FROM (`default`) and FROM NAMED, and the functions it calls.
 
     `constants` are the IRIs in VALUES and expressions. `literals` are those in patterns, templates and VALUES; they and
-    `expressions` exclude SERVICE. `slice` is set for a SELECT with LIMIT that has no grouping and no aggregates.
+    `expressions` exclude SERVICE. `slice` is set for a SELECT with LIMIT that has no grouping and no aggregates. The
+    form begins at `start` of the `text`, after the prologue; `braces` are the positions of those of a SELECT's WHERE.
     """
 
     form: str
@@ -287,3 +309,7 @@ class Query(Struct, frozen=True):
     literals: tuple[Constant, ...]
     expressions: tuple[EvaluatedExpression, ...]
     slice: Slice | None = None
+    text: str = ""
+    tokens: tuple[Token, ...] = ()
+    start: int = 0
+    braces: tuple[int, int] = (0, 0)

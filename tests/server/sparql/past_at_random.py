@@ -263,3 +263,59 @@ class PastMaker:
                 f'"{text[:19]}"^^xsd:dateTime', f'"{text}"', f'"{text[:10]}"^^xsd:date',
             ]
         )  # fmt: skip
+
+
+RUN_PREFIXES = (
+    "PREFIX battery: <https://w3id.org/rosld/types/sensor_msgs/msg/BatteryState#> "
+    "PREFIX pose: <https://w3id.org/rosld/types/geometry_msgs/msg/Pose#> "
+    "PREFIX pcov: <https://w3id.org/rosld/types/geometry_msgs/msg/PoseWithCovariance#> "
+    "PREFIX point: <https://w3id.org/rosld/types/geometry_msgs/msg/Point#> "
+)
+_NUMBERS = (
+    ("battery_state", "battery:percentage ?x ; battery:voltage ?y", "sensor_msgs/msg/BatteryState"),
+    ("battery_state", "battery:power_supply_status ?x ; battery:present ?y", "sensor_msgs/msg/BatteryState"),
+    ("odom", "odom:pose/pcov:pose/pose:position ?p . ?p point:x ?x ; point:y ?y", "nav_msgs/msg/Odometry"),
+    ("odom", "odom:twist/cov:twist ?t1 . ?t1 twist:linear/vector:x ?x ; twist:angular [ vector:z ?y ]", "x"),
+    ("cmd_vel", "twist:linear/vector:x ?x . ?m twist:angular/vector:z ?y", "geometry_msgs/msg/Twist"),
+)
+_OF_RUNS = (
+    "COUNT(*)", "COUNT(?m)", "COUNT(?x)", "MIN(?x)", "MAX(?x)", "SUM(?x)", "AVG(?x)", "MIN(?y)", "MAX(?y) - MIN(?x)",
+    "MIN(?t)", "MAX(?t)", "SUM(?x) / COUNT(?y)", "COUNT(DISTINCT ?bag)", "IF(MIN(?x) < 0.4, 1, 0)", "COUNT(?bag)",
+    "SUM(DISTINCT ?x)", "MAX(DISTINCT ?x)", "MIN(STR(?bag))", "SUM(?x * 2)",
+)  # fmt: skip
+
+
+def of_runs(seed: int, names: list[str], start: datetime, seconds: float) -> str:
+    """Return a query that aggregates numbers in recordings made by `tests/runs.py`, with their begin and duration."""
+    random = Random(seed)
+    topic, fields, kind = random.choice(_NUMBERS)
+    parts = [
+        f"<topics/{topic}> ros:past ?m ." if random.random() < 0.7 else f'?topic ros:past ?m ; ros:name "/{topic}" .',
+        random.choice(["?m ros:recordedIn ?bag .", "?r ros:recordedMessage ?m ; ros:recordedIn ?bag ."]),
+        f"?m {fields} .",
+        "?m ros:received ?t .",
+        random.choice(
+            [
+                "", "", f'?bag ros:name "{random.choice(names)}" .', "?bag ros:name ?name .",
+                f'?bag ros:name ?name . FILTER(?name != "{random.choice(names)}")', "?bag ros:topic ?any .",
+                f"VALUES ?bag {{ <bags/{names[0]}/> <bags/{names[-1]}/> }}", "BIND(STR(?bag) AS ?name)",
+                f"?m a <https://w3id.org/rosld/types/{kind}> .",
+            ]
+        ),
+    ]  # fmt: skip
+    for _ in range(random.choice([0, 0, 1, 2])):
+        at = (start + timedelta(seconds=random.uniform(0, seconds))).isoformat().replace("+00:00", "Z")
+        test = f'?t {random.choice(["<", ">", "<=", ">="])} "{at}"^^xsd:dateTime'
+        number = f"?x {random.choice(['<', '>', '<=', '>=', '='])} {random.choice(['0.4', '0.31', '1', '-3e0', '0'])}"
+        parts.append(f"FILTER({random.choice([test, test, f'{test} && {number}', number, f'{number} || {test}'])})")
+    chosen = random.sample(_OF_RUNS, random.choice([1, 2, 3]))
+    aggregates = " ".join(f"({each} AS ?a{number})" for number, each in enumerate(chosen))
+    key = random.choice(["", "?bag", "?bag", "?topic ?bag", "(STR(?bag) AS ?key)"])
+    names_of_keys = "?key" if "AS" in key else key
+    having = random.choice(["", "", f"HAVING(MIN(?x) {random.choice('<>')} 0.4)", "HAVING(COUNT(*) > 25)"])
+    random.shuffle(parts)
+    where = " ".join(parts)
+    return (
+        f"{PREFIXES}{RUN_PREFIXES}"
+        f"SELECT {names_of_keys} {aggregates} WHERE {{ {where} }} {f'GROUP BY {key}' if key else ''} {having}"
+    )

@@ -141,9 +141,10 @@ class Run(NamedTuple):
 
 
 class Output:
-    """Where finished parts go; this one keeps none."""
+    """Where finished parts go; this one keeps none. `is_divisible`: it is of use without the parts that failed."""
 
     name: str
+    is_divisible = False
 
     def begin(self, manifest: Manifest, sources: Sequence[Source]) -> None:
         """Begin, or continue after the parts that were added before."""
@@ -152,7 +153,7 @@ class Output:
         """Add a part. All parts before it were added."""
 
     def finish(self, run: Run) -> None:
-        """Complete the output. All parts were added."""
+        """Complete the output. All parts were added, but those that failed if it is divisible."""
 
 
 def convert(
@@ -176,11 +177,12 @@ def convert(
             with Pool(workers, dask) as pool:
                 run = run_parts(job, sources, texts, pool, manifest, output)
             run.report(sources)
+            if not run.failed or output.is_divisible:
+                with output_errors():
+                    output.finish(run)
             if run.failed:
                 words = f"{output.name} is not complete; the same command computes the parts that are missing"
                 raise Failure(words, ExitCode.INCOMPLETE)
-            with output_errors():
-                output.finish(run)
         finally:
             manifest.close()
             if not manifest.done:

@@ -1,4 +1,4 @@
-"""Commands that convert recordings in parallel: `rosld lift`."""
+"""Commands that convert recordings in parallel: `rosld lift` and `rosld export`."""
 
 from __future__ import annotations
 
@@ -124,4 +124,45 @@ def lift(
         upload(recordings, types, sending, workers, dask)
 
 
-COMMANDS = (lift,)
+@click.command(cls=GlobCommand, short_help="Turn recordings into tables: Parquet, Arrow, CSV.")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="The folder to write into.",
+)
+@click.option("--format", default="parquet", show_default=True, type=click.Choice(["parquet", "arrow", "csv"]))
+@_conversion
+def export(
+    recordings: tuple[str, ...],
+    output: Path,
+    format: str,
+    topics: tuple[str, ...],
+    begin: Moment | None,
+    end: Moment | None,
+    workers: int | None,
+    dask: str | None,
+    types: tuple[Path, ...],
+) -> None:
+    """Turn RECORDINGs into tables, one per topic and recording: DIR/topic=odom/run=NAME/part-0.parquet.
+
+    A row is a message, a column a field (twist.twist.linear.x); rosld[parquet] is needed. RECORDING and TIME are those
+    of rosld lift. Files of the same topics and recordings are replaced, others in DIR remain. After an interruption,
+    the same command continues.
+
+    \b
+    Examples:
+      rosld export recordings/ -o tables
+      rosld export s3://fleet/monday/ -o tables --topic /odom --dask tcp://scheduler:8786
+    """
+    from rosld.server.cli.export import ExportJob
+    from rosld.server.cli.export import export as run
+    from rosld.server.cli.recording_inputs import Selection
+
+    job = ExportJob(selection=Selection(topics, begin, end), format=format)
+    run(recordings, types, job, output, workers, dask)
+
+
+COMMANDS = (lift, export)

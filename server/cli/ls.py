@@ -2,68 +2,77 @@
 
 from __future__ import annotations
 
+import logging
 import os
-from collections.abc import Iterator, Sequence
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import click
+from msgspec.structs import replace
 
 from rosld.adapters.base import AdapterOptions
+from rosld.adapters.catalogue import NAME as CATALOGUE
+from rosld.adapters.catalogue import Row
 from rosld.server.cli.failure import ExitCode, Failure, user_errors
-from rosld.server.cli.info import Facts, facts_of, open_recording, size_of
+from rosld.server.cli.info import Facts, facts_of
+from rosld.server.cli.list_types import open_source
 from rosld.server.cli.tables import duration_text, json_text, print_table, size_text
 from rosld.server.history.cut import selected
 from rosld.server.resources.number_conditions import ConditionReader, parse_condition
-
-_SUFFIXES = (".bag", ".mcap", ".db3", ".bag.zst", ".mcap.zst", ".db3.zst")
-_METADATA = "metadata.yaml"
-"""File that makes a folder a recording of rosbag2."""
 
 
 def list_recordings(
     folders: Sequence[Path], where: str | None, topics: Sequence[str], options: AdapterOptions, *, as_json: bool
 ) -> None:
-    """Print the recordings below folders that have all of these topics and fulfil a condition. Raises Failure.
+    """Print the recordings at and below paths that have all of these topics and fulfil a condition. Raises Failure.
 
     Unreadable recordings are listed with their problem; with a condition, they make the result incomplete.
     """
     with user_errors(ExitCode.USAGE):
         condition = () if where is None else parse_condition(where)
-    found: list[Facts] = []
-    failures: list[Failure] = []
-    reader, wanted = ConditionReader(), [selected([glob]) for glob in topics]
-    for path in (path for folder in folders for path in recordings_below(folder)):
-        try:
-            with open_recording(str(path), options) as (recording, _):
-                has_topics = all(any(map(selects, recording.topics)) for selects in wanted)
-                if has_topics and reader.holds(recording, condition):
-                    found.append(facts_of(str(path), recording))
-        except Failure as failure:
-            failures.append(failure)
-            if not condition and not topics:
-                found.append({"path": str(path), "size": size_of(path), "problem": failure.message})
+    logging.getLogger("rosld.recording").setLevel(logging.ERROR)  # problems are printed
+    reader, wanted, found = ConditionReader(), [selected([glob]) for glob in topics], list[Facts]()
+    unreadable: list[Row] = []
+    source = "\n".join(map(str, [*folders, folders[0]]))  # even one file, twice, is a collection
+    with ExitStack() as stack:
+        if len(folders) > 1 or not folders[0].is_dir():  # a catalogue in a folder is of that folder alone
+            temporary = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            options = replace(options, catalogue=temporary / CATALOGUE)
+        stack.enter_context(user_errors(ExitCode.USAGE))
+        adapter = stack.enter_context(open_source(f"recording:{source}", options))
+        catalogue = adapter.catalogue
+        assert catalogue is not None
+        for row in catalogue.rows(sort="start"):
+            if row.is_missing or row.is_own:
+                continue
+            if not row.is_readable:
+                unreadable.append(row)
+                continue
+            names = [topic.name for topic in catalogue.topics(row.id)]
+            if all(any(map(selects, names)) for selects in wanted):
+                recording = adapter.recordings[row.name]
+                if reader.holds(recording, condition):
+                    found.append({**facts_of(_shown(row.path), recording), "size": row.size})
+    is_partial = bool(unreadable) and bool(condition or topics)
+    if not is_partial:
+        found += [{"path": _shown(row.path), "size": row.size, "problem": row.problem} for row in unreadable]
     if as_json:
         click.echo(json_text(found))
     else:
         _print(found)
     if condition and not reader.has_numbers and reader.problem:
         raise Failure(f"--where {where}: {reader.problem}", ExitCode.USAGE)
-    if failures and (condition or topics):
-        for each in failures:
-            each.show()
-        raise Failure(f"{len(failures)} recordings cannot be read", ExitCode.INCOMPLETE)
+    if is_partial:
+        for row in unreadable:
+            click.echo(f"rosld: {_shown(row.path)}: {row.problem}", err=True)
+        raise Failure(f"{len(unreadable)} recordings cannot be read", ExitCode.INCOMPLETE)
 
 
-def recordings_below(folder: Path) -> Iterator[Path]:
-    """Yield the files and rosbag2 folders that look like recordings, in the order of their names."""
-    if folder.is_file() or (folder / _METADATA).is_file():
-        yield folder
-        return
-    for place, folders, files in os.walk(folder):
-        bags = [each for each in folders if (Path(place) / each / _METADATA).is_file()]
-        folders[:] = sorted(each for each in folders if each not in bags and not each.startswith("."))
-        named = (each for each in files if each.endswith(_SUFFIXES) and not each.startswith("."))
-        yield from (Path(place) / each for each in sorted([*bags, *named]))
+def _shown(path: Path) -> str:
+    """Return a path relative to the current folder if it is below."""
+    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)
 
 
 def _print(found: Sequence[Facts]) -> None:

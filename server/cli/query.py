@@ -85,6 +85,7 @@ async def _ask_here(source: str, text: str, accept: str, settings: Settings) -> 
     app = create_app(adapter, settings)
     try:
         async with lifespan(app):
+            await adapter.wait_for_recordings()
             fields = (("content-type", "application/sparql-query"), ("accept", accept))
             sending = LocalTransport(app, _MAX_BODY).send
             answer = await sending(Caller(), "POST", f"{settings.base_url}sparql", fields, text.encode())

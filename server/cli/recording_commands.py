@@ -66,6 +66,8 @@ def ls(
 ) -> None:
     """List the recordings in each FOLDER (default: this one) and below: .bag, .mcap, .db3 and rosbag2 folders.
 
+    One FOLDER keeps their summaries in .rosld.sqlite, as for `rosld serve`, so that the next listing is quick.
+
     A CONDITION is TOPIC.FIELD OP NUMBER, or several joined by `and`: each must be true for some message of the
     recording, not necessarily the same one. OP is one of < <= = != >= >.
 

@@ -99,13 +99,15 @@ def test_ls_lists_recordings_and_chooses_them_by_the_numbers_in_their_messages(r
     assert all(name in table for name in ("long.mcap", "monday/short.bag", "monday/folder", "broken.mcap"))
     assert "cannot be read" in table
     listed = json.loads(run("ls", runs, "--json").stdout)
-    assert [Path(each["path"]).name for each in listed] == ["broken.mcap", "long.mcap", "folder", "short.bag"]
-    assert [each["messages"] for each in listed[1:]] == [30 * 74, 2 * 74, 5 * 74]
+    assert [Path(each["path"]).name for each in listed] == ["folder", "long.mcap", "short.bag", "broken.mcap"]
+    assert [each["messages"] for each in listed[:3]] == [2 * 74, 30 * 74, 5 * 74]
+    one = json.loads(run("ls", runs / "long.mcap", runs / "monday" / "folder", "--topic", "/imu", "--json").stdout)
+    assert [each["messages"] for each in one] == [2 * 74, 30 * 74]
     for where, names in (
         ("battery_state.percentage < 0.7", ["long"]),
         ("/battery_state.percentage < 0.88 AND odom.twist.twist.linear.x >= 0", ["long", "short"]),
         ("battery_state.percentage > 0.99", []),
-        ("diagnostics.status[0].level = 0", ["long", "folder", "short"]),
+        ("diagnostics.status[0].level = 0", ["folder", "long", "short"]),
     ):
         found = run("ls", runs, "--where", where, "--json", code=6)  # one is not readable
         assert [each["name"] for each in json.loads(found.stdout)] == names, where

@@ -30,6 +30,8 @@ def open_recording(
     query = urlencode({name: value for name, value in (period or {}).items() if value is not None})
     source = f"recording:{path}{'&' if '?' in path else '?'}{query}" if query else f"recording:{path}"
     with user_errors(ExitCode.USAGE), open_source(source, options) as adapter:
+        if adapter.catalogue is not None:
+            raise Failure(f"{path} is a folder of recordings: name one of them, which rosld ls lists", ExitCode.USAGE)
         (recording,) = adapter.recordings.values()
         yield recording, adapter
 

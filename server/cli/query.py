@@ -19,6 +19,7 @@ from rosld.adapters.registry import adapter_for
 from rosld.server.cli.failure import ExitCode, Failure, user_errors
 from rosld.server.cli.tables import print_table
 from rosld.server.mcp.transport import Caller, LocalTransport
+from rosld.server.rest.formats import COLUMNS
 from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings, canonical_base
 
@@ -31,6 +32,7 @@ _ACCEPT: Mapping[str, str] = {
     "tsv": f"text/tab-separated-values, text/turtle;q=0.5, {_PROBLEM}",
     "json": f"{_SOLUTIONS}, application/ld+json;q=0.5, {_PROBLEM}",
     "table": f"{_SOLUTIONS}, text/turtle;q=0.5, {_PROBLEM}",
+    **{name: f"{media_type}, {_PROBLEM}" for name, media_type in COLUMNS.items()},
 }
 _MAX_BODY = 1 << 40
 TIME_LIMIT = ("query_time_limit", "600")
@@ -45,13 +47,15 @@ class Answer(NamedTuple):
 
 
 def query(source: str, text: str, format: str | None, settings: Settings) -> None:
-    """Print the result of a query as csv, tsv, json or table, by default a table on a terminal. Raises Failure."""
+    """Print the result of a query in a format, by default a table on a terminal and CSV elsewhere. Raises Failure."""
     format = format or ("table" if sys.stdout.isatty() else "csv")
+    if format in COLUMNS and sys.stdout.isatty():
+        raise Failure(f"--format {format} writes bytes: redirect them to a file or a pipe", ExitCode.USAGE)
     answer = ask(source, query_text(text), _ACCEPT[format], settings)
     if format == "table" and answer.media_type == _SOLUTIONS:
         _print(orjson.loads(answer.body), settings.base_url)
     else:
-        click.echo(answer.body, nl=not answer.body.endswith(b"\n"))
+        click.echo(answer.body, nl=format not in COLUMNS and not answer.body.endswith(b"\n"))
 
 
 def query_text(text: str) -> str:

@@ -86,7 +86,7 @@ def ls(
 @click.argument("text", metavar="SPARQL|@FILE")
 @click.option(
     "--format",
-    type=click.Choice(["table", "csv", "tsv", "json"]),
+    type=click.Choice(["table", "csv", "tsv", "json", "parquet", "arrow"]),
     help="Default: a table on a terminal, else csv. Graphs are Turtle, or JSON-LD with json.",
 )
 @click.option("--base-url", default=DEFAULT_BASE, show_default=True, metavar="URL", help="The base of all URLs.")

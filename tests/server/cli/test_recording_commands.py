@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import pyarrow.parquet
 import pytest
 from click.testing import CliRunner, Result
 from rosbags.highlevel import AnyReader
@@ -88,6 +90,7 @@ def test_info_says_what_a_recording_contains_to_people_and_programs(runs: Path) 
     assert "nav_msgs/msg/Odometry" in shown
     assert "messages: 201" in shown
     assert "/imu" not in shown
+    assert "rosld ls" in run("info", runs, code=2).stderr
     both = run("info", path, runs / "broken.mcap", runs / "nowhere.bag", "--json", code=3)
     assert [each["name"] for each in json.loads(both.stdout)] == ["long"]
     assert "broken.mcap" in both.stderr
@@ -125,6 +128,8 @@ def test_query_answers_as_a_server_of_the_source_does(runs: Path, tmp_path: Path
     table = run("query", path, f"@{file}", "--format", "table").stdout.splitlines()
     assert table[0].split() == ["topic", "n"]
     assert table[1].split() == ["topics/imu", "250"]
+    typed = run("query", path, f"@{file}", "--format", "parquet").stdout_bytes
+    assert pyarrow.parquet.read_table(io.BytesIO(typed)).column("n").to_pylist()[0] == 250
     wrong = run("query", path, "SELECT nonsense", code=2)
     assert "nonsense" in wrong.stderr
     assert run("query", "http://127.0.0.1:1/", "ASK {}", code=4).stdout == ""

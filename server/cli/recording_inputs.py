@@ -5,10 +5,11 @@ from __future__ import annotations
 import tempfile
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from fnmatch import fnmatchcase
 from importlib import import_module
+from itertools import chain, count
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import urlsplit
@@ -22,7 +23,9 @@ from rosld.adapters.model.moment import Moment
 from rosld.server.cli.failure import ExitCode, Failure, user_errors
 from rosld.server.cli.list_types import open_source
 
+_COMPRESSIONS = (".zst", ".zstd")
 _SUFFIXES = (".bag", ".mcap", ".db3")
+_FILES = tuple(f"{suffix}{packed}" for suffix in _SUFFIXES for packed in ("", *_COMPRESSIONS))
 _METADATA = "metadata.yaml"
 _OPEN = 4
 """Maximum number of recordings that a thread keeps open: 40 bytes of memory per message, and up to 64 MB each."""
@@ -75,30 +78,26 @@ class Selection(Struct, frozen=True):
 def find_sources(inputs: Sequence[str]) -> list[Source]:
     """Return the recordings of these files, folders and URLs, each once, in this order. Raises Failure.
 
-    A folder with `metadata.yaml` is one recording; of any other folder, every recording below it is one.
+    A rosbag2 folder is one recording; of any other folder, every recording below it is one. Names are those that a
+    server of the folder gives them.
     """
-    found: dict[str, Source] = {}
+    found: dict[str, tuple[Source, str]] = {}
     for each in inputs:
         with user_errors():
             below = list(_remote(each) if _is_remote(each) else _local(each))
         if not below:
             raise Failure(f"{each}: there is no recording ({', '.join(_SUFFIXES)}) in this folder", ExitCode.INPUT)
-        found |= {source.location: source for source in below}
-    names = _unique_names(list(found.values()))
-    return [replace(source, name=name) for source, name in zip(found.values(), names, strict=True)]
-
-
-def _unique_names(sources: Sequence[Source]) -> list[str]:
-    """Return the name of each recording, after those of as many folders as make it unique."""
-    segments = [(*PurePosixPath(each.location).parts[:-1], each.name) for each in sources]
-    names = [each.name for each in sources]
-    for depth in range(2, max(map(len, segments), default=0) + 1):
-        repeated = {name for name, count in Counter(names).items() if count > 1}
-        names = [
-            "-".join(part.strip("/") for part in each[-depth:]) if name in repeated else name
-            for name, each in zip(names, segments, strict=True)
-        ]
-    return names
+        found |= {source.location: (source, folder) for source, folder in below}
+    counts = Counter(source.name for source, _ in found.values())
+    taken: set[str] = set()
+    named: list[Source] = []
+    for source, folder in found.values():
+        longer = [f"{folder}-{each}" if folder else each for each in (source.name, PurePosixPath(source.location).name)]
+        names = [*([source.name] if counts[source.name] == 1 else []), *longer]
+        free = (each for each in chain(names, (f"{names[-1]}-{number}" for number in count(2))) if each not in taken)
+        named.append(replace(source, name=next(free)))
+        taken.add(named[-1].name)
+    return named
 
 
 def read_types(folders: Iterable[Path]) -> TypeTexts:
@@ -197,8 +196,8 @@ def _file_system(url: str) -> tuple[Any, str]:
     return files, path
 
 
-def _local(location: str) -> Iterator[Source]:
-    """Yield the recordings at a path. Raises Failure."""
+def _local(location: str) -> Iterator[tuple[Source, str]]:
+    """Yield the recordings at a path, each with the folders between. Raises Failure."""
     path = Path(url2pathname(urlsplit(location).path) if location.startswith("file://") else location)
     path = path.expanduser().resolve()
     if not path.exists():
@@ -207,11 +206,12 @@ def _local(location: str) -> Iterator[Source]:
     for found, files in _recordings_among(path.as_posix(), below):
         states = [Path(each).stat() for each in files]
         stamp = max(each.st_mtime_ns for each in states)
-        yield Source(found, _name(found, files), sum(each.st_size for each in states), str(stamp))
+        source = Source(found, _name(found, files), sum(each.st_size for each in states), str(stamp))
+        yield source, _folder(path.as_posix(), found)
 
 
-def _remote(url: str) -> Iterator[Source]:
-    """Yield the recordings at a URL. Raises Failure."""
+def _remote(url: str) -> Iterator[tuple[Source, str]]:
+    """Yield the recordings at a URL, each with the folders between. Raises Failure."""
     files, path = _file_system(url)
     try:
         details = {path: files.info(path)} if files.isfile(path) else files.find(path, detail=True)
@@ -221,24 +221,43 @@ def _remote(url: str) -> Iterator[Source]:
         states = [details[each] for each in members]
         stamps = [str(each.get("ETag") or each.get("mtime") or each.get("LastModified") or "") for each in states]
         size = sum(int(each.get("size") or 0) for each in states)
-        yield Source(files.unstrip_protocol(found), _name(found, members), size, " ".join(stamps))
+        source = Source(files.unstrip_protocol(found), _name(found, members), size, " ".join(stamps))
+        yield source, _folder(path, found)
 
 
 def _recordings_among(top: str, paths: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
     """Yield the recordings among the files below `top`, each with its files, sorted."""
-    folders = [each.rpartition("/")[0] for each in paths if each.rpartition("/")[2] == _METADATA]
+    members: dict[str, set[str]] = {}
+    for path in paths:
+        members.setdefault(path.rpartition("/")[0], set()).add(path.rpartition("/")[2])
+    folders = {folder for folder, names in members.items() if _is_one(folder.rpartition("/")[2], names)}
     grouped: dict[str, list[str]] = {}
     for path in sorted(paths):
-        folder = next((each for each in folders if path.startswith(f"{each}/")), None)
+        folder = path.rpartition("/")[0]
         hidden = any(part.startswith(".") for part in path[len(top) :].split("/"))
-        if folder is not None:
+        if folder in folders and path != top:
             grouped.setdefault(folder, []).append(path)
-        elif path == top or (path.endswith(_SUFFIXES) and not hidden):
+        elif path == top or (path.endswith(_FILES) and not hidden):
             grouped[path] = [path]
     yield from sorted(grouped.items())
+
+
+def _is_one(folder: str, names: Collection[str]) -> bool:
+    """Whether a folder is a ROS 2 bag: it has metadata, or only the parts `FOLDER_0.mcap`, `FOLDER_1.mcap`, ..."""
+    recorded = {each for each in names if each.endswith(_FILES)}
+    return _METADATA in names or any(
+        recorded == {f"{folder}_{number}{suffix}" for number in range(len(recorded))} != set() for suffix in _FILES
+    )
 
 
 def _name(path: str, files: Sequence[str]) -> str:
     """Return the name of a recording: that of its folder, or of its file without suffixes (`x` for `x.bag.active`)."""
     name = path.rpartition("/")[2]
-    return (PurePosixPath(name.removesuffix(".active")).stem if files == [path] else name) or "recording"
+    for suffix in (*_COMPRESSIONS, ".active"):
+        name = name.removesuffix(suffix) if files == [path] else name
+    return (PurePosixPath(name).stem if files == [path] else name) or "recording"
+
+
+def _folder(top: str, path: str) -> str:
+    """Return the folders between `top` and a recording, joined by hyphens."""
+    return "-".join(path[len(top) :].strip("/").split("/")[:-1])

@@ -22,6 +22,9 @@ from rosld.server.cli.failure import ExitCode, Failure
 from rosld.server.cli.parts import DEATH, Answer, Part, Task, run_task
 from rosld.server.cli.recording_inputs import close_recordings
 
+_CONNECT = 5
+"""Maximum seconds for reaching a Dask scheduler."""
+
 
 class InProcess(Executor):
     """Executor that runs each task at once in this thread."""
@@ -141,8 +144,8 @@ def _dask_client(address: str) -> Any:
     except ImportError as error:
         raise Failure("--dask needs Dask: pip install 'rosld[dask]'") from error
     try:
-        return distributed.Client(address, timeout=10, set_as_default=False)
-    except (OSError, ValueError) as error:
+        return distributed.Client(address, timeout=_CONNECT, set_as_default=False)
+    except Exception as error:  # of the network, of the address, of its protocol
         raise Failure(f"--dask {address}: {error}", ExitCode.UNREACHABLE) from error
 
 

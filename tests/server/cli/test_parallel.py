@@ -131,22 +131,23 @@ def test_work_on_another_file_does_not_continue_with_parts_of_this_one(
 
 def test_several_recordings_and_folders_are_never_merged_and_have_names_of_their_own(tmp_path: Path) -> None:
     folder = tmp_path / "runs"
-    for name in ("monday", "tuesday"):
+    for name in ("monday", "tuesday", "killed"):
         (folder / name).mkdir(parents=True)
     write_run(folder / "monday" / "run.mcap", seconds=1)
     write_run(folder / "tuesday" / "run.bag", seconds=1)
     write_run(folder / "night", seconds=1)
+    write_run(folder / "killed" / "killed_0.mcap", seconds=1)
     (folder / "foreign.mcap").write_bytes(b"no recording")
     (folder / "notes.txt").write_text("no recording either")
     result = lift(folder, folder / "night", "-o", tmp_path / "x.nq")
     assert "foreign.mcap is left out" in result.stderr
-    assert "1 of 4 recordings" in result.stderr
+    assert "1 of 5 recordings" in result.stderr
     assert result.exit_code != 0
     base = "<http://127.0.0.1:8080/bags/"
     found = {
         line.removeprefix(base).partition("/")[0] for line in lines((tmp_path / "x.nq").read_bytes()) if base in line
     }
-    assert found == {"monday-run", "tuesday-run", "night"}
+    assert found == {"monday-run", "tuesday-run", "night", "killed"}
 
 
 def test_messages_are_selected_by_topic_and_time_and_keep_their_numbers(run: Path, tmp_path: Path) -> None:

@@ -147,7 +147,7 @@ def record(
 
 
 @main.command(short_help="End the holds of a rosld that was killed.")
-@click.argument("source")
+@click.argument("source", type=click.Path())
 @click.option("--data", "folder", required=True, type=FOLDER, metavar="DIR", help="The --data of the rosld to watch.")
 @click.option("--once", is_flag=True, help="Exit once nothing is left to do: for systemd's ExecStopPost.")
 @setting_options("types", "ros_ip", "host_map", "qos")
@@ -175,7 +175,7 @@ def guard(
 
 
 @main.command(short_help="List the message and service types of SOURCE.")
-@click.argument("source")
+@click.argument("source", type=click.Path())
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @setting_options("types")
 def types(source: str, types: tuple[Path, ...], *, as_json: bool) -> None:

@@ -44,7 +44,7 @@ class GlobCommand(click.Command):
 
 def source_argument(command: _F) -> _F:
     """Add the argument of one source, or of several recordings and folders, which are a collection."""
-    return click.argument("source", nargs=-1, required=True, callback=_joined)(command)
+    return click.argument("source", nargs=-1, required=True, type=click.Path(), callback=_joined)(command)
 
 
 def _joined(context: click.Context, parameter: click.Parameter, sources: tuple[str, ...]) -> str:

@@ -28,7 +28,7 @@ def _period(command: _F) -> _F:
 
 
 @click.command(cls=GlobCommand, short_help="Say what recordings contain.")
-@click.argument("files", nargs=-1, required=True, metavar="FILE...")
+@click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
 @_topics("Topics to describe; default: all. Repeatable.")
 @_period
 @_JSON
@@ -82,7 +82,7 @@ def ls(
 
 
 @click.command(short_help="Answer a SPARQL query over a source or a server.")
-@click.argument("source")
+@click.argument("source", type=click.Path())
 @click.argument("text", metavar="SPARQL|@FILE")
 @click.option(
     "--format",
@@ -117,7 +117,7 @@ def query(
 
 
 @click.command(cls=GlobCommand, short_help="Cut out a part of a recording, or the parts around events.")
-@click.argument("recording")
+@click.argument("recording", type=click.Path())
 @output_option("Where to write: x.mcap, x.bag (a ROS 1 bag), a name without a suffix (a ROS 2 bag), or - (MCAP).")
 @_topics("Topics to cut out; default: all. Repeatable.")
 @_period

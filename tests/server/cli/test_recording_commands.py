@@ -19,6 +19,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
+from rosld.server.cli.failure import ExitCode
 from rosld.server.cli.main import main
 from tests.runs import START_NS, write_run
 from tests.server.history.mcap_files import read
@@ -184,6 +185,12 @@ def test_an_interruption_has_its_own_exit_code(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr("rosld.server.cli.info.info", interrupted)
     assert "interrupted" in run("info", "x.bag", code=130).stderr
+
+
+def test_the_reference_names_all_commands_and_exit_codes() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "reference" / "commands.md").read_text("utf-8")
+    assert all(f"`{name} " in text for name in main.commands)
+    assert all(f"| {code} | " in text for code in ExitCode)
 
 
 def test_shells_complete_commands_and_a_pipe_has_no_colours(runs: Path) -> None:

@@ -271,6 +271,7 @@ class SparqlResource(Resource):
     kind = "SPARQL"
     shape = "SparqlEndpoint"
     takes_forms = False
+    has_own_formats = True
     passes_unknown_parameters = frozenset({"GET", "HEAD"})  # clients send parameters of other endpoints
 
     def __init__(
@@ -371,12 +372,13 @@ class SparqlResource(Resource):
 
     async def post(self, exchange: Exchange) -> Answer:
         """Answer a query or carry out an update (SPARQL 1.1 Protocol 2.1.2, 2.1.3, 2.2)."""
+        accept = accept_of(exchange)  # nothing is written if the response could not be given
         body = await exchange.raw_body()
         query_string = exchange.request.scope["query_string"]
         parsed = posted_request(query_string, exchange.header("content-type"), body)
         if isinstance(parsed, QueryRequest):
             exchange.audit.mark_read_only()
-            return await self._answer(parsed, accept_of(exchange), exchange)
+            return await self._answer(parsed, accept, exchange)
         return await self._update(parsed, exchange)
 
     async def _update(self, request: UpdateRequest, exchange: Exchange) -> Response:

@@ -103,6 +103,8 @@ class Resource:
     """Whether only reading its state tells whether there is anything to GET."""
     takes_forms = True
     """Whether a posted form is a form of our pages (otherwise the resource reads it itself)."""
+    has_own_formats = False
+    """Whether `?format=` of a write names a format that the resource chooses itself."""
     title = ""
     """Heading of its page: usually a ROS name."""
     _permissions = ALLOW_ALL

@@ -118,8 +118,10 @@ def test_solutions_are_tables_of_arrow_too(http: httpx.Client) -> None:
         answer = http.get("/sparql", params={"query": query, **params}, headers=headers)
         assert answer.headers["content-type"] == "application/vnd.apache.parquet"
         assert parquet.read_table(io.BytesIO(answer.content)).to_pydict() == expected
-    answer = http.post("/sparql", data={"query": query}, headers={"Accept": "application/vnd.apache.arrow.stream"})
-    assert pa.ipc.open_stream(answer.content).read_all().to_pydict() == expected
+    arrow = {"Accept": "application/vnd.apache.arrow.stream"}
+    for params, headers in (({}, arrow), ({"format": "arrow"}, {})):
+        answer = http.post("/sparql", data={"query": query}, params=params, headers=headers)
+        assert pa.ipc.open_stream(answer.content).read_all().to_pydict() == expected
     answer = http.get("/queries/inventory", params={"format": "arrow"})
     assert pa.ipc.open_stream(answer.content).read_all().num_columns > 0, answer.text
     answer = http.get("/sparql", params={"query": "SELECT ?s { FILTER(false) }", "format": "parquet"})

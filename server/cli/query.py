@@ -35,8 +35,8 @@ _ACCEPT: Mapping[str, str] = {
     **{name: f"{media_type}, {_PROBLEM}" for name, media_type in COLUMNS.items()},
 }
 _MAX_BODY = 1 << 40
-TIME_LIMIT = ("query_time_limit", "600")
-"""Setting for queries that are answered here: nobody else waits for them."""
+TIME_LIMIT = "600"
+"""Seconds for a query that is answered here: nobody else waits for it."""
 
 
 class Answer(NamedTuple):
@@ -66,9 +66,9 @@ def query_text(text: str) -> str:
         return sys.stdin.read() if text == "@-" else Path(text[1:]).read_text("utf-8")
 
 
-def solutions(source: str, text: str, settings: Settings) -> dict[str, Any]:
-    """Return the solutions of a SELECT query, as in SPARQL Query Results JSON. Raises Failure."""
-    answer = ask(source, text, _SOLUTIONS, settings)
+async def solutions(source: str, text: str, settings: Settings) -> dict[str, Any]:
+    """Return the solutions of a SELECT query, as in SPARQL Query Results JSON. Raises Failure and as `Adapter.open`."""
+    answer = await _ask_here(source, text, f"{_SOLUTIONS}, {_PROBLEM}", settings)
     found: dict[str, Any] = orjson.loads(answer.body)
     return found
 
@@ -77,7 +77,6 @@ def ask(source: str, text: str, accept: str, settings: Settings) -> Answer:
     """Return the answer of a running server (a URL), or of a source that is opened here. Raises Failure."""
     if source.startswith(("http://", "https://")):
         return _ask_server(source, text, accept)
-    logging.getLogger("rosld").setLevel(logging.ERROR)
     with user_errors(ExitCode.USAGE):
         return asyncio.run(_ask_here(source, text, accept, settings))
 
@@ -85,6 +84,7 @@ def ask(source: str, text: str, accept: str, settings: Settings) -> Answer:
 async def _ask_here(source: str, text: str, accept: str, settings: Settings) -> Answer:
     from rosld.server.app import create_app
 
+    logging.getLogger("rosld").setLevel(logging.ERROR)
     adapter = adapter_for(source, settings.adapter_options)
     app = create_app(adapter, settings)
     try:

@@ -113,7 +113,7 @@ def query(
     from rosld.server.cli.query import TIME_LIMIT
     from rosld.server.cli.query import query as run
 
-    run(source, text, format, settings_of((TIME_LIMIT, *others), base_url, types=types))
+    run(source, text, format, settings_of((("query_time_limit", TIME_LIMIT), *others), base_url, types=types))
 
 
 @click.command(cls=GlobCommand, short_help="Cut out a part of a recording, or the parts around events.")

@@ -30,7 +30,7 @@ from rosld.server.resources.bags import ArmedBag, BagBase, BagResource, Bags, Lo
 from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
 from rosld.server.resources.ldp.bodies import single_chunk
 from rosld.server.resources.past_messages import may_read_recording
-from rosld.server.resources.recording_cut import CutOrder, cut_order_of, spans_of
+from rosld.server.resources.recording_cut import CutOrder, asking, cut_order_of, spans_of
 from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, order_of, read_members, recording_form
 from rosld.server.resources.recording_trigger import (
     NOTHING_IS_RECORDED,
@@ -342,8 +342,8 @@ class BagContainer(ListedBags):
         space, permissions, recording = self.space, exchange.permissions, self.recordings.find(order.of)
         if recording is None or not may_read_recording(space, permissions, recording):
             raise Problem(422, f"There is no recording {order.of[:100]} to cut.")
-        spans = await spans_of(order, recording, self._queries, permissions, space)
         selects, may_record = selected(order.selection.topics), partial(may_read_topic, space, permissions)
+        spans = await spans_of(order, recording, asking(self._queries, permissions), may_record)
         cuts = self.recordings.cut(
             recording, order.selection.name, lambda topic: selects(topic) and may_record(topic), spans
         )

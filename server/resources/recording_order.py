@@ -120,7 +120,7 @@ SCHEMA: JsonSchema = json_object(
         "from": {"type": ["string", "number"], "description": f"The first time of a cut: xsd:dateTime, {_TIME}."},
         "to": {"type": ["string", "number"], "description": "The last time of a cut, in the same form."},
         "around": {
-            **TEXT,
+            "anyOf": [TEXT, {"type": "array", "items": TEXT}],
             "description": "Cuts around events: a time, a condition such as battery_state.percentage < 0.2, or a "
             "SPARQL query whose results have times; one recording (NAME-1, NAME-2 ...) each.",
         },

@@ -196,7 +196,7 @@ class EmbeddedRobot(Adapter):
         self._require_reachable(deadline)
         self._action(goal.action)
         if not self._cancel(goal.id):
-            raise NotFound(f"the {self._capabilities.system} does not pursue the goal {goal.id}")
+            raise NotFound(f"the {self._capabilities.system} is not pursuing the goal {goal.id}")
         self._announce(goal.action, goal.id, GoalEvent(time.time_ns(), GoalStatus.CANCELING, own=True))
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
@@ -312,7 +312,7 @@ class EmbeddedRobot(Adapter):
         if self._sink is None:
             raise Unreachable(f"the {robot} is not there: the adapter is closed")
         if asyncio.get_running_loop().time() > deadline:
-            raise TimedOut(f"the deadline had passed before the {robot} was asked")
+            raise TimedOut(f"the deadline passed before the request reached the {robot}")
 
     def _message(self, ref: TypeRef) -> MessageSchema:
         schema = self._library.find(ref)

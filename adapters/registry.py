@@ -40,7 +40,7 @@ def joined(sources: Sequence[str]) -> str:
     schemes = frozenset(installed())
     other = next((each for each in sources if scheme_of(each, schemes) != RECORDING), None)
     if other is not None:
-        raise ValueError(f"{other!r} is no recording: of several sources, each must be one, or a folder of recordings")
+        raise ValueError(f"{other!r} is not a recording: several sources must all be recordings or folders of them")
     return f"{RECORDING}:" + "\n".join(each.removeprefix(f"{RECORDING}:") for each in sources)
 
 

@@ -357,7 +357,7 @@ def _contexts(data: bytes) -> Iterator[str | dict[str, object]]:
     try:
         waiting: list[object] = [orjson.loads(data)]
     except orjson.JSONDecodeError as error:
-        raise BodyError(f"this is no JSON: {error.msg}", error.lineno, error.colno) from error
+        raise BodyError(f"this is not JSON: {error.msg}", error.lineno, error.colno) from error
     while waiting:
         value = waiting.pop()
         if isinstance(value, list):
@@ -446,7 +446,7 @@ def parse_json(data: bytes) -> object:
     try:
         return _JSON.decode(data.decode())
     except json.JSONDecodeError as error:
-        raise BodyError(f"this is no JSON: {error.msg}", error.lineno, error.colno) from error
+        raise BodyError(f"this is not JSON: {error.msg}", error.lineno, error.colno) from error
     except BodyError:
         raise
     except ValueError as error:
@@ -464,7 +464,7 @@ def _once(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 def _no_number(token: str) -> object:
     name = {"Infinity": "INF", "-Infinity": "-INF"}.get(token, token)
-    raise BodyError(f'JSON has no number {token}: write the string "{name}"')
+    raise BodyError(f'{token} is not a number in JSON: write the string "{name}"')
 
 
 _JSON = json.JSONDecoder(object_pairs_hook=_once, parse_constant=_no_number)

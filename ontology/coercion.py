@@ -101,9 +101,9 @@ def float_fit(kind: Primitive) -> Callable[[Number], float]:
         try:
             result = rounded(value)
         except OverflowError:
-            raise Misfit(f"expected a {kind.name}, and this is beyond its range", value) from None
+            raise Misfit(f"expected a {kind.name}, but this is out of its range", value) from None
         if isinf(result) and not (isinstance(value, float) and isinf(value)):
-            raise Misfit(f"expected a {kind.name}, and this is beyond its range", value)
+            raise Misfit(f"expected a {kind.name}, but this is out of its range", value)
         return result
 
     return fit
@@ -132,7 +132,7 @@ def string_fit(kind: Primitive) -> Callable[[str], str]:
 
     def fit(value: str) -> str:
         if bound is not None and wire_length(value) > bound:
-            raise Misfit(f"expected {describe_kind(kind)}, and this has {wire_length(value)}", value)
+            raise Misfit(f"expected {describe_kind(kind)}, but this has {wire_length(value)}", value)
         return value
 
     return fit
@@ -155,9 +155,9 @@ def check_length(kind: Array, values: _Sized) -> _Sized:
     """Return the values unchanged, if the field may have as many. Raises Misfit."""
     count = len(values)
     if kind.length is not None and count != kind.length:
-        raise Misfit(f"expected {describe_kind(kind)}, and this has {count}")
+        raise Misfit(f"expected {describe_kind(kind)}, but this has {count}")
     if kind.bound is not None and count > kind.bound:
-        raise Misfit(f"expected {describe_kind(kind)}, and this has {count}")
+        raise Misfit(f"expected {describe_kind(kind)}, but this has {count}")
     return values
 
 

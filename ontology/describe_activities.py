@@ -91,14 +91,14 @@ _RESPONSE = NodeShape[Receipt]("Response", "what was answered", htv.Response, pr
 _AGENT = NodeShape[Receipt]("Agent", "who asked", prov.Agent).with_properties(
     one(rdfs.label, kinds.TEXT, lambda receipt: receipt.agent)
 )
-_CLIENT = NodeShape[Receipt]("Client", "the program that asked", prov.SoftwareAgent).with_properties(
+_CLIENT = NodeShape[Receipt]("Client", "the program that sent a request", prov.SoftwareAgent).with_properties(
     one(rdfs.label, kinds.TEXT, lambda receipt: receipt.client)
 )
-_ASSOCIATION = NodeShape[NamedNode]("Association", "how who asked took part", prov.Association).with_properties(
+_ASSOCIATION = NodeShape[NamedNode]("Association", "the association of an agent", prov.Association).with_properties(
     one(prov.agent, kinds.TERM.where("sh:class prov:Agent"), lambda agent: agent),
     one(prov.hadPlan, kinds.IRI.where("sh:class prov:Plan")),
 )
-_PLAN = NodeShape[Receipt]("Plan", "what was to be done", prov.Plan, prov.Entity).with_properties(
+_PLAN = NodeShape[Receipt]("Plan", "the plan of a write", prov.Plan, prov.Entity).with_properties(
     many(ros.does, kinds.TEXT, lambda receipt: dict.fromkeys(receipt.plan), minimum=1)
 )
 

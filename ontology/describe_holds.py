@@ -38,8 +38,8 @@ HOLD = (
 """Explanation of holding a topic."""
 MEANINGS = {
     "rate": "Messages per second.",
-    "lease": "Seconds that it lasts without renewal.",
-    "for": "Seconds after which it ends, instead of a lease.",
+    "lease": "The lease in seconds: how long the hold lasts without renewal.",
+    "for": "The number of seconds after which the hold ends, instead of a lease.",
     "then": "The last message: zero, none, or the URL of one.",
 }
 _SETTINGS = LiftSettings()
@@ -133,7 +133,7 @@ def holdable(
     the topic, or the resource described in another `document`.
     """
     subject = NamedNode(document or topic)
-    about_it = HOLD if commands_velocity else f"{HOLD} Say how often: rate."
+    about_it = HOLD if commands_velocity else f"{HOLD} `rate` is required."
     return [
         *affordance(
             subject,

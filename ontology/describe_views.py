@@ -128,7 +128,7 @@ def search_triples(subject: NamedNode, space: Space) -> list[Triple]:
 
 
 def _words_about(found: SearchOutline) -> str | None:
-    return None if found.is_complete or not found.results else "These match some of the words."
+    return None if found.is_complete or not found.results else "These results match some of the words."
 
 
 _RESULTS = NodeShape[SearchOutline]("SearchResults", "what was found", schema_org.ItemList, *SOURCE).with_properties(

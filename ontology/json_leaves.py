@@ -77,7 +77,7 @@ def _float(kind: Primitive) -> Leaf:
 
     def read(value: object) -> float:
         if type(value) is float and not isfinite(value):  # 1e400: JSON has no infinity, the number is too large
-            raise Misfit(f"expected a {kind.name}, and this is beyond its range", value)
+            raise Misfit(f"expected a {kind.name}, but this is out of its range", value)
         if type(value) is float or type(value) is int:
             return fit(value)
         if isinstance(value, str):

@@ -224,6 +224,6 @@ def find_message(body: RdfBody, document: str, type_iri: str, node: str = "#mess
     found = "none" if not typed else f"{len(typed)}"
     raise LoweringError(
         Violation(
-            "", f"expected one node of type <{type_iri}>, and there is {found}: give <{document}{node}> that type"
+            "", f"expected one node of type <{type_iri}>, but there is {found}: give <{document}{node}> that type"
         )
     )

@@ -207,7 +207,7 @@ class GraphReaders:
             if isinstance(node, Literal):
                 raise _unexpected(kind, node)
             if node in reading.above:
-                raise Misfit(f"expected {describe_kind(kind)} of its own, and this node holds itself", node)
+                raise Misfit(f"expected {describe_kind(kind)}, but this node contains itself", node)
             reading.spend()
             values: dict[str, object] = {}
             reading.above.append(node)
@@ -268,7 +268,7 @@ def _read(entry: _Entry, objects: list[Term], values: dict[str, object], path: P
     field = entry.field
     values[field.attribute] = None
     if len(objects) > 1 and len(set(objects)) > 1:
-        reading.findings.add((path, field.name), f"expected one value, and there are {len(set(objects))}")
+        reading.findings.add((path, field.name), f"expected one value, but there are {len(set(objects))}")
         return
     try:
         values[field.attribute] = entry.read(objects[0], (path, field.name), reading)

@@ -119,7 +119,7 @@ def _scalar(
 
 def _describe(writer: ShapesWriter, space: Space, title: str, demand: Demand) -> None:
     more = None if demand.is_all else NamedNode(space.shape("limits"))
-    comment = "Further limits hold, which look at more than values: those of the shapes graph beside this one."
+    comment = "Further limits apply that concern more than values: see the other shapes graph."
     writer.add(
         writer.node(),
         *RDF_SOURCE,

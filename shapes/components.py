@@ -51,7 +51,7 @@ def compile_pattern(text: str, flags: str = "") -> SafePattern:
         raise ValueError(f"the pattern {text[:40]!r}... is longer than {_MAX_PATTERN} characters")
     flags = flags.lower()
     if strange := set(flags) - set(_FLAGS):
-        raise ValueError(f"the flag {min(strange)!r} of the pattern {text!r} is not known here: use i, m or s")
+        raise ValueError(f"the flag {min(strange)!r} of the pattern {text!r} is not supported: use i, m or s")
     options = re2.Options()
     options.max_mem = _MAX_MEMORY
     options.log_errors = False
@@ -123,10 +123,10 @@ def checked_term(value: Term) -> Term:
     Raises ParameterFault for triple terms, for markup, and for ill-typed numbers.
     """
     if isinstance(value, Triple):
-        raise ParameterFault("is a triple term, which SHACL does not know")
+        raise ParameterFault("is a triple term, which SHACL does not support")
     if isinstance(value, Literal):
         if value.datatype in _XML:
-            raise ParameterFault("is XML or HTML, which is not compared here")
+            raise ParameterFault("is XML or HTML, which cannot be compared")
         if is_numeric(value.datatype) and number(value) is None:
             raise ParameterFault(f"is {value}, which is not a number")
     return value
@@ -155,9 +155,9 @@ _KIND_WORDS = {
     sh.IRI: "must be an IRI",
     sh.BlankNode: "must be a blank node",
     sh.Literal: "must be a literal",
-    sh.BlankNodeOrIRI: "must be no literal",
-    sh.BlankNodeOrLiteral: "must be no IRI",
-    sh.IRIOrLiteral: "must be no blank node",
+    sh.BlankNodeOrIRI: "must not be a literal",
+    sh.BlankNodeOrLiteral: "must not be an IRI",
+    sh.IRIOrLiteral: "must not be a blank node",
 }
 _RANGES: dict[NamedNode, tuple[Callable[[Number, Number], bool], Callable[[Literal], Bounds], str]] = {
     sh.minInclusive: (operator.ge, lambda value: Bounds(minimum=value), "must be at least {}"),
@@ -246,11 +246,11 @@ def _count(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint
         raise ParameterFault(f"is {value}, where an xsd:integer is needed")
     count = checked_cardinal(value)
     if parameter == sh.minCount:
-        words = "is missing" if count == 1 else f"must be there at least {count} times"
+        words = "is missing" if count == 1 else f"must occur at least {count} times"
         return Constraint(
             parameter, value, words, offenders=lambda _, values, view: () if len(values) >= count else (None,)
         )
-    words = {0: "must not be there", 1: "must be there once only"}.get(count, f"is there over {count} times")
+    words = {0: "must be absent", 1: "must occur only once"}.get(count, f"occurs more than {count} times")
     return Constraint(
         parameter, value, words, offenders=lambda _, values, view: () if len(values) <= count else (None,)
     )
@@ -267,7 +267,7 @@ def _range(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint
         checked_term(value)
     bound, limit = value, number(value)
     if limit is not None and isnan(limit):
-        raise ParameterFault("is NaN, with which nothing compares")
+        raise ParameterFault("is NaN, which cannot be compared")
     is_within, bounds, words = _RANGES[parameter]
 
     def test(value: Term, view: View) -> bool:
@@ -347,7 +347,7 @@ def _logic(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint
 def _not(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
     shape = source.shape(value)
     test: ValueTest = lambda value, view: not shape.conforms(value, view)  # noqa: E731
-    return Constraint(parameter, value, "must not be like this", test, shapes=(shape,))
+    return Constraint(parameter, value, "must not conform to the excluded shape", test, shapes=(shape,))
 
 
 def _node(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
@@ -419,7 +419,7 @@ def _unique_language(parameter: NamedNode, value: Term, source: ShapeSource) -> 
         counts = Counter(map(str.lower, languages))
         return [None for count in counts.values() if count > 1 and is_unique]
 
-    return Constraint(parameter, value, "must be there once only in a language", offenders=offenders)
+    return Constraint(parameter, value, "must occur only once per language", offenders=offenders)
 
 
 # Pairs of properties (4.5)
@@ -433,7 +433,7 @@ def _equals(parameter: NamedNode, value: Term, source: ShapeSource) -> Constrain
         is_value, is_other = membership(values), membership(others)
         return [*(each for each in values if not is_other(each)), *(each for each in others if not is_value(each))]
 
-    return Constraint(parameter, value, f"must be the same as of {phrase(value)}", offenders=offenders)
+    return Constraint(parameter, value, f"must have the same values as {phrase(value)}", offenders=offenders)
 
 
 def _disjoint(parameter: NamedNode, value: Term, source: ShapeSource) -> Constraint:
@@ -500,7 +500,7 @@ def _closed(parameter: NamedNode, value: Term, source: ShapeSource) -> Constrain
     def test(value: Term, view: View) -> bool:
         return next(strangers(value, view), None) is None
 
-    return Constraint(parameter, value, "must not be there", test, strangers=strangers)
+    return Constraint(parameter, value, "is not allowed here", test, strangers=strangers)
 
 
 Build: TypeAlias = Callable[[NamedNode, Term, ShapeSource], Constraint]

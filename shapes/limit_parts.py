@@ -152,7 +152,7 @@ def _number_beside(place: Place, at: Place, predicate: Term, space: Space) -> Na
     """Return the field with which a number is compared."""
     other = place.follow(predicate, space) if isinstance(predicate, NamedNode) else None
     if other is None or not (_is_number(at) and _is_number(other)) or not isinstance(predicate, NamedNode):
-        raise InexpressibleError("only numbers of one message are compared")
+        raise InexpressibleError("only numbers of the same message can be compared")
     return predicate
 
 
@@ -184,14 +184,14 @@ def _bounds(constraint: Constraint, place: Place) -> Bounds:
     """Return a constraint of a scalar as bounds."""
     kind = place.primitive if isinstance(place, ValuePlace) else None
     if kind is None:
-        raise InexpressibleError("it is about no scalar")
+        raise InexpressibleError("it does not concern a scalar")
     bounds, value = constraint.bounds, constraint.value
     if bounds == bounds.range:
         is_of_value = _is_number(place) and isinstance(value, Literal) and is_numeric(value.datatype)
     else:
         is_of_value = bool(bounds.choices) or kind.name in STRINGS
     if not bounds or not is_of_value:
-        raise InexpressibleError(f"{constraint.parameter} looks at how a value is written")
+        raise InexpressibleError(f"{constraint.parameter} concerns the lexical form of a value")
     return bounds
 
 

@@ -227,8 +227,8 @@ def _class(name: str, target: Term, shape: NodeShape, space: Space) -> str:
 def _url(name: str, kind: NamedNode, target: Term, space: Space) -> str:
     if kind != sh.targetNode:
         raise ValueError(
-            f"{name} has a sh:{kind.value[len(sh.iri) :]}; a limit is told by sh:targetNode (the URL of a resource) or "
-            "sh:targetClass (the class of a message type)"
+            f"{name} has a sh:{kind.value[len(sh.iri) :]}: name what it limits by sh:targetNode (the URL of a resource)"
+            " or sh:targetClass (the class of a message type)"
         )
     url = target.value if isinstance(target, NamedNode) else str(target)
     location = space.location(url) if isinstance(target, NamedNode) else None

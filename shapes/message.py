@@ -59,7 +59,7 @@ def shape_document(schema: Schema, space: Space) -> Document:
         MessageShapes(writer, schema, space).write()
         return Document(url, tuple(writer.triples))
     halves = [NamedNode(space.shape(half.ref.name)) for half in halves_of(schema)]
-    label = (rdfs.label, text(f"What {name} is sent and answers"))
+    label = (rdfs.label, text(f"Request and response of {name}"))
     triples = triples_about(NamedNode(url), *RDF_SOURCE, label, *zip(_HALVES[type(schema)], halves, strict=True))
     return Document(url, tuple(triples))
 
@@ -153,7 +153,7 @@ class MessageShapes:
 
         def write() -> Iterator[Statement]:
             count = ((sh.datatype, xsd.integer), (sh.minInclusive, integer(0)))
-            yield rdfs.label, text("What stands for a value that is too large to be written")
+            yield rdfs.label, text("Placeholder for a value that is too large to include")
             yield sh.class_, ros.Elided
             yield sh.property, writer.blank((sh.path, ros.elidedLength), *count, *one)
             yield sh.property, writer.blank((sh.path, ros.bytes), (sh.nodeKind, sh.IRI), *one)

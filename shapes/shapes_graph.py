@@ -109,7 +109,7 @@ class ShapesGraph:
         if known is not None:
             return known
         if node not in self._statements:
-            raise ValueError(f"{self.name(node)} is referred to, but nothing is said of it in this graph")
+            raise ValueError(f"{self.name(node)} is referenced, but not described in this graph")
         if node in self._open:
             raise ValueError(f"{self.name(node)} refers to itself, which SHACL leaves undefined (3.4.3)")
         if len(self._open) >= MAX_DEPTH:
@@ -205,19 +205,19 @@ class ShapesGraph:
         for predicate in own:
             if not predicate.value.startswith(sh.iri) or predicate in _KNOWN:
                 if len(own[predicate]) > 1 and predicate.value.startswith(sh.iri) and predicate not in _REPEATABLE:
-                    raise self._wrong(node, predicate, "is there more than once")
+                    raise self._wrong(node, predicate, "occurs more than once")
                 continue
             if predicate in _BEYOND_CORE:
-                raise ValueError(f"{self.name(node)} uses {_prefixed(predicate)}: only SHACL Core is judged here")
+                raise ValueError(f"{self.name(node)} uses {_prefixed(predicate)}: only SHACL Core is supported")
             raise ValueError(
-                f"{self.name(node)} says {_prefixed(predicate)}, which is not a term of SHACL Core for a shape"
+                f"{self.name(node)} has {_prefixed(predicate)}, which is not a term of SHACL Core for a shape"
             )
 
     def _path(self, node: Node, own: Mapping[NamedNode, list[Term]]) -> tuple[NamedNode | None, Walk | None]:
         """Return the path: a predicate or a property path."""
         kinds, paths = own.get(rdf.type, ()), own.get(sh.path, [])
         if sh.NodeShape in kinds and (paths or sh.PropertyShape in kinds):
-            raise ValueError(f"{self.name(node)} is a sh:NodeShape, and so can be no property shape: it has a sh:path")
+            raise ValueError(f"{self.name(node)} is a sh:NodeShape but has a sh:path: make it a sh:PropertyShape")
         if not paths:
             if sh.PropertyShape in kinds:
                 raise ValueError(f"{self.name(node)} is a sh:PropertyShape without a sh:path")

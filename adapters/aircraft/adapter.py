@@ -62,7 +62,7 @@ def stop(flight: Flight, now_ns: int) -> Flight:
     """Return the flight after switching off, if it was on. Raises Declined while the aircraft moves."""
     speed = flight.speed_at(now_ns)
     if flight.on and speed > 0:
-        raise Declined(f"the aircraft still moves at {speed:g}: set the speed to 0 first")
+        raise Declined(f"the aircraft is still moving at {speed:g}: set the speed to 0 first")
     return replace(flight, on=False, speed=0.0, commanded=0.0, since_ns=now_ns)
 
 
@@ -133,9 +133,9 @@ def accept(flight: Flight, underway: FlyGoal | None, id: str, distance: float, n
     Raises Declined while the aircraft is off or has another goal, and for distances below 0 or above `MAX_DISTANCE`.
     """
     if not flight.on:
-        raise Declined("the aircraft is off: start it before it is to fly")
+        raise Declined("the aircraft is off: start it first")
     if underway is not None:
-        raise Declined("the aircraft flies already: cancel that goal first, or wait for its end")
+        raise Declined("the aircraft is already flying: cancel that goal first, or wait for its end")
     if not 0 <= distance <= MAX_DISTANCE:  # false for NaN
         raise Declined(f"the distance must be between 0 and {MAX_DISTANCE:g}, not {distance:g}")
     return FlyGoal(id, distance, now_ns)

@@ -221,7 +221,7 @@ def read_default(kind: FieldType, text: str) -> Default:
     if isinstance(kind, Primitive):
         return _scalar(kind, _unquoted(text) if kind.name in _STRINGS else text)
     if not isinstance(kind, Array) or not isinstance(kind.element, Primitive):
-        raise ValueError("a field that is a message has no default value of its own")
+        raise ValueError("a field that is a message cannot have a default value")
     if not (text.startswith("[") and text.endswith("]")):
         raise ValueError(f"{text} is not an array: write it in brackets")
     element = kind.element

@@ -127,13 +127,13 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
     if compression not in _DECOMPRESSORS:
         raise Damaged(f"the compression {compression!r} is not one of {', '.join(_DECOMPRESSORS)}")
     if size > MAX_PIECE:
-        raise Damaged(f"a chunk claims to hold {size} bytes, and {MAX_PIECE} are the most that are read")
+        raise Damaged(f"a chunk states a size of {size} bytes, more than the read limit of {MAX_PIECE}")
     try:
         inflated = b"".join(_inflate(_DECOMPRESSORS[compression](), data, size + 1))
     except _ERRORS as error:
         raise Damaged(f"a {compression} chunk cannot be decompressed: {error}") from error
     if len(inflated) != size:
-        raise Damaged(f"a {compression} chunk holds other than the {size} bytes it claims")
+        raise Damaged(f"a {compression} chunk does not contain the stated {size} bytes")
     return inflated
 
 
@@ -313,7 +313,7 @@ class ChunkedFile(Storage):
             except Damaged as damage:
                 scan = Scan(budget, self.encoding, self.kind)
                 self._read_through(self._file, begin, scan)
-                scan.notes.append(f"its index cannot be used ({damage}), so it was read through")
+                scan.notes.append(f"its index cannot be used ({damage}), so the whole file was read")
                 if not scan.connections:
                     raise Damaged(f"{damage}, and no complete {self.kind} was found in it either") from damage
         except BaseException:

@@ -84,7 +84,7 @@ class Rosbag1(ChunkedFile):
         line = file.read_up_to(0, 32).partition(b"\n")[0] + b"\n"
         version = line.strip()[len(MAGIC) :].decode("ascii", "replace")
         if version != "2.0":
-            raise Damaged(f"it is a bag of version {version}, and only 2.0 is read: convert it with `rosbag fix`")
+            raise Damaged(f"it is a bag of version {version}, but only 2.0 is supported: convert it with `rosbag fix`")
         self._header = _record_at(file, len(line))
         if self._header.header.get(b"encryptor"):
             raise Damaged("it is encrypted")

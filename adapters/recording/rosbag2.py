@@ -61,7 +61,7 @@ class Rosbag2(Storage):
                 budget.spend(parts=1)
                 self._files.append(open_file(path, budget))
             except (Damaged, OSError) as error:
-                notes.append(f"{path.name} is left out: {error}")
+                notes.append(f"{path.name} is omitted: {error}")
             except BaseException:
                 self.close()
                 raise
@@ -157,7 +157,7 @@ def _yaml(path: Path, budget: OpenBudget) -> _Yaml:
     for event in YAML(typ="safe", pure=True).parse(path.read_text("utf-8", "replace")):
         budget.work()
         if isinstance(event, events.AliasEvent):
-            raise ValueError("it has aliases, which are not read here")
+            raise ValueError("it has aliases, which are not supported")
         if isinstance(event, events.CollectionEndEvent):
             above.pop()
             keys.pop()

@@ -82,7 +82,7 @@ class TableBuilder:
     def add(self, time: int, connection: int, place: int, offset: int) -> None:
         """Add a row. Raises Damaged for an invalid time."""
         if time > _LAST_TIME:
-            raise Damaged(f"the time {time} ns is later than can be")
+            raise Damaged(f"the time {time} ns is out of range")
         self._rows.append((time, connection, place, offset))
         if len(self._rows) >= _PACKED:
             self._pack()
@@ -185,7 +185,7 @@ class OpenBudget:
     def check(self) -> None:
         """Raise OpeningRefused if reading was cancelled."""
         if self._is_cancelled:
-            raise OpeningRefused("reading it was called off")
+            raise OpeningRefused("reading it was cancelled")
 
     def allow(self, size: int) -> None:
         """Allow the work for a file of this size."""

@@ -215,7 +215,7 @@ class Actions:
         """Return the publication of an action's cancellations, with its server connected. Raises Unreachable."""
         publication = await self._publications.advertise(f"{action}/cancel", _CANCEL, until)
         if not await publication.connected_to(self._servers(action), until):
-            raise Unreachable(f"no goal was canceled: no server of {action} listens")
+            raise Unreachable(f"no goal was canceled: no server of {action} is connected")
         return publication
 
     def _request_cancellation(self, goal: GoalId, publication: Publication, times: int) -> None:

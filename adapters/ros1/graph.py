@@ -55,7 +55,7 @@ def actions_of(
         are_there = all(f"{name}/{end}" in publishers or f"{name}/{end}" in subscribers for end in expected)
         if kind and are_there and all(types.get(f"{name}/{end}") == each for end, each in expected.items()):
             servers = tuple(publishers.get(f"{name}/status", ()))
-            unusable = None if servers else "no node serves it: nobody publishes its status"
+            unusable = None if servers else "no node serves it: no node publishes its status"
             clients = tuple(publishers.get(topic, ()))
             actions[name] = Action(name, TypeRef(f"{package}/action/{kind}"), servers, clients, unusable)
     return actions

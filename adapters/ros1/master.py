@@ -145,14 +145,14 @@ class MasterApi:
         types = self._client.decode(snapshot.types)
         if state.code != 1 or types.code != 1:
             words = f"{state.words}, {types.words}"
-            raise Unreachable(f"the master at {self.uri} does not tell its state", words=words)
+            raise Unreachable(f"the master at {self.uri} does not report its state", words=words)
         try:
             publishers, subscribers, services = (_nodes_by_name(part) for part in _list(state.value))
             return SystemState(
                 publishers, subscribers, services, {name: str(each) for name, each in _pairs(types.value).items()}
             )
         except ValueError as error:
-            raise Unreachable(f"{self.uri} does not answer as a ROS 1 master does: {error}") from error
+            raise Unreachable(f"{self.uri} does not respond like a ROS 1 master: {error}") from error
 
     async def parameters_document(self) -> bytes:
         """Return the document of the whole parameter tree."""

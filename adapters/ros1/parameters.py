@@ -128,7 +128,7 @@ def _objection(value: object, depth: int) -> str | None:
     if isinstance(value, (bool, bytes)):
         return None
     if isinstance(value, int):
-        return None if value in _INT32 else f"{value} does not fit the 32 bits that ROS 1 parameters have"
+        return None if value in _INT32 else f"{value} does not fit the 32 bits of ROS 1 parameters"
     if isinstance(value, float):
         return None if math.isfinite(value) else f"{value} is not a number that ROS 1 parameters can hold"
     if isinstance(value, str):
@@ -304,5 +304,5 @@ def _seconds_left(until: float) -> float:
     """Return the seconds left. Raises TimedOut, with nothing sent, if there are none."""
     left = until - asyncio.get_running_loop().time()
     if left <= 0:
-        raise TimedOut("the time was up before the master was asked")
+        raise TimedOut("the deadline passed before the request was sent to the master")
     return left

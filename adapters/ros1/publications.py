@@ -73,13 +73,13 @@ class SlaveApi:
             case "requestTopic", [_, str(topic), list(protocols)]:
                 return self._request_topic(topic, protocols)
             case _:
-                return Answer(-1, f"there is no method {method[:80]!r} that takes these arguments", 0)
+                return Answer(-1, f"there is no method {method[:80]!r} with these arguments", 0)
 
     def _request_topic(self, topic: str, protocols: list[ParameterValue]) -> Answer:
         if topic not in dict(self._published.topics()):
             return Answer(0, f"{topic[:200]} is not published here", [])
         if not any(isinstance(each, list) and each[:1] == ["TCPROS"] for each in protocols):
-            return Answer(0, "only TCPROS is spoken here", [])
+            return Answer(0, "only TCPROS is supported", [])
         return Answer(1, "ready", ["TCPROS", self._host, self._published.port])
 
 

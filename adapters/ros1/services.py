@@ -104,7 +104,7 @@ class Services:
             except (RosError, OSError, EOFError, BadFrame, asyncio.TimeoutError) as error:
                 before = self._known_facts.services.get(service, ServiceFacts())
                 words = str(error) or "no answer in time"
-                facts = ServiceFacts(before.type, f"its node does not tell its type: {words}")
+                facts = ServiceFacts(before.type, f"its node does not report its type: {words}")
             if service in self._probed:
                 self._known_facts.set_service(service, facts)
 
@@ -121,7 +121,7 @@ class Services:
     async def _facts_of(self, header: Header) -> ServiceFacts:
         """Return the facts in a service's header, and whether its definition is known."""
         if "error" in header:
-            return ServiceFacts(None, f"its node refuses to tell its type: {header['error']}")
+            return ServiceFacts(None, f"its node refuses to report its type: {header['error']}")
         name = type_name(header.get("type", ""), "srv")
         if name is None:
             return ServiceFacts(None, f"its node reports the type {header.get('type', '')[:80]!r}")

@@ -136,7 +136,7 @@ class PublisherReader:
             raise Unreachable(f"another node responds for {self.slot.publisher} at the master's host: use --host-map")
         name = type_name(header.get("type", ""))
         if name is None:
-            raise Refused(f"{self.slot.publisher} names no type of messages", words=header.get("type"))
+            raise Refused(f"{self.slot.publisher} does not state a message type", words=header.get("type"))
         ref = TypeRef(name, header.get("md5sum"))
         self._types.learn(ref, header.get("message_definition", ""))
         latched = header.get("latching") == "1"

@@ -46,7 +46,7 @@ def read_source(text: str) -> Source:
     """
     rest = text.removeprefix("ros2").removeprefix(":").removeprefix("//")
     if rest and not rest.startswith("?"):
-        raise ValueError(f"{text!r} names no ROS 2 system: write ros2: or ros2:?domain=42&namespace=/robot1")
+        raise ValueError(f"{text!r} is not a ROS 2 system: write ros2: or ros2:?domain=42&namespace=/robot1")
     try:
         pairs = parse_qsl(rest[1:], keep_blank_values=True, strict_parsing=bool(rest[1:]))
     except ValueError as error:

@@ -46,7 +46,7 @@ class Calls:
     async def call(self, service: str, type: str, request: object, until: float) -> object:
         """Return the response; `until` is a time of the thread's loop. Raises TimedOut, Unreachable, UnknownType."""
         if until <= self._loop.time():
-            raise TimedOut(f"the time was up before {service} was called")
+            raise TimedOut(f"the deadline passed before {service} was called")
         entry = self._client_of(service, type)
         entry.users += 1
         try:

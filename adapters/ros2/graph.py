@@ -140,7 +140,7 @@ def _service(name: str, types: tuple[str, ...], providers: tuple[str, ...], inpu
 def of_action(service: str) -> str | None:
     """Return why an action's service must not be called directly (past the followers of its goals), or None."""
     action = action_of(service)
-    return action and f"it is a part of the action {action}: goals are sent, followed and canceled by that"
+    return action and f"it is a part of the action {action}: send, follow and cancel goals there"
 
 
 def _actions(

@@ -191,7 +191,7 @@ class Lifecycles(Struct):
         """Record that a node does not respond, unless it is in transition."""
         if not entry.is_underway:
             why = error.sentence if isinstance(error, RosError) else error
-            words = f"it does not tell the state of its lifecycle: {why}"
+            words = f"it does not report the state of its lifecycle: {why}"
             entry.lifecycle = replace(entry.lifecycle, transitions=(), unknown=words)
 
     async def _learn(self, node: str, entry: _ManagedNode, until: float) -> None:

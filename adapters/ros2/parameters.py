@@ -261,7 +261,7 @@ class Parameters(Struct):
         except (RosError, ValueError) as error:
             self._retry_later(owner)
             if self.owners.get(node) is owner:
-                self.unreachable[node] = f"it does not tell its parameters: {error}"
+                self.unreachable[node] = f"it does not report its parameters: {error}"
         else:
             owner.query_at = loop.time() + _AGAIN
             if descriptors is not None:

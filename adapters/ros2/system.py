@@ -189,7 +189,7 @@ class System:
                 self.calls.drop_missing_servers()
                 self.actions.drop_missing_servers()
             except Exception as error:  # any error of the middleware: the next poll retries
-                self._graph.mark_stale(f"the system cannot be looked at: {error}")
+                self._graph.mark_stale(f"the system cannot be inspected: {error}")
                 await asyncio.sleep(_EVERY)
 
     def _graph_inputs(self) -> GraphInputs:

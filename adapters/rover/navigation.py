@@ -88,7 +88,7 @@ def depart(id: str, goal: Pose, motion: Motion, world: World) -> Journey:
     if mapped.clearance(goal.x, goal.y) < RADIUS:
         return Journey(id, goal, (), f"an obstacle stands at {place}")
     corners = find_path(grid_of(mapped), (motion.x, motion.y), (goal.x, goal.y))
-    return Journey(id, goal, corners, None if corners else f"no free way leads to {place}")
+    return Journey(id, goal, corners, None if corners else f"no free path leads to {place}")
 
 
 def remaining_length(journey: Journey, motion: Motion) -> float:
@@ -132,7 +132,7 @@ def end_of(journey: Journey, motion: Motion, world: World, is_empty: bool) -> Jo
     if motion.velocity.speed > 0 and (motion.is_bumped or is_blocked_ahead(world, motion, distance)):
         place = f"({motion.x:.2f}, {motion.y:.2f})"
         return JourneyEnd(
-            journey.id, GoalStatus.ABORTED, f"an obstacle that is not on the map blocks the way ahead of {place}"
+            journey.id, GoalStatus.ABORTED, f"an obstacle that is not on the map blocks the path at {place}"
         )
     return None
 

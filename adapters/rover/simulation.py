@@ -187,7 +187,7 @@ class Simulation:
         if distance > _DOCK_REACH:
             return Answer(False, f"the dock is {distance:.1f} m away: navigate to ({DOCK[0]:g}, {DOCK[1]:g}) first")
         if not self.state.is_at_rest:
-            return Answer(False, "the rover still moves: stop it first")
+            return Answer(False, "the rover is still moving: stop it first")
         self._set_state(replace(self.state, is_docked=True))
         return Answer(True, "charging")
 
@@ -196,7 +196,7 @@ class Simulation:
         self.advance(now)
         state = self.state
         if state.journey is not None:
-            end = JourneyEnd(state.journey.id, GoalStatus.ABORTED, "another goal took its place")
+            end = JourneyEnd(state.journey.id, GoalStatus.ABORTED, "another goal replaced it")
             self._set_state(replace(state, ended=(*state.ended, end)))
         self.state = replace(self.state, journey=depart(id, goal, self.state.motion, self.world))
         self._lines.append(LogLine(Severity.INFO, f"navigating to ({goal.x:g}, {goal.y:g})"))
@@ -254,7 +254,7 @@ def read_source(text: str) -> Start:
     """Return the initial state in a source. Raises ValueError with a sentence for the user."""
     rest = text.removeprefix("rover").removeprefix(":").removeprefix("//")
     if rest and not rest.startswith("?"):
-        raise ValueError(f"{text!r} names no rover: write rover or {_EXAMPLE}")
+        raise ValueError(f"{text!r} is not a rover: write rover or {_EXAMPLE}")
     try:
         pairs = parse_qsl(rest[1:], keep_blank_values=True, strict_parsing=bool(rest[1:]))
     except ValueError as error:

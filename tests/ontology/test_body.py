@@ -167,7 +167,7 @@ def test_json_keeps_every_integer_exact() -> None:
         (b'{"a": ', "line 1, column 7"),
         (b"", "line 1, column 1"),
         (b"{}{}", "Extra data"),
-        (b"'a'", "this is no JSON"),
+        (b"'a'", "this is not JSON"),
         (b"\xff", "not UTF-8"),
         (b"[" * 100_000, "nested deeper than 128 levels"),
         (b'{"a":' * 100_000, "nested deeper than 128 levels"),

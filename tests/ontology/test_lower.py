@@ -119,10 +119,10 @@ def test_any_literal_that_holds_the_value_fits(kind: str, turtle: str, expected:
         ("int8", '"NaN"^^xsd:double', "expected an int8 (an integer from -128 to 127), as an integer or a decimal"),
         ("int8", '"300"^^xsd:byte', "this is not a valid xsd:byte"),
         ("int8", '"1"', "expected an int8 (an integer from -128 to 127)"),
-        ("float32", "1e39", "expected a float32, and this is beyond its range"),
+        ("float32", "1e39", "expected a float32, but this is out of its range"),
         ("float32", '"1e39"^^xsd:float', "beyond the range of xsd:float"),
         ("float64", '"1e400"^^xsd:double', "beyond the range of xsd:double"),
-        ("float64", f"1{'0' * 399}.0", "expected a float64, and this is beyond its range"),
+        ("float64", f"1{'0' * 399}.0", "expected a float64, but this is out of its range"),
         ("float64", '"1_0"^^xsd:double', "this is not a number"),
         ("float64", '"0x1"^^xsd:integer', "this is not a valid xsd:integer"),
         ("bool", "1", "expected a bool"),
@@ -131,16 +131,16 @@ def test_any_literal_that_holds_the_value_fits(kind: str, turtle: str, expected:
         ("string", '"%"^^xsd:base64Binary', "expected base64"),
         ("uint8[]", '"[256]"^^rdf:JSON', "expected a uint8 (an integer from 0 to 255)"),
         ("uint8[3]", '"AP8="^^xsd:base64Binary', "expected an array of exactly 3 uint8"),
-        ("float64[2]", "(1)", "expected an array of exactly 2 float64, and this has 1"),
+        ("float64[2]", "(1)", "expected an array of exactly 2 float64, but this has 1"),
         ("float64[]", '"[1,true]"^^rdf:JSON', "expected a float64"),
         ("float64[]", '"{}"^^rdf:JSON', "expected an array of float64 in JSON"),
-        ("float32[]", '"[1e39]"^^rdf:JSON', "expected a float32, and this is beyond its range"),
+        ("float32[]", '"[1e39]"^^rdf:JSON', "expected a float32, but this is out of its range"),
         ("float64[]", "[rdf:first 1]", "malformed rdf:List"),
         ("float64[]", "[rdf:first 1, 2; rdf:rest ()]", "malformed rdf:List"),
         ("float64[]", "_:a . _:a rdf:first 1 ; rdf:rest _:a", "malformed rdf:List: it never ends"),
         ("float64[]", "<#e> . <#e> a ros:Elided", "elided"),
         ("string", "<#e> . <#e> a ros:Elided", "elided"),
-        ("float64", "1, 2", "expected one value, and there are 2"),
+        ("float64", "1, 2", "expected one value, but there are 2"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_path_and_what_was_expected(kind: str, turtle: str, words: str) -> None:
@@ -156,9 +156,9 @@ def test_bounds_of_ros_2_are_kept() -> None:
     schema = schema_of("string<=2 s\nfloat64[<=2] a\nstring<=1[] t", 2)
     found = violations_of(schema, '<#message> t:s "üü" ; t:a (1 2 3) ; t:t ("a" "bc") .')
     assert found == {
-        "s": "expected a string of at most 2 bytes, and this has 4",
-        "a": "expected an array of at most 2 float64, and this has 3",
-        "t.1": "expected a string of at most 1 bytes, and this has 2",
+        "s": "expected a string of at most 2 bytes, but this has 4",
+        "a": "expected an array of at most 2 float64, but this has 3",
+        "t.1": "expected a string of at most 1 bytes, but this has 2",
     }
 
 
@@ -191,7 +191,7 @@ def test_another_type_is_refused() -> None:
 def test_a_node_within_itself_is_refused() -> None:
     schema = schema_of("Middle m\n=====\nMSG: made_up/Middle\nInner i" + INNER)
     found = violations_of(schema, f"<#message> t:m <#a> . <#a> <{TYPES}made_up/msg/Middle#i> <#a> .")
-    assert "holds itself" in found["m.i"]
+    assert "contains itself" in found["m.i"]
 
 
 def test_what_the_server_says_about_a_message_means_nothing_when_sent_back() -> None:

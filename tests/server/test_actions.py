@@ -150,7 +150,7 @@ def test_a_rejected_goal_is_409_with_the_robots_words_and_is_kept(own_aircraft: 
     http = own_aircraft
     answer = sent(http, 1)
     assert answer.status_code == 409
-    assert answer.json()["robotSaid"] == "the aircraft is off: start it before it is to fly"
+    assert answer.json()["robotSaid"] == "the aircraft is off: start it first"
     goal = http.get(answer.headers["location"], headers=JSON).json()
     assert (goal["status"], goal["words"]) == ("rejected", answer.json()["robotSaid"])
     assert says(http, answer.headers["location"], f"{ROS}status") == [f"<{ROS}Rejected>"]

@@ -154,7 +154,7 @@ USELESS = (
     (SLOW.replace("sh:targetNode <../resources/aircraft/engine/speed> ;", ""), "limits nothing"),
     (SLOW.replace("../resources", "resources"), "which is not a resource"),
     (SLOW.replace("../resources/aircraft/engine/speed", "http://other.example/x"), "which is not a resource"),
-    (SLOW.replace("sh:targetNode", "sh:targetSubjectsOf"), "a limit is told by sh:targetNode"),
+    (SLOW.replace("sh:targetNode", "sh:targetSubjectsOf"), "name what it limits by sh:targetNode"),
     (SLOW.replace("sh:maxInclusive 100", 'sh:sparql [ sh:select "SELECT $this {}" ]'), ""),
     (SLOW.replace("sh:maxInclusive 100", "sh:maxInclusive <x:y>"), ""),
     (SLOW.replace("sh:maxInclusive 100", 'sh:pattern "(?=a)"'), ""),

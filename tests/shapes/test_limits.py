@@ -195,7 +195,7 @@ def test_bounds_of_a_message_are_by_dotted_path_and_merged() -> None:
         ("<#l> a sh:NodeShape, rdfs:Class ; sh:property [ sh:path vector:x ; sh:maxInclusive 1 ] .", "a message type"),
         ("<#l> sh:targetNode <topics/a> ; sh:property [ sh:maxInclusive 1 ] .", "without a sh:path"),
         ("<#l> sh:targetNode <topics/a> ; sh:property [ sh:path rdf:value ; sh:maxInlcusive 1 ] .", "sh:maxInlcusive"),
-        ("<#l> sh:targetNode <topics/a> ; sh:node <#m> .", "nothing is said of it"),
+        ("<#l> sh:targetNode <topics/a> ; sh:node <#m> .", "not described in this graph"),
     ],
 )  # fmt: skip
 def test_limits_that_could_not_be_held_are_refused_with_a_sentence(turtle: str, words: str) -> None:

@@ -279,7 +279,7 @@ def test_a_chunk_that_claims_to_be_huge_is_not_believed(recorder: ModuleType, tm
     at = data.index(b"size=") + 5
     data[at : at + 4] = b"\xff\xff\xff\xff"
     path.write_bytes(data)
-    with opened(path) as bag, pytest.raises(Unreachable, match="claims to hold"):
+    with opened(path) as bag, pytest.raises(Unreachable, match="states a size of"):
         bag.message(0)
 
 

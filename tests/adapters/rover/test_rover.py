@@ -164,7 +164,7 @@ def test_a_source_says_how_it_begins_and_a_wrong_one_is_refused_in_a_sentence() 
     assert (start.battery, start.pose.x, start.pose.heading, start.rate) == (0.21, 1.0, 1.57, 10.0)
     assert read_source("rover") == read_source("rover:") == read_source("rover:?")
     for source, words in (
-        ("rover:moon", "names no rover"),
+        ("rover:moon", "is not a rover"),
         ("rover:?colour=red", "'colour'"),
         ("rover:?battery=2", "battery='2'"),
         ("rover:?battery=nan", "battery='nan'"),

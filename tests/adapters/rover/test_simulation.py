@@ -155,7 +155,7 @@ def test_a_goal_ends_when_the_battery_does_when_it_is_canceled_and_when_another_
     assert ended(simulation, 0.6) == (GoalStatus.CANCELED, "canceled")
     simulation.navigate("c", Pose(4.4, -3.4, 0.0), 1.0)
     simulation.navigate("d", Pose(0.0, 0.0, 0.0), 1.5)
-    assert ended(simulation, 1.5) == (GoalStatus.ABORTED, "another goal took its place")
+    assert ended(simulation, 1.5) == (GoalStatus.ABORTED, "another goal replaced it")
 
 
 def test_a_command_does_not_end_a_goal() -> None:

@@ -126,10 +126,9 @@ class BagTable(BagBase):
     async def custom_get(self, exchange: Exchange) -> Response | None:
         topic = self._topic(exchange)
         recording, space, permissions, wanted = self.recording, self.space, exchange.permissions, self.wanted
-        version = (
-            f"{recording.identity} {recording.first} {recording.count} {self.query} {permissions.rights_key} {topic}"
-        )
-        etag = ETag(digest(version.encode()), self.format)
+        rows = Rows(wanted.start, wanted.end, wanted.from_ns, wanted.to_ns, self.most)
+        version = recording.identity, recording.first, recording.count, topic, rows, permissions.rights_key
+        etag = ETag(digest(repr(version).encode()), self.format)
         if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
         if check_preconditions("GET", etag, if_match=if_match, if_none_match=if_none_match):
             return Response(status_code=304, headers={"etag": str(etag), "vary": "Accept"})
@@ -142,7 +141,6 @@ class BagTable(BagBase):
                 shown = lambda node: permissions.may_read(space.node(node))  # noqa: E731
             table = TopicTable(recording, topic, may_read, shown)
             tables.append(table)
-            rows = Rows(wanted.start, wanted.end, wanted.from_ns, wanted.to_ns, self.most)
             return table.schema, table.parts(rows)
 
         name = f"{recording.name}{topic}".replace("/", "-").encode("ascii", "replace").decode().replace('"', "_")

@@ -197,6 +197,8 @@ def test_a_topic_of_a_recording_is_a_table(talk: Any) -> None:
         assert read(io.BytesIO(answer.content))["data"].to_pylist() == [str(number) for number in range(20)]
         assert answer.headers["content-type"] == f"application/vnd.apache.{format}{'.stream' * (format == 'arrow')}"
         assert http.get(path, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
+        moving = http.get(f"{path}&from=-1000000000").headers["etag"]
+        assert http.get(f"{path}&from=-1000000000").headers["etag"] != moving
         assert http.head(path).headers["etag"] == answer.headers["etag"]
     answer = http.get("/bags/history/messages/?format=csv")
     assert (answer.status_code, "name it" in answer.text) == (400, True), answer.text

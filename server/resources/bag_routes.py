@@ -304,7 +304,7 @@ class BagContainer(ListedBags):
         except RecordingRefused as error:
             raise Problem(409 if error.is_conflict else 422, f"{error}.") from error
         except CutRefused as error:
-            raise Problem(422, f"{error}.") from error
+            raise Problem(422, f"{str(error)[:1].upper()}{str(error)[1:]}.") from error
         except RosError as error:
             raise problem_of(error) from error
         except OSError as error:

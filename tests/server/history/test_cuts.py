@@ -85,11 +85,11 @@ def test_what_cannot_be_cut_is_refused_and_says_why(served: Any) -> None:
         ({"of": "nothing"}, "There is no recording nothing"),
         ({"of": 3}, "of must be the name"),
         ({"of": "run", "from": "soon"}, "from=soon is neither a time"),
-        ({"of": "run", "from": 5, "to": 3}, "from is after to"),
+        ({"of": "run", "from": 5, "to": 3}, "From is after to"),
         ({"of": "run", "from": 500}, "no messages of these topics"),
         ({"of": "run", "duration": 3}, "duration is unknown for a cut"),
         ({"of": "run", "around": "speed.date > 1"}, "no field 'date'"),
-        ({"of": "run", "around": "speed.data > 100"}, "nothing was found"),
+        ({"of": "run", "around": "speed.data > 100"}, "Nothing was found"),
         ({"of": "run", "around": "SELECT ?m { ?m a ros:Bag }"}, "xsd:dateTime"),
         ({"of": "run", "topics": ["/speed"], "from": 500}, "no messages"),
     ):

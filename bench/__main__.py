@@ -8,6 +8,7 @@ from pathlib import Path
 
 PARTS = (
     "lifting.py",
+    "conversion.py",
     "web.py",
     "ros1_ingest.py",
     "ros2.py",

@@ -59,7 +59,7 @@ def open_storage(path: Path, budget: OpenBudget | None = None, *, only_totals: b
     if not path.exists():
         raise NotFound(f"there is no recording {str(path)!r}")
     try:
-        return Rosbag2(path, opener, budget) if path.is_dir() else opener(path, budget)
+        return Rosbag2(path, opener, budget, only_totals=only_totals) if path.is_dir() else opener(path, budget)
     except (Damaged, OpeningRefused) as damage:
         raise Unreadable(f"{str(path)!r} cannot be read as a recording: {damage}") from damage
     except OSError as error:

@@ -243,6 +243,9 @@ class Recording(Protocol):
     def select(self, criteria: MessageFilter, limit: int) -> MessagePage:
         """Return at most `limit` messages of about `PAGE_BYTES` in total, reading no others."""
 
+    def density(self, parts: int) -> Mapping[str, Sequence[int]]:
+        """Return the numbers of messages in equal parts of the time, by topic; empty if that is not known at once."""
+
     def schema(self, ref: TypeRef) -> Schema:
         """Return the schema of a type of this recording; raises UnknownType."""
 

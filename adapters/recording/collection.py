@@ -186,6 +186,10 @@ class CataloguedRecording:
         with self._pool.use(self._row) as bag:
             return bag.types_of(topic)
 
+    def density(self, parts: int) -> Mapping[str, Sequence[int]]:
+        with self._pool.use(self._row) as bag:
+            return bag.density(parts)
+
     def schema(self, ref: TypeRef) -> Schema:
         with self._pool.use(self._row) as bag:
             return bag.schema(ref)

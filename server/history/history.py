@@ -301,6 +301,10 @@ class HistoryRecording:
             raise Unreachable(f"the history of {topic} cannot be read: {error}") from error
         return None if sample is None else RecordedMessage(sample.sequence - 1, topic, sample)
 
+    def density(self, parts: int) -> Mapping[str, Sequence[int]]:
+        """Return nothing: it changes all the time."""
+        return {}
+
     def latched_before(self, time_ns: int, selects: Callable[[str], bool]) -> Iterable[tuple[str, Sample]]:
         """Return the latched messages that are in force at a time, with their topics. Raises Unreachable."""
         try:

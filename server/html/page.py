@@ -119,6 +119,7 @@ class MemberColumns(Struct, frozen=True):
     A described resource that is not a direct member (a name in a nested namespace) gets its own row. `total` is the
     number of all members if the table may be incomplete. `names` label members whose URLs end in an identifier,
     `failed` are the URLs of members that failed. `note` is a sentence below the table.
+    `is_sorted`: their order matters, so that they are not grouped by name.
     """
 
     columns: tuple[str, ...] = ()
@@ -127,6 +128,28 @@ class MemberColumns(Struct, frozen=True):
     names: Mapping[str, str] = field(default_factory=dict)
     failed: frozenset[str] = frozenset()
     note: str = ""
+    is_sorted: bool = False
+
+
+class FilterField(Struct, frozen=True):
+    """A field of the form that filters a container: its parameter, label and value, and the choices, if few.
+
+    `kind` is the type of its input in HTML.
+    """
+
+    name: str
+    label: str
+    value: str = ""
+    choices: tuple[str, ...] = ()
+    kind: str = "text"
+
+
+class Figure(Struct, frozen=True):
+    """A picture on a page: its reference, its words for those who do not see it, and links below it by their text."""
+
+    src: str
+    alt: str
+    links: Mapping[str, str]
 
 
 class Page(Struct, frozen=True):
@@ -152,6 +175,8 @@ class Page(Struct, frozen=True):
     alternates: tuple[Alternate, ...] = ALTERNATES
     offer: Offer | None = None
     query: str = ""
+    figure: Figure | None = None
+    filters: tuple[FilterField, ...] = ()
 
 
 class EntryCount(Struct, frozen=True):

@@ -282,7 +282,7 @@ def container_table(document: Document, site: Site, listing: MemberColumns | Non
         if not url.endswith("/") or (listing is not None and url in cells)
     )
     namespaces = tuple(anchors[url] for url in urls if url in containers)
-    groups = group_names(members, lambda row: row.anchor.text)
+    groups = () if listing and listing.is_sorted else group_names(members, lambda row: row.anchor.text)
     return ContainerTable(columns, members, namespaces, total, groups, listing.note if listing and members else "")
 
 

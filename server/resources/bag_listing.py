@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from fnmatch import fnmatchcase
-from urllib.parse import quote
+from urllib.parse import parse_qsl, quote
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.adapters.catalogue import SORTS, Catalogue, Row, Selection
 from rosld.ontology.describe_graph import container_document
 from rosld.server.auth.permissions import Permissions
-from rosld.server.html.page import Cell, MemberColumns, SequenceLink
+from rosld.server.html.forms import Form
+from rosld.server.html.page import Cell, Csrf, FilterField, MemberColumns, Notice, Page, SequenceLink
+from rosld.server.html.site import Site
 from rosld.server.http.problem import Problem
 from rosld.server.resources.bags import BagBase
 from rosld.server.resources.listings import time_cell
@@ -46,6 +49,7 @@ FILTERS = (
     QueryParameter("q", "Only recordings with these words in their name, topics, tags and events."),
     QueryParameter("sort", "The order; with `-` before it the reverse.", {"type": "string", "enum": [*_SORTS]}),
 )
+_LABELS = {"q": "Words", "from": "From", "to": "To", "min_duration": "Seconds at least", "sort": "Order"}
 _COLUMNS = ("start", "duration", "messages", "size", "tags", "problem")
 
 
@@ -161,7 +165,25 @@ class ListedBags(BagBase):
             self._count(),
             {url: row.name for url, row in by_url.items()},
             frozenset(url for url, row in by_url.items() if not row.is_readable),
+            is_sorted=True,
         )
+
+    def page(
+        self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]
+    ) -> Page | bytes:
+        """Return its page with a form of filters."""
+        page, given = super().page(site, state, forms, csrf, notices), dict(parse_qsl(self._listing.query))
+        fields = tuple(
+            FilterField(
+                each.name,
+                _LABELS.get(each.name, each.name.capitalize()),
+                given.get(each.name, ""),
+                _SORTS if each.name == "sort" else (),
+                "number" if each.name == "min_duration" else "text",
+            )
+            for each in FILTERS
+        )
+        return replace(page, filters=fields) if isinstance(page, Page) else page
 
     def _cells(self, row: Row) -> tuple[Cell, ...]:
         problem = row.problem or ("its file has vanished" if row.is_missing else "")

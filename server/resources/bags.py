@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import math
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from urllib.parse import quote
 
 import orjson
 from msgspec import Struct
@@ -16,6 +18,7 @@ from starlette.responses import Response
 
 from rosld.adapters.base import RecordedTopic, Recording, Watch
 from rosld.adapters.catalogue import Catalogue, Row
+from rosld.adapters.model import RosError
 from rosld.ontology.describe_bags import BagView, bag_document
 from rosld.ontology.describe_datasets import CROISSANT, structured_data
 from rosld.ontology.document import Document
@@ -26,8 +29,9 @@ from rosld.server.auth.redaction import redact_document
 from rosld.server.history.armed_recordings import ArmedRecording
 from rosld.server.history.recordings import Recordings, RunningRecording
 from rosld.server.html.forms import ChoiceForm, DeleteForm, Form
-from rosld.server.html.page import Csrf, Notice, NoticeLevel, Page, SequenceLink
+from rosld.server.html.page import Csrf, Figure, Notice, NoticeLevel, Page, SequenceLink
 from rosld.server.html.site import Site
+from rosld.server.html.timeline import PARTS, Mark, timeline_svg
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
@@ -40,6 +44,7 @@ from rosld.server.rest.formats import FORMATS
 from rosld.server.rest.path_item import FORMAT, PathItem, WriteMethod
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOURCE, Answer, Resource, ShownAnswer
 from rosld.server.rest.responses import bytes_response
+from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
 from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import call_every, loop_time
@@ -164,7 +169,8 @@ _TOPIC_BYTES = 200
 
 
 _CROISSANT, _JSON_LD = "croissant", Syntax.JSON_LD.media_type
-_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS, _CROISSANT]})
+_SVG = "svg"
+_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*FORMATS, _CROISSANT, _SVG]})
 
 
 class BagResource(BagBase):
@@ -186,13 +192,41 @@ class BagResource(BagBase):
         self.links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER, croissant)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        """Return the recording as a dataset in the profile Croissant if the client asks for it."""
+        """Return the recording as a dataset in the profile Croissant, or its time line, if the client asks for it."""
         wanted = exchange.query.get("format")
+        if wanted == _SVG:
+            return await self._timeline(exchange)
         if wanted != _CROISSANT and (wanted is not None or CROISSANT not in (exchange.accept or "")):
             return None
         document = redact_document((await self.state()).document, exchange.permissions)
         data = orjson.dumps(structured_data(document))
         return bytes_response(exchange, data, f'{_JSON_LD};profile="{CROISSANT}"', ETag(digest(data), _CROISSANT))
+
+    async def _timeline(self, exchange: Exchange) -> Response:
+        """Return the time line of the topics that the agent may read. Raises a 406 Problem for the history."""
+        recording, row, catalogue = self.recording, self.row, self.recordings.catalogue
+        try:
+            density = await asyncio.to_thread(recording.density, PARTS)
+        except RosError as error:
+            raise problem_of(error) from error
+        if not density or row is None:
+            raise Problem(406, f"{recording.name} has no time line.")
+        readable = {name: counts for name, counts in density.items() if exchange.permissions.may_read_topic(name)}
+        marks = [Mark(*event) for event in catalogue.events(row.id)]
+        data = timeline_svg(recording.start_ns, recording.end_ns, readable, marks).encode()
+        return bytes_response(exchange, data, "image/svg+xml", ETag(digest(data), _SVG))
+
+    def page(
+        self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]
+    ) -> Page | bytes:
+        """Return its page with the time line, and links to the messages of each topic."""
+        page = super().page(site, state, forms, csrf, notices)
+        if not isinstance(page, Page) or not self.recording.count or self.row is None:
+            return page
+        topics = [name for name in self.recording.topics if site.may("GET", self.space.topic(name))]
+        links = {name: f"messages/?topic={quote(name, safe='/')}" for name in topics}
+        words = f"When each of {len(topics)} topics has messages, and when events were"
+        return replace(page, figure=Figure(f"?format={_SVG}", words, links))
 
     def methods(self) -> frozenset[str]:
         if self.session.settings.read_only or self.recording is self.recordings.history.recording:

@@ -134,7 +134,9 @@ class Session:
         """Name of the robot: `--name`, a recording's name, the robot's own, its host's, or the kind of system."""
         if self.settings.name:
             return shown_name(self.settings.name)
-        recordings = [] if self.adapter.catalogue is not None else list(self.adapter.recordings)
+        if self.adapter.catalogue is not None:
+            return "recordings"
+        recordings = list(self.adapter.recordings)
         if recordings:
             return recordings[0]
         if self._follower.robot_name is not None:

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import httpx
 import pytest
 
 from tests.runs import START_NS, write_run
+from tests.server.auth.conftest import clients, rule, tokens
 from tests.server.conftest import Served
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 NTRIPLES = {"Accept": "application/n-triples"}
 JSON = {"Accept": "application/json"}
 PATCH = {"Content-Type": "application/merge-patch+json", **JSON}
 ROS = "https://w3id.org/rosld#"
+AT = {"name": "slip & slide", "at": "2023-11-15T00:13:21Z"}
+SPAN = {"name": "docking", "from": "2023-11-15T00:13:21Z", "to": "2023-11-15T00:13:22Z"}
 
 
 @pytest.fixture(scope="module")
@@ -175,3 +185,52 @@ def test_several_sources_are_one_collection_and_a_recording_made_here_takes_tags
     first.stop()
     again: Any = serve("aircraft", "--data", str(data), "--port", first.url.rstrip("/").rpartition(":")[2]).http
     assert names(again, "?tag=own") == names(again) == ["mine"]
+
+
+def test_the_page_of_a_recording_has_a_time_line_and_that_of_all_a_form(http: httpx.Client) -> None:
+    assert http.patch("/bags/third/", json={"events": [AT, SPAN]}, headers=PATCH).status_code == 200
+    page = http.get("/bags/third/", headers={"Accept": "text/html"}).text
+    assert '<img src="?format=svg"' in page
+    assert 'href="messages/?topic=/odom&amp;format=csv"' in page
+    drawn = http.get("/bags/third/?format=svg")
+    assert drawn.headers["content-type"] == "image/svg+xml"
+    words = {each.text for each in ElementTree.fromstring(drawn.text).iter("{http://www.w3.org/2000/svg}text")}
+    assert {"/odom", "/imu", "slip & slide", "docking"} <= words
+    assert 'name="min_duration"' in http.get("/bags/", headers={"Accept": "text/html"}).text
+
+
+def test_what_an_agent_may_not_read_is_not_found_by_filters(
+    folder: Path, tmp_path: Path, serve: Callable[..., Served]
+) -> None:
+    rules = tmp_path / "rules.toml"
+    rules.write_text(
+        tokens("reader")
+        + rule("reader", "read", "/bags/**", "/topics/**")
+        + rule("reader", "read control", "/topics/odom", "/bags/third/**", deny=True)
+    )
+    server = serve(str(folder), "--auth", str(rules))
+    http = clients(server.url, "reader")["reader"]
+    assert names(http) == ["broken", "fourth", "new-run", "old-run"]
+    assert names(http, "?topic=/imu") == ["fourth", "new-run", "old-run"]
+    for query in ("?topic=/odom", "?topic=/od*", "?type=nav_msgs/msg/Odometry", "?q=odom"):
+        assert names(http, query) == [], query
+    drawn = http.get("/bags/fourth/?format=svg").text
+    assert "/imu" in drawn
+    assert "odom" not in drawn
+    assert http.patch("/bags/fourth/", json={"tags": ["x"]}, headers=PATCH).status_code == 403
+
+
+def test_a_folder_of_numbered_parts_is_one_recording_and_compressed_files_are_read(
+    tmp_path: Path, serve: Callable[..., Served]
+) -> None:
+    parts = tmp_path / "all" / "run"
+    parts.mkdir(parents=True)
+    for number in range(2):
+        write_run(parts / f"run_{number}.mcap", seconds=1, seed=number, start_ns=START_NS + number * 10**9)
+    write_run(tmp_path / "x.mcap", seconds=1, seed=5)
+    (tmp_path / "all" / "x.mcap.zst").write_bytes(zstd.compress((tmp_path / "x.mcap").read_bytes()))
+    http = serve(str(tmp_path / "all")).http
+    assert names(http) == ["run", "x"]
+    assert f'<{ROS}count> "148"' in http.get("/bags/run/", headers=NTRIPLES).text
+    assert http.get("/bags/x/messages/73", headers=JSON).status_code == 200
+    assert http.get("/bags/run/messages/147", headers=JSON).status_code == 200

@@ -28,6 +28,8 @@ def adapter(source: str, options: AdapterOptions) -> Adapter:
     if "?" in path.name and not path.expanduser().exists():
         name, _, query = str(path).partition("?")
         path, part = Path(name), parse_part(query)
+        if path.expanduser().is_dir() and not is_one_recording(path.expanduser()):
+            raise ValueError(f"{name} is a folder of recordings: a part can only be of one of them")
     return RecordingAdapter(path.expanduser(), options, part=part)
 
 

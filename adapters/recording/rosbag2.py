@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 import sys
 import threading
@@ -35,6 +36,8 @@ _MAX_BYTES = 2 * 1024 * 1024
 """Maximum bytes of metadata, enough for some 4,000 topics."""
 _MAX_LEVELS = 20
 _LONGEST_REASON = 200
+_SEGMENT = re.compile(r"\d{8}T\d{6}Z-\d{12}\.mcap")
+"""Name of a file of a history: its start, and the number of its first message."""
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
@@ -122,12 +125,17 @@ class Rosbag2(Storage):
 
 
 def is_one_recording(folder: Path) -> bool:
-    """Whether a folder is a ROS 2 bag: it has metadata, or only the parts `FOLDER_0.mcap`, `FOLDER_1.mcap`, ..."""
+    """Whether a folder is one recording: a ROS 2 bag, or the history of a server.
+
+    The former has metadata, or only the parts `FOLDER_0.mcap`, `FOLDER_1.mcap`, ...
+    """
     if (folder / METADATA).is_file():
         return True
     names = {path.name for path in folder.iterdir() if path.name.endswith((*_SUFFIXES, ".bag", ".zst"))}
     return bool(names) and any(
-        names == {f"{folder.name}_{number}{suffix}" for number in range(len(names))} for suffix in _SUFFIXES
+        all(map(_SEGMENT.fullmatch, names))
+        or names == {f"{folder.name}_{number}{suffix}" for number in range(len(names))}
+        for suffix in _SUFFIXES
     )
 
 

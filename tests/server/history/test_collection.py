@@ -173,6 +173,7 @@ def test_tags_and_events_are_kept_when_a_file_is_moved_and_known_when_it_is_lost
     assert names(second) == ["a"]
 
 
+@pytest.mark.slow
 def test_several_sources_are_one_collection_and_a_recording_made_here_takes_tags_too(
     folder: Path, tmp_path: Path, serve: Callable[..., Served]
 ) -> None:

@@ -245,7 +245,7 @@ from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
 from rosld.server.settings import Settings
 create_app(adapter_for("aircraft", AdapterOptions()), Settings())
-print(*sorted({"PIL", "mcp", "pydantic", "pyshacl", "rdflib"} & sys.modules.keys()))
+print(*sorted({"PIL", "mcp", "pyarrow", "pydantic", "pyshacl", "rdflib"} & sys.modules.keys()))
 """
 
 

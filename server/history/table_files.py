@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import orjson
 import pyarrow as pa
-from pyarrow import compute, csv, parquet
+from pyarrow import csv, parquet
 
 from rosld.ontology.literals import base64_text, json_numbers, special_float
 
@@ -137,6 +137,8 @@ def _values(array: pa.Array) -> list[Any]:
     """Return values as Python objects that JSON can represent."""
     type = array.type
     if pa.types.is_timestamp(type):
+        from pyarrow import compute  # takes as long to import as the rest of pyarrow
+
         return list(compute.strftime(array, f"%Y-%m-%dT%H:%M:%S{'' if type.tz is None else 'Z'}").to_pylist())
     if pa.types.is_duration(type):
         return [None if each is None else _seconds(each) for each in array.cast(pa.int64()).to_pylist()]

@@ -39,6 +39,7 @@ from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteM
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.responses import RawResponse
 from rosld.server.rest.state import State
+from rosld.server.runtime.process_memory import PROCESS_MEMORY
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.server.sparql import disconnect
@@ -141,7 +142,9 @@ async def answer_query(
 
 _JSON = "application/sparql-results+json"
 _MAX_TABLE = 64 * 1024 * 1024
-"""Maximum number of bytes of results in JSON that are made into a table, which needs ten times as much memory."""
+"""Maximum number of bytes of results in JSON that are made into a table."""
+_PER_BYTE = 8
+"""Bytes of memory needed per byte of such results, measured with numbers, times and IRIs."""
 
 
 async def _table(answer: QueryAnswer, format: str) -> Response:
@@ -153,6 +156,8 @@ async def _table(answer: QueryAnswer, format: str) -> Response:
         if size > _MAX_TABLE:
             words = f"The results exceed {_MAX_TABLE >> 20} MiB in JSON, the most that becomes a table: "
             raise Problem(503, f"{words}ask for text/csv, which is sent as it is made, or for fewer rows.")
+
+    PROCESS_MEMORY.require(size * _PER_BYTE, f"a table of {size} bytes of results")
 
     def make() -> TableParts:
         table = table_of_results(b"".join(parts))

@@ -227,6 +227,10 @@ class Recording(Protocol):
         Message indexes are stable as long as the identifier is.
         """
 
+    @property
+    def content(self) -> str | None:
+        """The key of what is known of its content, the same when its file is moved; None if the content may change."""
+
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
         """Return bounds in ns on the times of the messages from `start` to `end` (exclusive), or None."""
 

@@ -198,6 +198,12 @@ class Catalogue:
         except sqlite3.DatabaseError as error:
             raise CannotCatalogue(f"{path} is no catalogue of recordings ({error}): delete it, or move it") from error
 
+    @property
+    def path(self) -> Path | None:
+        """The path of the database, None for a temporary one."""
+        [(_, _, path)] = self.read("PRAGMA database_list")
+        return Path(path) if path else None
+
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """Yield the database for changes, which are kept if the block succeeds."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
@@ -139,6 +140,16 @@ def latched_rows(
     return np.sort(np.asarray([row for each in newest.values() for row in each], np.int64))
 
 
+@lru_cache(maxsize=10_000)
+def _digest(path: Path, size: int, changed_ns: int) -> str:
+    """Return a digest of the begin and end of a file, its size and the time of its last change."""
+    with path.open("rb") as file:
+        head = file.read(_EDGE)
+        file.seek(max(0, size - _EDGE))
+        return hashlib.sha256(b"%d %d " % (size, changed_ns) + head + file.read(_EDGE)).hexdigest()
+
+
+_EDGE = 4096
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 log = logging.getLogger("rosld.recording")
@@ -233,6 +244,17 @@ class Bag:
     def identity(self) -> str:
         """Identity from the first and last times and the number of messages."""
         return f"{zlib.crc32(f'{self.start_ns} {self.end_ns} {self.count}'.encode()):08x}"
+
+    @property
+    def content(self) -> str | None:
+        """Key of the content of this part of its files; None if they cannot be read."""
+        try:
+            paths = [self.path] if self.path.is_file() else sorted(self.path.iterdir())
+            digests = [_digest(each, each.stat().st_size, each.stat().st_mtime_ns) for each in paths if each.is_file()]
+        except OSError:
+            return None
+        part = f"{self.start_ns} {self.end_ns} {self.count}"
+        return hashlib.sha256(" ".join([*digests, part]).encode()).hexdigest()[:32]
 
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
         found = self.times[start:end]

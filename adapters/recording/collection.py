@@ -8,7 +8,7 @@ import sqlite3
 import threading
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, ValuesView
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
@@ -65,6 +65,8 @@ _FIRST_SCAN = 1.5
 _BATCH = 0.5
 """Seconds of reading after which the entries are stored."""
 _MAX_OPEN = 8
+_MOST_KEPT = 5000
+"""Maximum number of recordings in memory, of 1 to 2 KB each."""
 _IDLE = 60.0
 """Seconds after the last use after which a recording is closed."""
 _CACHE = 8 << 20
@@ -146,6 +148,8 @@ class CataloguedRecording:
         self.end_ns = row.end_ns
         self.silent = row.silent
         self.identity = row.identity
+        self.content = f"{row.identity}-{row.mtime_ns}"
+        """Key of what is known of its content, the same when its file is moved."""
         self.encoding = Encoding.ROS1 if row.ros_version == 1 else Encoding.CDR
 
     @cached_property
@@ -201,6 +205,19 @@ class CataloguedRecordings(Mapping[str, Recording]):
     def __init__(self, catalogue: Catalogue, pool: OpenRecordings) -> None:
         self._catalogue = catalogue
         self._pool = pool
+        self._all: tuple[int, dict[str, Recording]] = (-1, {})
+        """Revision of the catalogue, and its recordings: to read the topics of 1,000 takes 40 ms, as a query does."""
+
+    def values(self) -> ValuesView[Recording]:
+        """Return all recordings, which are kept until the catalogue changes, if they are not too many."""
+        revision, found = self._all
+        if revision != self._catalogue.revision:
+            revision = self._catalogue.revision
+            rows = (row for row in self._catalogue.rows() if row.is_readable and not row.is_own)
+            found = {row.name: CataloguedRecording(row, self._catalogue, self._pool) for row in rows}
+            if len(found) <= _MOST_KEPT:
+                self._all = (revision, found)
+        return found.values()
 
     def __getitem__(self, name: str) -> Recording:
         row = self._catalogue.find(name)
@@ -237,6 +254,7 @@ class CollectionAdapter(Adapter):
         self._reader = SummaryReader(options.types)
         self._pool = OpenRecordings(options)
         self._catalogue: Catalogue | None = None
+        self._recordings: CataloguedRecordings | None = None
         self._schemas: dict[TypeRef, Schema] = {}
         self._graph = Graph(1)
         self._budget: OpenBudget | None = None
@@ -262,7 +280,7 @@ class CollectionAdapter(Adapter):
     @property
     def recordings(self) -> Mapping[str, Recording]:
         """The readable recordings by name, once catalogued."""
-        return {} if self._catalogue is None else CataloguedRecordings(self._catalogue, self._pool)
+        return {} if self._recordings is None else self._recordings
 
     async def open(self, sink: Sink, *, deadline: float) -> None:
         """Find the files and begin to catalogue them. Raises NotFound for a missing one, Unreachable."""
@@ -273,6 +291,7 @@ class CollectionAdapter(Adapter):
             self._catalogue = await asyncio.to_thread(Catalogue, self._catalogue_path())
         except CannotCatalogue as error:
             raise Unreachable(str(error)) from error
+        self._recordings = CataloguedRecordings(self._catalogue, self._pool)
         if not self._catalogue.is_lasting:
             log.warning("%s cannot be written: the catalogue, tags and events are temporary", self._catalogue_path())
         loop = asyncio.get_running_loop()

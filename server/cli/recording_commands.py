@@ -9,7 +9,8 @@ from typing import Any, TypeVar
 import click
 
 from rosld.adapters.base import AdapterOptions
-from rosld.server.cli.options import DEFAULT_BASE, GlobCommand, output_option, setting_options, settings_of
+from rosld.adapters.catalogue import NAME as CATALOGUE
+from rosld.server.cli.options import DEFAULT_BASE, FOLDER, GlobCommand, output_option, setting_options, settings_of
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -79,6 +80,28 @@ def ls(
     from rosld.server.cli.ls import list_recordings
 
     list_recordings(folders or (Path(),), where, topics, AdapterOptions(types=types), as_json=as_json)
+
+
+@click.command("index", cls=GlobCommand, short_help="Make the statistics of recordings.")
+@click.argument("paths", nargs=-1, required=True, type=_EXISTING, metavar="FOLDER|FILE...")
+@click.option("--data", type=FOLDER, metavar="DIR", help="The --data of the server; default: none.")
+@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Number of processes; default: one per core.")
+@setting_options("types")
+def index(paths: tuple[Path, ...], data: Path | None, workers: int | None, types: tuple[Path, ...]) -> None:
+    """Catalogue the recordings below each FOLDER, and make their statistics: what `rosld serve FOLDER` does meanwhile.
+
+    With them a server answers questions such as the least battery of each recording without reading messages. They are
+    kept with the catalogue, in the first folder or in DIR. What is indexed already is not read again.
+
+    \b
+    Examples:
+      rosld index runs
+      rosld index runs more --data /var/lib/rosld --workers 2
+    """
+    from rosld.server.cli.index import index as run
+
+    catalogue = None if data is None else data / CATALOGUE
+    run(paths, AdapterOptions(types=types, catalogue=catalogue), workers)
 
 
 @click.command(short_help="Answer a SPARQL query over a source or a server.")
@@ -175,4 +198,4 @@ def completion(context: click.Context, shell: str) -> None:
     click.echo(found(context.find_root().command, {}, "rosld", "_ROSLD_COMPLETE").source())
 
 
-COMMANDS = (info, ls, query, cut, completion)
+COMMANDS = (info, ls, index, query, cut, completion)

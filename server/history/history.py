@@ -289,6 +289,10 @@ class HistoryRecording:
         """Identity of the index; a rebuilt index has another one."""
         return f"{self._writer.segments.index.identity:08x}"
 
+    @property
+    def content(self) -> None:
+        """None, because it grows."""
+
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
         """Return the range of times of the messages numbered `start` to `end` - 1, all of which are written."""
         return self._writer.segments.index.times_between(start, end)

@@ -19,6 +19,7 @@ from collections.abc import (
     Iterator,
     Mapping,
     Sequence,
+    ValuesView,
 )
 from fnmatch import fnmatchcase
 from functools import cached_property, partial
@@ -39,6 +40,7 @@ from rosld.server.history.cut import Span, write_cut
 from rosld.server.history.history import NAME as HISTORY
 from rosld.server.history.history import History
 from rosld.server.history.history_writer import require_room
+from rosld.server.history.indexer import Indexer
 from rosld.server.history.recording_orders import (
     KILLED,
     STOPPED,
@@ -48,7 +50,6 @@ from rosld.server.history.recording_orders import (
     RecordingRefused,
 )
 from rosld.server.history.recording_writer import RecordingWriter, active_recordings, complete_active
-from rosld.server.history.statistics import STATISTICS, Statistics
 from rosld.server.history.topic_feed import LiveRecorder
 from rosld.server.history.uploads import (
     DRAFT,
@@ -94,6 +95,10 @@ class _Readable(Mapping[str, Recording]):
             if found is not None:
                 return found
         raise KeyError(name)
+
+    def values(self) -> ValuesView[Recording]:
+        """Return all recordings, faster than one by one."""
+        return {each.name: each for owner in reversed(self._owners) for each in owner.values()}.values()
 
     def __iter__(self) -> Iterator[str]:
         return iter(dict.fromkeys(chain.from_iterable(reversed(self._owners))))
@@ -162,10 +167,9 @@ class Recordings:
         self._settings = settings
 
     @cached_property
-    def statistics(self) -> Statistics:
-        """Statistics of the messages of recordings; without a data folder they are in memory."""
-        data = self._settings.data
-        return Statistics(None if data is None or not data.is_dir() else data / STATISTICS)
+    def indexer(self) -> Indexer:
+        """The statistics of the messages of recordings, in the database of the catalogue."""
+        return Indexer(self._adapter, self.catalogue, lambda: self.finished.values(), self._settings)
 
     @property
     def _folder(self) -> Path | None:
@@ -242,6 +246,7 @@ class Recordings:
             await self._open_stored(self._folder)
         self.catalogue.keep_only([each.path.absolute() for each in self.few.values()], own=True)
         self._armed.load()
+        self.indexer.start()
 
     async def _open_stored(self, folder: Path) -> None:
         await asyncio.to_thread(remove_drafts, folder)
@@ -422,8 +427,8 @@ class Recordings:
             await self.end(name)
         await self._live.stop()
         self.history.close()
-        if "statistics" in vars(self):
-            self.statistics.close()
+        if "indexer" in vars(self):
+            await self.indexer.stop()
         for adapter, _ in self._opened.values():
             await adapter.close()
         if "catalogue" in vars(self) and self.catalogue is not self._adapter.catalogue:

@@ -6,11 +6,13 @@ again, so they are never synced.
 
 from __future__ import annotations
 
-import hashlib
+import asyncio
+import os
 import sqlite3
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -18,22 +20,22 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from rosld.adapters.base import MessageFilter, RecordedMessage, Recording
-from rosld.adapters.model import MessageSchema, TypeRef
+from rosld.adapters.base import AdapterOptions, MessageFilter, NullSink, RecordedMessage, Recording
+from rosld.adapters.model import MessageSchema, RosError, TypeRef
+from rosld.adapters.registry import adapter_for
 from rosld.ontology.fields import field_at
 from rosld.server.history.history import HistoryRecording
 from rosld.server.history.message_block import MessageBlock, columns_of, number_paths
 
-STATISTICS = "statistics.sqlite"
-"""Name of the database in a data folder."""
+_OPEN_SECONDS = 60.0
 BLOCK = 1000
 """Maximum number of messages in a block."""
 _EXACT = 2.0**53
 """Sums of integers below this are exact as doubles."""
 _TABLE = """
 CREATE TABLE IF NOT EXISTS topic_statistic (
-    recording TEXT, topic TEXT, type TEXT, field TEXT, count INTEGER, minimum, maximum, total REAL, blocks BLOB,
-    PRIMARY KEY (topic, field, recording, type)) WITHOUT ROWID;
+    content TEXT, topic TEXT, type TEXT, field TEXT, count INTEGER, minimum, maximum, total REAL, blocks BLOB,
+    PRIMARY KEY (topic, field, content, type)) WITHOUT ROWID;
 """
 SchemaOf: TypeAlias = Callable[[TypeRef], "MessageSchema | None"]
 
@@ -197,6 +199,34 @@ def measure_between(
         yield type, found
 
 
+def index_file(path: Path, options: AdapterOptions, topics: Sequence[str]) -> dict[str, ByType]:
+    """Return the statistics of topics of a recording: work for another process, which yields to others from then on.
+
+    Raises RosError.
+    """
+    with suppress(OSError):
+        os.nice(19 - os.nice(0))
+
+    async def index() -> dict[str, ByType]:
+        adapter = adapter_for(f"recording:{path}", options)
+        try:
+            await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + _OPEN_SECONDS)
+            [recording] = adapter.recordings.values()
+            schema_of = partial(_schema, recording)
+            return {topic: statistics_of(recording, topic, schema_of, lambda _: None) for topic in topics}
+        finally:
+            await adapter.close()
+
+    return asyncio.run(index())
+
+
+def _schema(recording: Recording, ref: TypeRef) -> MessageSchema | None:
+    with suppress(RosError):
+        found = recording.schema(ref)
+        return found if isinstance(found, MessageSchema) else None
+    return None
+
+
 def history_total(
     recording: HistoryRecording,
     topic: str,
@@ -245,7 +275,7 @@ def _add(found: dict[str, Total], totals: Mapping[str, Total]) -> None:
 
 
 class Statistics:
-    """Store of statistics by recording (`key_of`), topic, field and type. Any thread may use it."""
+    """Store of statistics by recording (its `content`), topic, field and type. Any thread may use it."""
 
     def __init__(self, path: Path | None) -> None:
         """Open or create the table in a database; in memory if the path is None. Raises sqlite3.Error."""
@@ -271,7 +301,7 @@ class Statistics:
         wanted = ("", *fields)
         with self._lock:
             rows = self._db.execute(
-                f"SELECT type, field, blocks FROM topic_statistic WHERE topic = ? AND recording = ? "
+                f"SELECT type, field, blocks FROM topic_statistic WHERE topic = ? AND content = ? "
                 f"AND field IN ({_marks(wanted)})",
                 (topic, key, *wanted),
             ).fetchall()
@@ -287,12 +317,18 @@ class Statistics:
             if type
         }
 
+    def missing(self, key: str, topics: Iterable[str]) -> list[str]:
+        """Return the topics of a recording whose statistics are not known."""
+        query = "SELECT 1 FROM topic_statistic WHERE topic = ? AND field = '' AND content = ? LIMIT 1"
+        with self._lock:
+            return [topic for topic in topics if self._db.execute(query, (topic, key)).fetchone() is None]
+
     def totals(self, topic: str, fields: Iterable[str]) -> dict[str, dict[str, dict[str, Total]]]:
         """Return the totals of fields and times of a topic, by recording, type and field."""
         wanted = ("", *fields)
         with self._lock:
             rows = self._db.execute(
-                "SELECT recording, type, field, count, minimum, maximum, total "
+                "SELECT content, type, field, count, minimum, maximum, total "
                 f"FROM topic_statistic WHERE topic = ? AND field IN ({_marks(wanted)})",
                 (topic, *wanted),
             ).fetchall()
@@ -312,30 +348,3 @@ class Statistics:
 
 def _marks(values: Sequence[object]) -> str:
     return ", ".join("?" * len(values))
-
-
-_PIECE = 4096
-_DATA = (".bag", ".mcap", ".db3", ".zst")
-
-
-def key_of(recording: Recording) -> str | None:
-    """Return the key of the content of a finished recording, the same when its file is moved; None if it has none."""
-    path = recording.path
-    try:
-        files = [path] if path.is_file() else sorted(each for each in path.iterdir() if each.suffix in _DATA)
-        digests = [_digest(each, each.stat().st_size, each.stat().st_mtime_ns) for each in files]
-    except OSError:
-        return None
-    if not digests:
-        return None
-    part = f"{recording.start_ns} {recording.end_ns} {recording.count}"  # a part of a file may be opened
-    return hashlib.sha256(" ".join([*digests, part]).encode()).hexdigest()[:32]
-
-
-@lru_cache(maxsize=10_000)
-def _digest(path: Path, size: int, changed_ns: int) -> str:
-    """Return a digest of the begin and end of a file, its size and the time of its last change."""
-    with path.open("rb") as file:
-        head = file.read(_PIECE)
-        file.seek(max(0, size - _PIECE))
-        return hashlib.sha256(b"%d %d " % (size, changed_ns) + head + file.read(_PIECE)).hexdigest()

@@ -29,7 +29,7 @@ from rosld.server.dataset.encoding import private_datatype
 from rosld.server.history.history import HistoryRecording
 from rosld.server.history.message_block import MessageBlock, columns_of, number_paths
 from rosld.server.history.recordings import Recordings
-from rosld.server.history.statistics import Statistics, key_of, pages
+from rosld.server.history.statistics import Statistics, pages
 from rosld.server.http.problem import Problem
 from rosld.server.resources.past_summaries import SummaryText, field_path
 from rosld.server.robot.session import Session
@@ -83,7 +83,7 @@ def read_past(
 
 def _parts(recording: Recording, span: PastRange, statistics: Statistics | None) -> Iterator[tuple[int, int]]:
     """Yield the ranges of indexes, from a first one up to and excluding another, of messages that may be wanted."""
-    key = key_of(recording) if span.numbers and statistics is not None else None
+    key = recording.content if span.numbers and statistics is not None else None
     found = None
     if key is not None and statistics is not None:
         found = statistics.find(key, span.topic, [".".join(path) for path, _ in span.numbers])
@@ -191,7 +191,7 @@ class RecordedPast:
     ) -> PastText:
         """Return the text of the messages that a query selects, or of about `most` at one end. Raises Problems."""
         readable, selections = self._chosen(query, dataset, now)
-        reading = _Reading(self._session, query, dataset, until, self._recordings.statistics)
+        reading = _Reading(self._session, query, dataset, until, self._recordings.indexer.statistics)
         try:
             return await asyncio.to_thread(reading.read, readable, selections, most)
         finally:
@@ -202,7 +202,7 @@ class RecordedPast:
     ) -> PastText | None:
         """Return the text of summaries of the selected messages, or None if they are not known. Raises Problems."""
         readable, selections = self._chosen(query, dataset, summary.time)
-        reading = _Reading(self._session, query, dataset, until, self._recordings.statistics)
+        reading = _Reading(self._session, query, dataset, until, self._recordings.indexer.statistics)
         try:
             return await asyncio.to_thread(reading.summarize, readable, selections, summary)
         finally:
@@ -225,8 +225,10 @@ class RecordedPast:
 
     def _find(self, query: PastQuery, graphs: tuple[str, ...]) -> Sequence[Recording]:
         """Return the recordings of a query. Raises a 400 Problem if there are none."""
-        space = self._session.space
-        by_url = {space.bag(one.name): one for one in self._recordings.readable.values()}
+        space, readable = self._session.space, self._recordings.readable
+        if query.asks_all and not graphs and (found := list(readable.values())):
+            return found
+        by_url = {space.bag(name): name for name in readable}
         asked = frozenset(by_url) if query.asks_all else query.recordings
         named = asked & set(graphs) if graphs else asked
         if graphs and not named:
@@ -236,7 +238,7 @@ class RecordedPast:
             words = f"There is no recording <{unknown[0]}> that can be read: {space.container('bags')} lists them."
             raise Problem(400, words)
         if named:
-            return [by_url[url] for url in sorted(named)]
+            return [readable[by_url[url]] for url in sorted(named)]
         if self._recordings.history.is_enabled:
             return [self._recordings.history.recording]
         if self._session.adapter.recordings:
@@ -286,7 +288,7 @@ class _Reading:
         self._variables: dict[str, set[str]] = {}
         self._needs: dict[str, tuple[frozenset[str] | None, Mapping[str, Sequence[str]], frozenset[str] | None]] = {}
         self._times: dict[tuple[str, str], list[tuple[int, int]]] = {}
-        self._size = 0
+        self._urls: dict[str, str | None] = {}
         self._read = Counter[tuple[str, str]]()
         """Numbers of messages read, by topic and recording."""
         self._pause = time.monotonic() + _SLICE
@@ -305,7 +307,7 @@ class _Reading:
                 ]
         self._require_few(plans)
         texts: tuple[list[str], list[str]] = [], []
-        count = 0
+        count = size = 0
         for recording, ranges in plans:
             record_text = _RecordText(
                 self._session.space, recording, self._query.predicates, is_linked=self._query.is_linked
@@ -316,12 +318,12 @@ class _Reading:
                         recording, self._narrow(recording, block, each), record_text
                     ):
                         texts[is_stored].append(text)
-                        self._size += len(text)
+                        size += len(text)
                         self._read[each.topic, recording.name] += messages
                         count += messages
                         if count > MAX_PAST:
                             raise self._too_much(self._read, "may take part in this query")
-                        if self._size > MAX_TEXT:
+                        if size > MAX_TEXT:
                             raise self._too_much(self._read, f"would exceed {MAX_TEXT >> 20} MiB")
                         self._yield_to_others()
                     self._yield_to_others()
@@ -337,7 +339,7 @@ class _Reading:
         plans = [(one, self._ranges(one, selections)) for one in recordings]
         summaries = SummaryText(self._session.space, query, self._query.predicates or frozenset(), self._statistics)
         text = summaries.of(plans, self._schema, lambda _: self._yield_to_others())
-        return None if text is None else PastText(text.encode())
+        return None if text is None else PastText(b"", text.encode())
 
     def _require_few(self, plans: Sequence[tuple[Recording, Sequence[PastRange]]]) -> None:
         """Raise a 503 Problem if far too many messages are known to take part; bounded numbers may exclude any."""
@@ -414,6 +416,13 @@ class _Reading:
             f"{sum(counts.values())} recorded messages of {named} {why}{more}; the limit is {MAX_PAST}."
         )
 
+    def _url(self, topic: str) -> str | None:
+        """Return the URL of a topic, None if it may not be read."""
+        if topic not in self._urls:
+            url = self._session.space.topic(topic)
+            self._urls[topic] = url if self._dataset.permissions.may_read(url) else None
+        return self._urls[topic]
+
     def _ranges(self, recording: Recording, selections: Sequence[PastSelection]) -> list[PastRange]:
         found: list[PastRange] = []
         bag = self._session.space.bag(recording.name)
@@ -421,8 +430,8 @@ class _Reading:
         if not selections:
             return found
         for name, topic in recording.topics.items():
-            url = self._session.space.topic(name)
-            if not self._dataset.permissions.may_read(url):
+            url = self._url(name)
+            if url is None:
                 continue
             for each in selections:
                 if self._is_of(each, url, recording, topic):

@@ -15,6 +15,7 @@ from rosld.ontology.literals import DATATYPES, DTYPES, date_time, scalar_texts
 from rosld.ontology.names import type_names
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros, xsd
+from rosld.server.dataset.encoding import is_changed, private_datatype
 from rosld.server.history.history import HistoryRecording
 from rosld.server.history.message_block import number_paths
 from rosld.server.history.statistics import (
@@ -22,7 +23,6 @@ from rosld.server.history.statistics import (
     Statistics,
     Total,
     history_total,
-    key_of,
     measure_between,
     statistics_of,
 )
@@ -75,7 +75,10 @@ class SummaryText:
         self._known: dict[str, Mapping[str, Mapping[str, Mapping[str, Total]]]] = {}
 
     def of(self, plans: Sequence[tuple[Recording, Sequence[Span]]], schema_of: SchemaOf, step: Step) -> str | None:
-        """Return the text about messages of recordings, None if it is not known; `step` is called between messages."""
+        """Return the text about messages of recordings in its stored form, None if it is not known.
+
+        `step` is called between messages that are read.
+        """
         groups: dict[tuple[str, TypeRef], list[_Row]] = {}
         try:
             for recording, spans in plans:
@@ -126,7 +129,7 @@ class SummaryText:
                 raise _Unknown
             yield of.name, found
             return
-        key = key_of(recording)
+        key = recording.content
         if span.from_ns <= recording.start_ns and recording.end_ns <= span.until_ns and key is not None:
             if span.topic not in self._known:
                 self._known[span.topic] = self._statistics.totals(span.topic, self._fields)
@@ -177,22 +180,25 @@ class SummaryText:
         columns: dict[str, Sequence[object]] = {
             "node": [f"{COUNT}:{self._count - number}" for number in range(len(rows))],
             "bag": [self._space.bag(row.recording.name) for row in rows],
-            COUNT: [each.messages for each in times],
+            COUNT: _literals([str(each.messages) for each in times], "integer"),
         }
         if ros.received.value in self._only:
-            columns |= {f"{MINIMUM}:time": [date_time(0, int(each.minimum)) for each in times]}
-            columns |= {f"{MAXIMUM}:time": [date_time(0, int(each.maximum)) for each in times]}
+            for predicate, at in ((MINIMUM, 1), (MAXIMUM, 2)):
+                moments = [date_time(0, int(each[at])) for each in times]
+                columns[f"{predicate}:time"] = _literals(moments, "dateTime")
         for number, path in enumerate(query.numbers):
             field, dtype = ".".join(field_path(path)), DTYPES[types[path]]
-            totals = [row.totals[field] for row in rows]
-            least, most = (np.array([each[at] for each in totals]).astype(dtype) for at in (1, 2))
-            columns |= {f"{MINIMUM}:{number}": scalar_texts(least), f"{MAXIMUM}:{number}": scalar_texts(most)}
-            sums = np.array([each.total for each in totals])
-            columns[f"{TOTAL}:{number}"] = scalar_texts(sums.astype("i8" if dtype.kind in "iu" else dtype))
-        template = "".join(self._template(self._space.topic(topic), types))
+            name = DATATYPES[types[path]]
+            is_integer = dtype.kind in "iu"
+            kinds = (dtype, name), (dtype, name), (np.dtype("i8"), "integer") if is_integer else (dtype, name)
+            for at, (predicate, kind) in enumerate(zip((MINIMUM, MAXIMUM, TOTAL), kinds, strict=True), 1):
+                if predicate in query.text:
+                    numbers = np.array([row.totals[field][at] for row in rows]).astype(kind[0])
+                    columns[f"{predicate}:{number}"] = _literals(scalar_texts(numbers), kind[1])
+        template = "".join(self._template(self._space.topic(topic)))
         return "".join(template % dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
 
-    def _template(self, topic: str, types: Mapping[tuple[str, ...], str]) -> Iterator[str]:
+    def _template(self, topic: str) -> Iterator[str]:
         """Yield the lines of a summary, with the names of its values."""
         query = self._query
         nodes = {(): "%(node)s", **{path: f"%(node)s/{number}" for number, path in enumerate(query.paths)}}
@@ -201,7 +207,8 @@ class SummaryText:
             return f"<{subject}> <{predicate.replace('%', '%%')}> {object} .\n"
 
         yield line(topic.replace("%", "%%"), ros.past.value, "<%(node)s>")
-        yield line("%(node)s", COUNT, f'"%({COUNT})s"^^<{xsd.integer.value}>')
+        if COUNT in query.text:
+            yield line("%(node)s", COUNT, f"%({COUNT})s")
         if ros.recordedIn.value in self._only:
             yield line("%(node)s", ros.recordedIn.value, "<%(bag)s>")
         if ros.recordedMessage.value in self._only:
@@ -210,15 +217,18 @@ class SummaryText:
         if ros.received.value in self._only:
             yield line("%(node)s", ros.received.value, "<%(node)s/time>")
             for predicate in (MINIMUM, MAXIMUM):
-                yield line("%(node)s/time", predicate, f'"%({predicate}:time)s"^^<{xsd.dateTime.value}>')
+                yield line("%(node)s/time", predicate, f"%({predicate}:time)s")
         for path in query.paths:
             yield line(nodes[path[:-1]], path[-1], f"<{nodes[path]}>")
         for path, iri in query.classes:
             yield line(nodes[path], rdf.type.value, f"<{iri.replace('%', '%%')}>")
         for number, path in enumerate(query.numbers):
-            datatype = f"{xsd.iri}{DATATYPES[types[path]]}"
             for predicate in (MINIMUM, MAXIMUM, TOTAL):
-                is_sum = predicate == TOTAL and DTYPES[types[path]].kind in "iu"
                 if predicate in query.text:
-                    value = f'"%({predicate}:{number})s"^^<{xsd.integer.value if is_sum else datatype}>'
-                    yield line(nodes[path], predicate, value)
+                    yield line(nodes[path], predicate, f"%({predicate}:{number})s")
+
+
+def _literals(texts: Sequence[str], name: str) -> list[str]:
+    """Return literals of an XSD datatype in their stored form."""
+    plain, private = f"{xsd.iri}{name}", private_datatype(name).value
+    return [f'"{text}"^^<{private if is_changed(text, name) else plain}>' for text in texts]

@@ -174,14 +174,11 @@ class PastQuery:
 
     def __init__(self, query: Query, terms: MessageTerms) -> None:
         self._query = query
-        self._where = query.where
         self._terms = terms
         named = [each.predicates for group in _groups_of_default_graph(query.where) for each in group.patterns]
         self.predicates = None if None in named else frozenset().union(*(each for each in named if each is not None))
         self.recordings = frozenset(_recordings(query, terms.base))
-        self.asks_transforms = TRANSFORM in query.functions
         self.is_linked = True
-        self.is_ordered = not query.functions.isdisjoint(FUNCTIONS)
         self.covered: Mapping[int, frozenset[str]] = self._message_variables_by_group()
         """Variables that stand for recorded messages or nodes in them, by the `id` of their group."""
         self.paths: dict[str, tuple[str, ...]] = {}
@@ -192,9 +189,17 @@ class PastQuery:
         self.end = self._end(query.slice)
         self.asks_all = self._asks_all(query.where, Knowledge())
 
+    @property
+    def asks_transforms(self) -> bool:
+        return TRANSFORM in self._query.functions
+
+    @property
+    def is_ordered(self) -> bool:
+        return not self._query.functions.isdisjoint(FUNCTIONS)
+
     def selections(self, now: Interval) -> Sequence[PastSelection]:
         """Return the selections of messages that may take part in a match, for NOW() within an interval."""
-        return list(dict.fromkeys(self._of(self._where, _Context(), now)))
+        return list(dict.fromkeys(self._of(self._query.where, _Context(), now)))
 
     def predicates_of(self, variables: Collection[str]) -> frozenset[str] | None:
         """Return the predicates that the query can match on messages of these variables, None for all."""
@@ -208,7 +213,7 @@ class PastQuery:
 
         A field has one value, so that a path matches a message once, as a predicate does.
         """
-        groups = [*_groups_of_default_graph(self._where)]
+        groups = [*_groups_of_default_graph(self._query.where)]
         roots = self._roots([each for group in groups for each in group.patterns])
         found: dict[str | None, set[str]] = {}
         predicates: dict[tuple[str, ...], str] = {}
@@ -240,7 +245,7 @@ class PastQuery:
 
     def _roots(self, patterns: Sequence[Pattern]) -> Mapping[str, str | None]:
         """Return the variables of the messages that variables are or are nodes of, None if that is ambiguous."""
-        messages = {name for group in _groups_of_default_graph(self._where) for name in _links(group)}
+        messages = {name for group in _groups_of_default_graph(self._query.where) for name in _links(group)}
         roots: dict[str, str | None] = {name: name for name in messages}
         before: dict[str, str | None] = {}
         steps = [each for each in patterns if not _is_past(each) and self._terms.stays_in_message(each)]
@@ -278,11 +283,11 @@ class PastQuery:
         message, then unread messages cannot take part in a solution with a read one, not even through OPTIONAL, MINUS
         and EXISTS.
         """
-        own = [each for each in self._where.patterns if _is_past(each)]
+        own = [each for each in self._query.where.patterns if _is_past(each)]
         if slice is None or not 1 <= slice.limit + slice.offset <= _MOST_ROWS or slice.limit == 0 or len(own) != 1:
             return None
         (pattern,) = own
-        if not isinstance(pattern.object, Variable) or len([*self._of(self._where, _Context(), ANY_TIME)]) != 1:
+        if not isinstance(pattern.object, Variable) or len([*self._of(self._query.where, _Context(), ANY_TIME)]) != 1:
             return None
         found = PastEnd(slice.is_descending or slice.first is None, slice.limit, slice.limit + slice.offset)
         if slice.first is None:  # any solutions will do, but the next page must have others
@@ -293,13 +298,13 @@ class PastQuery:
         time = Variable(key.name[1:])
         is_time = any(
             (each.subject, each.predicates, each.object) == (pattern.object, _RECEIVED, time) and not each.repeated
-            for each in self._where.patterns
+            for each in self._query.where.patterns
         )
         return found if is_time else None
 
     def _message_variables_by_group(self) -> Mapping[int, frozenset[str]]:
         found: dict[int, frozenset[str]] = {}
-        for _ in self._of(self._where, _Context(), ANY_TIME, found):
+        for _ in self._of(self._query.where, _Context(), ANY_TIME, found):
             pass
         return found
 

@@ -40,7 +40,7 @@ COUNT, MINIMUM, MAXIMUM, TOTAL = (f"urn:x-rosld:summary:{each}" for each in ("co
 """Predicates of summaries and of the nodes in place of their numbers."""
 _STATISTICS = {"MIN": MINIMUM, "MAX": MAXIMUM, "SAMPLE": MINIMUM, "SUM": TOTAL, "AVG": TOTAL}
 _PREFIX = "rosld_summary_"
-_COUNT = f"?{_PREFIX}0"
+_COUNT = f"?{_PREFIX}count"
 _ZONE = re.compile("(?:Z|[+-][0-9]{2}:[0-9]{2})$")
 _TURNED = {"<": ">", ">": "<", "<=": ">=", ">=": "<="}
 
@@ -93,10 +93,12 @@ def summary_query(query: Query, past: PastQuery, types: str) -> SummaryQuery | N
         used = frozenset({name}) | (frozenset() if operand is None else variables_in(operand) or found.inner)
         if not used.isdisjoint(found.inner):
             return None
-    added: dict[tuple[str, str], str] = {(message.name, COUNT): _COUNT}
+    added: dict[tuple[str, str], str] = {}
     calls = [call for each in query.expressions for call in calls_within(each.operand) if is_aggregate(call)]
     for call in calls:
         changed = _changed(call, query, found, added)
+        if changed and _COUNT in changed:
+            added[message.name, COUNT] = _COUNT
         if changed is None:
             return None
         if changed:

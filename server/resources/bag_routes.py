@@ -269,7 +269,8 @@ class BagContainer(ListedBags):
         if "POST" not in self.methods():
             return ()
         space = self.space
-        return (recording_form({name: space.topic(name) for name in self.session.graph.topics}),)
+        only_cuts = not can_record(self.session.settings, self.session.adapter.capabilities)
+        return (recording_form({name: space.topic(name) for name in self.session.graph.topics}, only_cuts=only_cuts),)
 
     def methods(self) -> frozenset[str]:
         return READ if self.session.settings.read_only else READ | {"POST"}

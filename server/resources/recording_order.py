@@ -37,13 +37,16 @@ float64 after
 """
 _OF_CUTS = ("of", "from", "to", "around", "after")
 _FOLDED = frozenset({"topics", "before", "trigger_resource", "trigger_condition", "trigger_limit", *_OF_CUTS})
+_ABOUT_CUTS = (
+    "Of: the recording to cut. From and to: a date, seconds after its start (60), or before its end (-60). Around: an "
+    "event instead, or several: a time, a condition such as battery_state.percentage < 0.2, or a SPARQL query for "
+    "times; before and after are the seconds around each."
+)
 _ABOUT = (
-    "Topics: those that you tick, all where you tick none. Duration: seconds, 0 for as long as you like. More: globs "
-    "of topics with spaces between them, such as /odom /camera/*; seconds out of the history before; a condition, "
-    "such as percentage < 0.2, that begins the recording when it becomes true for the value at a URL. "
-    "Of: the name of a recording, to cut out a part of it from and to a time (a date, or seconds after its start, as "
-    "60, or before its end, as -60), or around events: a time, a condition such as battery_state.percentage < 0.2, or "
-    "a SPARQL query for times."
+    "Topics: the ones you tick, or all if you tick none. Duration: seconds, or 0 until you end it. More: globs of "
+    "topics separated by spaces, such as /odom /camera/*; seconds from the history before; a condition such as "
+    "percentage < 0.2 on the value at a URL, which starts the recording when it becomes true. To cut a stored "
+    f"recording instead: {_ABOUT_CUTS[0].lower()}{_ABOUT_CUTS[1:]}"
 )
 
 
@@ -52,18 +55,22 @@ def _schema() -> MessageSchema:
     return TypeLibrary(ros_version=2, folders=()).learn_message("rosld/msg/Recording", _FIELDS)
 
 
-def recording_form(topics: Mapping[str, str]) -> ValueForm:
-    """Return the form; `topics` maps the current topics to their URLs."""
+def recording_form(topics: Mapping[str, str], *, only_cuts: bool) -> ValueForm:
+    """Return the form for orders, or for cuts only; `topics` maps the current topics to their URLs."""
     schema = _schema()
+    fields = [
+        each for each in schema.type.fields if not only_cuts or each.name in (*_OF_CUTS, "name", "topics", "before")
+    ]
+    verb = "Cut" if only_cuts else "Record"
     return ValueForm(
-        MessageShape(schema, schema.type.fields),
+        MessageShape(schema, tuple(fields)),
         method="POST",
-        title="Record",
-        button="Record",
-        value={"trigger_limit": 1},
-        about=_ABOUT,
+        title=verb,
+        button=verb,
+        value={"before": 5, "after": 5} if only_cuts else {"trigger_limit": 1},
+        about=_ABOUT_CUTS if only_cuts else _ABOUT,
         choices=NameChoices("topics", "Topics", topics),
-        folded=_FOLDED,
+        folded=frozenset({"topics"}) if only_cuts else _FOLDED,
     )
 
 

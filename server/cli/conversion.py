@@ -128,10 +128,12 @@ class Run(NamedTuple):
     unreadable: Mapping[int, str]
 
     def report(self, sources: Sequence[Source]) -> None:
-        """Print what could not be read to stderr."""
+        """Print to stderr what could not be read."""
         unread: Counter[str] = Counter()
         for outcome in self.done.values():
             unread.update(outcome.unread)
+        if not self.failed and not any(outcome.messages for outcome in self.done.values()):
+            click.echo("rosld: no message was recorded on these topics at these times", err=True)
         lines = [f"{count} messages are listed but could not be read: {words}" for words, count in unread.most_common()]
         lines += [f"{sources[number].location} is left out: {error}" for number, error in self.unreadable.items()]
         for part, error in self.failed.items():
@@ -228,7 +230,7 @@ def run_parts(
 
     def task(part: Part) -> Task:
         its = job if part in whole else job.of_halves()
-        return Task(sources[part.source], types, its, job.selection, part, cuts[part.source], folder)
+        return Task(sources[part.source], types, its, part, cuts[part.source], folder)
 
     waiting = deque(task(part) for part in parts if part not in done)
     failed: dict[Part, str] = {}
@@ -260,7 +262,7 @@ def _cut_all(
 ) -> Mapping[int, str]:
     """Add the cuts of all sources to the manifest; return the errors of those that cannot be read. Raises Failure."""
     waiting = deque(
-        Task(source, types, None, job.selection, Part(number, 0, 0))
+        Task(source, types, job, Part(number, 0, 0))
         for number, source in enumerate(sources)
         if number not in manifest.cuts
     )

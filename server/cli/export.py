@@ -45,13 +45,15 @@ class ExportJob(Job, frozen=True, kw_only=True):
 
     def make(self, recording: Recording, part: Part, block: int, folder: Path, *, simulated_time: bool) -> Outcome:
         unread: Counter[str] = Counter()
+        selected = 0
         for topic, tables in self._tables(recording, part, unread).items():
             table, parts = tables
+            selected += sum(map(len, parts)) + table.unreadable
             schema = table.schema.with_metadata({**table.schema.metadata, _UNREADABLE: str(table.unreadable).encode()})
             unread[f"{topic}: they do not fit their type"] += table.unreadable
             if parts := [each for each in parts if len(each)]:
                 write_table(folder / quote(topic, safe=""), schema, parts, "arrow" if self.is_half else self.format)
-        return Outcome(part.end - part.start, dict(+unread))
+        return Outcome(selected, dict(+unread))
 
     def _tables(
         self, recording: Recording, part: Part, unread: Counter[str]

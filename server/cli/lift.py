@@ -72,7 +72,7 @@ class LiftJob(Job, frozen=True, kw_only=True):
                     file.write(gzip.compress(b"".join(texts), _COMPRESSION, mtime=0))
                 else:
                     file.writelines(texts)
-        return Outcome(part.end - part.start, dict(lifting.unread))
+        return Outcome(lifting.selected, dict(lifting.unread))
 
     def blocks(self, lifting: Lifting, part: Part, block: int) -> Iterator[Iterable[bytes]]:
         """Yield the descriptions of the recording, then blocks of messages. Each declares its own prefixes."""

@@ -46,6 +46,7 @@ def main() -> None:
       rosld query run.bag 'SELECT ...'     SPARQL over a recording
       rosld cut run.bag -o part.mcap --from 60 --to 90
       rosld lift run.bag -o run.nq.gz      a whole recording as RDF
+      rosld export recordings/ -o tables   recordings as Parquet
       rosld types run.bag                  the message types in it
       rosld mcp rover                      tools for a language model, on stdin and stdout
       rosld guard ros2: --data DIR         end the holds on DIR when its rosld is killed

@@ -61,9 +61,9 @@ class Cut(NamedTuple):
 
 
 class Outcome(Struct, frozen=True):
-    """Result of a part: messages read, and by reason those that were not; digest of its files, and their content.
+    """Result of a part: its selected messages, by reason those that could not be read, and its files with a digest.
 
-    Content is included only if the worker does not share a disk with the command.
+    The content of files is included only if the worker does not share a disk with the command.
     """
 
     messages: int
@@ -102,15 +102,14 @@ class Job(Struct, frozen=True):
 
 
 class Task(Struct, frozen=True):
-    """A task for a worker: to make the files of a part, or without a job to return the cut of a recording.
+    """A task for a worker: to make the files of a part, or without a cut to return that of the recording.
 
     `folder` is None if the worker does not share a disk with the command.
     """
 
     source: Source
     types: TypeTexts
-    job: Job | None
-    selection: Selection
+    job: Job
     part: Part
     cut: Cut | None = None
     folder: str | None = None
@@ -149,9 +148,9 @@ def run_task(version: str, task: bytes) -> Answer:
 
 def _result(task: Task) -> Outcome | Cut:
     recording, simulated_time = open_recording(task.source, task.types)
-    if task.job is None or task.cut is None:
+    if task.cut is None:
         block = max(1, min(BLOCK_MESSAGES, recording.count * BLOCK_BYTES // max(task.source.size, 1)))
-        is_selected = task.selection.topics_of(recording) != frozenset()
+        is_selected = task.job.selection.topics_of(recording) != frozenset()
         return Cut(recording.count, block, recording.identity, is_selected)
     if recording.identity != task.cut.identity:
         raise Failure("it has changed since the start")
@@ -164,9 +163,8 @@ def _result(task: Task) -> Outcome | Cut:
             return Outcome(outcome.messages, outcome.unread, digest_of(draft), files)
         target = Path(task.folder, task.part.folder)
         shutil.rmtree(target, ignore_errors=True)
-        digest = digest_of(draft)
         draft.rename(target)
-        return Outcome(outcome.messages, outcome.unread, digest)
+        return Outcome(outcome.messages, outcome.unread, digest_of(target))
 
 
 def digest_of(folder: Path) -> int:

@@ -41,10 +41,14 @@ _PAGE = 1000
 
 
 class Lifting:
-    """The documents of one recording; `unread` counts, by topic and reason, the messages that could not be decoded."""
+    """The documents of one recording.
+
+    `selected` counts messages, `unread` by topic and reason those that could not be decoded.
+    """
 
     def __init__(self, recording: Recording, space: Space, settings: LiftSettings, *, simulated_time: bool) -> None:
         self.recording = recording
+        self.selected = 0
         self.unread: Counter[str] = Counter()
         self._space = space
         self._messages = space.bag_messages(recording.name)
@@ -68,6 +72,7 @@ class Lifting:
         while start is not None:
             page = self.recording.select(replace(criteria, start=start), _PAGE)
             start = page.next
+            self.selected += len(page.messages)
             for recorded in page.messages:
                 described = self._describe(recorded)
                 if described.unreadable is not None:

@@ -54,7 +54,7 @@ class UploadJob(LiftJob, frozen=True, kw_only=True):
                     _send(endpoint, _BLANK.sub(name, body), self.target.syntax.media_type)
         finally:
             endpoint.close()
-        return Outcome(part.end - part.start, dict(lifting.unread))
+        return Outcome(lifting.selected, dict(lifting.unread))
 
 
 def _send(endpoint: Endpoint, body: bytes, media_type: str) -> None:

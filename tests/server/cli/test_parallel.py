@@ -162,6 +162,8 @@ def test_messages_are_selected_by_topic_and_time_and_keep_their_numbers(run: Pat
     assert late < odometry
     assert messages("--topic", "odom", "--from", "4") == late
     assert messages("--topic", "odom", "--to", "2023-11-14T22:13:24Z") | late == odometry
+    none = lift(run, "-o", tmp_path / "x.nq", "--from", "100")
+    assert (none.exit_code, none.stderr) == (0, "rosld: no message was recorded on these topics at these times\n")
     result = lift(run, "-o", tmp_path / "y.nq", "--topic", "/none")
     assert "/none" in result.stderr
     assert list(tmp_path.iterdir()) == [tmp_path / "x.nq"]

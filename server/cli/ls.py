@@ -6,7 +6,7 @@ import logging
 import os
 import tempfile
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import click
@@ -20,6 +20,7 @@ from rosld.server.cli.info import Facts, facts_of
 from rosld.server.cli.list_types import open_source
 from rosld.server.cli.tables import duration_text, json_text, print_table, size_text
 from rosld.server.history.cut import selected
+from rosld.server.history.statistics import Statistics
 from rosld.server.resources.number_conditions import ConditionReader, parse_condition
 
 
@@ -33,7 +34,7 @@ def list_recordings(
     with user_errors(ExitCode.USAGE):
         condition = () if where is None else parse_condition(where)
     logging.getLogger("rosld.recording").setLevel(logging.ERROR)  # problems are printed
-    reader, wanted, found = ConditionReader(), [selected([glob]) for glob in topics], list[Facts]()
+    wanted, found = [selected([glob]) for glob in topics], list[Facts]()
     unreadable: list[Row] = []
     source = "\n".join(map(str, [*folders, folders[0]]))  # even one file, twice, is a collection
     with ExitStack() as stack:
@@ -44,6 +45,8 @@ def list_recordings(
         adapter = stack.enter_context(open_source(f"recording:{source}", options))
         catalogue = adapter.catalogue
         assert catalogue is not None
+        statistics = stack.enter_context(closing(Statistics(catalogue.path)))
+        reader = ConditionReader(statistics if condition else None)
         for row in catalogue.rows(sort="start"):
             if row.is_missing or row.is_own:
                 continue

@@ -212,7 +212,7 @@ def index_file(path: Path, options: AdapterOptions, topics: Sequence[str]) -> di
         try:
             await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + _OPEN_SECONDS)
             [recording] = adapter.recordings.values()
-            schema_of = partial(_schema, recording)
+            schema_of = partial(schema_in, recording)
             return {topic: statistics_of(recording, topic, schema_of, lambda _: None) for topic in topics}
         finally:
             await adapter.close()
@@ -220,7 +220,8 @@ def index_file(path: Path, options: AdapterOptions, topics: Sequence[str]) -> di
     return asyncio.run(index())
 
 
-def _schema(recording: Recording, ref: TypeRef) -> MessageSchema | None:
+def schema_in(recording: Recording, ref: TypeRef) -> MessageSchema | None:
+    """Return the schema of a type of messages, None if it is not known."""
     with suppress(RosError):
         found = recording.schema(ref)
         return found if isinstance(found, MessageSchema) else None

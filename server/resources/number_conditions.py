@@ -5,9 +5,12 @@ from __future__ import annotations
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial, reduce
+from math import isfinite
 from typing import NamedTuple
 
 from rosld.adapters.base import FOR_EVER, Recording
+from rosld.server.history.statistics import Statistics, Total, schema_in, statistics_of
 from rosld.server.resources.past_messages import PastRange, read_past
 from rosld.server.resources.series import FieldValues
 
@@ -36,6 +39,14 @@ class Comparison(NamedTuple):
         """Whether a value satisfies it."""
         return _OPERATORS[self.operator](value, self.number)
 
+    def holds_between(self, least: float, most: float) -> bool | None:
+        """Whether one of some numbers, of which these are the least and the most, satisfies it; None if unknown."""
+        if not (isfinite(least) and isfinite(most)):
+            return None
+        if self.holds(least) or self.holds(most):
+            return True
+        return None if self.operator in ("=", "==") and least < self.number < most else False
+
 
 def parse_condition(text: str) -> Sequence[Comparison]:
     """Return the comparisons in `TOPIC.FIELD OP NUMBER and …`. Raises ValueError."""
@@ -55,16 +66,44 @@ def _parse_comparison(text: str) -> Comparison:
 
 
 class ConditionReader:
-    """Reader of the numbers that a condition is about; `problem` says why a message had none."""
+    """Reader of the numbers that a condition is about; `problem` says why a message had none.
 
-    def __init__(self) -> None:
+    With `statistics`, those of a topic are made once and kept.
+    """
+
+    def __init__(self, statistics: Statistics | None = None) -> None:
+        self._statistics = statistics
+        self._known: dict[Comparison, dict[str, dict[str, dict[str, Total]]]] = {}
         self.problem: str | None = None
         self.has_numbers = False
         """Whether some message had a number."""
 
     def holds(self, recording: Recording, condition: Sequence[Comparison]) -> bool:
         """Whether each comparison is true for some message of a recording."""
-        return all(any(each.holds(value) for _, value in self._numbers(recording, each)) for each in condition)
+        return all(self._holds(recording, each) for each in condition)
+
+    def _holds(self, recording: Recording, comparison: Comparison) -> bool:
+        known = self._total(recording, comparison)
+        found = None if known is None else comparison.holds_between(known.minimum, known.maximum)
+        if found is None:
+            return any(comparison.holds(value) for _, value in self._numbers(recording, comparison))
+        self.has_numbers = True
+        return found
+
+    def _total(self, recording: Recording, comparison: Comparison) -> Total | None:
+        """Return the statistics of a field in a recording, None if there are none."""
+        key, topic = recording.content, comparison.topic
+        if self._statistics is None or key is None or topic not in recording.topics:
+            return None
+        if comparison not in self._known:
+            self._known[comparison] = self._statistics.totals(topic, [comparison.path])
+        types = self._known[comparison].get(key)
+        if types is None:
+            found = statistics_of(recording, topic, partial(schema_in, recording), lambda _: None)
+            self._statistics.keep(key, topic, found)
+            types = {type: each.totals() for type, each in found.items()}
+        totals = [each[comparison.path] for each in types.values() if comparison.path in each]
+        return reduce(Total.join, totals) if totals else None
 
     def times(self, recording: Recording, condition: Sequence[Comparison]) -> Sequence[int]:
         """Return the times in ns of the messages with which a condition becomes true.

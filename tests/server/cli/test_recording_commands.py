@@ -193,6 +193,7 @@ def test_the_reference_names_all_commands_and_exit_codes() -> None:
     assert all(f"| {code} | " in text for code in ExitCode)
 
 
+@pytest.mark.slow
 def test_shells_complete_commands_and_a_pipe_has_no_colours(runs: Path) -> None:
     for shell in ("bash", "zsh", "fish"):
         assert "_ROSLD_COMPLETE" in run("completion", shell).stdout

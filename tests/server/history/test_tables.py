@@ -200,6 +200,15 @@ def _unknown(samples: Sequence[Sample]) -> Any:
     return recording
 
 
+def test_messages_and_nodes_that_may_not_be_read_are_left_out() -> None:
+    schema, samples = of_type("int32 x", [{"x": place} for place in range(12)])
+    samples[1] = samples[1]._replace(publisher="/secret")
+    table = TopicTable(Recorded(samples, [schema]), "/a b", lambda index: index < 10, lambda node: node != "/secret")
+    (part,) = table.parts(Rows(most=11))
+    assert part["x"].to_pylist() == list(range(10))
+    assert part["publisher"].to_pylist() == ["/robot", None, *["/robot"] * 8]
+
+
 def test_a_topic_of_two_types_is_one_table() -> None:
     one, first = of_type("float64 speed\nint32 gear", [{"speed": 1.0 * place, "gear": place} for place in range(9)])
     two, second = of_type("float64 speed\nstring gear", [{"speed": 9.5, "gear": "R"}], "made_up/msg/Other")

@@ -109,7 +109,7 @@ def csv_pieces(schema: pa.Schema, parts: Iterable[pa.Table]) -> Iterator[bytes]:
     sink = _Pieces()
     for place, part in enumerate(chain([schema.empty_table()], parts)):
         columns = [_csv_column(each.combine_chunks()) for each in part.columns]
-        options = csv.WriteOptions(include_header=place == 0, eol="\r\n")
+        options = csv.WriteOptions(include_header=place == 0)
         csv.write_csv(pa.Table.from_arrays(columns, schema.names), sink, options)
         yield sink.take()
 

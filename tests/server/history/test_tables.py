@@ -254,9 +254,9 @@ def test_csv_has_times_as_text_and_arrays_as_json() -> None:
     )
     table = TopicTable(Recorded(spoken(schema, Encoding.CDR, [message]), [schema]), "/a b")
     written = b"".join(csv_pieces(table.schema, table.parts()))
-    head, row = written.decode().split("\r\n", 1)
+    head, row = written.decode().split("\n", 1)
     assert head == '"received","index","publisher","at","left","ranges","data","says","parts"'
     assert row == (
         '"2023-11-14T22:13:20.000000123Z",0,"/robot","2023-11-14T22:13:20.000000005Z","-0.500000000",'
-        '"[0.1,""NaN"",""INF""]","Af8=","a ""b""\n","[{""x"":""-INF"",""name"":""ü""}]"\r\n'
+        '"[0.1,""NaN"",""INF""]","Af8=","a ""b""\n","[{""x"":""-INF"",""name"":""ü""}]"\n'
     )

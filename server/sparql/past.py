@@ -221,14 +221,15 @@ class PastQuery:
             covered = self.covered.get(id(group), _NOTHING)
             within: set[Pattern] = set()
             for chain in group.chains:
-                subject = chain.patterns[0].subject
+                at = int(chain.steps[0] == _PAST)  # the path begins at a topic
+                subject, steps = chain.patterns[at].subject, chain.steps[at:]
                 name = subject.name if isinstance(subject, Variable) else ""
-                fields = chain.steps[:-1] if chain.steps[-1] == ros.dateTime.value else chain.steps
-                is_short = all(self._terms.type_named(each) is not None for each in fields)
-                if is_short and name in covered and roots.get(name) == name:
-                    predicate = predicates.setdefault(chain.steps, f"{NAMESPACE}path:{len(predicates)}")
-                    self.replaced.append((chain.start, chain.end, predicate))
-                    within.update(chain.patterns)
+                fields = steps[:-1] if steps[-1] == ros.dateTime.value else steps
+                is_of_fields = all(self._terms.type_named(each) is not None for each in fields)
+                if is_of_fields and len(steps) > 1 and name in covered and roots.get(name) == name:
+                    predicate = predicates.setdefault(steps, f"{NAMESPACE}path:{len(predicates)}")
+                    self.replaced.append((chain.starts[at], chain.end, predicate))
+                    within.update(chain.patterns[at:])
                     found.setdefault(name, set()).add(predicate)
             for each in group.patterns:
                 end = each.object if _is_past(each) else each.subject

@@ -58,9 +58,9 @@ class Pattern(NamedTuple):
 
 
 class WrittenChain(NamedTuple):
-    """A path of plain predicates, `first/second/third`, its place in the text, and its patterns, one per predicate."""
+    """A path of plain predicates, `first/second/third`, with their positions, its end, and the pattern of each."""
 
-    start: int
+    starts: tuple[int, ...]
     end: int
     steps: tuple[str, ...]
     patterns: tuple[Pattern, ...]
@@ -123,10 +123,10 @@ class Inverse(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """`path / path`, and its place in the text."""
+    """`path / path`, the positions of its parts in the text, and its end."""
 
     parts: tuple[Path, ...]
-    start: int = 0
+    starts: tuple[int, ...] = ()
     end: int = 0
 
 

@@ -217,11 +217,12 @@ class TripleParser(Cursor):
         return parts[0] if len(parts) == 1 else Choice(tuple(parts))
 
     def _sequence(self) -> Path:
-        start = self.token.start
+        starts = [self.token.start]
         parts = [self._element()]
         while self.take("/"):
+            starts.append(self.token.start)
             parts.append(self._element())
-        return parts[0] if len(parts) == 1 else Chain(tuple(parts), start, self.end)
+        return parts[0] if len(parts) == 1 else Chain(tuple(parts), tuple(starts), self.end)
 
     def _element(self) -> Path:
         is_inverse = self.take("^")
@@ -277,7 +278,7 @@ class TripleParser(Cursor):
                 self.add_path(group, ends[at], part, ends[at + 1])
             steps = tuple(part.iri for part in path.parts if isinstance(part, PathStep))
             if len(steps) == len(path.parts):
-                group.chains.append(WrittenChain(path.start, path.end, steps, tuple(group.patterns[before:])))
+                group.chains.append(WrittenChain(path.starts, path.end, steps, tuple(group.patterns[before:])))
         else:
             predicates = path_predicates(path)
             is_simple = (

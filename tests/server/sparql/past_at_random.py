@@ -160,7 +160,13 @@ class PastMaker:
             return f"BIND(ros:{call} AS ?p{number}) {then}"
         if kind == "untied":
             return random.choice(
-                ["", f"?any ros:received {time} .", "?any string:data ?said .", "OPTIONAL { ?m string:data ?also }"]
+                [
+                    "",
+                    f"?any ros:received {time} .",
+                    "?any string:data ?said .",
+                    "OPTIONAL { ?m string:data ?also }",
+                    f"</topics/cmd_vel> ros:past/twist:linear/vector:x ?c{self._number()} .",
+                ]
             )
         number = self._number()
         other = f"?m{number}" if random.random() < 0.6 else message

@@ -105,7 +105,7 @@ class Analyser:
         return Analysis(
             rewrite(checked.text, query.literals, query.expressions, units, replaced),
             query.form,
-            needs_of(query, self.base),
+            needs_of(query, self.base, () if past is None else past.recorded_patterns()),
             self._used_prefixes(checked),
             query.default,
             query.named,

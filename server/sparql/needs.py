@@ -3,7 +3,7 @@
 Everything that does not require reading the robot is always in the dataset. Values (latest messages, parameter values
 and properties) are read before a query with a triple pattern that can match one of their triples. Each pattern is
 judged by its own constants alone, whatever joins and filters do with its matches, so adding a pattern to a query can
-only add needs.
+only add needs. Patterns that match only recorded messages (`past.py`) need nothing live.
 """
 
 from __future__ import annotations
@@ -91,13 +91,18 @@ def needs_of_documents(documents: Iterable[str]) -> Needs:
     return Needs(frozenset(Constants(graph=document) for document in named), named, named)
 
 
-def needs_of(query: Query, base: str) -> Needs:
-    """Return the needs of a query, without its FROM; `base` is the prefix of the IRIs of this server's documents."""
+def needs_of(query: Query, base: str, recorded: Collection[tuple[int, Pattern]] = ()) -> Needs:
+    """Return the needs of a query, without its FROM; `base` is the prefix of the IRIs of this server's documents.
+
+    `recorded` are the patterns that match only recorded messages, each with the `id` of its group.
+    """
     groups = [*groups_within(query.where)]
     terms = [group.graph for group in groups]
     terms += (term for group in groups for each in group.patterns for term in (each.subject, each.object))
     named = {*query.constants, *(term.value for term in terms if isinstance(term, Iri))}
-    patterns = frozenset(_constants(each, group) for group in groups for each in group.patterns)
+    patterns = frozenset(
+        _constants(each, group) for group in groups for each in group.patterns if (id(group), each) not in recorded
+    )
     if AGE in query.functions:
         patterns |= {Constants(graph=document_of(iri)) for iri in query.constants}
     documents = frozenset(document_of(iri) for iri in named if iri.startswith(base))

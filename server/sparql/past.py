@@ -201,6 +201,15 @@ class PastQuery:
         """Return the selections of messages that may take part in a match, for NOW() within an interval."""
         return list(dict.fromkeys(self._of(self._query.where, _Context(), now)))
 
+    def recorded_patterns(self) -> Collection[tuple[int, Pattern]]:
+        """Return the patterns that match only recorded messages, each with the `id` of its group."""
+        return {
+            (id(group), each)
+            for group in _groups_of_default_graph(self._where)
+            for each in group.patterns
+            if _is_past(each) or self._is_about(each, self.covered.get(id(group), _NOTHING))
+        }
+
     def predicates_of(self, variables: Collection[str]) -> frozenset[str] | None:
         """Return the predicates that the query can match on messages of these variables, None for all."""
         if self.predicates is None:

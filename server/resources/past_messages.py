@@ -356,7 +356,7 @@ class _Reading:
         if time.monotonic() <= self._pause:
             return
         if time.monotonic() > self._until:
-            raise out_of_time(self._session.settings.query_time_limit)
+            raise out_of_time(self._session.settings.query_time_limit, _by_topic(self._read))
         time.sleep(_SLICE / 20)
         self._pause = time.monotonic() + _SLICE
 
@@ -397,7 +397,7 @@ class _Reading:
                     for message in block.messages():
                         self._add_transforms(recording, message.sample, buffer, is_static=is_static)
                     if time.monotonic() > self._until:
-                        raise out_of_time(self._session.settings.query_time_limit)
+                        raise out_of_time(self._session.settings.query_time_limit, _by_topic(self._read))
                     time.sleep(_SLICE / 20)
         return buffer.rows()
 

@@ -205,7 +205,7 @@ class PastQuery:
         """Return the patterns that match only recorded messages, each with the `id` of its group."""
         return {
             (id(group), each)
-            for group in _groups_of_default_graph(self._where)
+            for group in _groups_of_default_graph(self._query.where)
             for each in group.patterns
             if _is_past(each) or self._is_about(each, self.covered.get(id(group), _NOTHING))
         }

@@ -63,10 +63,17 @@ class StopReason(Enum):
     PAST = "past"
 
 
-def out_of_time(seconds: float) -> Problem:
-    """Return the problem of a query that exceeded its time limit."""
+def out_of_time(seconds: float, counts: Mapping[str, int] = {}) -> Problem:
+    """Return the problem of a query that exceeded its time limit; `counts` are its recorded messages by topic."""
+    words = f"The query exceeded its time limit of {seconds:g} s"
+    if not counts:
+        return _stop_problem(StopReason.TIME, f"{words}: ask for less at a time.")
+    largest = sorted(counts.items(), key=lambda each: -each[1])[:_MAX_NAMED]
+    listed = ", ".join(f"{count} of {topic}" for topic, count in largest)
     return _stop_problem(
-        StopReason.TIME, f"The query exceeded its time limit of {seconds:g} s: ask for less at a time."
+        StopReason.TIME,
+        f"{words} over recorded messages ({listed}). Bound the ros:received of each, and join topics by "
+        "BIND(ros:asOf(?topic, ?time) AS ?message) or ros:previous instead of comparing all times with all.",
     )
 
 

@@ -27,7 +27,14 @@ from rosld.server.sparql.past import PastDataset, PastSource, PastText
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import AnswerWork, QueryWork, TableWork, Work
 from rosld.server.sparql.protocol import QueryRequest
-from rosld.server.sparql.query_limits import DEFAULT_LIMITS, Limits, incomplete, out_of_time, too_many_queries
+from rosld.server.sparql.query_limits import (
+    DEFAULT_LIMITS,
+    Limits,
+    StopReason,
+    incomplete,
+    out_of_time,
+    too_many_queries,
+)
 from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.results import ResultRows
 from rosld.server.sparql.ros_functions import TRANSFORM
@@ -217,6 +224,10 @@ class QueryService:
                     body = await self._process.answer(work, limits, until, disconnected, dataset)
                 except QueryError as error:
                     raise parse_problem(error, evaluated.text) from error
+                except Problem as problem:
+                    if past is not None and problem.extra.get("reason") == StopReason.TIME.value:
+                        raise out_of_time(limits.seconds, past.counts) from problem
+                    raise
             if not least or (body := await _whole(body)):
                 break
         return body, unread

@@ -197,6 +197,25 @@ def test_what_cannot_be_asked_of_the_past_says_how_it_can(driven: Driven) -> Non
         assert words in refusal(driven.http, query, 400)
 
 
+def test_a_query_out_of_time_says_what_was_large_and_how_to_join(driven: Driven) -> None:
+    pairs = "</topics/odom> ros:past ?one . </topics/imu> ros:past ?other . ?any ros:past ?third ; ros:past ?fourth ."
+    data = {"query": f"SELECT (COUNT(*) AS ?n) {{ {pairs} }}", "timeout": "0.3"}
+    answer = driven.http.post("/sparql", data=data, headers={"Accept": "text/csv, application/problem+json"})
+    assert (answer.status_code, answer.json()["reason"]) == (503, "time")
+    assert re.search(r"\d+ of /odom", answer.json()["detail"])
+    assert "ros:asOf" in answer.json()["detail"]
+
+
+def test_a_message_in_time_needs_a_variable_and_is_nil_before_the_first(driven: Driven) -> None:
+    words = refusal(driven.http, "SELECT * { FILTER(ros:asOf(</topics/odom>, NOW()) = ?m) }", 400)
+    assert "BIND(ros:asOf(" in words
+    early = '"2000-01-01T00:00:00Z"^^xsd:dateTime'
+    query = f"SELECT * {{ BIND(ros:asOf(</topics/odom>, {early}) AS ?m) OPTIONAL {{ ?m ros:received ?t }} }}"
+    assert ask(driven.http, query)[1] == ["http://www.w3.org/1999/02/22-rdf-syntax-ns#nil", ""]
+    assert "ros:sqrt" in refusal(driven.http, "SELECT (ros:sqrt(4) AS ?x) {}", 400)
+    assert "HAVING" in refusal(driven.http, "SELECT * { FILTER(ros:median(?x) > 4) }", 400)
+
+
 def test_a_topic_that_a_recording_lacks_is_no_empty_answer_and_the_history_is_none_of_its_remedies(
     driven: Driven,
 ) -> None:

@@ -31,15 +31,15 @@ LEASE = 1.0
 """Default number of seconds of a hold without renewal."""
 _NO_DEFAULTS: Mapping[str, float] = MappingProxyType({})
 HOLD = (
-    "The message is published again and again until the lease ends, or for as many seconds as `for` says. PATCH of the "
-    "hold that is made (Location) renews it, also with another message; DELETE ends it. Then what `then` says is "
-    "published: zero for a velocity."
+    "The message is published repeatedly until the lease ends, or for `for` seconds. PATCH of the new hold (Location) "
+    "renews it, also with another message; DELETE ends it. At its end the message of `then` is published: zero for a "
+    "velocity."
 )
 """Explanation of holding a topic."""
 MEANINGS = {
     "rate": "Messages per second.",
-    "lease": "The lease in seconds: how long the hold lasts without renewal.",
-    "for": "The number of seconds after which the hold ends, instead of a lease.",
+    "lease": "Seconds that it lasts without renewal.",
+    "for": "Seconds that it lasts, instead of a lease.",
     "then": "The last message: zero, none, or the URL of one.",
 }
 _SETTINGS = LiftSettings()

@@ -28,7 +28,7 @@ def _period(command: _F) -> _F:
     return click.option("--from", "since", metavar="TIME", help=f"The first time: {words}.")(command)
 
 
-@click.command(cls=GlobCommand, short_help="Say what recordings contain.")
+@click.command(cls=GlobCommand, short_help="Describe the content of recordings.")
 @click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
 @_topics("Topics to describe; default: all. Repeatable.")
 @_period
@@ -43,7 +43,7 @@ def info(
     *,
     as_json: bool,
 ) -> None:
-    """Say what each FILE contains: format, size, duration, start, end, topics with their types, counts and rates.
+    """Describe the content of each FILE: format, size, duration, start, end, topics with their types, counts and rates.
 
     \b
     Examples:

@@ -167,7 +167,7 @@ def _topic_vertex(topic: Topic, own_node: str, url: str, traffic: Traffic) -> Ve
     is_awaited = any(each.node != own_node for each in topic.subscribers)
     problem = ""
     if len(topic.types) > 1:
-        problem = f"types that contradict each other: {', '.join(ref.name for ref in topic.types)}"
+        problem = f"conflicting types: {', '.join(ref.name for ref in topic.types)}"
     elif is_awaited and not topic.publishers and not traffic.is_published:
         problem = "silent: nobody publishes"
     elif topic.publishers:

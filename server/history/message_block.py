@@ -143,7 +143,7 @@ class Layout:
     def end(self) -> None:
         """Raise ValueError unless the message ends here."""
         if not 0 <= len(self._data) - self._at <= (_PADDING if self._is_cdr else 0):
-            raise ValueError("the message is longer or shorter than its type says")
+            raise ValueError("the length of the message does not match its type")
 
     def cells(self, data: NDArray[np.uint8], path: tuple[str, ...]) -> NDArray[Any]:
         """Return the numbers, or the bytes of strings, at a path: a row for each message."""

@@ -352,7 +352,7 @@ def cancel_forms(affordance: ActionAffordance) -> tuple[DeleteForm, ...]:
     """Return the button that cancels the goals of an action, if they can be canceled."""
     if affordance.goals is None or not affordance.goals.can_cancel:
         return ()
-    return (DeleteForm("Cancel", "Cancel the goal", "Cancels every active goal that was sent from here."),)
+    return (DeleteForm("Cancel", "Cancel the goal", "Cancels every active goal that was sent through rosld."),)
 
 
 def _once(form: ValueForm | None, action: str = "") -> tuple[ValueForm, ...]:

@@ -240,10 +240,10 @@ def render_entry(page: EntryPage) -> bytes:
     """Return the entry page: the robot, the number of its resources, and where to continue."""
     example = page.example or f"{page.site.base}topics/"
     tries = (
-        ("The robot's topics, as Turtle", _curl(f"{page.site.base}topics/", "text/turtle")),
-        ("One of them, as plain JSON", _curl(example, "application/json")),
+        ("The topics of the robot, as Turtle", _curl(f"{page.site.base}topics/", "text/turtle")),
+        ("One topic, as plain JSON", _curl(example, "application/json")),
         (
-            "A query over all of it",
+            "A query over the whole robot",
             f"curl '{_shell(page.site.base)}sparql' -H 'Accept: text/csv' \\\n  --data-urlencode "
             f"'query=SELECT ?topic ?type WHERE {{ ?topic <{page.site.vocabulary}hasMessageType> ?type }}'",
         ),

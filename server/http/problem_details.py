@@ -176,7 +176,7 @@ def _page(problem: Problem) -> str:
         for one in problem.violations
     )
     quotes = "".join(f"<p>{who}: <q>{html.escape(words)}</q></p>" for who, words in problem.quotes)
-    table = f"<table><tr><th>Field</th><th>What does not fit</th></tr>{rows}</table>" if rows else ""
+    table = f"<table><tr><th>Field</th><th>Problem</th></tr>{rows}</table>" if rows else ""
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'

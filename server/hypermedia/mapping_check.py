@@ -106,11 +106,11 @@ def _of_property(mapped: MappedProperty, tree: ResourceTree) -> Iterator[str]:
     properties = tree.catalogue.properties
     found = properties.get(mapped.member)
     if found is None:
-        yield f"map:member {mapped.member}: nothing of this name has a value" + _near(mapped.member, properties)
+        yield f"map:member {mapped.member}: no such topic, parameter or getter" + _near(mapped.member, properties)
     elif mapped.field is not None and not has_scalar(found.shape, mapped.field):
         yield f"map:field {mapped.field}: {mapped.member} has no such scalar"
     elif mapped.writable_when and not found.writers:
-        yield f"map:writableWhen of {mapped.member}: nothing writes it"
+        yield f"map:writableWhen of {mapped.member}: no topic, parameter or setter can write it"
 
 
 def _of_action(resource: ComplexResource, mapped: MappedAction, tree: ResourceTree) -> Iterator[str]:
@@ -127,7 +127,7 @@ def _of_conditions(resource: ComplexResource, tree: ResourceTree) -> Iterator[st
     for condition in resource.all_conditions():
         about = condition.about
         if about not in (tree.paths if about.endswith("/") else tree.catalogue.properties):
-            yield f"map:about {about}: nothing is there, so the condition never holds"
+            yield f"map:about {about}: there is no such resource, so the condition never holds"
 
 
 def _of_stops(resource: ComplexResource, tree: ResourceTree) -> Iterator[str]:

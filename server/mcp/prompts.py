@@ -77,7 +77,7 @@ async def get_prompt(
     """Return one prompt, with the words of the user. Raises MCPError for an unknown one."""
     prompt = _PROMPTS.get(params.name)
     if prompt is None:
-        raise MCPError(types.INVALID_PARAMS, f"There is no such prompt; there are {', '.join(_PROMPTS)}.")
+        raise MCPError(types.INVALID_PARAMS, f"There is no such prompt; choose from {', '.join(_PROMPTS)}.")
     given, text = params.arguments or {}, prompt.text
     for name, _ in prompt.parameters:
         if name not in given:

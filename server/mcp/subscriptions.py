@@ -27,7 +27,7 @@ _WAIT_SECONDS = 60
 _JSON = "application/json"
 _NOT_FOUND = -32002
 _MAIN = (
-    ("", "Entry point", "What this server is, and what leads where."),
+    ("", "Entry point", "This server, with links to everything else."),
     ("resources/", "Resources", "The robot as resources, each with its value."),
     ("topics/", "Topics", "The topics, each with its type and latest value."),
     ("services/", "Services", "The services that can be called."),
@@ -38,7 +38,7 @@ _MAIN = (
     ("status", "Status", "The state of this server."),
     ("stop", "Stop", "Whether the robot is stopped, by whom and why."),
     ("queries/", "Queries", "Stored SPARQL queries."),
-    ("activity/", "Receipts", "What was written, by whom, and what became of it."),
+    ("activity/", "Receipts", "Receipts of writes: by whom, what, and the outcome."),
 )
 
 
@@ -52,7 +52,7 @@ class Subscriptions:
             types.Resource(uri=f"{base}{path}", name=title, title=title, description=about, mime_type=_JSON)
             for path, title, about in _MAIN
         ]
-        about = "Any URL of this server: topics, values, goals, receipts, documents. Cameras are pictures."
+        about = "Any URL of this server: topics, values, goals, receipts, documents. Cameras return pictures."
         self._template = types.ResourceTemplate(
             uri_template=f"{base}{{+path}}", name="url", title="Any URL", description=about, mime_type=_JSON
         )

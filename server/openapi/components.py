@@ -42,7 +42,10 @@ _REFERENCE: JsonSchema = {"type": "string", "format": "uri-reference"}
 _URLS = json_array(URI)
 _VIOLATION = json_object(
     {"path": TEXT, "message": TEXT},
-    {"value": {"type": ["string", "null"]}, "said": _about(TEXT, "The message of the violated shape: data.")},
+    {
+        "value": {"type": ["string", "null"]},
+        "said": _about(TEXT, "The sh:message of the violated shape: data."),
+    },
 )
 _PROBLEM_SCHEMA = _about(
     json_object(

@@ -37,11 +37,11 @@ from rosld.server.runtime.offload import WorkerPool
 from rosld.server.runtime.version_cache import IdentityKey
 
 _ABOUT = (
-    "A robot as Linked Data. Every resource links to others, begin at `/`; every answer about a resource says in Allow "
-    "what may be done with it, and problems say what to do next (RFC 9457). What answers GET answers HEAD and "
-    "conditional requests (RFC 9110 13), and everything answers OPTIONS. Everything can be had as RDF in several "
-    "syntaxes by Accept; `application/json` is ROS's own JSON where there is a ROS value, in which integers beyond 53 "
-    "bits are strings of digits and what is too large, or no UTF-8, is an object that says so."
+    "A robot as Linked Data. Start at `/` and follow links. `Allow` lists the methods that a resource supports now, "
+    "and problems name the next step (RFC 9457). Every URL that supports GET supports HEAD and conditional requests "
+    "(RFC 9110 13), and every URL supports OPTIONS. `Accept` selects an RDF syntax. `application/json` is plain "
+    "JSON for ROS values: integers beyond 53 bits are strings of digits, and an object replaces a value that is too "
+    "large or is not UTF-8."
 )
 
 

@@ -48,7 +48,7 @@ class DescribedPath(Struct, frozen=True):
 MAX_SINGLE = 1000
 """Maximum number of parameters and of complex resources described individually; templates cover the rest."""
 _MAX_QUERIES = 1000
-_OR_ANOTHER = f", or one beyond the {MAX_SINGLE} that are described one by one"
+_OR_ANOTHER = f", or one that is not among the {MAX_SINGLE} described individually"
 _TAGS = {
     "": "entry",
     "find": "entry",
@@ -65,7 +65,7 @@ _TAGS = {
 }
 """Tags of URLs that are not named after their first segment."""
 _ENTRY = ("ontology", ".well-known/", ".well-known/wot", ".well-known/void", "openapi.json", "llms.txt")
-_NAME = "A name; those of several parts have slashes, as in the URL."
+_NAME = "A name, as in the URL: its parts are separated by slashes."
 
 
 class PathCollector(Struct, frozen=True):
@@ -202,9 +202,9 @@ class PathCollector(Struct, frozen=True):
 
     def _other_resources(self, one: DescribedPath) -> DescribedPath:
         """Return the template for all resources and properties not described individually, based on an example."""
-        summary = "One of the resources, properties and actions that are too many to be described one by one"
+        summary = "Any resource, property or action that is not described individually"
         accepts = dict.fromkeys(one.accepts, (ANY_TYPE,))
-        segments = {"name": "A path, as in the URL: links lead to it."}
+        segments = {"name": "A path, as in links."}
         item = PathItem(summary, FIELD_READS, query=(FORMAT,))
         return DescribedPath("/resources/{name}", "resources", item, one.methods, accepts, segments)
 
@@ -242,7 +242,7 @@ class PathCollector(Struct, frozen=True):
             yield self._path(self._of(space.bag_moment(name)))
             if recording.count:
                 page = f"{recording.identity}-0-{recording.first // 100}"
-                yield self._template(f"{stream}/{{page}}", f"{stream}/{page}", page="As the stream links to it.")
+                yield self._template(f"{stream}/{{page}}", f"{stream}/{page}", page="As in the links of the stream.")
             path = self._of(space.bag_messages(name))
             yield self._path(path)
             if recording.count:

@@ -148,7 +148,7 @@ class _Sink:
         if not isinstance(datatype, str):
             raise RefusedSyntax(f"the datatype of {text[:100]!r} is not an IRI")
         if datatype in _TAGGED:
-            raise RefusedSyntax(f"{text[:100]!r} has a language by its datatype and none by its tag")
+            raise RefusedSyntax(f"{text[:100]!r} has the datatype of strings with a language, but no language tag")
         return Literal(text, datatype=NamedNode(datatype))
 
     def newList(self, items: list[object], formula: Formula) -> Node:

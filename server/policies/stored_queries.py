@@ -116,14 +116,14 @@ class StoredQueries:
 
     def _text(self, name: str, blob: Blob) -> str:
         if blob.size > 4 * DEFAULT_BOUNDS.size:
-            raise ValueError(f"{name}: a query cannot have {blob.size} bytes")
+            raise ValueError(f"{name}: a query of {blob.size} bytes is too large")
         data = self._records.file(blob).read_bytes()
         charset = parse_media_type(blob.media_type).parameter("charset") or UTF_8
         try:
             return data.decode("utf-8") if codec_of(charset) == UTF_8 else decode(data, codec_of(charset))
         except UnicodeDecodeError as error:
             line = data[: error.start].count(b"\n") + 1
-            raise ValueError(f"{name}:{line}: what stands there is not {charset.upper()} ({error.reason})") from error
+            raise ValueError(f"{name}:{line}: this is not valid {charset.upper()} ({error.reason})") from error
 
 
 def query_triples(url: str, query: StoredQuery) -> list[Triple]:

@@ -68,7 +68,7 @@ async def message_shape(
     """Return the shape of messages to a topic, a service or an action, as the shapes graph at the URL `shape`."""
     space = limit_checks.session.space
     demand = await limit_checks.message_demand(kind, name, schema)
-    return accepted_message_document(shape, schema, space, f"What may be sent to {_path(shape, space)}", demand)
+    return accepted_message_document(shape, schema, space, f"Accepted messages of {_path(shape, space)}", demand)
 
 
 def _path(shape: str, space: Space) -> str:
@@ -85,7 +85,7 @@ async def parameter_shape(limit_checks: LimitChecks, name: str, shape: str) -> D
     """Return the shape of values of a parameter, or None if it does not exist."""
     space = limit_checks.session.space
     url, kinds = space.parameter(name), await _of_parameter(limit_checks, name)
-    title = f"What {_path(shape, space)} may be set to"
+    title = f"Accepted values of {_path(shape, space)}"
     return accepted_value_document(shape, url, ros.value, kinds, space, title) if kinds else None
 
 
@@ -93,7 +93,7 @@ async def property_shape(limit_checks: LimitChecks, plan: PropertyPlan, url: str
     """Return the shape of values of a property, or None if it has no writer or no known type."""
     space, writer = limit_checks.session.space, property_writer(limit_checks.session, plan.source)
     kinds = [] if writer is None else await _of_writer(limit_checks, plan, writer)
-    title = f"What {_path(shape, space)} may be made"
+    title = f"Accepted values of {_path(shape, space)}"
     return accepted_value_document(shape, url, rdf.value, kinds, space, title) if kinds else None
 
 

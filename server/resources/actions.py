@@ -125,7 +125,7 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
         sending = await self._submit(exchange, schema, message)
         problem = _failure(self.space, self.name, sending)
         if problem is not None or sending.goal is None:
-            raise problem or Problem(502, f"{self.name} did not take the goal.")
+            raise problem or Problem(502, f"{self.name} did not accept the goal.")
         resource = GoalResource(self.session, self.states, sending.goal.id)
         return CreatedAnswer(resource.url, resource, resource.state_of(sending.goal))
 
@@ -138,8 +138,8 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
         pursued = [goal for goal in self.session.goals.of_action(self.name) if goal.is_cancelable]
         cancelable = [goal for goal in pursued if goal.is_own or others]
         if not cancelable:
-            hint = " Others have sent goals: cancel them with ?others=true." if pursued else ""
-            raise Problem(409, f"{self.name} has no active goal that was sent from here.{hint}")
+            hint = " Other clients have sent goals: cancel them with ?others=true." if pursued else ""
+            raise Problem(409, f"{self.name} has no active goal that was sent through rosld.{hint}")
         answer = Response(status_code=202)
         for goal in cancelable:
             with contextlib.suppress(DryRunEnded):

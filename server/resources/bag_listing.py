@@ -40,14 +40,14 @@ PAGE = 100
 """Number of recordings on a page, unless the client prefers another."""
 _SORTS = (*SORTS, *(f"-{key}" for key in SORTS))
 FILTERS = (
-    QueryParameter("topic", "Only recordings with this topic, or with one that a glob fits."),
+    QueryParameter("topic", "Only recordings with this topic, or one that matches a glob."),
     QueryParameter("type", "Only recordings with messages of this type, such as `nav_msgs/msg/Odometry`."),
     QueryParameter("from", "Only recordings that last until this time (xsd:dateTime) or longer."),
     QueryParameter("to", "Only recordings that begin at this time or before."),
-    QueryParameter("min_duration", "Only recordings of at least so many seconds.", {"type": "number", "minimum": 0}),
+    QueryParameter("min_duration", "Only recordings of at least this many seconds.", {"type": "number", "minimum": 0}),
     QueryParameter("tag", "Only recordings with this tag."),
     QueryParameter("q", "Only recordings with these words in their name, topics, tags and events."),
-    QueryParameter("sort", "The order; with `-` before it the reverse.", {"type": "string", "enum": [*_SORTS]}),
+    QueryParameter("sort", "The order; a leading `-` reverses it.", {"type": "string", "enum": [*_SORTS]}),
 )
 _LABELS = {"q": "Words", "from": "From", "to": "To", "min_duration": "Seconds at least", "sort": "Order"}
 _COLUMNS = ("start", "duration", "messages", "size", "tags", "problem")

@@ -230,7 +230,7 @@ class StorageDescription(DescribedResource):
     kind = "Storage description"
     shape = "Subscriptions"
     title = "Notifications"
-    item = PathItem("Where the subscription services are", plain=OBJECT)
+    item = PathItem("The subscription services", plain=OBJECT)
 
     def document(self) -> Document:
         return description_document(self.url, self.space.base, self.notifications.services)
@@ -245,7 +245,7 @@ class WellKnownContainer(DescribedResource):
     kind = "Well-known resources"
     shape = "Container"
     title = "Well-known resources"
-    item = PathItem("What is well known here")
+    item = PathItem("The well-known resources")
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def document(self) -> Document:
@@ -286,7 +286,7 @@ class SubscriptionService(DescribedResource):
             done=(201,),
             shows=OBJECT,
         )
-        return PathItem(f"Makes channels: {self._service.type}", plain=OBJECT, writes={"POST": subscribe})
+        return PathItem(f"Creates channels: {self._service.type}", plain=OBJECT, writes={"POST": subscribe})
 
     def methods(self) -> frozenset[str]:
         return READ | {"POST"}
@@ -345,7 +345,7 @@ class ChannelSourceResource(DescribedResource):
 
     kind = "Notification source"
     item = PathItem(
-        "Where notifications are received from: by WebSocket, or a response that goes on",
+        "The source of notifications: a WebSocket, or a response without end",
         (LINES, "text/turtle", "application/n-triples"),
         query=(),
         streams=False,

@@ -94,7 +94,7 @@ class ComplexResource(TimeGate):
             shown = offers.member_affordance(one, write=True)
             value, accepted = schemas.value(shown.shape), schemas.value(shown.shape, sent=True)
             if len(described) > _MANY_MEMBERS and "properties" in value:
-                value = accepted = {"type": "object", "description": f"As {shown.url} has it."}
+                value = accepted = {"type": "object", "description": f"As at {shown.url}."}
             members[one.name], read[one.name] = shown.url, nullable(value)
             if offers.is_writable(one.source):
                 sent[one.name] = patch_schema(accepted)
@@ -103,7 +103,7 @@ class ComplexResource(TimeGate):
             f"The resource {self.name}",
             (*OFFERS, MEDIA_TYPE),
             {"type": "object", "properties": read},
-            (_FORMAT, *PAST, *(replace(one, about=f"Of a Thing Description. {one.about}") for one in PART_QUERY)),
+            (_FORMAT, *PAST, *(replace(one, about=f"For Thing Descriptions. {one.about}") for one in PART_QUERY)),
             {"PATCH": WriteMethod("Sets some members.", patch, done=(200, 204))},
             members=members,
         )

@@ -105,7 +105,7 @@ class EventStreamResource(BagBase):
         requested = exchange.query.get(PROFILE_QUERY)
         found = choose_profile(_PROFILES, exchange.header("accept-profile"), exchange.prefer, requested)
         if requested is not None and found is None:
-            raise Problem(406, f"?{PROFILE_QUERY}={requested[:60]} is unknown; there are {', '.join(_PROFILES)}.")
+            raise Problem(406, f"?{PROFILE_QUERY}={requested[:60]} is unknown; choose from {', '.join(_PROFILES)}.")
         suffix = "" if requested is None or found is None else f"?{PROFILE_QUERY}={_short_name(found)}"
         profile = StreamProfile(found) if found else StreamProfile.RECORD
         links = (RESOURCE, RDF_SOURCE, Link(profile.value, "profile"))
@@ -187,7 +187,7 @@ def event_stream_page(bags: Bags, recording: Recording, name: str) -> EventStrea
             404, f"{name[:60]} is not a page of the stream: {_url(bags.session.space, recording)} links to them."
         )
     if identity != recording.identity:
-        raise Problem(410, f"This was a page of another recording named {recording.name}, which is gone.")
+        raise Problem(410, f"This was a page of an earlier recording named {recording.name}, which was deleted.")
     page = PageNumber(*map(int, numbers))
     beyond = recording.first + recording.count
     if page.level > top_level(0, beyond) or page.start >= beyond:

@@ -39,7 +39,7 @@ _ACKNOWLEDGE = SingleChange(
     _REQUEST,
     ros.state,
     ros.FaultAcknowledged,
-    'A fault can only be acknowledged: send {"state": "acknowledged"}, or have ros:state be ros:FaultAcknowledged.',
+    'A fault can only be acknowledged: send {"state": "acknowledged"}, or set ros:state to ros:FaultAcknowledged.',
 )
 _PLAIN: JsonSchema = json_object(
     {
@@ -79,7 +79,7 @@ class FaultResource(KeptResource[Fault]):
         return self.faults.find(self.id)
 
     def gone_words(self, error: LookupError) -> str:
-        return "was deleted, or made room for later ones"
+        return "was deleted, or replaced by later ones"
 
     def methods(self) -> frozenset[str]:
         return READ if self.session.settings.read_only else READ | {"PATCH", "DELETE"}
@@ -133,7 +133,7 @@ class FaultResource(KeptResource[Fault]):
         fault = self.require()
         _ACKNOWLEDGE.require(await exchange.body(), exchange.media_type, self.url, self.document(fault).triples)
         if self.require().is_healed:
-            raise Problem(409, f"The fault {self.id} is healed already: there is nothing to acknowledge.")
+            raise Problem(409, f"The fault {self.id} has healed already and needs no acknowledgement.")
         self.faults.acknowledge(self.id)
         return Response(status_code=204)
 

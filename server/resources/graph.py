@@ -46,7 +46,7 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'
 """Of a drawing by itself: its own style, and nothing else."""
 _PARAMETERS = (
     QueryParameter("below", "A name: draw only what is below it and its connections."),
-    QueryParameter("all", "Whether to draw what every node has, too.", {"type": "boolean"}),
+    QueryParameter("all", "Whether to draw topics and services that every node has, too.", {"type": "boolean"}),
     QueryParameter(
         "format", "The requested representation; overrides Accept.", {"type": "string", "enum": [*FORMATS, *_DRAWINGS]}
     ),

@@ -46,7 +46,7 @@ from rosld.server.sparql.update.copying import unmanaged_triples
 from rosld.server.sparql.update.operations import ChangeData, GraphVerb, ManageGraph, Operation
 
 DATASET_BODIES = ("application/n-quads", "application/trig")
-_DIRECTLY = "The name of a graph is its own URL, so GET, PUT, PATCH and DELETE there do the same."
+_DIRECTLY = "A graph is named by its URL; GET, PUT, PATCH and DELETE of that URL do the same."
 _MAX_PARAMETERS = 200
 _LONGEST_CACHED = 4096
 
@@ -101,11 +101,11 @@ def _resolved(iri: str, base: str) -> str:
 
 _GRAPH = QueryParameter(
     "graph",
-    "The graph: the URL of what it is about, answered as that URL answers (SPARQL 1.1 Graph Store HTTP Protocol).",
+    "The name of a graph: the URL of its resource, which responds alike (SPARQL 1.1 Graph Store HTTP Protocol).",
     {"type": "string", "format": "uri-reference"},
 )
-_DEFAULT = QueryParameter("default", "Instead of a graph: the union of all; writes go to the default document.")
-_ALL = QueryParameter("all", "Instead of a graph: all of them with their names, as N-Quads, TriG or JSON-LD.")
+_DEFAULT = QueryParameter("default", "Instead of `graph`: the union of all graphs; writes go to the default document.")
+_ALL = QueryParameter("all", "Instead of `graph`: all graphs with their names, as N-Quads, TriG or JSON-LD.")
 _GRAPH_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*{**FORMATS, **available_formats("CONSTRUCT")}]})
 
 

@@ -85,7 +85,7 @@ async def create_hold(exchange: Exchange, topic: PublishingResource, holds: Hold
 
 
 _POSITIVE: JsonSchema = {"type": "number", "minimum": MIN_OF_HOLDS}
-_KEEP = QueryParameter("keep", "Whether the requested event stream keeps the hold.", {"type": "boolean"})
+_KEEP = QueryParameter("keep", "Whether the hold lasts as long as the requested event stream.", {"type": "boolean"})
 
 
 def hold_parameters(longest: float, required: str = "") -> tuple[QueryParameter, ...]:
@@ -130,7 +130,7 @@ def hold_form(
         button="Hold",
         terms=HoldTerms(min(RATE, most), most, min(_FORM_TIME, longest), longest, ZERO if is_velocity else NONE),
         title=f"Drive by {topic}" if schema.ref.name in COMMANDS else "Hold the topic",
-        about="It is published at that rate for as many seconds, or until the hold is ended on its own page.",
+        about="It is published at that rate for that many seconds, or until you end the hold on its page.",
         value=zero if is_velocity else latest,
         pad=drive_pad(topic, schema, bounds, zero, session.limiter.rate),
     )

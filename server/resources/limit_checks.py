@@ -241,7 +241,7 @@ def require_no_octets(body: RdfBody, texts: Set[NamedNode]) -> None:
 def octets_error(path: str, value: Literal, subject: Term) -> LoweringError:
     """Return the error for a limited text that was written as octets."""
     focus = subject if isinstance(subject, NamedNode | BlankNode) else None
-    words = "has a limit, which looks at characters: write it as text, not as octets"
+    words = "has a limit on characters: write it as text, not as octets"
     return LoweringError(
         Violation(path, words, brief_value(value.value), component(sh.datatype), focus=focus, term=value)
     )

@@ -139,7 +139,7 @@ def calls_listing(space: Space, calls: Calls, states: VersionCache[State]) -> Li
         space,
         states,
         "calls",
-        "The calls that are kept",
+        "The stored calls",
         columns,
         lambda: map(listed, reversed(calls.all())),
         calls.changes,
@@ -161,7 +161,7 @@ def goals_listing(space: Space, goals: Goals, states: VersionCache[State]) -> Li
         space,
         states,
         "goals",
-        "The goals that are kept",
+        "The stored goals",
         columns,
         lambda: map(listed, reversed(goals.all())),
         goals.changes,
@@ -231,7 +231,7 @@ class ActivityResource(Resource):
             entry = self.receipts.find(self.id)
         except NoSuchReceipt as error:
             limit = self.settings.receipts_kept
-            sentence = f"There is no receipt {self.id}: it never existed, or is older than the {limit} that are kept."
+            sentence = f"There is no receipt {self.id}: it never existed, or is older than the {limit} stored ones."
             raise Problem(404, sentence) from error
         return self.states.get_or_make(self.url, entry.number, lambda: _receipt_state(self.space, entry))
 

@@ -46,11 +46,11 @@ VARY = "Accept, Accept-Datetime"
 SETTLED_NS = 3_000_000_000
 """Age in ns from which the history is complete and no longer changes."""
 TIMEMAP = (
-    QueryParameter("timemap", "The mementos that there are of it (RFC 7089), `start` the number of the first."),
-    QueryParameter("start", "The number of the first memento that `timemap` tells."),
+    QueryParameter("timemap", "The list of its mementos (RFC 7089), from number `start`."),
+    QueryParameter("start", "The number of the first memento that `timemap` lists."),
     QueryParameter("timegate", "Redirects to the memento at the time in Accept-Datetime, by default the last one."),
 )
-PAST = (QueryParameter("at", "The resource as it was at this time, an xsd:dateTime, by the history."), *TIMEMAP)
+PAST = (QueryParameter("at", "The resource as it was at this time (xsd:dateTime), from the history."), *TIMEMAP)
 """Query parameters for past states of a resource."""
 _PAGE = 1000
 _SECOND = 1_000_000_000
@@ -328,7 +328,7 @@ class PastReadings:
             return unreadable(_unknown(property))
         sample = await read_history(lambda: self._history.writer.latest_at(recorded, self._at_ns))
         if sample is None:
-            return unreadable(f"nothing is recorded of {recorded} until then")
+            return unreadable(f"no message of {recorded} was recorded before that time")
         try:
             schema = await self._session.schemas.message(sample.schema)
         except RosError as error:
@@ -449,4 +449,4 @@ def _unknown(property: Property) -> str:
     """Return the reason why the past of a property is unknown."""
     kinds = {Getter: "the service", ParameterSource: "the parameter", TopicSource: "the topic"}
     sources = [f"{kinds.get(type(each), 'the action')} {each.name}" for each in property.readers]
-    return f"what it was then is not known: {' and '.join(sources) or 'its source'} is not recorded"
+    return f"its state at that time is unknown: {' and '.join(sources) or 'its source'} is not recorded"

@@ -124,7 +124,7 @@ def picture_type(exchange: Exchange, *, is_picture: bool) -> str | None:
         return None
     found = choose_offer(accept, (*OFFERS, *PICTURES))
     if found is None:
-        raise Problem(406, f"None of {accept!r} is offered; there are {', '.join((*OFFERS, *PICTURES))}.")
+        raise Problem(406, f"None of {accept!r} is available; choose from {', '.join((*OFFERS, *PICTURES))}.")
     return found if found in PICTURES else None
 
 

@@ -274,7 +274,7 @@ MAX_NUMBERS = 16
 _PARAMETERS = (
     QueryParameter(
         "y",
-        "A number of a topic or of a property: its URL, or that below the base, and after # the path of the "
+        "A number to plot: the URL of a topic or property, absolute or below the base, then # and the path of the "
         "field. Repeatable.",
         {"type": "array", "items": TEXT},
     ),

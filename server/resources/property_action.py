@@ -68,8 +68,8 @@ from rosld.server.runtime.dry_run import expect_status
 
 _INVOKES = "Invokes the action; returns the resource that it belongs to."
 _SENDS_A_GOAL = "Sends a goal; 409 if it is rejected."
-_CANCELS = "Cancels the goals sent from here."
-_OTHERS = QueryParameter("others", "Those of others too.", {"type": "boolean"})
+_CANCELS = "Cancels goals sent through rosld."
+_OTHERS = QueryParameter("others", "Goals of all clients.", {"type": "boolean"})
 
 
 class MemberResource(TimeGate):
@@ -103,7 +103,7 @@ class MemberResource(TimeGate):
         invoke = WriteMethod(
             _SENDS_A_GOAL if sends_goals else _INVOKES,
             schemas.write(action.request if action else None),
-            GOAL_ENDS if sends_goals else "With the answer: 200 and the resource as it is then.",
+            GOAL_ENDS if sends_goals else "With the response: 200 and the new state of the resource.",
             is_body_required=False,
             done=(201,) if sends_goals else (200, 204),
             shows=OBJECT,
@@ -238,7 +238,7 @@ class MemberResource(TimeGate):
     async def past_state(self, readings: PastReadings) -> State:
         plan = (await self.affordances.tree()).property(self.name)
         if plan is None:
-            raise Problem(404, f"{self.name} is an action: nothing is recorded of it.")
+            raise Problem(404, f"{self.name} is an action, and actions are not recorded.")
         snapshot, plan = await readings.snapshot(plan.reads), replace(plan, exists_when=())
         view = self.affordances.property_view(plan, snapshot)
         view = replace(view, affordance=replace(view.affordance, write=False, observe=False))

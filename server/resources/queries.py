@@ -306,7 +306,7 @@ class AbsentQueryResource(AbsentResource):
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         methods = READ if self.documents.settings.read_only else READ | {"PUT", "DELETE"}
-        return replace(_query_item("A stored query that may be made", ()), methods=methods)
+        return replace(_query_item("A stored query that can be created", ()), methods=methods)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method == "PUT":

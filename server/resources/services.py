@@ -173,7 +173,7 @@ class ServiceResource(InvocableResource[Service, ServiceSchema]):
         call = WriteMethod(
             "Calls the service, once per `Idempotency-Key`.",
             schemas.write(schema.request if schema else None),
-            "With the answer: 201 and the response.",
+            "With the response: 201 and the service's answer.",
             is_body_required=False,
             done=(201,),
             shows=ANYTHING if schema is None else nullable(schemas.read(schema.response)),

@@ -128,11 +128,11 @@ _PARAMETERS = (
     QueryParameter("frame", "The fixed frame of the view. Default: the frame of the map if there is one."),
     QueryParameter(
         "show",
-        "A topic: its URL, or that below the base. Repeatable; without it everything is drawn.",
+        "A topic to draw: its URL, absolute or below the base. Repeatable. Default: all topics.",
         {"type": "array", "items": TEXT},
     ),
     QueryParameter(
-        "view", "How the page draws it: `above`, or `3d`: in three dimensions.", {"type": "string", "enum": [*_VIEWS]}
+        "view", "The view on the page: `above`, or `3d` in three dimensions.", {"type": "string", "enum": [*_VIEWS]}
     ),
     FORMAT,
 )
@@ -172,7 +172,7 @@ class SpaceResource(Resource):
     kind = "View of space"
     shape = "Source"
     title = "Space"
-    item = PathItem("What is in space", (*OFFERS, EVENT_STREAM), _PLAIN, query=_PARAMETERS, streams=False)
+    item = PathItem("The surroundings of the robot", (*OFFERS, EVENT_STREAM), _PLAIN, query=_PARAMETERS, streams=False)
     links = (RESOURCE, RDF_SOURCE_LINK)
     is_cacheable = False
     frame = ""

@@ -270,7 +270,7 @@ class TopicResource(PublishingResource):
         if catalogue is None or not isinstance(page, Page):
             return page
         count = catalogue.number_of(Selection(topics=frozenset({self.name})))
-        words = f"Nothing is live: it is a topic of {count:,} recordings, which /bags/?topic={self.name} lists."
+        words = f"There are no live messages, but {count:,} recordings have them: /bags/?topic={self.name}."
         return replace(page, summary=words)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
@@ -403,7 +403,7 @@ class TopicResource(PublishingResource):
         sample = await read_history(lambda: self.history.writer.latest_at(self.name, at))
         if sample is None:
             since = date_time(0, self.history.recording.start_ns)
-            raise Problem(404, f"Nothing is recorded of {self.name} until {text[:60]}: the history begins at {since}.")
+            raise Problem(404, f"{self.name} was not recorded until {text[:60]}: the history begins at {since}.")
         state = partial(self._past_state, sample, is_settled=at < now - SETTLED_NS)
         return Memento(self, "Topic as it was", text, state, partial(self._get_part, sample))
 

@@ -43,15 +43,15 @@ from rosld.shapes.message import SHACL_SHACL, shape_document
 from rosld.shapes.validation import shapes_file
 
 LIMITS = "limits"
-_HASH = QueryParameter("hash", "Which of several definitions of one name.")
+_HASH = QueryParameter("hash", "The hash of the definition, if a name has several.")
 _SUMMARIES = {
     "cockpit": "The shape of cockpits",
     "data": "The shapes of data",
-    "documents": "The shapes of what documents say",
+    "documents": "The shapes of documents",
     "limits": "The limits in force",
     "mapping": "The shape of mapping documents",
     "query": "The shape of stored queries",
-    "recording": "The shape of the orders of recordings",
+    "recording": "The shape of orders of recordings",
 }
 SHAPES_GRAPHS = tuple(_SUMMARIES)
 """The shapes graphs below `/shapes/` that are not about one type, nor stored by clients."""

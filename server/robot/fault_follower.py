@@ -93,7 +93,7 @@ class FaultFollower:
                     if fault.heard_at < horizon:
                         self.faults.heal(fault.key, fault.last_ns)
             except Exception:
-                _log.exception("faults could not be followed; the next look tries again")
+                _log.exception("faults could not be followed; retrying")
             await asyncio.sleep(PERIOD)
 
 

@@ -143,9 +143,8 @@ class SoftwareStop:
         if self._running or (sending and not failed):
             return None
         if not sending:
-            return f"The robot may still be moving, because nothing was told to stop: {_NOTHING}."
-        failure = "nothing could be told" if failed == len(sending) else "not everything could be told"
-        return f"The robot may still be moving, because {failure} to stop: {failed} of {len(sending)} steps failed."
+            return f"The robot may still be moving, because no command to stop was sent: {_NOTHING}."
+        return f"The robot may still be moving: {failed} of {len(sending)} steps to stop it failed."
 
     def start(self) -> None:
         """Advertise the topics of a stop in advance, if the settings require that."""

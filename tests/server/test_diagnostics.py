@@ -52,7 +52,7 @@ def test_the_worst_comes_first_whoever_said_it_and_is_found_in_every_form(robot:
     assert "&lt;i&gt;" in page
     assert "<i>" not in page
     one = http.get("diagnostics?name=arm", headers={"Accept": "text/html"}).text
-    assert "Nothing is recorded of it" in one
+    assert "It is not recorded" in one
     assert http.get("diagnostics?name=leg").status_code == 404
 
 

@@ -29,10 +29,10 @@ def mapping(what: str) -> str:
 NO_STATE = '[ a sh:NodeShape ; map:about "{}" ; sh:property [ sh:path rdf:value ; sh:hasValue 1 ] ]'
 VAIN = {
     'map:property [ map:predicate ex:p ; map:member "pos" ]': (
-        "map:member /arm/pos: nothing of this name has a value (there is /arm/pose)"
+        "map:member /arm/pos: no such topic, parameter or getter (there is /arm/pose)"
     ),
     'map:property [ map:predicate ex:p ; map:member "/far/away" ]': (
-        "map:member /far/away: nothing of this name has a value"
+        "map:member /far/away: no such topic, parameter or getter"
     ),
     'map:property [ map:predicate ex:p ; map:member "pose" ; map:field "position.w" ]': (
         "map:field position.w: /arm/pose has no such scalar"
@@ -41,7 +41,7 @@ VAIN = {
         "map:field position: /arm/pose has no such scalar"
     ),
     f'map:property [ map:predicate ex:p ; map:member "grip" ; map:writableWhen {NO_STATE.format("/arm/grip")} ]': (
-        "map:writableWhen of /arm/grip: nothing writes it"
+        "map:writableWhen of /arm/grip: no topic, parameter or setter can write it"
     ),
     'map:action [ map:relation ex:a ; map:service "ame" ]': (
         "map:service /arm/ame: there is no such service or action (there is /arm/aim)"
@@ -54,7 +54,7 @@ VAIN = {
     ),
     'map:link [ map:relation ex:l ; map:target "/hand/" ]': "map:target /hand/: there is no such resource",
     f"map:existsWhen {NO_STATE.format('/arm/gone')}": (
-        "map:about /arm/gone: nothing is there, so the condition never holds"
+        "map:about /arm/gone: there is no such resource, so the condition never holds"
     ),
     'map:stop [ map:call "aimm" ]': "map:call /arm/aimm: there is no such service (there is /arm/aim)",
     'map:stop [ map:publish "/arm/posse" ]': "map:publish /arm/posse: there is no such topic (there is /arm/pose)",
@@ -104,7 +104,7 @@ def test_the_resource_says_so_until_the_robot_has_it(http: httpx.Client, robot: 
         return WORDS in http.get("/resources/arm/", headers={"Accept": "application/n-triples"}).text
 
     assert told()
-    assert "nothing of this name has a value" in http.get("/resources/arm/", headers={"Accept": "text/html"}).text
+    assert "no such topic, parameter or getter" in http.get("/resources/arm/", headers={"Accept": "text/html"}).text
     robot.parameter("/arm/force", 5)
     until(lambda: not told(), "the force")
     assert put(http, what).status_code == 204
@@ -143,4 +143,4 @@ def test_a_mapping_to_begin_with_is_told_of_in_the_log(
         record.getMessage() for record in caplog.records if "names things that do not exist" in record.getMessage()
     ]
     assert "/mappings/wrong" in warning
-    assert "map:member /arm/posse: nothing of this name has a value (there is /arm/pose)" in warning
+    assert "map:member /arm/posse: no such topic, parameter or getter (there is /arm/pose)" in warning

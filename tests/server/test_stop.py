@@ -158,7 +158,7 @@ def test_a_service_that_refuses_has_failed_unless_it_is_at_rest(robot: Stoppable
         told = stopped(http)
         step = told["steps"][-1]
         assert (step["does"], step["state"], step["words"][: len(words)]) == ("call /arm/fold", state, words)
-        assert told["warning"] is None if state == "Succeeded" else "1 of 2 steps failed" in told["warning"]
+        assert told["warning"] is None if state == "Succeeded" else "1 of 2 steps to stop it failed" in told["warning"]
         assert release(http).status_code == 204
 
 

@@ -96,7 +96,7 @@ def test_a_subscriber_that_cannot_be_reached_holds_up_no_other_and_is_told_of(
         assert (reached["state"], reached["subscribers"]) == ("Succeeded", 1)
         assert reached["words"] == "1 of 2 subscribers could not be reached"
         assert (failed["state"], failed["words"]) == ("Failed", "no subscriber of /dead_vel could be reached")
-        assert "1 of 2 steps failed" in told["warning"]
+        assert "1 of 2 steps to stop it failed" in told["warning"]
         assert speeds(base)[-1] == 0.0
     finally:
         for topic in (TOPIC, "/dead_vel"):

@@ -168,11 +168,11 @@ def test_a_topic_that_cannot_be_reached_fails_delays_no_other_and_is_told_zero_l
     failed = steps(told)[on("/cmd_vel")]
     assert (failed["state"], failed["words"]) == ("Failed", "no subscriber of /cmd_vel could be reached")
     assert steps(told)[on("/stamped")]["subscribers"] == 1
-    assert "1 of 5 steps failed" in told["warning"]
+    assert "1 of 5 steps to stop it failed" in told["warning"]
     page = http.get("/stop", headers=HTML).text
     assert '<td class="outcome error">failed: <bdi>no subscriber of /cmd_vel could be reached</bdi></td>' in page
     assert '<td data-label="Subscribers">1</td><td class="outcome good">succeeded</td>' in page
-    assert "1 of 5 steps failed" in http.get("/topics/say", headers=HTML).text
+    assert "1 of 5 steps to stop it failed" in http.get("/topics/say", headers=HTML).text
     query = f"SELECT ?n ?w {{ ?stop <{ROS}warning> ?w ; <{ROS}stopStep> ?s . ?s <{ROS}subscriberCount> ?n }}"
     rows = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.splitlines()
     assert len(rows) == 1 + 4
@@ -205,7 +205,7 @@ def test_a_stop_that_can_publish_and_call_nothing_warns_that_the_robot_may_go_on
         assert '<div class="notice error" role="alert">\n  <p><bdi>A stop would' in http.get("/stop", headers=HTML).text
         told = stop(http)
         assert told["steps"] == []
-        assert "The robot may still be moving, because nothing was told to stop" in told["warning"]
+        assert "The robot may still be moving, because no command to stop was sent" in told["warning"]
         for page in ("/stop", "/topics/say", "/"):
             assert "<strong>The robot may still be moving" in http.get(page, headers=HTML).text, page
         assert "may still be moving" in http.get("/stop", headers={"Accept": "text/turtle"}).text
@@ -267,5 +267,5 @@ def test_a_topic_that_is_unreachable_fails_with_its_reason(base: Base) -> None:
     with served(Gone()) as http:
         told = stop(http)
         assert {step["words"] for step in told["steps"]} == {f"the node of {each} is gone" for each in COMMANDS}
-        assert "nothing could be told to stop" in told["warning"]
+        assert "steps to stop it failed" in told["warning"]
         assert release(http).status_code == 204

@@ -281,7 +281,7 @@ async def with_warnings(documents: Documents, path: str, exchange: Exchange, ans
 ANYTHING = "*/*"
 
 DELETES = WriteMethod(
-    done=(204,), query=(QueryParameter("versions", "Whether its former versions are deleted, too.", BOOLEAN),)
+    done=(204,), query=(QueryParameter("versions", "Whether to delete its former versions, too.", BOOLEAN),)
 )
 """Description of DELETE of a stored document."""
 

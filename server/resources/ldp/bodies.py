@@ -226,7 +226,7 @@ def require_classes(managed: Sequence[Triple], model: Model) -> None:
     for each in managed:
         if each.predicate == rdf.type and each.object not in rdf_types(model):
             requested = each.object.value if isinstance(each.object, NamedNode) else each.object
-            words = f"{rdf.type.value} {requested} does not fit: this is to be an ldp:{model.value}. Ask for another"
+            words = f"{rdf.type.value} {requested} conflicts with ldp:{model.value}. Request another"
             raise Problem(409, f'{words} interaction model by a Link header with rel="type" (LDP 5.2.3.4).')
 
 
@@ -274,5 +274,5 @@ def _milliseconds(value: object) -> int | None:
 
 
 def _refusal(stated: Triple, now: Sequence[object]) -> Problem:
-    is_so = f"is {' and '.join(map(str, now))} here" if now else "is not said here"
-    return Problem(409, f"{stated.predicate.value} {is_so}, and not a client's to change: leave {stated.object} away.")
+    is_so = f"is {' and '.join(map(str, now))} here" if now else "is absent here"
+    return Problem(409, f"{stated.predicate.value} {is_so}and managed by the server: omit {stated.object}.")

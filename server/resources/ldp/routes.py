@@ -66,13 +66,13 @@ class AbsentResource(StoredResource):
         is_limits = self.path.startswith("shapes/")
         if is_limits:
             return PathItem(
-                "Limits that a client keeps in force",
+                "Limits of a client",
                 writes={"PUT": WriteMethod(accepts=RDF_BODIES), "PATCH": WriteMethod(accepts=_PATCHES)},
                 methods=methods,
             )
         accepted = (*RDF_BODIES, ANY_TYPE)
         return PathItem(
-            "What a client keeps there: RDF, a file, or a container if the path ends in a slash",
+            "A document of a client: RDF, a file, or a container if the path ends in a slash",
             (*OFFERS, ANY_TYPE),
             ANYTHING,
             writes={

@@ -307,8 +307,8 @@ class UpdateService:
             writable = [graph for graph in graphs if permissions.may("PUT", graph)]
             left = f"{len(graphs) - len(writable)} documents that the agent may not write, "
             record_step(
-                f"{operation.verb.value} {operation.target.value}: {len(writable)} documents; left are "
-                f"{left if len(writable) < len(graphs) else ''}containers, files, policies and what the robot says"
+                f"{operation.verb.value} {operation.target.value}: {len(writable)} documents; unchanged are "
+                f"{left if len(writable) < len(graphs) else ''}containers, files, policies and the robot's graphs"
             )
             found += (ManageGraph(operation.verb, graph, silent=True) for graph in writable)
         return found

@@ -83,7 +83,7 @@ def test_each_is_read_as_if_it_were_served_alone(http: httpx.Client) -> None:
 
 def test_topics_are_known_and_nothing_is_live(http: httpx.Client) -> None:
     assert http.get("/topics/odom", headers=JSON).json() is None
-    assert "it is a topic of 4 recordings" in http.get("/topics/odom", headers={"Accept": "text/html"}).text
+    assert "4 recordings have" in http.get("/topics/odom", headers={"Accept": "text/html"}).text
     assert http.get("/types/nav_msgs/msg/Odometry", headers=NTRIPLES).status_code == 200
     assert http.get("/openapi.json").status_code == 200
     query = f'SELECT ?name {{ ?bag a <{ROS}Bag> ; <{ROS}name> ?name ; <{ROS}hasRecordedTopic>/<{ROS}name> "/imu" }}'

@@ -96,7 +96,7 @@ def test_a_stored_query_is_loaded_with_fields_for_its_parameters(editor: Any) ->
     stored = "document.getElementById('stored')"
     editor.run(f"{stored}.value = '/queries/node', {stored}.dispatchEvent(new Event('change'))")
     editor.until("document.getElementById('parameter-node')")
-    assert editor.run(f"{MIRROR}.getValue()").startswith("# What a node does")
+    assert editor.run(f"{MIRROR}.getValue()").startswith("# What a node publishes")
     answer(editor)
     editor.until("document.querySelector('.errorResult').textContent.includes('node must be given')")
     editor.run("document.getElementById('parameter-node').value = '/nodes/rover'")

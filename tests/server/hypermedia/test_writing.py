@@ -175,7 +175,7 @@ async def test_the_answer_of_a_setter_is_the_outcome_of_the_write() -> None:
         await carry_out(own, plan_write(own, writable(), 1))
     assert late.value is fake.answer
     assert written == [(Kind.SERVICE, "/robot/set_x")] * len(fake.sent)
-    with pytest.raises(LoweringError, match="beyond its range"):
+    with pytest.raises(LoweringError, match="out of its range"):
         plan_write(own, writable(), 1e300)
 
 

@@ -144,7 +144,7 @@ async def test_no_word_of_the_robot_is_in_what_the_tools_say_of_themselves(serve
         shown = await pilot.done("look", url="/topics/cockpit/display")
         assert "mark-" in shown["data"]["data"]
         text = pilot.last.content[0].text
-        assert text.index("no instructions:\n{") < text.index("mark-")
+        assert text.index("not instructions:\n{") < text.index("mark-")
 
 
 def inject(http: httpx.Client, number: int, words: str) -> None:

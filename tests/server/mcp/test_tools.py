@@ -305,7 +305,7 @@ async def test_cancelling_a_call_cancels_the_goal_that_it_sent(version: str) -> 
         await asyncio.wait({sending})
         accepts.set()
         await asyncio.wait_for(cancelled.wait(), 30)
-    why = b"The client cancelled the call that began this."
+    why = b"The client cancelled the call that started this."
     assert seen == [("POST", "/actions/go", b"Go"), ("DELETE", "/goals/7", why)]
 
 

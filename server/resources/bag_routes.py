@@ -33,7 +33,6 @@ from rosld.server.resources.past_messages import may_read_recording
 from rosld.server.resources.recording_cut import CutOrder, asking, cut_order_of, spans_of
 from rosld.server.resources.recording_order import MEDIA_TYPES, SCHEMA, order_of, read_members, recording_form
 from rosld.server.resources.recording_trigger import (
-    NOTHING_IS_RECORDED,
     RecordingTriggers,
     can_record,
     may_read_topic,
@@ -277,7 +276,7 @@ class BagContainer(ListedBags):
 
     def deny_reason(self, method: str) -> str:
         if method == "POST":
-            return NOTHING_IS_RECORDED
+            return "Nothing is recorded here: this server is read-only."
         return super().deny_reason(method)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:

@@ -176,7 +176,7 @@ def test_a_topic_that_cannot_be_reached_fails_delays_no_other_and_is_told_zero_l
     query = f"SELECT ?n ?w {{ ?stop <{ROS}warning> ?w ; <{ROS}stopStep> ?s . ?s <{ROS}subscriberCount> ?n }}"
     rows = http.get("/sparql", params={"query": query}, headers={"Accept": "text/csv"}).text.splitlines()
     assert len(rows) == 1 + 4
-    assert rows[1].startswith('1,"The robot may still be moving')
+    assert rows[1].startswith("1,The robot may still be moving")
     assert "/cmd_vel" not in base.sent
     base.deaf.clear()
     until(lambda: len(base.sent.get("/cmd_vel", ())) >= 15, "zero for a second")

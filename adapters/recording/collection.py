@@ -406,10 +406,9 @@ class CollectionAdapter(Adapter):
         seen, young = catalogue.seen(), time.time_ns() - _SETTLED_NS
         before = catalogue.revision
         catalogue.keep_only(found.keys())
+        has_new = not found.keys() <= seen.keys()  # perhaps a changed file of before, under another name
         changed = [
-            path
-            for path, (size, at) in found.items()
-            if seen.get(path) != (size, at) and (path not in seen or at < young)
+            path for path, (size, at) in found.items() if seen.get(path) != (size, at) and (has_new or at < young)
         ]
         names = self._names(found) if changed else {}
         batch: list[Entry] = []

@@ -49,6 +49,7 @@ FILTERS = (
     QueryParameter("q", "Only recordings with these words in their name, topics, tags and events."),
     QueryParameter("sort", "The order; a leading `-` reverses it.", {"type": "string", "enum": [*_SORTS]}),
 )
+_MAX_WORDS = 20
 _LABELS = {"q": "Words", "from": "From", "to": "To", "min_duration": "Seconds at least", "sort": "Order"}
 _COLUMNS = ("start", "duration", "messages", "size", "tags", "problem")
 
@@ -76,6 +77,9 @@ def read_listing(query: Mapping[str, str], catalogue: Catalogue, permissions: Pe
         topics = frozenset(name for name in names if fnmatchcase(name, given["topic"]))
     elif "type" not in given:
         topics = None
+    words = tuple(given.get("q", "").split())
+    if len(words) > _MAX_WORDS:
+        raise Problem(400, f"?q= has {len(words)} words, and {_MAX_WORDS} are the most.")
     selection = Selection(
         topics=topics,
         types=frozenset({given["type"]}) if "type" in given else None,
@@ -83,7 +87,7 @@ def read_listing(query: Mapping[str, str], catalogue: Catalogue, permissions: Pe
         to_ns=read_time(given["to"], time.time_ns()) if "to" in given else None,
         min_ns=_nanoseconds(given["min_duration"]) if "min_duration" in given else None,
         tags=(given["tag"],) if "tag" in given else (),
-        words=tuple(given.get("q", "").split()),
+        words=words,
         searched=searched,
     )
     return Listing(selection, sort, text)

@@ -142,7 +142,7 @@ def test_a_goal_is_canceled_where_it_was_sent(rover: Rover) -> None:
     until(lambda: status(rover) == "canceled", "the end of the goal")
     nothing = rover.http.delete(ACTION)
     assert nothing.status_code == 409
-    assert "has no active goal that was sent from here" in nothing.json()["detail"]
+    assert "has no active goal that was sent through rosld" in nothing.json()["detail"]
 
 
 def test_the_last_goal_is_shown_unless_another_is_pursued(start_rover: StartRover) -> None:

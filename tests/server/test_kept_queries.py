@@ -219,7 +219,7 @@ def test_each_kept_query_is_an_operation_of_the_description(stored: httpx.Client
 BAD: tuple[tuple[str | bytes, str], ...] = (
     ("", "mine:1: must begin with a comment"),
     (b"\xef\xbb\xbf# A.\nASK {}", "mine:1: must begin with a comment"),
-    (b"# A.\n# \xff\nASK {}", "mine:2: what stands there is not UTF-8"),
+    (b"# A.\n# \xff\nASK {}", "mine:2: this is not valid UTF-8"),
     ("# A.\n# @param p date -- it\nASK { ?p ?a ?b }", "mine:2: 'date' is not a parameter type"),
     ("# A.\n# @param p integer -- it\nASK { ?a ?p ?b }", "mine:3: it is not a valid query with its parameters bound"),
     ("# A.\nPREFIX a: <x:>\nDELETE WHERE { ?s ?p ?o }", "mine:3: DELETE is an update"),

@@ -75,7 +75,7 @@ def http(robot: MadeUp, serving: Serving) -> httpx.Client:
     robot.topic("/arm/pose", "geometry_msgs/msg/Pose", {})
     robot.variable("/arm/grip", "Byte", set=None, value=1)
     robot.answer("/arm/aim", "made_up/srv/Aim")
-    robot.strange(Service("/arm/odd", None, ("/robot",), "its node does not tell its type"))
+    robot.strange(Service("/arm/odd", None, ("/robot",), "its node does not report its type"))
     robot.strange(Action("/arm/pick", TypeRef("made_up/action/Pick"), ("/robot",)))
     return serving()
 

@@ -57,7 +57,7 @@ def test_what_names_no_graph_goes_to_the_default_document_and_all_are_the_docume
     assert [http.get(f"/data/{name}").status_code for name in ("one", "two", "default", "file")] == [410, 410, 410, 200]
     assert http.get("/mappings/aircraft").headers["etag"] == mapping
     receipt = http.get(answer.links["http://www.w3.org/ns/prov#has_provenance"]["url"]).text
-    assert "DROP ALL: 3 documents; left are containers, files, policies and the robot's graphs" in receipt
+    assert "DROP ALL: 3 documents; unchanged are containers, files, policies and the robot's graphs" in receipt
 
 
 # Stored documents

@@ -17,13 +17,14 @@ import orjson
 from msgspec import Struct
 from starlette.responses import Response
 
+from rosld.adapters.base import FOR_EVER
 from rosld.adapters.model import Array, MessageSchema, Primitive, Sample, TypeRef, UnknownType
 from rosld.ontology.describe_views import series_document
 from rosld.ontology.document import Document
 from rosld.ontology.fields import field_at, number_type
 from rosld.ontology.units import UNKNOWN, Quantity, quantity_at
 from rosld.ontology.urls import Space
-from rosld.server.history.chunk_index import ChunkRow
+from rosld.server.history.chunk_index import ChunkRow, unpack_numbers
 from rosld.server.history.history import History
 from rosld.server.history.history_writer import HistoryWriter
 from rosld.server.history.message_block import MessageBlock, columns_of, number_paths
@@ -107,13 +108,31 @@ class SeriesTooLong(ValueError):
     """A series requires more messages than one request may read."""
 
 
-def read_series(writer: HistoryWriter, topic: str, field: str, span: SeriesRange, values: Values) -> Series:
-    """Return the series of a topic's field, whose numbers are read by `values`.
+def read_series(
+    writer: HistoryWriter, topic: str, span: SeriesRange, fields: Mapping[str, Values]
+) -> Mapping[str, Series]:
+    """Return the series of fields of a topic, whose numbers are read by their values, all from the same messages.
 
     The statistics of chunks are cached in the index. Raises SeriesTooLong, OSError, and ValueError for a damaged chunk.
     """
+    at_hand = writer.unwritten(topic)  # first: what is written meanwhile is then in both, not in neither
     rows = writer.segments.index.of_topic(topic, span.from_ns, span.to_ns)
-    unwritten = [each for each in writer.unwritten(topic) if span.from_ns <= each.received_ns <= span.to_ns]
+    first = min((each.sequence - 1 for each in at_hand), default=FOR_EVER)
+    written = {number for row in rows if row.last >= first for number in unpack_numbers(row).tolist()}
+    within = (each for each in at_hand if span.from_ns <= each.received_ns <= span.to_ns)
+    unwritten = [each for each in within if each.sequence - 1 not in written]
+    return {field: _series(writer, topic, field, span, values, rows, unwritten) for field, values in fields.items()}
+
+
+def _series(
+    writer: HistoryWriter,
+    topic: str,
+    field: str,
+    span: SeriesRange,
+    values: Values,
+    rows: Sequence[ChunkRow],
+    unwritten: Sequence[Sample],
+) -> Series:
     if sum(row.messages for row in rows) + len(unwritten) <= span.points:
         samples = [*unwritten, *(sample for row in rows for _, sample in writer.segments.messages_of(row))]
         within = (each for each in samples if span.from_ns <= each.received_ns <= span.to_ns)
@@ -254,20 +273,17 @@ class SeriesResource(Resource):
         return found.pop() if len(found) == 1 else UNKNOWN
 
     async def _read(self) -> Mapping[str, Series]:
-        series: dict[str, Series] = {}
-        for field in self.fields:
-            values = FieldValues(self.history.recording.schema, field)
-            writer = self.history.writer
-            try:
-                found = await asyncio.to_thread(read_series, writer, self.topic, field, self.wanted, values)
-            except SeriesTooLong as error:
-                raise Problem(422, f"{error}: request a shorter period.") from error
-            except (OSError, ValueError, KeyError) as error:
-                raise Problem(503, f"The history cannot be read at the moment: {error}.") from error
-            if not found.points and values.problem is not None:
-                raise Problem(404, f"{values.problem}.")
-            series[field] = found
-        return series
+        values = {field: FieldValues(self.history.recording.schema, field) for field in self.fields}
+        try:
+            found = await asyncio.to_thread(read_series, self.history.writer, self.topic, self.wanted, values)
+        except SeriesTooLong as error:
+            raise Problem(422, f"{error}: request a shorter period.") from error
+        except (OSError, ValueError, KeyError) as error:
+            raise Problem(503, f"The history cannot be read at the moment: {error}.") from error
+        for field, series in found.items():
+            if not series.points and (problem := values[field].problem) is not None:
+                raise Problem(404, f"{problem}.")
+        return found
 
 
 class FieldValues:

@@ -40,6 +40,8 @@ from rosld.server.sparql.past import MAX_TEXT, PastDataset, PastQuery, PastSelec
 from rosld.server.sparql.query_limits import MAX_PAST, out_of_time, too_much_past
 from rosld.server.sparql.summaries import SummaryQuery
 
+_MAX_NAMED = 3
+"""Maximum number of recordings that a problem names."""
 _PAGE = 2000
 """Number of messages read from a file at a time."""
 
@@ -262,7 +264,9 @@ class RecordedPast:
             if any(name in one.topics or self._will_record(one, name) for one in recordings):
                 continue
             if recordings and name in self._session.graph.topics:
-                urls = ", ".join(f"<{space.bag(one.name)}>" for one in recordings)
+                urls = ", ".join(f"<{space.bag(one.name)}>" for one in recordings[:_MAX_NAMED])
+                if len(recordings) > _MAX_NAMED:
+                    urls += f" and {len(recordings) - _MAX_NAMED} more recordings"
                 is_history = any(one is self._recordings.history.recording for one in recordings)
                 next_step = f"--history {name} records it" if is_history else "it says itself of which topics it is"
                 raise Problem(400, f"Nothing of {name} is recorded in {urls}: {next_step}.")

@@ -44,11 +44,11 @@ const queryParameters = (() => {
   function term(name, type, value, base) {
     const wrong = (what) => new Error(`${name}: ${value} is ${what}.`);
     if (type === "integer") {
-      if (!/^\s*[+-]?\d+\s*$/.test(value)) throw wrong("no whole number, such as 42");
+      if (!/^\s*[+-]?\d+\s*$/.test(value)) throw wrong("not an integer such as 42");
       return `"${value.trim()}"^^<${XSD}integer>`;
     }
     if (type === "double") {
-      if (!value.trim() || !Number.isFinite(Number(value))) throw wrong("no number, such as 2.5");
+      if (!value.trim() || !Number.isFinite(Number(value))) throw wrong("not a number such as 2.5");
       return `"${value.trim()}"^^<${XSD}double>`;
     }
     if (type === "string") return JSON.stringify(value);

@@ -75,7 +75,7 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
 
     show() {
       const { goal } = this;
-      if (!goal) return this.refuse("Nothing takes goals any more.");
+      if (!goal) return this.refuse("No action accepts goals now.");
       this.text.textContent = `${goal.method} ${goal.url}\n${JSON.stringify(this.message(), null, 2)}`;
       const half = (Number(this.heading.value) * Math.PI) / 360;
       this.view.aim = { x: Number(this.x.value), y: Number(this.y.value), heading: 2 * half };
@@ -89,13 +89,13 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
 
     async post() {
       const { goal } = this;
-      if (!goal) return this.refuse("Nothing takes goals any more.");
+      if (!goal) return this.refuse("No action accepts goals now.");
       this.send.disabled = true;
       const headers = { accept: "application/json", "content-type": "application/json", prefer: "return=minimal" };
       try {
         const answer = await fetch(goal.url, { method: goal.method, headers, body: JSON.stringify(this.message()) });
         if (!answer.ok) return this.refuse((await answer.json()).detail);
-        const place = answer.headers.get("location"), said = answer.status === 202 ? "Sent, but nothing received it: " : "Sent to ";
+        const place = answer.headers.get("location"), said = answer.status === 202 ? "Sent, but without a receiver: " : "Sent to ";
         const link = place ? element("a", { href: new URL(place, location.href).pathname, textContent: goal.name }) : goal.name;
         this.view.readout.replaceChildren(said, link);
         this.dialog.close();

@@ -255,8 +255,8 @@ def test_creating_a_server_imports_none_of_the_libraries_it_may_never_need() -> 
 
 
 MAX_ATTRIBUTES = 14
-RECORDS = {"Goal", "Settings", "Input", "AuditEntry", "Receipt", "Bag", "Row", "Group"}
-"""Plain records, such as a setting, a form field, a receipt or a recording, which have any number of members."""
+RECORDS = {"Goal", "Settings", "Input", "AuditEntry", "Receipt", "Bag", "Row", "Page", "Group"}
+"""Plain records, such as a setting, a page, a receipt or a recording, which have any number of members."""
 STILL_LARGE = {"Mirror", "Client"}
 """Classes still to be split."""
 

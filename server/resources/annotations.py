@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from functools import cache
 from typing import NamedTuple
 
 import orjson
 from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.catalogue import Event
+from rosld.adapters.model import MessageSchema
+from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.literals import date_time, date_time_nanoseconds
 from rosld.ontology.vocab import dcat, prov, rdf, rdfs, ros
+from rosld.server.html.forms import ValueForm
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT, JsonSchema, json_object
 from rosld.server.patches.patch import merge_patch
 from rosld.server.patches.single_change import patched
 from rosld.server.resources.memento import read_time
 from rosld.server.rest.formats import SPARQL_UPDATE
+from rosld.shapes.value import MessageShape
 
 _TIME: JsonSchema = {"type": "string", "format": "date-time"}
 _EVENT = json_object({"name": TEXT}, {"at": _TIME, "from": _TIME, "to": _TIME})
@@ -30,6 +35,18 @@ _RDF_WORDS = (
     "Of a recording, only tags (dcat:keyword) and events (ros:hasEvent, each a ros:RecordedEvent with rdfs:label, "
     "prov:startedAtTime and prov:endedAtTime) can be changed."
 )
+
+
+_FIELDS = "string tags\nstring event\nstring at\nstring until\n"
+_ABOUT = (
+    "Tags: words with commas between them. Event: the name of one to add, with its time, such as "
+    "2030-01-31T12:00:00Z, and its end if it is a span."
+)
+
+
+@cache
+def _form_schema() -> MessageSchema:
+    return TypeLibrary(ros_version=2, folders=()).learn_message("rosld/msg/Annotations", _FIELDS)
 
 
 class Annotations(NamedTuple):
@@ -58,6 +75,31 @@ def read_patch(data: bytes, media_type: str, url: str, triples: Iterable[Triple]
     if not isinstance(tags, list) or not isinstance(found, list):
         raise Problem(422, f"{_WORDS}.")
     return _checked([_tag(each) for each in tags], [_event_of_json(each) for each in found])
+
+
+def annotations_form(tags: Sequence[str]) -> ValueForm:
+    """Return the form for the tags of a recording, and for an event to add."""
+    schema = _form_schema()
+    return ValueForm(
+        MessageShape(schema, schema.type.fields),
+        method="PATCH",
+        title="Tags and events",
+        button="Save",
+        value={"tags": ", ".join(tags)},
+        about=_ABOUT,
+        folded=frozenset({"event", "at", "until"}),
+    )
+
+
+def patch_of_form(data: bytes, before: Annotations) -> bytes:
+    """Return the merge patch that a submitted form stands for."""
+    members = {name: str(value).strip() for name, value in orjson.loads(data).items()}
+    patch: dict[str, object] = {"tags": [each for each in map(str.strip, members.get("tags", "").split(",")) if each]}
+    if members.get("event"):
+        at, until = members.get("at", ""), members.get("until", "")
+        times = {"from": at, "to": until} if until else {"at": at}
+        patch["events"] = [*map(_json_event, before.events), {"name": members["event"], **times}]
+    return orjson.dumps(patch)
 
 
 def _json_event(event: Event) -> dict[str, str]:

@@ -38,7 +38,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import JsonSchema, MessageSchemas, json_object
 from rosld.server.patches.single_change import PATCHES, SingleChange
 from rosld.server.pictures.picture_cache import PictureCache
-from rosld.server.resources.annotations import ANNOTATIONS, Annotations, read_patch
+from rosld.server.resources.annotations import ANNOTATIONS, Annotations, annotations_form, patch_of_form, read_patch
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS
 from rosld.server.rest.path_item import FORMAT, PathItem, WriteMethod
@@ -270,8 +270,13 @@ class BagResource(BagBase):
         return None if self.recording is history.recording else history.digests.watch(self.recording.path, wake)
 
     async def forms(self) -> Sequence[Form]:
+        row, methods = self.row, self.methods()
+        tags = (
+            () if row is None or "PATCH" not in methods else (annotations_form(self.recordings.catalogue.tags(row.id)),)
+        )
         about = "The recording and its file are deleted."
-        return (DeleteForm("Delete the recording", "Delete", about),) if "DELETE" in self.methods() else ()
+        ends = (DeleteForm("Delete the recording", "Delete", about),) if "DELETE" in methods else ()
+        return (*tags, *ends)
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
         """Return a link to download the recording if it is a single file."""
@@ -285,7 +290,10 @@ class BagResource(BagBase):
             raise self.not_allowed("PATCH")
         before = Annotations(catalogue.tags(row.id), catalogue.events(row.id))
         document = describe_bag(self.space, self.recordings, self.recording)
-        after = read_patch(await exchange.body(), exchange.media_type, self.url, document.triples, before)
+        data = await exchange.body()
+        if exchange.typed:
+            data = patch_of_form(data, before)
+        after = read_patch(data, exchange.media_type, self.url, document.triples, before)
         try:
             await self.recordings.annotate(row, after.tags, after.events)
         except sqlite3.Error as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -197,6 +198,14 @@ def test_the_page_of_a_recording_has_a_time_line_and_that_of_all_a_form(http: ht
     assert drawn.headers["content-type"] == "image/svg+xml"
     words = {each.text for each in ElementTree.fromstring(drawn.text).iter("{http://www.w3.org/2000/svg}text")}
     assert {"/odom", "/imu", "slip & slide", "docking"} <= words
+    hidden = dict(re.findall(r'<input type="hidden" name="([^"]+)" value="([^"]*)"', page))
+    form = {**hidden, "tags": "wet, left yard", "event": "found", "at": "2023-11-15T00:13:23Z", "until": ""}
+    sent = http.post(
+        "/bags/third/", data=form, headers={"Accept": "text/html", "Origin": str(http.base_url).rstrip("/")}
+    )
+    assert sent.status_code == 303, sent.text
+    text = http.get("/bags/third/", headers=NTRIPLES).text
+    assert all(f'"{each}"' in text for each in ("wet", "left yard", "found", "slip & slide", "docking"))
     assert 'name="min_duration"' in http.get("/bags/", headers={"Accept": "text/html"}).text
 
 

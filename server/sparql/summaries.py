@@ -80,21 +80,29 @@ def summary_query(query: Query, past: PastQuery, types: str) -> SummaryQuery | N
         return None
     time = ANY_TIME
     edits: list[tuple[int, int, str]] = []
+    added: dict[tuple[str, str], str] = {}
+    calls = [call for each in query.expressions for call in calls_within(each.operand) if is_aggregate(call)]
+    if not calls and not _is_distinct(query):
+        return None
     for test in where.tests:
         names = variables_in(test)
         if names is None or not names.isdisjoint(found.inner):
             bound = _bound(test, found.times)
-            if bound is None:
+            if bound is not None:
+                time = time.meet(bound)
+                edits.append((test.start, test.end, "(true)"))
+                continue
+            extreme = None if calls or added else _extreme(test, found)  # two may be of different messages
+            if extreme is None:
                 return None
-            time = time.meet(bound)
-            edits.append((test.start, test.end, "(true)"))
+            variable, predicate = extreme
+            added[variable.name[1:], predicate] = f"?{_PREFIX}0"
+            edits.append((variable.start, variable.end, f"?{_PREFIX}0"))
     bindings = [*where.bindings, *((name, None) for name, _ in where.data)]
     for name, operand in bindings:
         used = frozenset({name}) | (frozenset() if operand is None else variables_in(operand) or found.inner)
         if not used.isdisjoint(found.inner):
             return None
-    added: dict[tuple[str, str], str] = {}
-    calls = [call for each in query.expressions for call in calls_within(each.operand) if is_aggregate(call)]
     for call in calls:
         changed = _changed(call, query, found, added)
         if changed and _COUNT in changed:
@@ -103,7 +111,7 @@ def summary_query(query: Query, past: PastQuery, types: str) -> SummaryQuery | N
             return None
         if changed:
             edits.append((call.start, call.end, changed))
-    if not calls or not _covers(query, found.inner, edits):
+    if not _covers(query, found.inner, edits):
         return None
     lines = (f"?{subject} <{predicate}> {name} ." for (subject, predicate), name in added.items())
     edits.append((query.braces[0] + 1, query.braces[0] + 1, " " + " ".join(lines) + " "))
@@ -113,6 +121,29 @@ def summary_query(query: Query, past: PastQuery, types: str) -> SummaryQuery | N
     numbers = {found.paths[name] for name, predicate in added if predicate != COUNT and name not in found.times}
     paths = tuple(sorted({*found.paths.values()}, key=len))
     return SummaryQuery(text, paths, tuple(sorted(numbers)), tuple(found.classes), time)
+
+
+def _is_distinct(query: Query) -> bool:
+    """Whether a SELECT returns different rows of variables that it names."""
+    following = [token.text.upper() for token in query.tokens if token.start > query.start][:2]
+    return following[0] == "DISTINCT" and following[1] != "*"
+
+
+def _extreme(test: Operand, found: _Message) -> tuple[Reference, str] | None:
+    """Return the variable of a number and its extreme that passes a test if any number of several messages does."""
+    test = strip_brackets(test)
+    if not isinstance(test, Expression) or len(test.parts) != 3 or test.parts[1] not in _TURNED:
+        return None
+    one, operator, other = test.parts
+    if isinstance(one, str) or isinstance(other, str) or not isinstance(operator, str):
+        return None
+    one, other = strip_brackets(one), strip_brackets(other)
+    if isinstance(one, Constant):
+        one, operator, other = other, _TURNED[operator], one
+    is_number = isinstance(other, Constant) and other.kind is Kind.NUMBER
+    if not isinstance(one, Reference) or one.name[1:] not in found.ends - found.times or not is_number:
+        return None
+    return one, MINIMUM if operator.startswith("<") else MAXIMUM
 
 
 class _Message:

@@ -107,6 +107,17 @@ def test_comparisons_of_numbers_find_all_messages(many: httpx.Client) -> None:
     assert {row["bag"]: int(row["n"]) for row in rows} == {name: count for name, count in expected.items() if count}
 
 
+@pytest.mark.parametrize(
+    "test", ["?charge < 0.7", "0.7 > ?charge", "?charge >= 0.89", "?charge > 2", "?charge <= 0.31"]
+)
+def test_recordings_with_any_such_message_are_found(many: httpx.Client, test: str) -> None:
+    query = f"SELECT DISTINCT ?bag {{ {CHARGE} FILTER({test}) %s }} ORDER BY ?bag"
+    assert ask(many, query % "") == ask(many, query % READ)
+    assert ask(many, f"SELECT DISTINCT ?m {{ {CHARGE} FILTER({test}) }}") == ask(
+        many, f"SELECT DISTINCT ?m {{ {CHARGE} FILTER({test}) {READ} }}"
+    )
+
+
 def test_what_is_read_counts_for_the_limit(many: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(past_messages, "MAX_PAST", 10)
     headers = {"Content-Type": "application/sparql-query"}

@@ -75,7 +75,7 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
 
     show() {
       const { goal } = this;
-      if (!goal) return this.refuse("No action accepts goals now.");
+      if (!goal) return this.refuse("No goals are accepted now.");
       this.text.textContent = `${goal.method} ${goal.url}\n${JSON.stringify(this.message(), null, 2)}`;
       const half = (Number(this.heading.value) * Math.PI) / 360;
       this.view.aim = { x: Number(this.x.value), y: Number(this.y.value), heading: 2 * half };
@@ -89,7 +89,7 @@ is in the frame that the view is fixed to. Without this file, and space_view.js,
 
     async post() {
       const { goal } = this;
-      if (!goal) return this.refuse("No action accepts goals now.");
+      if (!goal) return this.refuse("No goals are accepted now.");
       this.send.disabled = true;
       const headers = { accept: "application/json", "content-type": "application/json", prefer: "return=minimal" };
       try {

@@ -159,7 +159,7 @@ _STATUSES = {
     410: "it existed and has been removed",
     412: "a precondition does not hold",
     413: "the body is too large",
-    415: "the media type, coding or charset of the body is not read here",
+    415: "the media type, coding or charset of the body is not supported",
     421: "the host is not this server's",
     422: "the body is well-formed but invalid; see the violations",
     423: "the robot is stopped and cannot be written to",

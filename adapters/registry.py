@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 
@@ -44,8 +45,9 @@ def joined(sources: Sequence[str]) -> str:
     return f"{RECORDING}:" + "\n".join(each.removeprefix(f"{RECORDING}:") for each in sources)
 
 
-def installed() -> dict[str, EntryPoint]:
-    """Return the installed adapters by scheme."""
+@cache
+def installed() -> Mapping[str, EntryPoint]:
+    """Return the installed adapters by scheme. Reading them takes 25 ms."""
     return {point.name: point for point in entry_points(group=GROUP)}
 
 

@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import NamedTuple, NoReturn
 
 import click
+from msgspec.structs import replace
 
 import rosld
 from rosld.server.cli.failure import ExitCode, Failure, end_signals, output_errors, user_errors
-from rosld.server.cli.parts import Cut, Job, Outcome, Part, Task, digest_of
+from rosld.server.cli.parts import BLOCK_MESSAGES, Cut, Job, Outcome, Part, Task, digest_of
 from rosld.server.cli.recording_inputs import Source, TypeTexts, find_sources, read_types
 from rosld.server.cli.workers import Pool, usable_cores
 
@@ -214,31 +215,35 @@ def run_parts(
     job: Job, sources: Sequence[Source], types: TypeTexts, pool: Pool, manifest: Manifest, output: Output
 ) -> Run:
     """Compute all parts that are not finished. Raises Failure if no source can be read, or no topic is selected."""
-    unreadable = _cut_all(job, sources, types, pool, manifest)
     cuts, done = manifest.cuts, manifest.done
-    if not cuts:
-        first = next(iter(unreadable.values()))
-        words = first if len(sources) == 1 else f"none of the recordings can be read; the first: {first}"
-        raise Failure(words, ExitCode.INPUT)
-    if not any(cut.is_selected for cut in cuts.values()):
-        raise Failure(f"no recording has a topic that matches {', '.join(job.selection.topics)}", ExitCode.INPUT)
-    planned = [part for number in sorted(cuts) for part in cuts[number].parts(number, sources[number].size, job)]
-    whole = frozenset(planned)
-    halves = [part for part in done if part not in whole]
-    parts = [each for part in planned for each in _settled(part, cuts[part.source], done, halves)]
     folder = str(manifest.folder) if pool.shares_disk else None
-
-    def task(part: Part) -> Task:
-        its = job if part in whole else job.of_halves()
-        return Task(sources[part.source], types, its, part, cuts[part.source], folder)
-
-    waiting = deque(task(part) for part in parts if part not in done)
-    failed: dict[Part, str] = {}
-    deaths: Counter[Part] = Counter()
     with _progress(sources, cuts) as advance:
-        for part in parts:
-            if part in done:
-                advance(part)
+        for part in done:
+            advance(part)
+
+        def keep(part: Part, outcome: Outcome) -> None:
+            _keep(part, outcome, manifest)
+            advance(part)
+
+        unreadable = _cut_all(job, sources, types, pool, manifest, folder, keep)
+        if not cuts:
+            first = next(iter(unreadable.values()))
+            words = first if len(sources) == 1 else f"none of the recordings can be read; the first: {first}"
+            raise Failure(words, ExitCode.INPUT)
+        if not any(cut.is_selected for cut in cuts.values()):
+            raise Failure(f"no recording has a topic that matches {', '.join(job.selection.topics)}", ExitCode.INPUT)
+        planned = [part for number in sorted(cuts) for part in cuts[number].parts(number, sources[number].size, job)]
+        whole = frozenset(planned)
+        halves = [part for part in done if part not in whole]
+        parts = [each for part in planned for each in _settled(part, cuts[part.source], done, halves)]
+
+        def task(part: Part) -> Task:
+            its = job if part in whole else job.of_halves()
+            return Task(sources[part.source], types, its, part, cuts[part.source], folder)
+
+        waiting = deque(task(part) for part in parts if part not in done)
+        failed: dict[Part, str] = {}
+        deaths: Counter[Part] = Counter()
         at = _add(parts, 0, manifest, output)
         for part, answer in ((task.part, answer) for task, answer in pool.answers(waiting)):
             if answer.is_death:
@@ -251,18 +256,22 @@ def run_parts(
             if answer.error is not None:
                 failed[part] = answer.error
                 continue
-            _keep(part, answer.result, manifest)
-            advance(part)
+            keep(part, answer.result[1])
             at = _add(parts, at, manifest, output)
     return Run(parts, planned, cuts, done, failed, unreadable)
 
 
 def _cut_all(
-    job: Job, sources: Sequence[Source], types: TypeTexts, pool: Pool, manifest: Manifest
-) -> Mapping[int, str]:
-    """Add the cuts of all sources to the manifest; return the errors of those that cannot be read. Raises Failure."""
+    job: Job, sources: Sequence[Source], types: TypeTexts, pool: Pool, manifest: Manifest, folder: str | None,
+    keep: Callable[[Part, Outcome], None],
+) -> Mapping[int, str]:  # fmt: skip
+    """Add the cuts of all sources to the manifest, and keep what was made of small ones.
+
+    Return the errors of those that cannot be read. Raises Failure.
+    """
+    single = job.part_messages - BLOCK_MESSAGES
     waiting = deque(
-        Task(source, types, job, Part(number, 0, 0))
+        Task(source, types, job, Part(number, 0, 0), None, folder, single if source.size < SMALL else -1)
         for number, source in enumerate(sources)
         if number not in manifest.cuts
     )
@@ -271,13 +280,16 @@ def _cut_all(
     for task, answer in pool.answers(waiting):
         number = task.part.source
         deaths[number] += answer.is_death
-        if answer.is_death and deaths[number] < _DEATHS:
-            waiting.append(task)
+        if answer.error is not None and (task.single >= 0 or (answer.is_death and deaths[number] < _DEATHS)):
+            waiting.append(replace(task, single=-1))
         elif answer.error is not None:
             unreadable[number] = answer.error
         else:
-            manifest.cuts[number] = answer.result
-            manifest.note(source=number, cut=answer.result)
+            cut, outcome = answer.result
+            manifest.cuts[number] = cut
+            manifest.note(source=number, cut=cut)
+            if outcome is not None:
+                keep(Part(number, 0, cut.messages), outcome)
     return dict(sorted(unreadable.items()))
 
 
@@ -314,19 +326,21 @@ def _add(parts: Sequence[Part], at: int, manifest: Manifest, output: Output) -> 
 @contextmanager
 def _progress(sources: Sequence[Source], cuts: Mapping[int, Cut]) -> Iterator[Callable[[Part], None]]:
     """Yield a function that advances a bar on stderr (if that is a terminal): messages, bytes and the time left."""
-    octets = 0.0
+    messages = octets = 0
+    total = sum(source.size for source in sources)
     label = sources[0].name if len(sources) == 1 else f"{len(sources)} recordings"
 
     def advance(part: Part) -> None:
-        nonlocal octets
-        octets += sources[part.source].size * (part.end - part.start) / max(cuts[part.source].messages, 1)
-        bar.update(part.end - part.start)
+        nonlocal messages, octets
+        size, of_all = sources[part.source].size, max(cuts[part.source].messages, 1)
+        step = size * part.end // of_all - size * part.start // of_all
+        messages, octets = messages + part.end - part.start, octets + step
+        bar.update(step)
 
     with click.progressbar(
-        range(sum(cut.messages for cut in cuts.values())),
+        range(total),
         label=label,
         file=sys.stderr if sys.stderr.isatty() else io.StringIO(),
-        show_pos=True,
-        item_show_func=lambda _: f"{octets / 1e6:.0f} MB",
+        item_show_func=lambda _: f"{octets / 1e6:.0f} of {total / 1e6:.0f} MB, {messages} messages",
     ) as bar:
         yield advance

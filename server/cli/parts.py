@@ -104,7 +104,8 @@ class Job(Struct, frozen=True):
 class Task(Struct, frozen=True):
     """A task for a worker: to make the files of a part, or without a cut to return that of the recording.
 
-    `folder` is None if the worker does not share a disk with the command.
+    A recording of at most `single` messages is made with its cut, so that it is opened once. `folder` is None if the
+    worker does not share a disk with the command.
     """
 
     source: Source
@@ -113,6 +114,7 @@ class Task(Struct, frozen=True):
     part: Part
     cut: Cut | None = None
     folder: str | None = None
+    single: int = -1
 
 
 class Answer(Struct, frozen=True):
@@ -146,25 +148,30 @@ def run_task(version: str, task: bytes) -> Answer:
         return Answer(error=f"{type(error).__name__}: {error}")
 
 
-def _result(task: Task) -> Outcome | Cut:
+def _result(task: Task) -> tuple[Cut, Outcome | None]:
     recording, simulated_time = open_recording(task.source, task.types)
-    if task.cut is None:
+    cut, part = task.cut, task.part
+    if cut is None:
         block = max(1, min(BLOCK_MESSAGES, recording.count * BLOCK_BYTES // max(task.source.size, 1)))
         is_selected = task.job.selection.topics_of(recording) != frozenset()
-        return Cut(recording.count, block, recording.identity, is_selected)
-    if recording.identity != task.cut.identity:
+        cut = Cut(recording.count, block, recording.identity, is_selected)
+        if cut.messages > task.single or not is_selected:
+            return cut, None
+        part = part._replace(end=cut.messages)
+    elif recording.identity != cut.identity:
         raise Failure("it has changed since the start")
     with tempfile.TemporaryDirectory(prefix=".", dir=task.folder) as folder:
         draft = Path(folder, "files")
         draft.mkdir()
-        outcome = task.job.make(recording, task.part, task.cut.block, draft, simulated_time=simulated_time)
+        outcome = task.job.make(recording, part, cut.block, draft, simulated_time=simulated_time)
+        digest, files = digest_of(draft), None
         if task.folder is None:
             files = tuple((each.name, each.read_bytes()) for each in sorted(draft.iterdir()))
-            return Outcome(outcome.messages, outcome.unread, digest_of(draft), files)
-        target = Path(task.folder, task.part.folder)
-        shutil.rmtree(target, ignore_errors=True)
-        draft.rename(target)
-        return Outcome(outcome.messages, outcome.unread, digest_of(target))
+        else:
+            target = Path(task.folder, part.folder)
+            shutil.rmtree(target, ignore_errors=True)
+            draft.rename(target)
+        return cut, Outcome(outcome.messages, outcome.unread, digest, files)
 
 
 def digest_of(folder: Path) -> int:

@@ -12,7 +12,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from importlib import import_module
 from multiprocessing import connection, util
 from typing import Any
@@ -22,6 +22,8 @@ from rosld.server.cli.failure import ExitCode, Failure
 from rosld.server.cli.parts import DEATH, Answer, Part, Task, run_task
 from rosld.server.cli.recording_inputs import close_recordings
 
+_SILENCE = 3.0
+"""Seconds without a result after which the pool looks for dead processes."""
 _CONNECT = 5
 """Maximum seconds for reaching a Dask scheduler."""
 
@@ -95,7 +97,12 @@ class Pool:
                     self._renew()
                 else:
                     queue.popleft()
-            wait_for(running, return_when=FIRST_COMPLETED)
+            done, _ = wait_for(running, _SILENCE, return_when=FIRST_COMPLETED)
+            if not done and isinstance(self._executor, ProcessPoolExecutor):
+                with suppress(BrokenExecutor):
+                    # This wakes its manager, which may not yet watch a process that died as soon as it was started.
+                    self._executor.submit(bool)
+                continue
             if any(each.done() and _is_broken(each) for each in running):
                 wait_for(running)
             dead: list[Task] = []

@@ -22,7 +22,7 @@ from rosld.server.cli.failure import ExitCode, Failure
 from rosld.server.cli.parts import DEATH, Answer, Part, Task, run_task
 from rosld.server.cli.recording_inputs import close_recordings
 
-_SILENCE = 3.0
+_SILENCE = 1.0
 """Seconds without a result after which the pool looks for dead processes."""
 _CONNECT = 5
 """Maximum seconds for reaching a Dask scheduler."""

@@ -169,7 +169,7 @@ def _topic_vertex(topic: Topic, own_node: str, url: str, traffic: Traffic) -> Ve
     if len(topic.types) > 1:
         problem = f"conflicting types: {', '.join(ref.name for ref in topic.types)}"
     elif is_awaited and not topic.publishers and not traffic.is_published:
-        problem = "silent: nobody publishes"
+        problem = "silent: no publishers"
     elif topic.publishers:
         problem = traffic.silence
     is_unheard = not (topic.subscribers or traffic.is_subscribed)
@@ -192,7 +192,9 @@ def _connect_topic(draft: _Draft, topic: Topic) -> None:
         if (one := deaf.get(endpoint.node)) is not None:
             is_known = _key(VertexKind.NODE, one.publisher) in draft.vertices
             publisher = one.publisher if is_known else "a publisher"
-            words = f"does not hear {publisher}: {one.policy} {one.offered} is offered, {one.requested} requested"
+            words = (
+                f"receives nothing from {publisher}: {one.policy} {one.offered} is offered, {one.requested} requested"
+            )
         draft.connect(own, _key(VertexKind.NODE, endpoint.node), rate, words)
 
 

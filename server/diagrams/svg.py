@@ -72,7 +72,7 @@ def _vertex(vertex: Vertex, words: str, size: Size, layout: Layout, href: Callab
     x, y = layout.corners[vertex.key]
     state = " bad" if vertex.problem else " unheard" if vertex.is_unheard else ""
     round_corner = 14 if vertex.kind is VertexKind.NODE else 3
-    unheard = "nobody subscribes" if vertex.is_unheard else ""
+    unheard = "no subscribers" if vertex.is_unheard else ""
     title = "; ".join(filter(None, (f"{vertex.kind.value} {label(vertex)}", vertex.problem, unheard)))
     body = (
         f'<g class="vertex {vertex.kind.value}{state}"><title>{_text(title)}</title>'

@@ -79,7 +79,7 @@ def read_listing(query: Mapping[str, str], catalogue: Catalogue, permissions: Pe
         topics = None
     words = tuple(given.get("q", "").split())
     if len(words) > _MAX_WORDS:
-        raise Problem(400, f"?q= has {len(words)} words, and {_MAX_WORDS} are the most.")
+        raise Problem(400, f"?q= has {len(words)} words: the maximum is {_MAX_WORDS}.")
     selection = Selection(
         topics=topics,
         types=frozenset({given["type"]}) if "type" in given else None,

@@ -93,4 +93,4 @@ def goes_on_problem(topic: str, topic_url: str) -> Problem:
 def no_subscriber_problem(topic: str) -> Problem:
     """Return the problem details (202) of a message that was published without a subscriber."""
     sentence = f"The message was published, but {topic} had no subscriber to receive it."
-    return Problem(202, sentence, title="Nobody is listening")
+    return Problem(202, sentence, title="No subscriber")

@@ -103,7 +103,7 @@ def test_red_is_only_what_is_wrong_and_all_forms_say_the_same(robot: Any, servin
     assert {name for name, each in vertices.items() if each.get("unheard")} == {"/unheard", "/spoken"}
     problems = {name: each["problem"] for name, each in vertices.items() if "problem" in each}
     assert problems.keys() == {"/wished", "/steady"}
-    assert problems["/wished"] == "silent: nobody publishes"
+    assert problems["/wished"] == "silent: no publishers"
     assert problems["/steady"].startswith("went silent: no message since 20")
     turtle = Graph().parse(data=get(http).text, format="turtle")
     said = {str(thing).rpartition("/topics")[2]: str(words) for thing, words in turtle.subject_objects(RDFS.comment)}

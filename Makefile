@@ -16,10 +16,10 @@ HEADERS := import sysconfig; print(sysconfig.get_path("include") + "/Python.h")
 demo: $(INSTALLED)
 	$(BIN)/rosld serve aircraft --port $(PORT)
 
-# Tests wait as much as they work, so three run side by side, file by file; the real ROS 2 are made meanwhile. They start
+# Tests wait as much as they work, so four run side by side, file by file; the real ROS 2 are made meanwhile. They start
 # hundreds of servers, each of which would compile all of rosld where Python is told to keep nothing that it compiled.
 # A test runs once: one that fails on a busy machine is to be mended.
-WORKERS ?= 3
+WORKERS ?= 4
 PYTEST := -m pytest --quiet --timeout 900
 quick test: export PYTHONDONTWRITEBYTECODE =
 quick: $(READY)

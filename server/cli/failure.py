@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import signal
 from collections.abc import Iterator
@@ -25,6 +26,18 @@ class ExitCode(IntEnum):
     OUTPUT = 5
     INCOMPLETE = 6
     INTERRUPTED = 130
+
+
+@contextmanager
+def only_errors(logger: str = "rosld") -> Iterator[None]:
+    """Log only errors meanwhile: of what is less, the command itself prints what matters."""
+    log = logging.getLogger(logger)
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 EXIT_CODES = """\b

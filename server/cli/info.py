@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +12,7 @@ import click
 
 from rosld.adapters.base import Adapter, AdapterOptions, Recording
 from rosld.ontology.literals import date_time
-from rosld.server.cli.failure import ExitCode, Failure, user_errors
+from rosld.server.cli.failure import ExitCode, Failure, only_errors, user_errors
 from rosld.server.cli.list_types import open_source
 from rosld.server.cli.tables import duration_text, json_text, print_table, size_text
 from rosld.server.history.cut import selected
@@ -26,10 +25,9 @@ def open_recording(
     path: str, options: AdapterOptions, period: Mapping[str, str | None] | None = None
 ) -> Iterator[tuple[Recording, Adapter]]:
     """Open a recording, or its part between the times `from` and `to` of a period. Raises Failure."""
-    logging.getLogger("rosld.recording").setLevel(logging.ERROR)  # its notes are printed
     query = urlencode({name: value for name, value in (period or {}).items() if value is not None})
     source = f"recording:{path}{'&' if '?' in path else '?'}{query}" if query else f"recording:{path}"
-    with user_errors(ExitCode.USAGE), open_source(source, options) as adapter:
+    with user_errors(ExitCode.USAGE), only_errors("rosld.recording"), open_source(source, options) as adapter:
         if adapter.catalogue is not None:
             raise Failure(f"{path} is a folder of recordings: name one of them, which rosld ls lists", ExitCode.USAGE)
         (recording,) = adapter.recordings.values()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import tempfile
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from msgspec.structs import replace
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.catalogue import NAME as CATALOGUE
 from rosld.adapters.catalogue import Row
-from rosld.server.cli.failure import ExitCode, Failure, user_errors
+from rosld.server.cli.failure import ExitCode, Failure, only_errors, user_errors
 from rosld.server.cli.info import Facts, facts_of
 from rosld.server.cli.list_types import open_source
 from rosld.server.cli.tables import duration_text, json_text, print_table, size_text
@@ -33,7 +32,6 @@ def list_recordings(
     """
     with user_errors(ExitCode.USAGE):
         condition = () if where is None else parse_condition(where)
-    logging.getLogger("rosld.recording").setLevel(logging.ERROR)  # problems are printed
     wanted, found = [selected([glob]) for glob in topics], list[Facts]()
     unreadable: list[Row] = []
     source = "\n".join(map(str, [*folders, folders[0]]))  # even one file, twice, is a collection
@@ -42,6 +40,7 @@ def list_recordings(
             temporary = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             options = replace(options, catalogue=temporary / CATALOGUE)
         stack.enter_context(user_errors(ExitCode.USAGE))
+        stack.enter_context(only_errors("rosld.recording"))
         adapter = stack.enter_context(open_source(f"recording:{source}", options))
         catalogue = adapter.catalogue
         assert catalogue is not None

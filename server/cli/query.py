@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import os
 import sys
 import urllib.error
@@ -16,7 +15,7 @@ import click
 import orjson
 
 from rosld.adapters.registry import adapter_for
-from rosld.server.cli.failure import ExitCode, Failure, user_errors
+from rosld.server.cli.failure import ExitCode, Failure, only_errors, user_errors
 from rosld.server.cli.tables import print_table
 from rosld.server.mcp.transport import Caller, LocalTransport
 from rosld.server.rest.formats import COLUMNS
@@ -84,16 +83,16 @@ def ask(source: str, text: str, accept: str, settings: Settings) -> Answer:
 async def _ask_here(source: str, text: str, accept: str, settings: Settings) -> Answer:
     from rosld.server.app import create_app
 
-    logging.getLogger("rosld").setLevel(logging.ERROR)
     adapter = adapter_for(source, settings.adapter_options)
     app = create_app(adapter, settings)
     try:
-        async with lifespan(app):
-            await adapter.wait_for_recordings()
-            fields = (("content-type", "application/sparql-query"), ("accept", accept))
-            sending = LocalTransport(app, _MAX_BODY).send
-            answer = await sending(Caller(), "POST", f"{settings.base_url}sparql", fields, text.encode())
-            app.end_streams()
+        with only_errors():
+            async with lifespan(app):
+                await adapter.wait_for_recordings()
+                fields = (("content-type", "application/sparql-query"), ("accept", accept))
+                sending = LocalTransport(app, _MAX_BODY).send
+                answer = await sending(Caller(), "POST", f"{settings.base_url}sparql", fields, text.encode())
+                app.end_streams()
     finally:
         await adapter.close()
     body = answer.body or b""

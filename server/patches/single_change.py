@@ -37,7 +37,7 @@ class SingleChange(Struct, frozen=True):
             try:
                 change: object = orjson.loads(data)
             except orjson.JSONDecodeError as error:
-                raise Problem(400, f"This is not JSON: {error}.") from error
+                raise Problem(400, f"The body is not JSON: {error}.") from error
             if change != self.json:
                 raise Problem(422, self.words)
             return

@@ -66,7 +66,7 @@ def read_patch(data: bytes, media_type: str, url: str, triples: Iterable[Triple]
     try:
         patch: object = orjson.loads(data)
     except orjson.JSONDecodeError as error:
-        raise Problem(400, f"This is not JSON: {error}.") from error
+        raise Problem(400, f"The body is not JSON: {error}.") from error
     events = [_json_event(each) for each in before.events]
     merged = merge_patch({"tags": list(before.tags), "events": events}, patch)
     if not isinstance(merged, dict) or merged.keys() - {"tags", "events"}:

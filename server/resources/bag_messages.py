@@ -179,8 +179,8 @@ def _pages(recording: Recording) -> tuple[int, int]:
     return recording.first // PAGE, max(0, (recording.first + recording.count - 1) // PAGE)
 
 
-_TIME = QueryParameter("time", "When: an xsd:dateTime, or seconds before now as `-60`. Default: as it ended.")
-_TOPIC = QueryParameter("topic", "This topic alone, or those that a glob fits.")
+_TIME = QueryParameter("time", "The moment: an xsd:dateTime, or seconds before now as `-60`. Default: the end.")
+_TOPIC = QueryParameter("topic", "The name of a topic, or a glob.")
 
 
 class BagMoment(BagSelection):

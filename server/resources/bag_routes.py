@@ -187,7 +187,7 @@ class BagUpload(BagBase):
             done=(201,),
             accepts=(ANY_TYPE,),
         )
-        return PathItem("Where a recording is sent to", writes={"PUT": put})
+        return PathItem("Upload of a recording", writes={"PUT": put})
 
     def streams_body(self, exchange: Exchange) -> bool:
         return exchange.method == "PUT"
@@ -276,12 +276,12 @@ class BagContainer(ListedBags):
 
     def deny_reason(self, method: str) -> str:
         if method == "POST":
-            return "Nothing is recorded here: this server is read-only."
+            return "This server is read-only: it makes no recordings."
         return super().deny_reason(method)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         post = WriteMethod(
-            "Records topics, the last seconds of the history before them, or cuts a recording",
+            "Records topics, with the last seconds of the history on request, or cuts a recording",
             sends=SCHEMA,
             done=(201,),
         )
@@ -324,12 +324,12 @@ class BagContainer(ListedBags):
     async def _begin(self, order: RecordingOrder, exchange: Exchange) -> RunningBag | ArmedBag:
         """Start a recording, or let it wait for its trigger, and return it. Raises RecordingRefused, OSError."""
         if not can_record(self.session.settings, self.session.adapter.capabilities):
-            raise RecordingRefused("this server has nothing live to record: `of` cuts a recording")
+            raise RecordingRefused("this server has nothing live to record: use `of` to cut a recording")
         if order.trigger is None:
             may_record = partial(may_read_topic, self.space, exchange.permissions)
             return RunningBag(self.bags, self.recordings.begin(order, may_record))
         if self._triggers is None:
-            raise RecordingRefused("triggers are not available here")
+            raise RecordingRefused("triggers are not available on this server")
         await self._triggers.follow(order, exchange.permissions)
         armed = await self.recordings.arm(order, exchange.agent, self._triggers.occurrences)
         return ArmedBag(self.bags, armed)
@@ -386,7 +386,7 @@ def bag_route(
             raise permanent_redirect(space.container("bags"))
         case (name, "messages"), False:
             raise permanent_redirect(space.bag_messages(_recording(recordings, name).name))
-    raise Problem(404, "Under /bags/B/ there are messages/, ldes, at and file, and nothing else.")
+    raise Problem(404, "There is no such resource: /bags/NAME/ has only messages/, ldes, at and file.")
 
 
 def _bag(bags: Bags, name: str) -> Resource:
@@ -411,7 +411,7 @@ def _message_index(recording: Recording, segment: str) -> int:
         return int(segment)
     if is_number and int(segment) < first:
         raise Problem(410, f"Message {segment} of {recording.name} was removed: the oldest is {first}.")
-    raise Problem(404, f"{recording.name} has the messages {first} to {beyond - 1}, not {segment}.")
+    raise Problem(404, f"{recording.name} has no message {segment}: its messages are {first} to {beyond - 1}.")
 
 
 def _recording(recordings: Recordings, name: str) -> Recording:

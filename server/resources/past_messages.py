@@ -247,7 +247,7 @@ class RecordedPast:
             return list(self._session.adapter.recordings.values())
         raise Problem(
             400,
-            "Nothing is recorded, so there is no past: start rosld with --history GLOB (--history '*' for all "
+            "There are no recordings to query: start rosld with --history GLOB (--history '*' for all "
             f"topics), or name a recording by ?message ros:recordedIn <{space.container('bags')}NAME/>.",
         )
 
@@ -268,8 +268,8 @@ class RecordedPast:
                 if len(recordings) > _MAX_NAMED:
                     urls += f" and {len(recordings) - _MAX_NAMED} more recordings"
                 is_history = any(one is self._recordings.history.recording for one in recordings)
-                next_step = f"--history {name} records it" if is_history else "it says itself of which topics it is"
-                raise Problem(400, f"Nothing of {name} is recorded in {urls}: {next_step}.")
+                next_step = f"--history {name} records it" if is_history else "its page lists its topics"
+                raise Problem(400, f"{name} is not recorded in {urls}: {next_step}.")
 
     def _will_record(self, recording: Recording, topic: str) -> bool:
         history = self._recordings.history
@@ -326,7 +326,7 @@ class _Reading:
                         self._read[each.topic, recording.name] += messages
                         count += messages
                         if count > MAX_PAST:
-                            raise self._too_much(self._read, "may take part in this query")
+                            raise self._too_much(self._read, "may match this query")
                         if size > MAX_TEXT:
                             raise self._too_much(self._read, f"would exceed {MAX_TEXT >> 20} MiB")
                         self._yield_to_others()
@@ -353,7 +353,7 @@ class _Reading:
                 if not each.numbers:
                     known[each.topic, recording.name] += count_past(recording, [each])
         if sum(known.values()) > MAX_PAST + 1000 * len(known):  # chunks at the edges are counted in full
-            raise self._too_much(known, "may take part in this query")
+            raise self._too_much(known, "may match this query")
 
     def _yield_to_others(self) -> None:
         """Let the loop run, now and then. Raises a 503 Problem after the deadline."""
@@ -396,7 +396,7 @@ class _Reading:
                 is_static = topic == STATIC_TOPIC
                 span = PastRange(topic, 0 if is_static else max(low, 0), high)
                 if (count := count_past(recording, [span])) > MAX_PAST:
-                    raise self._too_much({(topic, recording.name): count}, "may take part in this query")
+                    raise self._too_much({(topic, recording.name): count}, "may match this query")
                 for block in read_past(recording, [span]):
                     for message in block.messages():
                         self._add_transforms(recording, message.sample, buffer, is_static=is_static)

@@ -123,7 +123,7 @@ async def _times_of_query(text: str, ask: Ask) -> Sequence[int]:
         if times and len(times) == len(values):
             return times
     if any(columns):
-        raise Problem(422, "around: no column of the query's results has only values of xsd:dateTime.")
+        raise Problem(422, "around: no column of the query's results has only xsd:dateTimes.")
     return ()
 
 

@@ -99,13 +99,13 @@ _TRIGGER: JsonSchema = {
     "type": "object",
     "description": "It starts when a condition becomes true.",
     "properties": {
-        "resource": {**TEXT, "description": "The URL of the value that the condition is about."},
-        "condition": {**TEXT, "description": "As in ?until=: percentage < 0.2; or the IRI of one of a mapping."},
+        "resource": {**TEXT, "description": "The URL of the value to watch."},
+        "condition": {**TEXT, "description": "A condition as in ?until=, or the IRI of a mapping's condition."},
         "limit": {
             "type": "integer",
             "minimum": 1,
             "maximum": MAX_TRIGGERED,
-            "description": "The number of recordings that it starts, one after another; default 1.",
+            "description": "The number of recordings that it may start, one after another. Default: 1.",
         },
     },
     "required": ["condition"],
@@ -123,7 +123,7 @@ SCHEMA: JsonSchema = json_object(
         "before": {**_SECONDS, "description": "Seconds of the history to include at the start."},
         "duration": {**_SECONDS, "description": "Seconds after which it ends; otherwise it ends by PATCH."},
         "trigger": _TRIGGER,
-        "of": {**TEXT, "description": "Cuts out a part of the recording of this name."},
+        "of": {**TEXT, "description": "The name of the recording to cut."},
         "from": {"type": ["string", "number"], "description": f"The first time of a cut: xsd:dateTime, {_TIME}."},
         "to": {"type": ["string", "number"], "description": "The last time of a cut, in the same form."},
         "around": {
@@ -147,7 +147,7 @@ def order_of(members: Mapping[str, object]) -> RecordingOrder:
     unknown = members.keys() - {"name", "topics", "before", "duration", "trigger"}
     if unknown:
         known = "name, topics, before, duration, trigger"
-        raise Problem(422, f"{', '.join(sorted(unknown))[:200]} is unknown: {known}.")
+        raise Problem(422, f"{', '.join(sorted(unknown))[:200]} is unknown; choose from {known}.")
     name = members.get("name")
     if name is not None and not isinstance(name, str):
         raise Problem(422, f"name is {str(name)[:100]!r}, not a string.")
@@ -162,7 +162,7 @@ def _of_json(data: bytes) -> dict[str, object]:
     try:
         members: object = orjson.loads(data)
     except orjson.JSONDecodeError as error:
-        raise Problem(400, f"This is not JSON: {error}.") from error
+        raise Problem(400, f"The body is not JSON: {error}.") from error
     if not isinstance(members, dict):
         raise Problem(422, 'A recording order must be an object such as {"topics": ["/odom"], "duration": 10}.')
     return cast("dict[str, object]", members)
@@ -190,7 +190,7 @@ def _trigger(value: object) -> Trigger | None:
     if not isinstance(condition, str) or not condition or not isinstance(resource, str | None):
         raise Problem(422, "trigger needs a condition, a string, and a resource, the URL that it is about.")
     if not isinstance(limit, int) or isinstance(limit, bool) or not 1 <= limit <= MAX_TRIGGERED:
-        raise Problem(422, f"limit is {str(limit)[:50]}: must be from 1 to {MAX_TRIGGERED} recordings.")
+        raise Problem(422, f"limit must be from 1 to {MAX_TRIGGERED} recordings, not {str(limit)[:50]}.")
     return Trigger(condition, resource, limit)
 
 
@@ -242,5 +242,5 @@ def read_seconds(members: Mapping[str, object], key: str) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise Problem(422, f"{key} is {str(value)[:100]!r}, not a number of seconds.")
     if not 0 <= value <= _MAX_SECONDS:
-        raise Problem(422, f"{key} is {value:g} s: send from 0 to {_MAX_SECONDS:.0f} s.")
+        raise Problem(422, f"{key} must be from 0 to {_MAX_SECONDS:.0f} s, not {value:g} s.")
     return float(value)

@@ -31,7 +31,7 @@ from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import call_every
 from rosld.server.settings import Settings
 
-NOTHING_IS_RECORDED = "Nothing is recorded here: this server is read-only, or serves a recording."
+NOTHING_IS_RECORDED = "This server is read-only, or serves a recording: it makes no recordings."
 
 
 class MappedCondition(Resource):
@@ -245,15 +245,15 @@ def _resource(space: Space, url: str, find: Find, permissions: Permissions) -> R
     base = space.base
     whole = urljoin(base, url)
     if not whole.startswith(base) or "?" in whole or "#" in whole:
-        raise Problem(422, f"The trigger is about {url[:200]}: it must be the URL of a value below {base}.")
+        raise Problem(422, f"The resource of the trigger must be the URL of a value below {base}, not {url[:200]}.")
     if not permissions.may_read(whole):
         raise Problem(403, f"You may not read {url[:200]}, so you may not wait for it.")
     try:
         return find("/" + whole[len(base) :])
     except ValueError as error:
-        raise Problem(422, f"The trigger is about {url[:200]}: {error}.") from error
+        raise Problem(422, f"The resource of the trigger is {url[:200]}: {error}.") from error
     except Problem as problem:
-        words = f"The trigger is about {url[:200]}: {problem.detail}"
+        words = f"The resource of the trigger is {url[:200]}: {problem.detail}"
         raise Problem(422, words, extra=problem.quoted_members, about=problem.about) from problem
 
 
@@ -271,4 +271,4 @@ def _condition(mappings: Mappings, iri: str) -> Condition:
         for condition in resource.conditions():
             if condition.iri == iri:
                 return condition
-    raise Problem(422, f"No mapping has a condition {iri[:200]}: a trigger on a value names its resource, too.")
+    raise Problem(422, f"No mapping has a condition {iri[:200]}: a trigger on a value also needs a resource.")

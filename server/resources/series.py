@@ -199,13 +199,13 @@ _MAX_SERIES = 20
 _MAX_NAMED = 12
 """Maximum number of fields suggested for a wrong path."""
 PARAMETERS = (
-    QueryParameter("series", "Paths of numbers, such as `pose.position.x`, whose values are read.", json_array(TEXT)),
-    QueryParameter("from", "Since when: an xsd:dateTime, or seconds before now as `-60`. Default: a minute ago."),
-    QueryParameter("to", "Until when, in the same format. Default: now."),
+    QueryParameter("series", "Paths of numbers, such as `pose.position.x`.", json_array(TEXT)),
+    QueryParameter("from", "The start: an xsd:dateTime, or seconds before now as `-60`. Default: a minute ago."),
+    QueryParameter("to", "The end, in the same format. Default: now."),
     QueryParameter(
         "points", f"The maximum number of points of a series, up to {MAX_POINTS}.", {"type": "integer", "minimum": 1}
     ),
-    QueryParameter("at", "The topic as it was at this time, an xsd:dateTime, by the history."),
+    QueryParameter("at", "The topic as it was at this time (xsd:dateTime), from the history."),
 )
 
 
@@ -346,7 +346,7 @@ def _suggestion(schema: MessageSchema, path: str) -> str:
         paths = [".".join(each) for each in number_paths(schema)]
         near = [each for each in paths if each.startswith(f"{path}.")] or paths
         few = ", ".join(near[:_MAX_NAMED])
-        return f"; numbers are {few}{' and others' if len(near) > _MAX_NAMED else ''}" if few else ""
+        return f"; numeric fields are {few}{' and others' if len(near) > _MAX_NAMED else ''}" if few else ""
 
 
 class Column(NamedTuple):
@@ -411,7 +411,7 @@ def series_of(space: Space, history: History, topic: str, exchange: Exchange) ->
     until = read_time(query["to"], now) if "to" in query else now
     points = query.get("points", str(POINTS))
     if not (points.isascii() and points.isdecimal() and 1 <= int(points[:9]) <= MAX_POINTS):
-        raise Problem(400, f"?points={points[:20]}: from 1 to {MAX_POINTS}.")
+        raise Problem(400, f"?points={points[:20]} must be a number from 1 to {MAX_POINTS}.")
     if since >= until:
         end = f"?to={query['to'][:60]}" if "to" in query else "now"
         begin = f"?from={query['from'][:60]}" if "from" in query else "?from=, by default a minute ago,"
@@ -426,9 +426,9 @@ def require_history(history: History, topic: str) -> None:
     """Raise a 404 Problem without a history of a topic."""
     if not is_recorded(history, topic):
         if history.is_enabled and history.will_record(topic):
-            raise Problem(404, f"Nothing is recorded of {topic} yet: its first message will be.")
+            raise Problem(404, f"{topic} has no recorded messages yet.")
         words = f"start rosld with --history {topic}, or --history '*' for all topics"
-        raise Problem(404, f"Nothing is recorded of {topic}: {words}.")
+        raise Problem(404, f"{topic} is not recorded: {words}.")
 
 
 def _utc_text(time_ns: int) -> str:

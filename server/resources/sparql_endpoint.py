@@ -154,8 +154,8 @@ async def _table(answer: QueryAnswer, format: str) -> Response:
         parts.append(part)
         size += len(part)
         if size > _MAX_TABLE:
-            words = f"The results exceed {_MAX_TABLE >> 20} MiB in JSON, the most that becomes a table: "
-            raise Problem(503, f"{words}ask for text/csv, which is sent as it is made, or for fewer rows.")
+            words = f"The results exceed {_MAX_TABLE >> 20} MiB in JSON, the limit of tables: "
+            raise Problem(503, f"{words}request text/csv, which is streamed, or fewer rows.")
 
     PROCESS_MEMORY.require(size * _PER_BYTE, f"a table of {size} bytes of results")
 

@@ -564,7 +564,7 @@ def _require_bound(query: Query, groups: Iterable[Group]) -> None:
         for call in calls_within(each.operand):
             if call.iri in FUNCTIONS and call.start not in bound:
                 name = "ros:asOf(?topic, ?time)" if call.iri == AS_OF else "ros:previous(?other)"
-                raise Problem(400, f"A message in time needs a variable of its own: write BIND({name} AS ?message).")
+                raise Problem(400, f"{name} must be the whole expression of a BIND: BIND({name} AS ?message).")
 
 
 def _links(group: Group) -> frozenset[str]:

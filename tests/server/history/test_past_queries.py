@@ -223,7 +223,7 @@ def test_a_topic_that_a_recording_lacks_is_no_empty_answer_and_the_history_is_no
     assert made.status_code == 201, made.text
     until(lambda: driven.http.get("/bags/narrow/messages/0").status_code == 200, "the recording")
     words = refusal(driven.http, "SELECT * { </topics/imu> ros:past ?m . ?m ros:recordedIn </bags/narrow/> }", 400)
-    assert f"Nothing of /imu is recorded in <{driven.url}bags/narrow/>" in words
+    assert f"/imu is not recorded in <{driven.url}bags/narrow/>" in words
     assert "--history" not in words
 
 

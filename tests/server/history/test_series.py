@@ -149,8 +149,8 @@ def test_a_past_that_cannot_be_read_is_refused_with_what_there_is_instead(past: 
             answer = past.http.get(f"/topics/odom?{query}", headers=JSON)
             assert (answer.status_code, len(answer.json()["detail"]) > 20) == (status, True), query
     for path, words in (
-        ("odom?series=twist.nothing", "has no field 'twist.nothing' here; numbers are header.stamp.sec, "),
-        ("odom?series=twist.twist", "is not a number; numbers are twist.twist.linear.x, twist.twist.linear.y, "),
+        ("odom?series=twist.nothing", "has no field 'twist.nothing' here; numeric fields are header.stamp.sec, "),
+        ("odom?series=twist.twist", "is not a number; numeric fields are twist.twist.linear.x, twist.twist.linear.y, "),
         ("odom?series=pose.covariance", "is not a number: name an element, such as pose.covariance.0."),
         (f"odom?series={FIELD}&from=-1&to=-2", "?from=-1 is not before ?to=-2."),
         (f"odom?series={FIELD}&to=-120", "by default a minute ago, is not before ?to=-120."),

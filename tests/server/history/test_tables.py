@@ -144,7 +144,9 @@ def test_columns_are_what_each_message_says(encoding: Encoding, monkeypatch: pyt
             monkeypatch.setattr(tables, "_LEAST_ROWS", 99)
             one_by_one = whole(recording)
             assert by_columns.schema.equals(one_by_one.schema, check_metadata=True)
-            assert str(by_columns.to_pydict()) == str(one_by_one.to_pydict()), schema.ref.name
+            for name in by_columns.schema.names:
+                both = comparable(by_columns[name]), comparable(one_by_one[name])
+                assert str(both[0]) == str(both[1]), f"{schema.ref.name} {name}"
             assert by_columns["index"].to_pylist() == list(range(20))
             assert comparable(by_columns["received"]) == [START + number * 1_000_001 for number in range(20)]
             for name in by_columns.schema.names[3:]:

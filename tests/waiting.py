@@ -21,11 +21,11 @@ def until(true: Callable[[], Any], what: str, timeout: float = PATIENCE) -> Any:
 
 
 def once_started(ask: Callable[[], httpx.Response]) -> httpx.Response:
-    """Return the result of a query, which is repeated while the query process has not started."""
+    """Return the result of a query, repeated while the query process has not started or the robot is being read."""
 
     def answer() -> httpx.Response | None:
         found = ask()
-        return None if found.status_code == 503 and found.json().get("reason") == "starting" else found
+        return None if found.status_code == 503 and found.json().get("reason") in ("starting", "incomplete") else found
 
     found: httpx.Response = until(answer, "a query that began")
     return found

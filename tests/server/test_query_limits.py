@@ -142,7 +142,7 @@ KINDS = {
 
 def test_every_kind_of_query_ends_when_its_time_is_over_and_frees_the_processor(served: Served) -> None:
     for kind, query in KINDS.items():
-        # On a busy machine the process of the query may not have begun when its time is over.
+        # On a busy machine its time may be over before its process has started, or before the robot has been read.
         answer = once_started(lambda query=query: get(served, query, timeout="0.1"))
         stopped(answer, "time")
         assert "0.1 s" in answer.json()["detail"], kind

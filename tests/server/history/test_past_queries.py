@@ -16,7 +16,7 @@ from pyoxigraph import BlankNode, RdfFormat, parse
 from tests.server.auth.conftest import rule, token, tokens
 from tests.server.history.mcap_files import decode, read
 from tests.server.robots.made_up import MadeUp, Serving
-from tests.waiting import until
+from tests.waiting import once_started, until
 
 pytestmark = pytest.mark.slow
 
@@ -200,7 +200,8 @@ def test_what_cannot_be_asked_of_the_past_says_how_it_can(driven: Driven) -> Non
 def test_a_query_out_of_time_says_what_was_large_and_how_to_join(driven: Driven) -> None:
     pairs = "</topics/odom> ros:past ?one . </topics/imu> ros:past ?other . ?any ros:past ?third ; ros:past ?fourth ."
     data = {"query": f"SELECT (COUNT(*) AS ?n) {{ {pairs} }}", "timeout": "0.3"}
-    answer = driven.http.post("/sparql", data=data, headers={"Accept": "text/csv, application/problem+json"})
+    accept = {"Accept": "text/csv, application/problem+json"}
+    answer = once_started(lambda: driven.http.post("/sparql", data=data, headers=accept))
     assert (answer.status_code, answer.json()["reason"]) == (503, "time")
     assert re.search(r"\d+ of /odom", answer.json()["detail"])
     assert "ros:asOf" in answer.json()["detail"]

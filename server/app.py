@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from urllib.parse import urlsplit
 
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -32,6 +35,7 @@ from rosld.server.middleware.access import (
 from rosld.server.middleware.audit import Audit
 from rosld.server.middleware.dispatch import Dispatch, ErrorResponses, ServerOptions, WebSockets
 from rosld.server.middleware.limits import Admission, RateLimits, Scheduling
+from rosld.server.middleware.monitor import Monitor, Traced
 from rosld.server.policies.stored_mappings import log_mapping_warnings
 from rosld.server.receipts.journal import Journal
 from rosld.server.resources.acl import AboutResources, AclResource, types_at
@@ -42,7 +46,9 @@ from rosld.server.resources.channels import routes as notification_routes
 from rosld.server.resources.entry_point import StatusResource
 from rosld.server.resources.find import near_urls
 from rosld.server.resources.frames import FramesResource
+from rosld.server.resources.health import HealthResource, ReadinessResource
 from rosld.server.resources.ldp.record_graphs import RecordGraphs
+from rosld.server.resources.metrics import MetricSources, MetricsResource
 from rosld.server.resources.mirror import ReplicationResource, create_mirror
 from rosld.server.resources.past_messages import RecordedPast
 from rosld.server.resources.plot import PlotResource
@@ -62,6 +68,8 @@ from rosld.server.routing.live_graphs import OTHER_ROUTES, RobotGraphs
 from rosld.server.routing.router import ResourceFactory, Router, single_route
 from rosld.server.routing.services import Services
 from rosld.server.runtime.tasks import KeyedLock
+from rosld.server.runtime.timings import RequestTimings
+from rosld.server.runtime.tracing import tracing_of
 from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.serving.lifespan import Job, Lifespan
@@ -171,8 +179,30 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     clients = client_limiter(settings)
     admission = Admission(clients, f"{space.path}stop".encode("ascii"))
     mcp = McpService(space, settings)
+    health, ready = HealthResource(space), ReadinessResource(session, lambda: sparql.process.is_running)
+    router.add({"healthz": single_route(lambda: health), "readyz": single_route(lambda: ready)})
+    timings = RequestTimings(space.path, {*router.route_names, "metrics", "mcp"})
+    sources = MetricSources(
+        session,
+        services.holds,
+        services.faults,
+        services.recordings.history,
+        services.problems,
+        sparql.process,
+        sparql.queries.timings,
+        timings,
+        watchdog,
+        clients,
+        broadcasters,
+    )
+    router.add({"metrics": single_route(partial(MetricsResource, space, sources))})
     handler = middleware(space, services.receipts, router, dispatcher, pages, names, admission, authenticator, mcp)
-    http = HttpApplication(handler, clients, settings, render_links([notifications.link]))
+    tracing = tracing_of(os.environ)
+    if tracing is not None:
+        handler = Traced(handler, tracing, timings)
+    monitor = Monitor(timings, logs=settings.log_format == "json")
+    link = render_links([notifications.link])
+    http = HttpApplication(handler, clients, settings, link, monitor, (health, ready))
     mcp.connect(http)
     return Application(
         session,
@@ -190,8 +220,15 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
             sparql.process,
             watchdog,
             background_jobs(services, sparql, mirror, authenticator, triggers),
-            [mcp.close, *(() if mirror is None else (mirror.close,)), large.close, scene.close],
+            [
+                mcp.close,
+                *(() if mirror is None else (mirror.close,)),
+                large.close,
+                scene.close,
+                *(() if tracing is None else (tracing.close,)),
+            ],
         ),
+        sources,
     )
 
 
@@ -280,8 +317,10 @@ class Application:
         http: ASGIApp,
         websockets: ASGIApp,
         lifespan: ASGIApp,
+        metric_sources: MetricSources,
     ) -> None:
         self.session = session
+        self.metric_sources = metric_sources
         self._holds = holds
         self.clients = clients
         self.is_urgent = admission.is_urgent
@@ -305,20 +344,41 @@ class Application:
 
 
 class HttpApplication:
-    """The ASGI application for requests. `link` is a Link field of all responses."""
+    """The ASGI application for requests. `link` is a Link field of all responses.
 
-    def __init__(self, handler: Handler, clients: ClientLimiter, settings: Settings, link: str) -> None:
+    `probes` are answered without authentication, limits and checks of Host: probes know only an address.
+    """
+
+    def __init__(
+        self,
+        handler: Handler,
+        clients: ClientLimiter,
+        settings: Settings,
+        link: str,
+        monitor: Monitor,
+        probes: Sequence[HealthResource],
+    ) -> None:
         self._handler = handler
+        self._monitor = monitor
+        self._probes: Mapping[bytes, HealthResource] = {urlsplit(each.url).path.encode(): each for each in probes}
         self._clients = clients
         self._body_limit = settings.body_limit
         self._body_timeout = settings.body_timeout
         self._link = (b"link", link.encode("latin-1"))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        started, monitor = time.perf_counter(), self._monitor
         exchange = Exchange(Request(scope, receive), self._body_limit, self._body_timeout)
+        probe = self._probes.get(scope["raw_path"])
+        if probe is not None and scope["method"] in ("GET", "HEAD"):
+            await probe.answer(exchange.accept)(scope, receive, send)
+            return
+        monitor.start(exchange)
         try:
             response = await self._handler(exchange)
-            response.raw_headers = [*response.raw_headers, self._link]
+            more = monitor.answered(exchange, response, time.perf_counter() - started)
+            response.raw_headers = [*response.raw_headers, self._link, *more]
             await response(scope, receive, send)
         finally:
+            monitor.end()
             self._clients.release(exchange.client)

@@ -220,6 +220,11 @@ class Settings:
         "the log.",
         metavar="WHAT",
     )
+    log_format: str = setting(
+        "text",
+        "The format of the log: 'text', or 'json', an object a line, which also logs every request.",
+        metavar="FORMAT",
+    )
     rate: float = setting(1.0, "Recordings: playback speed; 1 is as recorded.", minimum=0.000001, metavar="X")
     once: bool = setting(False, "Recordings: play once and stay at the end, instead of looping.", option=True)
     first_value_wait: float = setting(
@@ -336,6 +341,7 @@ class Settings:
     allow_load: tuple[str, ...] = setting(
         (), "The full URL of a document that updates may LOAD. Default: none. Repeatable.", metavar="URL"
     )
+    metrics_topics: int = setting(500, "The maximum number of topics in /metrics.", minimum=0)
     query_concurrency: int = setting(4, "The maximum number of concurrent SPARQL queries.", minimum=1)
     query_queue: int = setting(256, "The maximum number of queued SPARQL queries; further ones get 503.", minimum=0)
     types_namespace: str = setting(
@@ -351,6 +357,8 @@ class Settings:
             raise ValueError(f"--stop-cancels {self.stop_cancels}: must be own or others")
         if self.mcp not in ("off", "read", "write"):
             raise ValueError(f"--mcp {self.mcp}: must be off, read or write")
+        if self.log_format not in ("text", "json"):
+            raise ValueError(f"--log-format {self.log_format}: must be text or json")
         if self.faults not in ("all", "quiet"):
             raise ValueError(f"--faults {self.faults}: must be all or quiet")
         for glob in self.mcp_approve:

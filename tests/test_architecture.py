@@ -245,7 +245,8 @@ from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
 from rosld.server.settings import Settings
 create_app(adapter_for("aircraft", AdapterOptions()), Settings())
-print(*sorted({"PIL", "mcp", "pyarrow", "pydantic", "pyshacl", "rdflib"} & sys.modules.keys()))
+optional = {"PIL", "mcp", "opentelemetry", "prometheus_client", "pyarrow", "pydantic", "pyshacl", "rdflib"}
+print(*sorted(optional & sys.modules.keys()))
 """
 
 
@@ -291,6 +292,7 @@ NAMES = {
     "cv2": "opencv-python-headless",
     "backports": "backports-zstd",
     "jwt": "pyjwt",
+    "opentelemetry": "opentelemetry-sdk",
     "mcap_ros1": "mcap-ros1-support",
     "re2": "google-re2",
     "ruamel": "ruamel-yaml",
@@ -343,6 +345,7 @@ def test_every_imported_distribution_is_declared_and_only_some_features_need_ext
         "distributed in server/cli/workers.py",
         "fsspec in server/cli/recording_inputs.py",
         "jwt in server/auth/oidc.py",
+        "opentelemetry in server/runtime/tracing.py",
         "pyarrow in server/cli/export.py",
         *(
             f"pyarrow in server/{file}.py"
@@ -350,7 +353,7 @@ def test_every_imported_distribution_is_declared_and_only_some_features_need_ext
         ),
         *(f"mcp in server/{file}.py" for file in files),
     }
-    assert not undeclared(ROOMS, declared("oidc", "mcp", "dask", "files", "parquet"))
+    assert not undeclared(ROOMS, declared("oidc", "mcp", "dask", "files", "otel", "parquet"))
     assert not undeclared(("tests",), declared("test", "parquet"), excluded="interop")
     assert not undeclared(("tests/interop",), declared("test", "interop", "parquet", "dask", "files"))
     assert not undeclared(("bench",), declared("test", "bench"))

@@ -112,6 +112,11 @@ class ClientLimiter:
         client.requests += 1
         return client
 
+    @property
+    def websockets(self) -> int:
+        """Number of open WebSockets."""
+        return sum(client.websockets for client in self._known.values())
+
     def release(self, client: Client | None) -> None:
         """Count a request as answered or cancelled."""
         if client is not None:

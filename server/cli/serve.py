@@ -35,7 +35,7 @@ EXIT_SECONDS = 8.0
 
 def serve(source: str, settings: Settings, *, base_given: bool) -> None:
     """Serve a source until a signal. Raises Failure if it cannot start."""
-    configure_logging()
+    configure_logging(settings.log_format)
     raise_file_limit()
     with opened(source, settings, _announce, base_given=base_given) as serving:
         run(serving.until_stopped())
@@ -88,6 +88,7 @@ class Serving:
         )
         limit = min(settings.connections, max_open_files() - MAX_FILES)
         self._server = Server(app, on_listening, bounds, max(limit, 1))
+        app.metric_sources.connections = self._server.count_connections
         configure_tls(self._server.config, app.session.settings.tls_cert, app.session.settings.tls_key)
         self._work: asyncio.Task[None] | None = None
 

@@ -66,9 +66,14 @@ class Recorder:
         self._thread = threading.Thread(target=self._work, name="rosld-recorder", daemon=True)
         self._thread.start()
 
+    @property
+    def queued_bytes(self) -> int:
+        """Bytes of the messages that wait to be written."""
+        return self._queued_bytes - self._processed_bytes
+
     def put(self, arrivals: Sequence[Arrival]) -> None:
         """Queue messages for writing; drop and count those that do not fit."""
-        room = MAX_QUEUED - (self._queued_bytes - self._processed_bytes)
+        room = MAX_QUEUED - self.queued_bytes
         accepted: list[Arrival] = []
         for each in arrivals:
             size = len(each.sample.data) + SAMPLE_OVERHEAD

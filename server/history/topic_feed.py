@@ -309,6 +309,11 @@ class LiveRecorder:
             counts.update(dict(each))
         return counts
 
+    @property
+    def queued_bytes(self) -> int:
+        """Bytes of the messages that wait to be written."""
+        return self._recorder.queued_bytes
+
     def topics(self) -> Collection[str]:
         """Return the topics that are recorded now."""
         return self._feed.topics()

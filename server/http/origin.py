@@ -24,11 +24,14 @@ _DEFAULT_PORTS = {"http": 80, "https": 443}
 _OWN_FETCH_SITES = (None, "same-origin", "none")
 _METHODS = "GET, HEAD, OPTIONS, PUT, POST, PATCH, DELETE"
 _READS = "GET, HEAD, OPTIONS"
-_REQUEST_HEADERS = "Accept, Content-Type, If-Match, If-None-Match, Prefer, Link, Slug, Idempotency-Key, Last-Event-ID"
+_REQUEST_HEADERS = (
+    "Accept, Content-Type, If-Match, If-None-Match, Prefer, Link, Slug, Idempotency-Key, Last-Event-ID, traceparent, "
+    "X-Request-Id"
+)
 _NAMED_HEADERS = f"{_REQUEST_HEADERS}, Authorization"
 _EXPOSED = (
     "ETag, Link, Location, Content-Location, Allow, Accept-Post, Accept-Patch, Accept-Put, Age, Retry-After, "
-    "Preference-Applied, Unread-Graphs, WAC-Allow, WWW-Authenticate"
+    "Preference-Applied, Unread-Graphs, WAC-Allow, WWW-Authenticate, X-Request-Id"
 )
 ANY_ORIGIN = "*"
 """Value of `--cors-origin` that shares reads with every page; writes still require a listed origin."""

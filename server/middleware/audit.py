@@ -85,7 +85,7 @@ class Audit:
         if response.status_code in _REFUSED:
             self._note_refusal(exchange, response.status_code)
         if exchange.audit.is_write:
-            id = self._recorder.note(exchange, scope, response)
+            id = exchange.audit.receipt = self._recorder.note(exchange, scope, response)
             headers = response.raw_headers
             if exchange.audit.leads_to_page:
                 headers = [

@@ -71,8 +71,9 @@ class ErrorResponses:
             _log.error("%s %s: %s", exchange.method, scope["path"], error or "out of memory")
             error = problem_of_out_of_memory(error, is_write=self._would_write(exchange))
         if not isinstance(error, Problem):
-            _log.exception("%s %s failed", exchange.method, scope["path"], exc_info=error)
-            error = Problem(500, "The server failed to handle this request; see its log.")
+            id = exchange.request_id
+            _log.exception("%s %s failed, request %s", exchange.method, scope["path"], id, exc_info=error)
+            error = Problem(500, "The server failed to handle this request; see its log.", extra={"requestId": id})
         error = redact_problem(error, exchange.permissions, enforcement.location_of(scope, self._space))
         self._explain_release(error, exchange)
         exchange.audit.set_refusal(error.with_quotes, error.about)

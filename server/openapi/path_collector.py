@@ -62,6 +62,9 @@ _TAGS = {
     "graphs": "queries",
     "mirror": "queries",
     ".well-known/solid": "channels",
+    "metrics": "status",
+    "healthz": "status",
+    "readyz": "status",
 }
 """Tags of URLs that are not named after their first segment."""
 _ENTRY = ("ontology", ".well-known/", ".well-known/wot", ".well-known/void", "openapi.json", "llms.txt")
@@ -104,6 +107,9 @@ class PathCollector(Struct, frozen=True):
             "frames",
             "stop",
             "status",
+            "metrics",
+            "healthz",
+            "readyz",
             "sparql",
             "graphs",
             *_ENTRY,

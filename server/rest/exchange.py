@@ -19,6 +19,7 @@ from rosld.server.auth.rules import Agent
 from rosld.server.http.body import TIMEOUT, codec_for, read_body, read_chunks, to_utf8
 from rosld.server.http.negotiation import MediaType, Preferences, parse_media_type, parse_prefer
 from rosld.server.http.problem import Problem
+from rosld.server.http.request_id import request_id
 from rosld.server.receipts.audit import AuditContext
 from rosld.server.runtime.process_memory import PER_BYTE, PROCESS_MEMORY
 
@@ -60,6 +61,11 @@ class Exchange:
     def query(self) -> Mapping[str, str]:
         """Parameters of the query, by name; the first of several with one name counts. Raises a 400 Problem."""
         return MappingProxyType(dict(reversed(query_pairs(self.request.scope["query_string"]))))
+
+    @cached_property
+    def request_id(self) -> str:
+        """Identifier of the request, for its response and the log."""
+        return request_id(self.headers)
 
     def header(self, name: str) -> str | None:
         """Return the value of a header field (name in lower case), None if it is missing."""

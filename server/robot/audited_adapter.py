@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
+from typing import TypeVar
 
 from rosld.adapters.base import Adapter, Capabilities, Published, Recording, Sink, Subscription, Watch
 from rosld.adapters.catalogue import Catalogue
-from rosld.adapters.model import GoalId, Graph, Operation, ParameterValue, Ref, RosError, Sample, Schema, TypeRef
+from rosld.adapters.model import (
+    GoalId,
+    Graph,
+    Operation,
+    ParameterValue,
+    Ref,
+    Refused,
+    RosError,
+    Sample,
+    Schema,
+    TimedOut,
+    TypeRef,
+)
 from rosld.ontology.urls import Space
 from rosld.server.receipts.audit import current_audit, record_step
 from rosld.server.robot.interlock import Stopped, WriteInterlock
-from rosld.server.runtime.dry_run import is_dry_run
+from rosld.server.runtime.dry_run import DryRunEnded, is_dry_run
+from rosld.server.runtime.timings import Timings
+
+_T = TypeVar("_T")
 
 
 class _CountedSubscription:
@@ -55,6 +72,17 @@ def _step(does: str, url: str) -> Iterator[None]:
         yield
 
 
+def _outcome_of(error: BaseException) -> str:
+    """Return the outcome of a command that raised an error."""
+    if isinstance(error, DryRunEnded):
+        return "dry_run"
+    if isinstance(error, asyncio.CancelledError):
+        return "cancelled"
+    if isinstance(error, TimedOut):
+        return "timeout"
+    return "refused" if isinstance(error, Refused | Stopped) else "failed"
+
+
 class AuditedAdapter:
     """An `Adapter` behind the interlock that records each write in the audit context of its request.
 
@@ -62,16 +90,23 @@ class AuditedAdapter:
     other write ends the run; nothing is sent.
 
     `inner` is the wrapped adapter, for reads that call services (getters). `published` are the topics published to,
-    until they are no longer advertised; `subscriptions` counts the open ones by topic.
+    until they are no longer advertised; `subscriptions` counts the open ones by topic, `timings` those of commands.
     """
 
     def __init__(self, inner: Adapter, interlock: WriteInterlock, space: Space) -> None:
         self.inner = inner
         self.published: set[str] = set()
         self.subscriptions = Counter[str]()
+        self.timings = Timings(_outcome_of)
         self._interlock = interlock
         self._space = space
         self._topic_url = lru_cache(maxsize=4096)(space.topic)
+
+    async def _run(self, command: str, name: str, write: Callable[[], Awaitable[_T]], *, always: bool = False) -> _T:
+        """Run a command to the topic, service, action, node or parameters of a name; `always`: even while stopped."""
+        run = self._interlock.run_always if always else self._interlock.run
+        with self.timings.measure(command, {"rosld.name": name}):
+            return await run(write)
 
     # Writes
 
@@ -94,8 +129,12 @@ class AuditedAdapter:
             if is_dry_run():
                 return self._planned_publish(topic, passes_stop=passes_stop)
             self.published.add(topic)
-            run = self._interlock.run_always if passes_stop else self._interlock.run
-            published = await run(lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline))
+            published = await self._run(
+                "publish",
+                topic,
+                lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline),
+                always=passes_stop,
+            )
         if audit is not None:
             audit.add_receivers(published.matched)
         return published
@@ -113,17 +152,22 @@ class AuditedAdapter:
     ) -> Published:
         """Publish for the hold of the topic (see `Adapter.publish`). `passes_stop`: also while the robot is stopped."""
         self.published.add(topic)
-        run = self._interlock.run_always if passes_stop else self._interlock.run
-        return await run(lambda: self.inner.publish(topic, type, data, deadline=deadline))
+        return await self._run(
+            "publish", topic, lambda: self.inner.publish(topic, type, data, deadline=deadline), always=passes_stop
+        )
 
     async def publish_always(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
         """Publish even while the robot is stopped, to end a hold or stop the robot (see `Adapter.publish`)."""
         self.published.add(topic)
-        return await self._interlock.run_always(lambda: self.inner.publish(topic, type, data, deadline=deadline))
+        return await self._run(
+            "publish", topic, lambda: self.inner.publish(topic, type, data, deadline=deadline), always=True
+        )
 
     async def call_always(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """Call a service even while the robot is stopped, to stop it (see `Adapter.call`)."""
-        return await self._interlock.run_always(lambda: self.inner.call(service, type, request, deadline=deadline))
+        return await self._run(
+            "call", service, lambda: self.inner.call(service, type, request, deadline=deadline), always=True
+        )
 
     async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
         """Advertise even while the robot is stopped, as this sends nothing (see `Adapter.advertise`)."""
@@ -145,40 +189,50 @@ class AuditedAdapter:
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """See `Adapter.call`."""
         with _step(f"call {service} ({type.name})", self._space.service(service)):
-            return await self._interlock.run(lambda: self.inner.call(service, type, request, deadline=deadline))
+            return await self._run("call", service, lambda: self.inner.call(service, type, request, deadline=deadline))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         """See `Adapter.send_goal`."""
         with _step(f"send a goal to {action} ({type.name})", self._space.action(action)):
-            return await self._interlock.run(lambda: self.inner.send_goal(action, type, goal, deadline=deadline))
+            return await self._run(
+                "send_goal", action, lambda: self.inner.send_goal(action, type, goal, deadline=deadline)
+            )
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
         """Cancel a goal even while the robot is stopped, as this ends motion (see `Adapter.cancel_goal`)."""
         with _step(f"cancel the goal {goal.id} of {goal.action}", self._space.action(goal.action)):
-            await self._interlock.run_always(lambda: self.inner.cancel_goal(goal, deadline=deadline))
+            await self._run(
+                "cancel_goal", goal.action, lambda: self.inner.cancel_goal(goal, deadline=deadline), always=True
+            )
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
         """Cancel goals even while the robot is stopped, as this ends motion (see `Adapter.cancel_goals`)."""
         with _step(f"cancel all goals of {action}", self._space.action(action)):
-            await self._interlock.run_always(lambda: self.inner.cancel_goals(action, deadline=deadline))
+            await self._run(
+                "cancel_goal", action, lambda: self.inner.cancel_goals(action, deadline=deadline), always=True
+            )
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """See `Adapter.change_state`."""
         record_step(f"have {node} {transition}", self._space.node(node))
-        await self._interlock.run(lambda: self.inner.change_state(node, transition, deadline=deadline))
+        await self._run("change_state", node, lambda: self.inner.change_state(node, transition, deadline=deadline))
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """See `Adapter.set_parameters`."""
         for name in values:
             record_step(f"set the parameter {name}", self._space.parameter(name))
         with errors_about(*map(self._space.parameter, values)):
-            await self._interlock.run(lambda: self.inner.set_parameters(values, deadline=deadline))
+            await self._run(
+                "set_parameters", ", ".join(values), lambda: self.inner.set_parameters(values, deadline=deadline)
+            )
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
         """See `Adapter.delete_parameters`."""
         for name in names:
             record_step(f"delete the parameter {name}", self._space.parameter(name))
-        await self._interlock.run(lambda: self.inner.delete_parameters(names, deadline=deadline))
+        await self._run(
+            "set_parameters", ", ".join(names), lambda: self.inner.delete_parameters(names, deadline=deadline)
+        )
 
     # Reads
 

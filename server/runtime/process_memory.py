@@ -88,6 +88,25 @@ def available_bytes(pid: int | None = None) -> int | None:
     return min(found) if found else None
 
 
+def process_usage(pid: int) -> tuple[float, int]:
+    """Return the CPU seconds of a process and its children, and its resident bytes; zeros if that is unknown."""
+    seconds, size = 0.0, 0
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        fields = _stat(pid)
+        size = int(fields[21]) * os.sysconf("SC_PAGE_SIZE")
+        ticks = sum(map(int, fields[11:15]))  # with those of ended children
+        seconds = ticks / os.sysconf("SC_CLK_TCK")
+        for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+            ticks += sum(map(int, _stat(int(child))[11:13]))
+        seconds = ticks / os.sysconf("SC_CLK_TCK")
+    return seconds, size
+
+
+def _stat(pid: int) -> list[bytes]:
+    """Return the fields of /proc/PID/stat after the name of the program (proc(5))."""
+    return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
+
+
 def trim() -> None:
     """Return the memory that the allocator retains to the system."""
     if sys.platform == "linux":

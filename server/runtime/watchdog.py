@@ -72,6 +72,8 @@ class Watchdog:
     """Meter of the pauses of the loop on which it is started."""
 
     def __init__(self) -> None:
+        self.count, self.seconds = 0, 0.0
+        """Number of pauses of at least `LATE_SECONDS`, and their total length."""
         self._longest = self._busiest = Pause(0.0, 0.0, time.time_ns())
         self._slots: deque[tuple[float, float]] = deque(maxlen=_SLOTS + 1)
         self._due = 0.0
@@ -117,6 +119,9 @@ class Watchdog:
         self._schedule(loop)
 
     def _record(self, now: float, late: float, due: float) -> None:
+        if late >= LATE_SECONDS:
+            self.count += 1
+            self.seconds += late
         slots, width = self._slots, RECENT_SECONDS / _SLOTS
         if not slots or now - slots[-1][0] >= width:
             slots.append((now, late))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import logging
 import socket
 import ssl
 import sys
 from collections.abc import Callable, Coroutine, Iterator
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,8 @@ import uvicorn
 import uvloop
 from starlette.types import ASGIApp
 
-from rosld.server.http.token_redaction import redact_tokens
+from rosld.server.http.token_redaction import redact_tokens, redact_tokens_in
+from rosld.server.runtime.tracing import current_request_id
 from rosld.server.serving.connection import BoundedConfig, Connection, ConnectionBounds
 from rosld.server.serving.connections import Connections, WebSocketConnection
 from rosld.server.sparql.process.pool import Aborted
@@ -104,11 +107,15 @@ class Server(uvicorn.Server):
             timeout_keep_alive=KEEP_ALIVE_SECONDS,
             timeout_graceful_shutdown=GRACE_SECONDS,
         )
-        config.connections = Connections(connections)
+        self._connections = config.connections = Connections(connections)
         if bounds is not None:
             config.bounds = bounds
         super().__init__(config)
         self._listening = listening
+
+    def count_connections(self) -> int:
+        """Return the number of open connections."""
+        return len(self._connections)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start to listen, then report it."""
@@ -133,10 +140,25 @@ class _WithoutTokens(logging.Formatter):
         return redact_tokens(super().format(record))
 
 
-def configure_logging() -> None:
-    """Log to stderr; from uvicorn only internal errors, not those in received data."""
+class _JsonLines(logging.Formatter):
+    """Formatter of records as JSON objects, one a line, without tokens of rosld."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        time = datetime.fromtimestamp(record.created, timezone.utc).isoformat(timespec="milliseconds")
+        members = {"time": time, "level": record.levelname, "logger": record.name, "message": record.getMessage()}
+        if (id := current_request_id.get()) is not None:
+            members["request_id"] = id
+        members |= getattr(record, "members", {})
+        if record.exc_info:
+            members["exception"] = self.formatException(record.exc_info)
+        return json.dumps({name: redact_tokens_in(value) for name, value in members.items()}, default=str)
+
+
+def configure_logging(log_format: str = "text") -> None:
+    """Log to stderr, as `text` or `json`; from uvicorn only internal errors, not those in received data."""
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(_WithoutTokens("%(levelname)s %(name)s: %(message)s"))
+    text = _WithoutTokens("%(levelname)s %(name)s: %(message)s")
+    handler.setFormatter(_JsonLines() if log_format == "json" else text)
     logging.basicConfig(level=logging.INFO, handlers=[handler])
     uvicorns = logging.getLogger("uvicorn.error")
     uvicorns.setLevel(logging.ERROR)

@@ -16,6 +16,7 @@ from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset import QueryError
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.tasks import loop_time
+from rosld.server.runtime.timings import Timings
 from rosld.server.space.transforms import TOPICS, FrameRow
 from rosld.server.sparql import results, row_limit
 from rosld.server.sparql.analysis import Analyser, Analysis, parse_problem
@@ -75,6 +76,21 @@ class _Run(NamedTuple):
     disconnected: Disconnected | None
 
 
+_OUTCOMES = frozenset({"busy", *(each.value for each in StopReason)})
+
+
+def _outcome_of(error: BaseException) -> str:
+    """Return the outcome of a query that raised an error: the limit that it reached, or whose fault it was."""
+    if isinstance(error, asyncio.CancelledError):
+        return "cancelled"
+    if not isinstance(error, Problem):
+        return "failed"
+    reason = error.extra.get("reason")
+    if isinstance(reason, str) and reason in _OUTCOMES:
+        return reason
+    return "refused" if error.status < 500 else "failed"
+
+
 class QueryService:
     """Query evaluation over a dataset that is materialized before each query. Belongs to one loop.
 
@@ -101,6 +117,7 @@ class QueryService:
         self._past = past
         self._transforms = transforms
         self.limits = limits
+        self.timings = Timings(_outcome_of)
         self._reader = ThreadPoolExecutor(1, "sparql-reader")
         self._long = 0
 
@@ -129,7 +146,8 @@ class QueryService:
 
         is_counted = row_limit.has_counter(media_type)
         run = _Run(request, analysis, permissions, limits, until, disconnected)
-        body, unread = await self._evaluate(run, work, is_counted)
+        with self.timings.measure("query"):
+            body, unread = await self._evaluate(run, work, is_counted)
         return QueryAnswer(media_type, body, unread)
 
     async def table(
@@ -143,7 +161,8 @@ class QueryService:
         limits, until = self._limits_of(request)
         analysis = await self._analyse(request.text, limits, until)
         run = _Run(request, analysis, permissions, limits, until, disconnected)
-        body, unread = await self._evaluate(run, lambda query, least, _: TableWork(query, limit, least), True)
+        with self.timings.measure("query"):
+            body, unread = await self._evaluate(run, lambda query, least, _: TableWork(query, limit, least), True)
         table: ResultRows = pickle.loads(await _whole(body))  # from our own process
         return table._replace(unread=unread)
 

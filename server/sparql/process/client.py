@@ -56,6 +56,21 @@ class QueryProcess:
         """The process ID, None while no process runs."""
         return None if self._child is None else self._child.popen.pid
 
+    @property
+    def is_running(self) -> bool:
+        """Whether the process accepts work."""
+        return self._ready.is_set()
+
+    @property
+    def running(self) -> int:
+        """Number of jobs in progress."""
+        return self._pool.busy
+
+    @property
+    def waiting(self) -> int:
+        """Number of jobs that wait for a worker."""
+        return self._pool.waiting
+
     def on_start(self, listener: Callable[[], None]) -> None:
         """Call the listener after each start of the process, when its datasets are empty."""
         self._on_start.append(listener)

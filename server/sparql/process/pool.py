@@ -276,7 +276,7 @@ class WorkerPool:
 
     def __init__(self, concurrency: int, waiting: int) -> None:
         self._concurrency = concurrency
-        self._waiting = waiting
+        self._max_waiting = waiting
         self._numbers = count(1)
         self._process: ChildProcess | None = None
         self._workers: dict[int, _Worker] = {}
@@ -316,7 +316,7 @@ class WorkerPool:
             raise process_restarting(1)
         self._queue.append(job)
         self._serve()
-        if len(self._queue) > self._waiting and job in self._queue:
+        if len(self._queue) > self._max_waiting and job in self._queue:
             self._queue.remove(job)
             raise too_many_queries()
 
@@ -338,8 +338,14 @@ class WorkerPool:
             self._settle(worker)
 
     @property
-    def _busy(self) -> int:
+    def busy(self) -> int:
+        """Number of jobs in progress."""
         return len(self._workers) - len(self._idle)
+
+    @property
+    def waiting(self) -> int:
+        """Number of jobs that wait for a worker."""
+        return len(self._queue)
 
     def _serve(self) -> None:
         while self._process is not None and (job := self._next_job()) is not None:
@@ -350,24 +356,24 @@ class WorkerPool:
                 job.fail(error)
                 continue
             worker.begin(job)
-            if self._busy > self._concurrency:
+            if self.busy > self._concurrency:
                 job.is_tried = True
                 self._loop.call_later(_TRIAL_SECONDS, self._end_trial, worker, worker.turns)
 
     def _next_job(self) -> Evaluation | None:
         """Return the job that may begin now, if any."""
-        if self._busy < self._concurrency:
+        if self.busy < self._concurrency:
             return next(iter(self._queue), None)
-        if self._busy > self._concurrency:
+        if self.busy > self._concurrency:
             return None
         return next((job for job in self._queue if not job.is_tried), None)
 
     def _end_trial(self, worker: _Worker, turns: int) -> None:
         job = worker.job
-        if job is None or worker.turns != turns or self._busy <= self._concurrency or not job.start_over():
+        if job is None or worker.turns != turns or self.busy <= self._concurrency or not job.start_over():
             return
         self._kill(worker)
-        if len(self._queue) < self._waiting:
+        if len(self._queue) < self._max_waiting:
             self._queue.appendleft(job)
         else:
             job.fail(too_many_queries())

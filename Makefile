@@ -1,6 +1,7 @@
 # demo: the paper's aircraft at http://127.0.0.1:8080/     check: style and types
 # quick: most tests in a minute     test: all tests     interop: other people's clients
 # bench: the table of ratios     clean: back to a fresh clone
+# release: sdist, wheel and SBOM in dist/, checked     deb: a Debian package for this machine's release, in dist/
 #
 # Each of them makes .venv when it is missing or pyproject.toml has changed. PYTHON=python3.12 chooses another Python.
 
@@ -11,7 +12,7 @@ READY := .venv/.ready
 PORT ?= 8080
 HEADERS := import sysconfig; print(sysconfig.get_path("include") + "/Python.h")
 
-.PHONY: demo quick test interop check bench clean venv debian ros2
+.PHONY: demo quick test interop check bench release deb clean venv debian ros2
 
 demo: $(INSTALLED)
 	$(BIN)/rosld serve aircraft --port $(PORT)
@@ -46,6 +47,17 @@ check: $(READY)
 
 bench: $(READY)
 	$(BIN)/python bench
+
+release: build/release/.installed
+	build/release/bin/python deploy/release.py
+
+build/release/.installed: pyproject.toml
+	$(PYTHON) -m venv --clear build/release
+	build/release/bin/python -m pip install --quiet --disable-pip-version-check '.[release]'
+	@touch $@
+
+deb:
+	deploy/debian/build
 
 venv: $(READY)
 

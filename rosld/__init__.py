@@ -1,3 +1,3 @@
 """rosld turns robots into Linked Data."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

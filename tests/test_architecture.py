@@ -228,7 +228,8 @@ def test_every_part_of_the_server_is_in_a_folder() -> None:
 
 def test_each_folder_is_linked_into_the_import_package_and_tests_are_no_package() -> None:
     for room in ROOMS:
-        assert (ROOT / "rosld" / room).readlink() == Path("..") / room
+        if not (ROOT / "PKG-INFO").exists():  # the source distribution has copies
+            assert (ROOT / "rosld" / room).readlink() == Path("..") / room
         assert (ROOT / room / "__init__.py").is_file()
     assert not list((ROOT / "tests").rglob("__init__.py"))
 

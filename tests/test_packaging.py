@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pytest
+
+import rosld
 
 pytestmark = pytest.mark.slow
 
@@ -45,7 +48,11 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(ROOT, folder / "tree", symlinks=True, ignore=NOT_COPIED)
     with tarfile.open(build("sdist", folder / "tree", folder / "sdist")) as archive:
         archive.extractall(folder / "unpacked")
-    return build("wheel", next((folder / "unpacked").iterdir()), folder / "wheel")
+    unpacked = next((folder / "unpacked").iterdir())
+    assert {"tests", "server", "deploy", "docs", "bench", "Makefile", "CHANGELOG.md"} <= {
+        path.name for path in unpacked.iterdir()
+    }
+    return build("wheel", unpacked, folder / "wheel")
 
 
 def test_the_wheel_holds_every_file_its_license_and_nothing_but_rosld(wheel: Path) -> None:
@@ -78,3 +85,21 @@ def test_the_installed_wheel_runs_and_finds_its_data(wheel: Path, tmp_path: Path
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.startswith(str(tmp_path))
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    places = {
+        "CHANGELOG.md": r"^## \[(\d\S*)\]",
+        "deploy/kubernetes.yml": r"image: rosld:(\S+)",
+        "deploy/ros2/package.xml": r"<version>(\S+)</version>",
+        "deploy/ros2/setup.py": r'version="(\S+)"',
+    }
+    found = {
+        path: re.search(pattern, (ROOT / path).read_text("utf-8"), re.MULTILINE) for path, pattern in places.items()
+    }
+    assert {path: match and match[1] for path, match in found.items()} == dict.fromkeys(places, rosld.__version__)
+
+
+def test_the_guide_for_services_shows_the_unit_of_the_package() -> None:
+    unit = (ROOT / "deploy" / "rosld.service").read_text("utf-8")
+    assert f"```ini\n{unit}```" in (ROOT / "docs" / "how-to" / "service.md").read_text("utf-8")

@@ -82,9 +82,11 @@ class ServingThread:
 
 
 def _opened_command(arguments: tuple[str, ...], on_listening: Callable[[str], None]) -> AbstractContextManager[Serving]:
-    given = command.make_context("serve", list(arguments)).params
+    context = command.make_context("serve", list(arguments))
+    given = context.params
     source, base_url = given.pop("source"), given["base_url"]
-    settings = settings_of(given.pop("others"), given.pop("base_url"), **given)
+    with context:
+        settings = settings_of(given.pop("others"), given.pop("base_url"), **given)
     return opened(source, settings, on_listening, base_given=base_url is not None)
 
 

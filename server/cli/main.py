@@ -68,13 +68,17 @@ def _others() -> str:
         for one in declared.declarations()
         if not one.option
     )
-    return "\b\nWith --setting NAME VALUE (and their defaults):\n" + "\n".join(rows)
+    about = (
+        "The environment may give each setting, too (ROSLD_PORT for --port; spaces separate the items of lists, colons "
+        "files and folders), and so may the file of --config, by name. An option precedes the environment, and the "
+        "environment the file."
+    )
+    return f"{about}\n\n\b\nWith --setting NAME VALUE (and their defaults):\n" + "\n".join(rows)
 
 
 @main.command(cls=GlobCommand, epilog=_others())
-@source_argument
+@source_argument()
 @setting_options()
-@click.option("--setting", "others", nargs=2, multiple=True, metavar="NAME VALUE", help="Any other setting; see below.")
 def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:
     """Serve SOURCE on the web: a robot, a recording, or all recordings of folders, files and globs.
 
@@ -96,9 +100,8 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
 
 
 @main.command("mcp", cls=GlobCommand, short_help="Serve SOURCE to a language model, on stdin and stdout.")
-@source_argument
+@source_argument()
 @setting_options()
-@click.option("--setting", "others", nargs=2, multiple=True, metavar="NAME VALUE", help="Any other setting; see serve.")
 def mcp(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:
     """Serve SOURCE to a language model: tools of the Model Context Protocol on stdin and stdout.
 

@@ -11,7 +11,8 @@ import click
 from rosld.adapters.model import Qos, read_profile
 from rosld.adapters.registry import joined
 from rosld.server import settings as declared
-from rosld.server.cli.failure import ExitCode, user_errors
+from rosld.server.cli import config_file
+from rosld.server.cli.failure import ExitCode, Failure, user_errors
 from rosld.server.settings import Declaration, Settings
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -36,19 +37,35 @@ class GlobCommand(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         try:
             return super().parse_args(ctx, args)
+        except click.BadParameter as error:
+            name = None if error.param is None else error.param.name
+            if name is None or not (place := config_file.place_of(ctx, name)):
+                raise
+            raise Failure(f"{place}{name}: {error.message}", ExitCode.USAGE) from error
         except click.UsageError as error:
             if "unexpected extra argument" not in error.message:
                 raise
             raise click.UsageError(f"{error.message}. {_QUOTE}", ctx) from error
 
 
-def source_argument(command: _F) -> _F:
-    """Add the argument of one source, or of several recordings and folders, which are a collection."""
-    return click.argument("source", nargs=-1, required=True, type=click.Path(), callback=_joined)(command)
+class _SourceType(click.Path):
+    """A source, which may be a path; in the environment, spaces separate several."""
+
+    def split_envvar_value(self, rv: str) -> list[str]:
+        return rv.split()
 
 
-def _joined(context: click.Context, parameter: click.Parameter, sources: tuple[str, ...]) -> str:
+def source_argument(*, required: bool = True) -> Callable[[_F], _F]:
+    """Return the argument of one source, or of several recordings and folders, which are a collection."""
+    return click.argument(
+        "source", nargs=-1, required=required, type=_SourceType(), callback=_joined, envvar="ROSLD_SOURCE"
+    )
+
+
+def _joined(context: click.Context, parameter: click.Parameter, sources: tuple[str, ...]) -> str | None:
     """Return one source, or several as the source of a collection. Raises UsageError unless several are recordings."""
+    if not sources:
+        return None
     try:
         return joined(sources)
     except ValueError as error:
@@ -90,7 +107,8 @@ def _option(one: Declaration) -> Callable[[_F], _F]:
     """Return the click option of a declared setting."""
     assert one.option is not None
     if one.type == "bool":
-        return click.option(one.option, one.name, is_flag=True, help=one.help)
+        variable = config_file.variable(one.name)
+        return click.option(one.option, one.name, is_flag=True, envvar=variable, help=one.help)
     shown = one.default not in (None, ()) and one.name != "base_url"
     return click.option(
         one.option,
@@ -101,14 +119,32 @@ def _option(one: Declaration) -> Callable[[_F], _F]:
         default=None if one.name == "base_url" else one.default,
         show_default=shown,
         metavar=one.metavar,
+        envvar=config_file.variable(one.name),
         help=one.help,
     )
 
 
+_ELSEWHERE = (
+    click.option(
+        "--config",
+        type=FILE,
+        is_eager=True,
+        expose_value=False,
+        callback=config_file.load,
+        envvar="ROSLD_CONFIG",
+        metavar="FILE",
+        help="A file of settings by name (TOML), of source, and of [robots]. Options and variables precede it.",
+    ),
+    click.option("--setting", "others", nargs=2, multiple=True, metavar="NAME VALUE", help="Any other setting."),
+)
+
+
 def setting_options(*names: str) -> Callable[[_F], _F]:
-    """Return the options of these settings, by default of all that have one."""
+    """Return the options of these settings; by default all, with `--setting` and `--config`."""
 
     def decorate(command: _F) -> _F:
+        for add in () if names else _ELSEWHERE:
+            command = add(command)
         for one in reversed(declared.declarations()):
             if one.option is not None and (not names or one.name in names):
                 command = _option(one)(command)
@@ -124,9 +160,16 @@ def output_option(help: str) -> Callable[[_F], _F]:
 
 
 def settings_of(others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> Settings:
-    """Return the settings for the parameters of `serve`. Raises Failure for inconsistent values."""
+    """Return the settings for the parameters of `serve`, the environment and the file. Raises Failure."""
+    context = click.get_current_context()
+    given = {name.replace("-", "_"): text for name, text in others}
+    config_file.warn_of_variables()
     with user_errors(ExitCode.USAGE):
-        options |= {name.replace("-", "_"): declared.parse(name, text) for name, text in others}
-        if base_url is not None:
-            options["base_url"] = declared.canonical_base(base_url)
-        return Settings(**options)
+        try:
+            texts = {**config_file.others_given(context), **given}
+            options |= {name: declared.parse(name, text) for name, text in texts.items()}
+            if base_url is not None:
+                options["base_url"] = declared.canonical_base(base_url)
+            return Settings(**options)
+        except ValueError as error:
+            raise ValueError(config_file.located(context, str(error), given)) from error

@@ -30,9 +30,9 @@ test: $(READY) debian
 	@$(MAKE) --no-print-directory ros2 & making=$$!; trap "kill $$making" INT TERM; \
 		$(BIN)/python $(PYTEST) -n $(WORKERS) --dist loadfile --no-loadscope-reorder; failed=$$?; wait $$making; exit $$failed
 
-# Clients that others wrote, against rosld: Java, Maven, curl and nginx from Debian, a Node of its own from PyPI.
+# Clients that others wrote, against rosld: Java, Maven, curl, nginx and Prometheus from Debian, a Node of its own from PyPI.
 interop: $(READY)
-	@{ command -v curl && command -v dot && command -v javac && command -v mvn && { command -v nginx || test -x /usr/sbin/nginx; } && test -x /usr/sbin/apache2; } \
+	@{ command -v curl && command -v dot && command -v javac && command -v mvn && command -v promtool && { command -v nginx || test -x /usr/sbin/nginx; } && test -x /usr/sbin/apache2; } \
 		>/dev/null || .ci/debian tests/interop/debian.txt
 	@test -e .venv/.interop || \
 		{ $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[interop]' && touch .venv/.interop; } || \

@@ -373,12 +373,14 @@ class HttpApplication:
         if probe is not None and scope["method"] in ("GET", "HEAD"):
             await probe.answer(exchange.accept)(scope, receive, send)
             return
-        monitor.start(exchange)
+        monitor.timings.current += 1
+        if monitor.logs:
+            monitor.start(exchange)
         try:
             response = await self._handler(exchange)
             more = monitor.answered(exchange, response, time.perf_counter() - started)
             response.raw_headers = [*response.raw_headers, self._link, *more]
             await response(scope, receive, send)
         finally:
-            monitor.end()
+            monitor.timings.current -= 1
             self._clients.release(exchange.client)

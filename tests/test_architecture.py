@@ -356,6 +356,6 @@ def test_every_imported_distribution_is_declared_and_only_some_features_need_ext
     }
     assert not undeclared(ROOMS, declared("oidc", "mcp", "dask", "files", "otel", "parquet"))
     assert not undeclared(("tests",), declared("test", "parquet"), excluded="interop")
-    assert not undeclared(("tests/interop",), declared("test", "interop", "parquet", "dask", "files"))
+    assert not undeclared(("tests/interop",), declared("test", "interop", "parquet", "dask", "files", "otel"))
     assert not undeclared(("bench",), declared("test", "bench"))
     assert not undeclared(("docs",), declared())

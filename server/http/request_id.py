@@ -23,7 +23,8 @@ def request_id(headers: Mapping[str, str]) -> str:
     given = headers.get(FIELD)
     if given is not None and _GIVEN.fullmatch(given) and not contains_token(given):
         return given
-    parent = _TRACEPARENT.fullmatch(headers.get("traceparent", ""))
+    traceparent = headers.get("traceparent")
+    parent = None if traceparent is None else _TRACEPARENT.fullmatch(traceparent)
     if parent is not None and not (parent["version"] == "00" and parent["more"]):
         return parent["trace"]
     return f"{random.getrandbits(128) or 1:032x}"

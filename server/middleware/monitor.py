@@ -25,31 +25,25 @@ class Monitor:
 
     def __init__(self, timings: RequestTimings, *, logs: bool) -> None:
         self.timings = timings
-        self._logs = logs
+        self.logs = logs
 
     def start(self, exchange: Exchange) -> None:
-        """Note a request that begins, for the log of what it does."""
-        self.timings.current += 1
-        if self._logs:
-            current_request_id.set(exchange.request_id)
+        """Name a request that begins in the log of what it does."""
+        current_request_id.set(exchange.request_id)
 
     def answered(self, exchange: Exchange, response: Response, seconds: float) -> Sequence[tuple[bytes, bytes]]:
         """Count a request, and return the fields that identify it.
 
         Successful reads have them only if the client identified its request, because most responses are of this kind.
         """
-        scope, status = exchange.request.scope, response.status_code
-        path, method, headers = scope["raw_path"], scope["method"], exchange.headers
+        scope, status, headers = exchange.request.scope, response.status_code, exchange.headers
+        path, method = scope["raw_path"], scope["method"]
         self.timings.add(path, method, status, seconds)
-        if self._logs:
+        if self.logs:
             self._log(exchange, path, method, status, seconds)
         if status < 400 and method in _READS and FIELD not in headers and "traceparent" not in headers:
             return _NOTHING
         return ((_FIELD, exchange.request_id.encode("ascii")),)
-
-    def end(self) -> None:
-        """Note a request whose response has been sent."""
-        self.timings.current -= 1
 
     def _log(self, exchange: Exchange, path: bytes, method: str, status: int, seconds: float) -> None:
         shown, receipt = redact_tokens(path.decode("latin-1")), exchange.audit.receipt

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import TypeVar
+from typing import ParamSpec, TypeAlias, TypeVar
 
 from rosld.adapters.base import Adapter, Capabilities, Published, Recording, Sink, Subscription, Watch
 from rosld.adapters.catalogue import Catalogue
@@ -31,6 +31,8 @@ from rosld.server.runtime.dry_run import DryRunEnded, is_dry_run
 from rosld.server.runtime.timings import Timings
 
 _T = TypeVar("_T")
+_P = ParamSpec("_P")
+Gate: TypeAlias = Callable[[Callable[[], Awaitable[_T]]], Awaitable[_T]]
 
 
 class _CountedSubscription:
@@ -102,11 +104,14 @@ class AuditedAdapter:
         self._space = space
         self._topic_url = lru_cache(maxsize=4096)(space.topic)
 
-    async def _run(self, command: str, name: str, write: Callable[[], Awaitable[_T]], *, always: bool = False) -> _T:
-        """Run a command to the topic, service, action, node or parameters of a name; `always`: even while stopped."""
-        run = self._interlock.run_always if always else self._interlock.run
-        with self.timings.measure(command, {"rosld.name": name}):
-            return await run(write)
+    async def _run(
+        self, gate: Gate[_T], method: Callable[_P, Awaitable[_T]], *arguments: _P.args, **named: _P.kwargs
+    ) -> _T:
+        """Run a command of the adapter behind a gate of the interlock, and measure it by the name of the method."""
+        subject = arguments[0]
+        attributes = {"rosld.name": subject} if isinstance(subject, str) else {}
+        with self.timings.measure(method.__name__, attributes):
+            return await gate(lambda: method(*arguments, **named))
 
     # Writes
 
@@ -129,12 +134,8 @@ class AuditedAdapter:
             if is_dry_run():
                 return self._planned_publish(topic, passes_stop=passes_stop)
             self.published.add(topic)
-            published = await self._run(
-                "publish",
-                topic,
-                lambda: self.inner.publish(topic, type, data, latch=latch, deadline=deadline),
-                always=passes_stop,
-            )
+            run = self._interlock.run_always if passes_stop else self._interlock.run
+            published = await self._run(run, self.inner.publish, topic, type, data, latch=latch, deadline=deadline)
         if audit is not None:
             audit.add_receivers(published.matched)
         return published
@@ -152,22 +153,17 @@ class AuditedAdapter:
     ) -> Published:
         """Publish for the hold of the topic (see `Adapter.publish`). `passes_stop`: also while the robot is stopped."""
         self.published.add(topic)
-        return await self._run(
-            "publish", topic, lambda: self.inner.publish(topic, type, data, deadline=deadline), always=passes_stop
-        )
+        run = self._interlock.run_always if passes_stop else self._interlock.run
+        return await self._run(run, self.inner.publish, topic, type, data, deadline=deadline)
 
     async def publish_always(self, topic: str, type: TypeRef, data: bytes, *, deadline: float) -> Published:
         """Publish even while the robot is stopped, to end a hold or stop the robot (see `Adapter.publish`)."""
         self.published.add(topic)
-        return await self._run(
-            "publish", topic, lambda: self.inner.publish(topic, type, data, deadline=deadline), always=True
-        )
+        return await self._run(self._interlock.run_always, self.inner.publish, topic, type, data, deadline=deadline)
 
     async def call_always(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """Call a service even while the robot is stopped, to stop it (see `Adapter.call`)."""
-        return await self._run(
-            "call", service, lambda: self.inner.call(service, type, request, deadline=deadline), always=True
-        )
+        return await self._run(self._interlock.run_always, self.inner.call, service, type, request, deadline=deadline)
 
     async def advertise(self, topic: str, type: TypeRef, *, deadline: float) -> None:
         """Advertise even while the robot is stopped, as this sends nothing (see `Adapter.advertise`)."""
@@ -189,50 +185,40 @@ class AuditedAdapter:
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         """See `Adapter.call`."""
         with _step(f"call {service} ({type.name})", self._space.service(service)):
-            return await self._run("call", service, lambda: self.inner.call(service, type, request, deadline=deadline))
+            return await self._run(self._interlock.run, self.inner.call, service, type, request, deadline=deadline)
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         """See `Adapter.send_goal`."""
         with _step(f"send a goal to {action} ({type.name})", self._space.action(action)):
-            return await self._run(
-                "send_goal", action, lambda: self.inner.send_goal(action, type, goal, deadline=deadline)
-            )
+            return await self._run(self._interlock.run, self.inner.send_goal, action, type, goal, deadline=deadline)
 
     async def cancel_goal(self, goal: GoalId, *, deadline: float) -> None:
         """Cancel a goal even while the robot is stopped, as this ends motion (see `Adapter.cancel_goal`)."""
         with _step(f"cancel the goal {goal.id} of {goal.action}", self._space.action(goal.action)):
-            await self._run(
-                "cancel_goal", goal.action, lambda: self.inner.cancel_goal(goal, deadline=deadline), always=True
-            )
+            await self._run(self._interlock.run_always, self.inner.cancel_goal, goal, deadline=deadline)
 
     async def cancel_goals(self, action: str, *, deadline: float) -> None:
         """Cancel goals even while the robot is stopped, as this ends motion (see `Adapter.cancel_goals`)."""
         with _step(f"cancel all goals of {action}", self._space.action(action)):
-            await self._run(
-                "cancel_goal", action, lambda: self.inner.cancel_goals(action, deadline=deadline), always=True
-            )
+            await self._run(self._interlock.run_always, self.inner.cancel_goals, action, deadline=deadline)
 
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         """See `Adapter.change_state`."""
         record_step(f"have {node} {transition}", self._space.node(node))
-        await self._run("change_state", node, lambda: self.inner.change_state(node, transition, deadline=deadline))
+        await self._run(self._interlock.run, self.inner.change_state, node, transition, deadline=deadline)
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """See `Adapter.set_parameters`."""
         for name in values:
             record_step(f"set the parameter {name}", self._space.parameter(name))
         with errors_about(*map(self._space.parameter, values)):
-            await self._run(
-                "set_parameters", ", ".join(values), lambda: self.inner.set_parameters(values, deadline=deadline)
-            )
+            await self._run(self._interlock.run, self.inner.set_parameters, values, deadline=deadline)
 
     async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
         """See `Adapter.delete_parameters`."""
         for name in names:
             record_step(f"delete the parameter {name}", self._space.parameter(name))
-        await self._run(
-            "set_parameters", ", ".join(names), lambda: self.inner.delete_parameters(names, deadline=deadline)
-        )
+        await self._run(self._interlock.run, self.inner.delete_parameters, names, deadline=deadline)
 
     # Reads
 

@@ -84,15 +84,10 @@ class Tracing:
         await asyncio.to_thread(ended.wait, _FLUSH_SECONDS)
 
 
-@contextmanager
-def span(name: str, attributes: Mapping[str, str]) -> Iterator[None]:
-    """Trace a part of the current request, if requests are traced."""
+def child_span(name: str, attributes: Mapping[str, str]) -> AbstractContextManager[object] | None:
+    """Return the context of a span below that of the current request, None if requests are not traced."""
     tracing = _current.get()
-    if tracing is None:
-        yield
-        return
-    with tracing.child(name, attributes):
-        yield
+    return None if tracing is None else tracing.child(name, attributes)
 
 
 def tracing_of(environment: Mapping[str, str]) -> Tracing | None:

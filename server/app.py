@@ -19,10 +19,12 @@ from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits
 from rosld.server.dataset.replication import Mirror
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.notification_channels import Channels
+from rosld.server.foxglove.endpoint import FoxgloveService
 from rosld.server.html.frame import prepare_pages
 from rosld.server.http.fields import render_links
 from rosld.server.http.origin import OriginPolicy, origin_policy
 from rosld.server.mcp.endpoint import Mcp, McpService
+from rosld.server.mcp.transport import LocalTransport
 from rosld.server.middleware import Handler
 from rosld.server.middleware.access import (
     AccessHeaders,
@@ -204,6 +206,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     link = render_links([notifications.link])
     http = HttpApplication(handler, clients, settings, link, monitor, (health, ready))
     mcp.connect(http)
+    foxglove = FoxgloveService(session, broadcasters, authenticator, LocalTransport(http), services.instance_id)
     return Application(
         session,
         services.holds,
@@ -213,7 +216,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         router.route_names,
         mcp,
         http,
-        WebSockets(names, admission, notifications),
+        WebSockets(names, admission, notifications, {foxglove.path: foxglove.receiver}),
         Lifespan(
             services.start,
             services.stop,

@@ -176,6 +176,7 @@ LAYERS = [
     "cli",
     "app",
     "serving",
+    "foxglove",
     "mcp",
     "middleware",
     "routing",

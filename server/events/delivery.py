@@ -167,10 +167,12 @@ class ChannelStream(Response):
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
 
-NORMAL, GOING_AWAY = 1000, 1001
+NORMAL, GOING_AWAY, TOO_BIG = 1000, 1001, 1009
 """Close codes (RFC 6455 7.4.1)."""
 _CLOCKS_NS = 100_000_000
 """Nanoseconds by which the loop's clock and the wall clock may differ at the end of a channel."""
+_MESSAGE_CHARACTERS = 4096
+"""Maximum length of a message of a receiver, which is ignored anyway."""
 CLOSE_SECONDS = 0.5
 """Seconds that a blocked receiver may delay the close frame."""
 
@@ -225,7 +227,11 @@ class WebSocketReceiver:
 
         async def wait_for_disconnect() -> Message:
             while True:
-                if (await receive())["type"] == "websocket.disconnect":
+                message = await receive()
+                is_too_big = len(message.get("text") or message.get("bytes") or "") > _MESSAGE_CHARACTERS
+                if is_too_big:
+                    await close(send, TOO_BIG, "what a receiver says is ignored")
+                if is_too_big or message["type"] == "websocket.disconnect":
                     self._has_left = True
                     return {"type": "http.disconnect"}
 
@@ -235,7 +241,7 @@ class WebSocketReceiver:
         )
         if not self._has_left:
             code, reason = self._ending(is_done)
-            await _close(send, code, reason)
+            await close(send, code, reason)
 
     def _ending(self, is_done: bool) -> tuple[int, str]:
         if is_done:
@@ -256,7 +262,8 @@ class WebSocketReceiver:
         return next((one for one in scope.get("subprotocols", ()) if one in known), None)
 
 
-async def _close(send: Send, code: int, reason: str) -> None:
+async def close(send: Send, code: int, reason: str) -> None:
+    """Close a WebSocket; a blocked receiver may delay this by half a second."""
     try:
         await asyncio.wait_for(send({"type": "websocket.close", "code": code, "reason": reason}), CLOSE_SECONDS)
     except (asyncio.TimeoutError, OSError):

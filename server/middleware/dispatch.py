@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from urllib.parse import quote
 
 from starlette.responses import Response
-from starlette.types import Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rosld.adapters.model import RosError
 from rosld.ontology.body import BodyError
@@ -133,12 +133,19 @@ class Dispatch:
 
 
 class WebSockets:
-    """The ASGI application of WebSockets."""
+    """The ASGI application of WebSockets: those of channels, and `others`, which return a receiver, by path."""
 
-    def __init__(self, site: OriginPolicy, admission: Admission, notifications: Notifications) -> None:
+    def __init__(
+        self,
+        site: OriginPolicy,
+        admission: Admission,
+        notifications: Notifications,
+        others: Mapping[bytes, Callable[[Scope], Awaitable[ASGIApp]]],
+    ) -> None:
         self._site = site
         self._admission = admission
         self._notifications = notifications
+        self._others = others
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a WebSocket, or refuse its handshake with a problem."""
@@ -149,7 +156,8 @@ class WebSockets:
             return
         try:
             check_request(self._site, scope)
-            receiver = self._notifications.websocket_receiver(scope)
+            other = self._others.get(scope["raw_path"])
+            receiver = await other(scope) if other is not None else self._notifications.websocket_receiver(scope)
         except Problem as problem:
             await reject_handshake(scope, send, problem)
             return

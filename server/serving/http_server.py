@@ -54,8 +54,8 @@ GRACE_SECONDS = 2
 MAX_CONNECTIONS = 3000
 """Maximum number of connections; a new one replaces an idle one, or is limited to POST /stop."""
 
-MESSAGE_BYTES = 4096
-"""Maximum number of bytes of a WebSocket client's message, which is ignored anyway."""
+MESSAGE_BYTES = 1024 * 1024
+"""Maximum number of bytes of a WebSocket client's message, such as one that it publishes at `/foxglove`."""
 
 
 def bind(host: str, port: int) -> socket.socket:

@@ -1,0 +1,596 @@
+"""The connection to a Foxglove server: reconnected until it is closed, on the thread of the adapter."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import logging
+import re
+import struct
+import time
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from typing import Any
+
+from msgspec import Struct, field
+
+from rosld.adapters.base import AdapterOptions, Sink
+from rosld.adapters.foxglove.feeds import Publication, Publications, TopicFeed
+from rosld.adapters.foxglove.types import (
+    Channel,
+    ServiceOffer,
+    json_of_message,
+    message_of_json,
+    read_channel,
+    read_service,
+)
+from rosld.adapters.model import (
+    Encoding,
+    Endpoint,
+    Graph,
+    MessageSchema,
+    Node,
+    NotFound,
+    Parameter,
+    ParameterValue,
+    Refused,
+    Schema,
+    Sent,
+    Service,
+    TimedOut,
+    Topic,
+    TypeRef,
+    UnknownType,
+    Unreachable,
+)
+from rosld.adapters.model import foxglove_protocol as protocol
+from rosld.adapters.model.foxglove_protocol import Json, ServiceMessage
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.names import global_name
+from rosld.adapters.thread import LiveActions, Tasks
+
+_RETRY = 1.0
+_SETTLE = 0.05
+_GRAPH_PATIENCE = 1.0
+"""Seconds to wait for the connection graph before the graph is shown without it."""
+_NEW_PARAMETERS = 30.0
+"""Seconds between searches for new parameters, of which servers do not inform clients."""
+_CONNECT_SECONDS = 5.0
+_ALL = "rosld-all"
+_NODE = re.compile(r"\W+", re.ASCII)
+_log = logging.getLogger("rosld.foxglove")
+_INVALID = (KeyError, TypeError, ValueError, AttributeError, struct.error)
+
+
+class Peer(Struct):
+    """What the server of the current or last connection has said.
+
+    `connections` are nodes by name, for each member of the connection graph; None before the first.
+    """
+
+    info: Json = field(default_factory=dict)
+    since: float = 0.0
+    channels: dict[int, Channel] = field(default_factory=dict)
+    services: dict[int, ServiceOffer] = field(default_factory=dict)
+    connections: dict[str, dict[str, tuple[str, ...]]] | None = None
+    parameters: dict[str, tuple[str, ParameterValue]] = field(default_factory=dict)
+    """Values by ROS name, with the server's own name."""
+    subscriptions: dict[int, Channel] = field(default_factory=dict)
+    words: str | None = None
+    """The last error that the server reported."""
+
+    def can(self, capability: str) -> bool:
+        """Whether the server has a capability; before the first connection, it may."""
+        return not self.info or capability in self.info.get("capabilities", ())
+
+    @property
+    def encodings(self) -> Sequence[str]:
+        """The encodings that the server reads."""
+        return self.info.get("supportedEncodings") or ()
+
+
+class Types:
+    """The type library and the encoding of a server, which is ROS 1's or ROS 2's: its first connection tells."""
+
+    def __init__(self, options: AdapterOptions) -> None:
+        self._options = options
+        self.encoding = Encoding.CDR
+        self.library = TypeLibrary(ros_version=2, folders=options.types)
+        self._is_decided = False
+
+    def decide(self, encodings: Iterable[str]) -> None:
+        """Choose the ROS by the first encodings that belong to one."""
+        found = {"ros1", "cdr"}.intersection(encodings)
+        if found and not self._is_decided:
+            self._is_decided = True
+            if found == {"ros1"}:
+                self.encoding = Encoding.ROS1
+                self.library = TypeLibrary(ros_version=1, folders=self._options.types)
+
+
+class Client:
+    """rosld as a client of one server. All methods run on the thread of the adapter, which also reads `graph`."""
+
+    actions: LiveActions
+    """There are none: the adapter refuses goals before it would need them."""
+
+    def __init__(self, url: str, shown: str, own_node: str, options: AdapterOptions, types: Types, sink: Sink) -> None:
+        self._address = (url, shown, options.message_limit)
+        self.types = types
+        self.graph = Graph(0, own_node=own_node)
+        self.peer = Peer()
+        self.publications = Publications()
+        self._sink = sink
+        self._feeds: dict[str, TopicFeed] = {}
+        self._pending: dict[str | int, asyncio.Future[Any]] = {}
+        self._numbers = itertools.count(1)
+        self._outbox: asyncio.Queue[str | bytes] | None = None
+        self._tasks = Tasks()
+        self._timer: asyncio.TimerHandle | None = None
+        self._known = asyncio.Event()
+
+    async def open(self, patience: float) -> None:
+        """Start to connect; wait until the graph is known or the first attempt has failed, at most `patience` s."""
+        self._tasks.begin(self._keep_connected())
+        with contextlib.suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(self._known.wait(), max(patience, 0.0))
+        if not self._known.is_set():
+            self._lose("it does not answer in time")
+
+    async def close(self) -> None:
+        """Disconnect."""
+        self._tasks.cancel()
+        await self._tasks.wait(1.0)
+
+    # --- the connection
+
+    async def _keep_connected(self) -> None:
+        from websockets.asyncio.client import connect
+        from websockets.exceptions import WebSocketException
+
+        url, _, limit = self._address
+        options: Any = {
+            "subprotocols": protocol.SUBPROTOCOLS,
+            "max_size": limit,
+            "compression": None,
+            "open_timeout": _CONNECT_SECONDS,
+            "close_timeout": 0.5,
+            "user_agent_header": "rosld",
+        }
+        while True:
+            try:
+                async with connect(url, **options) as socket:
+                    if socket.subprotocol is None:
+                        raise ValueError("it does not speak Foxglove's protocol")
+                    await self._converse(socket)
+                why = "it closed the connection"
+            except (OSError, ValueError, asyncio.TimeoutError, WebSocketException) as error:
+                why = " ".join(str(error).split()) or "it does not answer in time"
+            self._lose(why)
+            await asyncio.sleep(_RETRY)
+
+    async def _converse(self, socket: Any) -> None:
+        """Handle the messages of a connection until it ends."""
+        outbox = self._outbox = asyncio.Queue()
+
+        async def write() -> None:
+            with contextlib.suppress(Exception):  # the reader notices that the connection has ended
+                while True:
+                    await socket.send(await outbox.get())
+
+        async def poll() -> None:
+            while True:
+                await asyncio.sleep(_NEW_PARAMETERS)
+                self._request_all_parameters()
+
+        tasks = [asyncio.ensure_future(write()), asyncio.ensure_future(poll())]
+        try:
+            async for data in socket:
+                try:
+                    if isinstance(data, bytes):
+                        self._on_binary(data)
+                    else:
+                        await self._on_op(protocol.read_op(data))
+                except _INVALID as error:
+                    _log.debug("an invalid message of the Foxglove server is ignored: %r", error)
+        finally:
+            for task in tasks:
+                task.cancel()
+
+    def _lose(self, why: str) -> None:
+        """Mark the graph as stale, and fail what waits for answers."""
+        self._outbox = None
+        self.publications.is_connected = False
+        _, shown, _ = self._address
+        pending, self._pending = self._pending, {}
+        for each in pending.values():
+            if not each.done():
+                each.set_exception(Unreachable("the connection to the Foxglove server was lost", sent=Sent.MAYBE))
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._show(self.graph.as_stale(f"the Foxglove server at {shown} cannot be reached: {why}"))
+
+    def _show(self, graph: Graph) -> None:
+        self._known.set()
+        if graph is not self.graph:
+            self.graph = graph
+            self._sink.graph_changed(graph)
+
+    def transmit(self, *messages: str | bytes) -> None:
+        """Send messages, in order. Raises Unreachable."""
+        if self._outbox is None:
+            raise Unreachable("there is no connection to the Foxglove server")
+        for each in messages:
+            self._outbox.put_nowait(each)
+
+    # --- what the server says
+
+    def _on_binary(self, data: bytes) -> None:
+        if data[0] == protocol.MESSAGE_DATA:
+            id, _, payload = protocol.read_message_data(data)
+            channel = self.peer.subscriptions.get(id)
+            feed = None if channel is None else self._feeds.get(channel.topic)
+            if channel is not None and feed is not None and channel.schema is not None:
+                self._deliver(channel, channel.schema, feed, payload)
+        elif data[0] == protocol.SERVICE_RESPONSE:
+            response = protocol.read_service_message(data)
+            self._settle(response.call_id, response.payload)
+
+    def _deliver(self, channel: Channel, schema: MessageSchema, feed: TopicFeed, data: bytes) -> None:
+        own = self.publications.get(channel.topic)
+        if own is not None and own.takes_echo(data):
+            return
+        if channel.is_json:
+            data = schema.codec.encode(message_of_json(schema, data), self.types.encoding)
+        topic = self.graph.topics.get(channel.topic)
+        others = () if topic is None else [each for each in topic.publishers if each.node != self.graph.own_node]
+        feed.take(data, self.types.encoding, schema.ref, others[0].node if len(others) == 1 else "")
+
+    async def _on_op(self, message: Json) -> None:
+        peer = self.peer
+        match message["op"]:
+            case "serverInfo":
+                self._greet(message)
+                return
+            case "advertise":
+                await self._learn_channels(message["channels"])
+            case "unadvertise":
+                for id in message["channelIds"]:
+                    peer.channels.pop(id, None)
+                    peer.subscriptions = {sub: each for sub, each in peer.subscriptions.items() if each.id != id}
+            case "advertiseServices":
+                for entry in message["services"]:
+                    peer.services[entry["id"]] = await self._off_loop(read_service, entry)
+            case "unadvertiseServices":
+                for id in message["serviceIds"]:
+                    peer.services.pop(id, None)
+            case "connectionGraphUpdate":
+                self._update_connections(message)
+            case "parameterValues":
+                self._take_parameters(message)
+            case "serviceCallFailure":
+                error = Refused("the service failed", words=message.get("message"), sent=Sent.YES)
+                self._settle(message["callId"], error)
+            case "status" if message.get("level") == protocol.ERROR:
+                peer.words = str(message.get("message"))[:500]
+                _log.info("the Foxglove server reports: %s", peer.words)
+        self._refresh_soon()
+
+    def _greet(self, info: Json) -> None:
+        """Begin a session: request what the server offers, and publish again what rosld publishes."""
+        self.peer = Peer(info, since=time.monotonic())
+        self.types.decide(info.get("supportedEncodings") or ())
+        if self.peer.can("connectionGraph"):
+            self.transmit(protocol.op("subscribeConnectionGraph"))
+        self._request_all_parameters()
+        for each in self.publications.values():
+            self.transmit(_advertisement(each))
+        self.publications.is_connected = True
+        self._refresh_soon()
+
+    def _request_all_parameters(self) -> None:
+        if self.peer.can("parameters"):
+            self.transmit(protocol.op("getParameters", parameterNames=[], id=_ALL))
+
+    async def _learn_channels(self, entries: Sequence[Json]) -> None:
+        self.types.decide(each["encoding"] for each in entries)
+        for entry in entries:
+            channel = await self._off_loop(read_channel, entry)
+            self.peer.channels[channel.id] = channel
+            if channel.topic in self._feeds:
+                self._subscribe(channel)
+
+    async def _off_loop(self, read: Any, entry: Json) -> Any:
+        """Parse a definition on another thread: a large one takes seconds."""
+        types = self.types
+        return await asyncio.get_running_loop().run_in_executor(None, read, types.library, types.encoding, entry)
+
+    def _update_connections(self, message: Json) -> None:
+        connections = self.peer.connections or {kind: {} for kind in _MEMBERS}
+        for kind, members in _MEMBERS.items():
+            connections[kind] |= {each["name"]: tuple(each[members]) for each in message.get(kind, ())}
+        for kind, removed in zip(_MEMBERS, ("removedTopics", "removedTopics", "removedServices"), strict=True):
+            for name in message.get(removed, ()):
+                connections[kind].pop(name, None)
+        self.peer.connections = connections
+
+    def _take_parameters(self, message: Json) -> None:
+        """Store values, follow new parameters, and report changes."""
+        peer, id = self.peer, message.get("id")
+        values = [protocol.read_parameter(each) for each in message["parameters"]]
+        if id == _ALL:
+            given = {global_name(name) for name, _ in values}
+            for name in peer.parameters.keys() - given:
+                del peer.parameters[name]
+        new = []
+        for name, value in values:
+            known = peer.parameters.pop(global_name(name), None)
+            if value is not None:
+                peer.parameters[global_name(name)] = (name, value)
+                new += [name] if known is None else []
+            if known is not None and (known[1] != value or type(known[1]) is not type(value)):
+                self._sink.parameter_changed(global_name(name))
+        if new and peer.can("parametersSubscribe"):
+            self.transmit(protocol.op("subscribeParameterUpdates", parameterNames=new))
+        if isinstance(id, str):
+            self._settle(id, {global_name(name): value for name, value in values if value is not None})
+
+    def _settle(self, key: str | int, answer: object) -> None:
+        future = self._pending.pop(key, None)
+        if future is not None and not future.done():
+            if isinstance(answer, Exception):
+                future.set_exception(answer)
+            else:
+                future.set_result(answer)
+
+    # --- the graph
+
+    def _refresh_soon(self) -> None:
+        """Show the graph once for all messages that arrive together."""
+        if self._timer is None and self._outbox is not None:
+            self._timer = asyncio.get_running_loop().call_later(_SETTLE, self._refresh)
+
+    def _refresh(self) -> None:
+        self._timer = None
+        peer = self.peer
+        is_due = time.monotonic() - peer.since > _GRAPH_PATIENCE
+        awaits_connections = peer.can("connectionGraph") and peer.connections is None
+        awaits_channels = not peer.channels and not peer.services
+        if self._outbox is None or not peer.info:
+            return
+        if (awaits_connections or awaits_channels) and not is_due:
+            self._refresh_soon()
+            return
+        own, connections = self.graph.own_node, peer.connections or {}
+        is_known = any(connections.values())
+        server = f"/{_NODE.sub('_', str(peer.info.get('name', ''))).strip('_') or 'foxglove'}"
+
+        def nodes(kind: str, name: str) -> tuple[str, ...]:
+            return tuple(map(global_name, connections.get(kind, {}).get(name, ()))) if is_known else ()
+
+        topics: dict[str, Topic] = {}
+        for channel in peer.channels.values():
+            ref = None if channel.schema is None else channel.schema.ref
+            publishers = nodes("publishedTopics", channel.written) if is_known else (server,)
+            subscribers = tuple(Endpoint(node) for node in nodes("subscribedTopics", channel.written))
+            topic = topics.get(channel.topic, Topic(channel.topic))
+            ends = {each.node: each for each in (*topic.publishers, *(Endpoint(node, ref) for node in publishers))}
+            topics[channel.topic] = Topic(
+                channel.topic,
+                tuple(dict.fromkeys((*topic.types, *([] if ref is None else [ref])))),
+                tuple(ends.values()),
+                subscribers,
+                topic.unreadable or channel.unreadable,
+            )
+        for each in self.publications.values():
+            topic = topics.get(each.topic, Topic(each.topic, (each.ref,)))
+            subscribers = tuple(Endpoint(node) for node in nodes("subscribedTopics", each.topic))
+            each.match(len(subscribers) if is_known else int(each.topic in topics))
+            mine = Endpoint(own, each.ref)
+            topics[each.topic] = Topic(
+                each.topic, topic.types or (each.ref,), (*topic.publishers, mine), subscribers, topic.unreadable
+            )
+        services = {
+            each.name: Service(
+                each.name,
+                each.type,
+                tuple(map(global_name, connections.get("advertisedServices", {}).get(each.name, ())))
+                if is_known
+                else (server,),
+                each.uncallable,
+            )
+            for each in peer.services.values()
+        }
+        named = {node for kind in connections.values() for ids in kind.values() for node in map(global_name, ids)}
+        named |= set() if is_known or not (topics or services) else {server}
+        named |= {own} if self.publications else set()
+        graph = self.graph.updated(
+            nodes={name: Node(name) for name in named},
+            topics=topics,
+            services=services,
+            parameters={name: Parameter(name) for name in peer.parameters},
+        )
+        self._show(graph)
+
+    # --- what the adapter asks for
+
+    def read(self, feed: TopicFeed) -> None:
+        """Subscribe to the channels of a topic, now and whenever they appear."""
+        self._feeds[feed.topic] = feed
+        for channel in tuple(self.peer.channels.values()):
+            if channel.topic == feed.topic:
+                self._subscribe(channel)
+
+    def _subscribe(self, channel: Channel) -> None:
+        if channel.schema is None or self._outbox is None:
+            return
+        id = next(self._numbers)
+        self.peer.subscriptions[id] = channel
+        self.transmit(protocol.op("subscribe", subscriptions=[{"id": id, "channelId": channel.id}]))
+
+    def deepen(self, feed: TopicFeed) -> None:
+        """Do nothing: a feed reads its depth with each message."""
+
+    def stop_reading(self, feed: TopicFeed) -> None:
+        """Unsubscribe from the channels of a topic."""
+        if self._feeds.get(feed.topic) is feed:
+            del self._feeds[feed.topic]
+            ids = [id for id, channel in self.peer.subscriptions.items() if channel.topic == feed.topic]
+            for id in ids:
+                del self.peer.subscriptions[id]
+            if ids and self._outbox is not None:
+                self.transmit(protocol.op("unsubscribe", subscriptionIds=ids))
+
+    async def schema(self, ref: TypeRef) -> Schema:
+        """Return the schema of a type. Raises UnknownType."""
+        return await asyncio.get_running_loop().run_in_executor(None, self.types.library.find, ref)
+
+    async def advertise(self, topic: str, type: TypeRef, latch: bool, until: float) -> Publication:
+        """Advertise a channel. Raises Refused, Unreachable, UnknownType."""
+        schema = await self.schema(type)
+        if not isinstance(schema, MessageSchema):
+            raise UnknownType(f"{type.name} is not a message type")
+        if not self.peer.can("clientPublish"):
+            raise Refused("the Foxglove server accepts no messages of clients")
+        encoding = self._write_encoding()
+        publication = Publication(topic, next(self._numbers), schema, encoding, self._publish)
+        self.transmit(_advertisement(publication))
+        if (former := self.publications.get(topic)) is not None:
+            self.transmit(protocol.op("unadvertise", channelIds=[former.id]))
+        self.publications[topic] = publication
+        self._refresh()
+        await publication.wait_matched(1, until, 0.0)
+        return publication
+
+    def _write_encoding(self) -> str:
+        """Return the encoding of what rosld sends. Raises Refused if the server reads none that rosld writes."""
+        encodings = self.peer.encodings
+        found = next((each for each in (self.types.encoding.value, "json") if each in encodings), None)
+        if found is None:
+            raise Refused(f"the Foxglove server reads none of {self.types.encoding.value} and json")
+        return found
+
+    def _publish(self, publication: Publication, data: bytes) -> None:
+        with contextlib.suppress(Unreachable):  # the graph says that the connection has just been lost
+            self.transmit(protocol.client_message_data(publication.id, data))
+
+    async def unadvertise(self, topic: str) -> None:
+        """Stop publishing a topic. Raises NotFound."""
+        publication = self.publications.pop(topic, None)
+        if publication is None:
+            raise NotFound(f"rosld does not advertise {topic}")
+        if self._outbox is not None:
+            self.transmit(protocol.op("unadvertise", channelIds=[publication.id]))
+            self._refresh()
+
+    async def call(self, service: str, type: TypeRef, request: bytes, until: float) -> bytes:
+        """Return the response of a service. Raises Refused with the server's message, TimedOut, Unreachable."""
+        offer = next((each for each in self.peer.services.values() if each.name == service), None)
+        if offer is None:
+            raise NotFound(f"there is no service {service}")
+        if offer.schema is None or offer.type is None or offer.type.name != type.name:
+            raise Refused(f"the service {service} cannot be called as {type.name}")
+        asked, answered = offer.encodings
+        encoding = asked or self._write_encoding()
+        if encoding == "json":
+            codec = offer.schema.request.codec
+            request = json_of_message(offer.schema.request, codec.decode(request, self.types.encoding))
+        id = next(self._numbers)
+        message = protocol.service_message(protocol.SERVICE_REQUEST, ServiceMessage(offer.id, id, encoding, request))
+        async with self._answer(id, until, service) as future:
+            self.transmit(message)
+            response: bytes = await future
+        if (answered or encoding) == "json":
+            try:
+                decoded = message_of_json(offer.schema.response, response)
+            except ValueError as error:
+                raise Refused(f"the response of {service} cannot be read: {error}", sent=Sent.YES) from error
+            return offer.schema.response.codec.encode(decoded, self.types.encoding)
+        return response
+
+    @contextlib.asynccontextmanager
+    async def _answer(self, key: str | int, until: float, name: str) -> AsyncIterator[asyncio.Future[Any]]:
+        """Yield the future of an answer, which raises TimedOut at a time of the loop."""
+        left = until - time.monotonic()
+        if left <= 0:
+            raise TimedOut(f"the deadline passed before {name} was asked")
+        loop = asyncio.get_running_loop()
+        future = self._pending[key] = loop.create_future()
+        error = TimedOut(f"{name} did not answer in time", sent=Sent.MAYBE)
+        timer = loop.call_later(left, lambda: self._settle(key, error))
+        try:
+            yield future
+        finally:
+            timer.cancel()
+            self._pending.pop(key, None)
+
+    async def get_parameters(self, names: Sequence[str], until: float) -> Mapping[str, ParameterValue]:
+        """Return the current values of parameters, and trees of those below other names."""
+        known = self.peer.parameters
+        if not names or not self.peer.can("parameters"):
+            return {}
+        below = {name: [each for each in known if each.startswith(f"{name.rstrip('/')}/")] for name in names}
+        wanted = dict.fromkeys(each for name in names for each in (name, *below[name]) if each != "/")
+        values = await self._request(
+            "getParameters", until, parameterNames=[known[each][0] if each in known else each for each in wanted]
+        )
+        found: dict[str, ParameterValue] = {}
+        for name in names:
+            if name in values:
+                found[name] = values[name]
+            elif inner := {each: values[each] for each in below[name] if each in values}:
+                found[name] = _tree(name, inner)
+        return found
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue | None], until: float) -> None:
+        """Set parameters; None deletes one. Raises Refused naming a parameter that did not change as requested."""
+        if not self.peer.can("parameters"):
+            raise Refused("the Foxglove server has no parameters")
+        known, self.peer.words = self.peer.parameters, None
+        written = {name: known[name][0] if name in known else name for name in values}
+        entries = [protocol.parameter_entry(written[name], value) for name, value in values.items()]
+        now = await self._request("setParameters", until, parameters=entries)
+        for name, value in values.items():
+            if value is None:
+                known.pop(name, None)
+            if now.get(name) != value:
+                words = f"the parameter {name} was not {'deleted' if value is None else 'set'}"
+                raise Refused(words, words=self.peer.words, sent=Sent.YES)
+        self._refresh()
+
+    async def _request(self, operation: str, until: float, **members: object) -> Mapping[str, ParameterValue]:
+        id = f"rosld-{next(self._numbers)}"
+        async with self._answer(id, until, "the Foxglove server") as future:
+            self.transmit(protocol.op(operation, id=id, **members))
+            values: Mapping[str, ParameterValue] = await future
+        return values
+
+
+_MEMBERS = {"publishedTopics": "publisherIds", "subscribedTopics": "subscriberIds", "advertisedServices": "providerIds"}
+
+
+def _advertisement(publication: Publication) -> str:
+    """Return the advertisement of a topic that rosld publishes."""
+    schema, is_ros1 = publication.schema, publication.encoding == "ros1"
+    name = schema.ref.name.replace("/msg/", "/") if is_ros1 else schema.ref.name
+    channel: Json = {"id": publication.id, "topic": publication.topic, "encoding": publication.encoding}
+    channel |= {"schemaName": name}
+    if publication.encoding != "json":
+        channel |= {"schema": schema.definition, "schemaEncoding": "ros1msg" if is_ros1 else "ros2msg"}
+    return protocol.op("advertise", channels=[channel])
+
+
+def _tree(name: str, values: Mapping[str, ParameterValue]) -> ParameterValue:
+    """Return values as a tree below a name."""
+    tree: dict[str, ParameterValue] = {}
+    for each, value in values.items():
+        *above, last = each[len(name.rstrip("/")) + 1 :].split("/")
+        place = tree
+        for step in above:
+            below = place.setdefault(step, {})
+            if not isinstance(below, dict):
+                below = place[step] = {}
+            place = below
+        place[last] = value
+    return tree

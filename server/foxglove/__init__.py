@@ -1,0 +1,1 @@
+"""`/foxglove`: a WebSocket for Foxglove, Lichtblick and PlotJuggler, in Foxglove's own protocol."""

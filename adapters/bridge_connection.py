@@ -157,6 +157,7 @@ class BridgeConnection:
                 for task in (*tasks, beginning):
                     task.cancel()
                 await asyncio.gather(*tasks, beginning, return_exceptions=True)
+                await socket.close()  # before the context manager would, with the code of an internal error
 
     async def _begin(self) -> None:
         await self._session.begin()

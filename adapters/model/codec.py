@@ -52,7 +52,7 @@ _FORMATS = {
     "float32": "f",
     "float64": "d",
 }
-_DTYPES = {"bool": "?", "byte": "i1", "char": "u1", "int8": "i1", "uint8": "u1", "float32": "f4", "float64": "f8"} | {
+DTYPES = {"bool": "?", "byte": "i1", "char": "u1", "int8": "i1", "uint8": "u1", "float32": "f4", "float64": "f8"} | {
     f"{sign}int{bits}": f"{sign or 'i'}{bits // 8}" for sign in ("", "u") for bits in (16, 32, 64)
 }
 
@@ -118,11 +118,11 @@ class Reader:
     def _array(self, kind: Array) -> object:
         length = self._length() if kind.length is None else kind.length
         if isinstance(kind.element, Primitive) and kind.element.name in _FORMATS:
-            dtype = np.dtype(self._order + _DTYPES[kind.element.name])
+            dtype = np.dtype(self._order + DTYPES[kind.element.name])
             if length:
                 self._align(dtype.itemsize)
             values = np.frombuffer(self._take(length * dtype.itemsize), dtype)
-            return values.astype(_DTYPES[kind.element.name])
+            return values.astype(DTYPES[kind.element.name])
         if length > len(self._data):
             raise ValueError(f"an array of {length} elements cannot be in {len(self._data)} bytes")
         return [self._value(kind.element) for _ in range(length)]

@@ -51,7 +51,7 @@ _BUILTIN = {
 }
 _ROS1_ONLY = frozenset({"control_msgs", "dynamic_reconfigure", "move_base_msgs", "roscpp", "roslib", "tf"})
 """Shipped packages whose definitions differ or are meaningless in ROS 2."""
-_ROS2_ONLY = frozenset({"action_msgs"})
+_ROS2_ONLY = frozenset({"action_msgs", "lifecycle_msgs", "rcl_interfaces", "type_description_interfaces"})
 _MAX_FILES = 50_000
 _MAX_NAME = 100
 """Maximum length of a part of a type's name that is looked up as a file name."""

@@ -31,7 +31,6 @@ from rosld.adapters.model import (
     TypeRef,
 )
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.message_classes import deserialize, make_message, serialize
 from rosld.adapters.ros2.middleware import Participant, Reader
 from rosld.adapters.ros2.wait_set import Waiter
 from rosld.adapters.thread import Tasks
@@ -93,6 +92,7 @@ class Actions:
     ) -> None:
         self._participant = participant
         self._calls = calls
+        self._messages = calls.messages
         self._waiter = waiter
         self._graph = graph
         self._sink = sink
@@ -107,7 +107,7 @@ class Actions:
             raise Refused(f"{action} has the type {existing.type.name}, not {type.name}")
         kind = _type_of(existing)
         try:
-            message = deserialize(f"{kind}_Goal", goal)
+            message = self._messages.deserialize(f"{kind}_Goal", goal)
         except ValueError as error:
             raise Refused(f"no goal was sent to {action}: {error}") from error
         state = self._listen(action, kind)
@@ -115,8 +115,8 @@ class Actions:
         state.goals[id.hex()] = entry = _Goal(own=True, pending=[])
         try:
             await self._wait_for_server(state, min(until, self._loop.time() + _MATCH_WAIT))
-            fields: dict[str, object] = {"goal_id": _uuid(id), "goal": message}
-            request = make_message(f"{kind}_SendGoal", fields, "Request")
+            fields: dict[str, object] = {"goal_id": self._uuid(id), "goal": message}
+            request = self._messages.make_message(f"{kind}_SendGoal", fields, "Request")
             answer = cast(
                 Any, await self._calls.call(f"{action}/_action/send_goal", f"{kind}_SendGoal", request, until)
             )
@@ -163,8 +163,8 @@ class Actions:
             raise Refused(f"the goals of {action} are not canceled: {words}", sent=Sent.YES)
 
     async def _request_cancellation(self, action: str, id: bytes, until: float) -> Any:
-        info = make_message("action_msgs/msg/GoalInfo", {"goal_id": _uuid(id)})
-        request = make_message(_CANCEL, {"goal_info": info}, "Request")
+        info = self._messages.make_message("action_msgs/msg/GoalInfo", {"goal_id": self._uuid(id)})
+        request = self._messages.make_message(_CANCEL, {"goal_info": info}, "Request")
         return await self._calls.call(f"{action}/_action/cancel_goal", _CANCEL, request, until)
 
     async def follow(self, action: str, until: float) -> Callable[[], None]:
@@ -252,7 +252,7 @@ class Actions:
         if message is None:
             return
         state.has_status = True
-        for each in cast(Any, deserialize(_STATUS, message.data)).status_list:
+        for each in cast(Any, self._messages.deserialize(_STATUS, message.data)).status_list:
             status = _STATUSES.get(each.status)
             if status is not None:
                 self._note_status(state, bytes(each.goal_info.goal_id.uuid).hex(), status)
@@ -290,11 +290,13 @@ class Actions:
         words = result = None
         status = final or GoalStatus.LOST
         try:
-            request = make_message(f"{state.type}_GetResult", {"goal_id": _uuid(bytes.fromhex(id))}, "Request")
+            fields = {"goal_id": self._uuid(bytes.fromhex(id))}
+            request = self._messages.make_message(f"{state.type}_GetResult", fields, "Request")
             name = f"{state.name}/_action/get_result"
             answer = cast(Any, await self._calls.call(name, f"{state.type}_GetResult", request, until))
             if answer.status in _STATUSES:
-                status, result = _STATUSES[answer.status], serialize(answer.result)
+                status = _STATUSES[answer.status]
+                result = self._messages.serialize(answer.result, f"{state.type}_Result")
             elif final is None:
                 words = "its action server no longer knows it"
         except (RosError, ValueError) as error:
@@ -302,6 +304,9 @@ class Actions:
         goal.ending, goal.status = False, status
         self._event(state, id, GoalEvent(time.time_ns(), status, words, result=result, own=goal.own))
         self._leave(state)
+
+    def _uuid(self, id: bytes) -> object:
+        return self._messages.make_message("unique_identifier_msgs/msg/UUID", {"uuid": list(id)})
 
     def _event(self, state: _ActionState, id: str, event: GoalEvent) -> None:
         goal = state.goals.get(id)
@@ -319,7 +324,3 @@ def _type_of(action: Action) -> str:
     if action.type is None or action.unusable is not None:
         raise Refused(f"the action {action.name} cannot be used: {action.unusable or 'its type is not known'}")
     return action.type.name
-
-
-def _uuid(id: bytes) -> object:
-    return make_message("unique_identifier_msgs/msg/UUID", {"uuid": list(id)})

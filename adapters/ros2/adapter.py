@@ -14,11 +14,13 @@ from rosld.adapters.base import AdapterOptions, Capabilities, Sink
 from rosld.adapters.model import Encoding, Operation, RosError, Schema, TypeRef, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.parameter import ParameterValue
+from rosld.adapters.parameter_messages import operations_on
 from rosld.adapters.ros2.feeds import TopicFeed
 from rosld.adapters.ros2.graph import nodes_using, type_in_use
+from rosld.adapters.ros2.middleware import Participant
 from rosld.adapters.ros2.system import System, unique_name
 from rosld.adapters.ros2.types import definition_folders
-from rosld.adapters.ros2.values import operations_on
+from rosld.adapters.ros2.wait_set import Waiter
 from rosld.adapters.thread import IoThread, ThreadAdapter, thread_time
 
 _DOMAINS = range(233)
@@ -105,6 +107,8 @@ class Ros2Adapter(ThreadAdapter[System, TopicFeed]):
         "ROS 2", Encoding.CDR, writes=True, creates_topics=True, parameter_trees=False, qos=True, hidden_names=True
     )
 
+    _middleware = "ROS 2's middleware"
+
     def __init__(self, source: Source, options: AdapterOptions) -> None:
         library = TypeLibrary(ros_version=2, folders=definition_folders(options.types))
         super().__init__(library, f"{source.namespace.rstrip('/')}/{unique_name()}")
@@ -123,10 +127,10 @@ class Ros2Adapter(ThreadAdapter[System, TopicFeed]):
 
         async def begin() -> System:
             try:
-                system = System(self._domain, self._graph, self._options, self._library, sink)
+                system = System(*self._join(), self._graph, self._options, self._library, sink)
             except Exception as error:
                 words = " ".join(str(error).split()) or type(error).__name__
-                raise Unreachable(f"ROS 2's middleware cannot be started: {words}") from error
+                raise Unreachable(f"{self._middleware} cannot be started: {words}") from error
             await system.open(until)
             return system
 
@@ -136,6 +140,12 @@ class Ros2Adapter(ThreadAdapter[System, TopicFeed]):
             await thread.stop(1.0)
             self._thread = None
             raise
+
+    def _join(self) -> tuple[Participant, Waiter]:
+        """Return a participant in the system, whose node is hidden like those of ROS 2's own tools."""
+        namespace = self._graph.own_node.rpartition("/")[0] or "/"
+        participant = Participant(f"_{unique_name()}", self._domain, namespace)
+        return participant, Waiter(participant)
 
     def _parameter_operations(self, name: str) -> frozenset[Operation]:
         if (parameter := self.graph.parameters.get(name)) is not None:

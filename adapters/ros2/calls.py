@@ -39,6 +39,7 @@ class Calls:
 
     def __init__(self, participant: Participant, waiter: Waiter) -> None:
         self._participant = participant
+        self.messages = participant.messages
         self._waiter = waiter
         self._loop = asyncio.get_running_loop()
         self._clients: dict[tuple[str, str], _ServiceClient] = {}

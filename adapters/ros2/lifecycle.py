@@ -25,8 +25,8 @@ from rosld.adapters.model import (
     UnknownType,
     freeze,
 )
+from rosld.adapters.model.plain import MessageFactory
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.message_classes import class_problem, deserialize, make_message
 from rosld.adapters.ros2.middleware import Names, Participant, Reader
 from rosld.adapters.ros2.wait_set import Waiter
 from rosld.adapters.thread import Tasks
@@ -104,7 +104,8 @@ class Lifecycles(Struct):
         transition = _available_transition(entry, label)
         if transition is None:
             raise Refused(f"{label!r} is not a valid transition of {node} now")
-        transition_message = make_message(_TRANSITION, {"id": transition.id, "label": transition.label})
+        fields = {"id": transition.id, "label": transition.label}
+        transition_message = self.calls.messages.make_message(_TRANSITION, fields)
         try:
             answer = await self._call(node, "change_state", _CHANGE, {"transition": transition_message}, until)
         finally:
@@ -137,7 +138,7 @@ class Lifecycles(Struct):
 
     def _begin_following(self, node: str) -> _ManagedNode:
         """Return a new managed node, followed from now on if its types are known here."""
-        problem = class_problem(_STATE)
+        problem = self.calls.messages.class_problem(_STATE)
         if problem is not None:
             return _ManagedNode(Lifecycle(f"{node}/change_state", unknown=problem), query_at=float("inf"))
         entry = _ManagedNode(Lifecycle(f"{node}/change_state"))
@@ -154,7 +155,7 @@ class Lifecycles(Struct):
 
     def _take(self, node: str, entry: _ManagedNode) -> None:
         """Process events. A transition is shown at once, because the node may not respond during it."""
-        if _take_events(entry):
+        if _take_events(entry, self.calls.messages):
             if entry.is_underway:
                 self._refresh_list()
             if not entry.is_querying:
@@ -197,14 +198,15 @@ class Lifecycles(Struct):
     async def _learn(self, node: str, entry: _ManagedNode, until: float) -> None:
         """Query a node's state and its transitions consistently. Raises what calls raise."""
         for _ in range(_TRIES):
-            _take_events(entry)
+            _take_events(entry, self.calls.messages)
             now, possible = await asyncio.gather(
                 self._call(node, "get_state", _STATE, {}, until),
                 self._call(node, "get_available_transitions", _TRANSITIONS, {}, until),
             )
             state = _state(now.current_state)
             offered = list(possible.available_transitions)[:_MAX_TRANSITIONS]
-            if not _take_events(entry) and all(each.start_state.id == state.id for each in offered):
+            is_same = all(each.start_state.id == state.id for each in offered)
+            if not _take_events(entry, self.calls.messages) and is_same:
                 break
         legal = {} if state.is_underway else {each.transition.label: each for each in reversed(offered)}
         transitions = tuple(
@@ -216,7 +218,8 @@ class Lifecycles(Struct):
         self._refresh_list()
 
     async def _call(self, node: str, service: str, type: str, fields: dict[str, object], until: float) -> Any:
-        return cast(Any, await self.calls.call(f"{node}/{service}", type, make_message(type, fields, "Request"), until))
+        request = self.calls.messages.make_message(type, fields, "Request")
+        return cast(Any, await self.calls.call(f"{node}/{service}", type, request, until))
 
     def _refresh_list(self) -> None:
         lifecycles = {node: entry.lifecycle for node, entry in sorted(self._managed.items())}
@@ -231,12 +234,12 @@ def _is_managed(node: str, services: Names) -> bool:
     )
 
 
-def _take_events(entry: _ManagedNode) -> bool:
+def _take_events(entry: _ManagedNode, messages: MessageFactory) -> bool:
     """Process transition events of a node; return whether there were any."""
     has_events = False
     while entry.reader is not None and (message := entry.reader.take()) is not None:
         try:
-            event = cast(Any, deserialize(_EVENT, message.data))
+            event = cast(Any, messages.deserialize(_EVENT, message.data))
         except (ValueError, UnknownType):
             continue
         has_events = True

@@ -29,8 +29,8 @@ def deserialize(type: str, data: bytes) -> object:
     return _deserialize(message_class(type), data)
 
 
-def serialize(message: object) -> bytes:
-    """Return the bytes of a message or of a half of a service."""
+def serialize(message: object, type: str, half: str | None = None) -> bytes:
+    """Return the bytes of a message of a type, or of a half ("Request" or "Response") of a service."""
     return bytes(importlib.import_module("rclpy.serialization").serialize_message(message))
 
 

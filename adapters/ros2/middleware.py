@@ -15,6 +15,8 @@ from functools import cache
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from rosld.adapters.model import Qos, TypeRef
+from rosld.adapters.model.plain import MessageFactory
+from rosld.adapters.ros2 import message_classes
 from rosld.adapters.ros2.message_classes import message_class
 from rosld.adapters.ros2.profiles import profile_of_qos, qos_of_profile
 
@@ -156,6 +158,7 @@ class Participant:
         context = importlib.import_module("rclpy.context").Context()
         context.init(args=[], initialize_logging=False, domain_id=domain)
         self.context = context
+        self.messages: MessageFactory = message_classes
         self.namespace = namespace
         try:
             self._hidden = _node(name, namespace, context)

@@ -15,14 +15,13 @@ from rosld.adapters.base import AdapterOptions, Sink
 from rosld.adapters.model import Graph, NotFound, Qos, Refused, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.names import global_name
+from rosld.adapters.node_parameters import Parameters
 from rosld.adapters.ros2.actions import Actions
 from rosld.adapters.ros2.calls import Calls
 from rosld.adapters.ros2.feeds import TopicFeed
 from rosld.adapters.ros2.graph import Discovery, GraphInputs, LiveGraph, foreign_nodes, of_action
 from rosld.adapters.ros2.lifecycle import Lifecycles
-from rosld.adapters.ros2.message_classes import deserialize, request_of, serialize
 from rosld.adapters.ros2.middleware import Participant, Reader
-from rosld.adapters.ros2.parameters import Parameters
 from rosld.adapters.ros2.topics import Publication, Publications, Readers
 from rosld.adapters.ros2.types import Types
 from rosld.adapters.ros2.wait_set import Waiter
@@ -41,13 +40,18 @@ class System:
     """Polls the system, reads and publishes topics, calls services. Used on the ROS thread, except for `graph`."""
 
     def __init__(
-        self, domain: int | None, graph: Graph, options: AdapterOptions, library: TypeLibrary, sink: Sink
+        self,
+        participant: Participant,
+        waiter: Waiter,
+        graph: Graph,
+        options: AdapterOptions,
+        library: TypeLibrary,
+        sink: Sink,
     ) -> None:
         self._sink = sink
         self._graph = LiveGraph(graph, sink)
-        namespace = graph.own_node.rpartition("/")[0] or "/"
-        self._participant = Participant(f"_{unique_name()}", domain, namespace)  # hidden, like ROS 2's own tools
-        self.waiter = Waiter(self._participant)
+        self._participant = participant
+        self.waiter = waiter
         self.calls = Calls(self._participant, self.waiter)
         self.types = Types(library, self.calls)
         self.actions = Actions(self._participant, self.calls, self.waiter, lambda: self.graph, sink)
@@ -132,10 +136,11 @@ class System:
         if existing.type is not None and existing.type.name != type.name:
             raise Refused(f"{service} has the type {existing.type.name}, not {type.name}")
         try:
-            message = request_of(type.name, request)
+            message = self.calls.messages.request_of(type.name, request)
         except ValueError as error:
             raise Refused(f"{service} was not called: {error}") from error
-        return serialize(await self.calls.call(service, type.name, message, until))
+        answer = await self.calls.call(service, type.name, message, until)
+        return self.calls.messages.serialize(answer, type.name, "Response")
 
     async def advertise(self, topic: str, type: TypeRef, latch: bool, until: float) -> Publication:
         """Publish a topic, wait for its subscribers, and update the graph."""
@@ -216,7 +221,7 @@ class System:
 
     def _take_parameter_events(self, reader: Reader) -> None:
         while (message := reader.take()) is not None:
-            event = cast(Any, deserialize(_EVENT, message.data))
+            event = cast(Any, self.calls.messages.deserialize(_EVENT, message.data))
             if global_name(event.node) not in self._ours():
                 self.parameters.event(event)
             self._discovery.poll_soon()  # a new node reports its parameters, so poll soon

@@ -19,7 +19,6 @@ from rosld.adapters.model.definition import written_form
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.model.schema import BOUNDED_STRINGS, DUMMY, PRIMITIVES
 from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.message_classes import class_problem, make_message
 
 _DESCRIPTION = "type_description_interfaces/srv/GetTypeDescription"
 _KINDS = ("msg", "srv", "action")
@@ -54,7 +53,7 @@ class Types:
     def problem(self, name: str) -> str | None:
         """Return why messages of a type cannot be read or sent here, or None."""
         if name not in self._problems:
-            self._problems[name] = class_problem(name)
+            self._problems[name] = self._calls.messages.class_problem(name)
         return self._problems[name]
 
     def note_problem(self, name: str, words: str) -> None:
@@ -93,7 +92,7 @@ class Types:
         fields: dict[str, object] = {"type_name": ref.name, "type_hash": ref.hash, "include_type_sources": True}
         service = f"{node}/get_type_description"
         try:
-            request = make_message(_DESCRIPTION, fields, "Request")
+            request = self._calls.messages.make_message(_DESCRIPTION, fields, "Request")
             answer = cast(Any, await self._calls.call(service, _DESCRIPTION, request, until))
             if not answer.successful:
                 return None

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from rosld.adapters.model import Descriptor, Operation, ParameterType, Range
-from rosld.adapters.ros2.values import descriptor_of, operations_on
+from rosld.adapters.parameter_messages import descriptor_of, operations_on
 
 EMPTY = {
     "type": 0,

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from rosld.adapters.model import Descriptor, Kind, Operation, ParameterType, Range, Ref, Refused, TimedOut
-from rosld.adapters.ros2.parameters import Parameters
+from rosld.adapters.node_parameters import Parameters
 
 pytestmark = pytest.mark.slow
 

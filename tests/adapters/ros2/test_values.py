@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.adapters.model import Refused
-from rosld.adapters.ros2.values import Tag, from_message, to_fields
+from rosld.adapters.parameter_messages import Tag, from_message, to_fields
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"))
 INTEGERS = st.integers(-(2**63), 2**63 - 1)

@@ -53,7 +53,7 @@ from rosld.adapters.model import (
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.parameter import ParameterValue
-from rosld.adapters.ros2.values import operations_on
+from rosld.adapters.parameter_messages import operations_on
 from rosld.adapters.slots import Slot
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import lowerer

@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
-from typing import Any, cast
+from typing import Any, Protocol, TypeAlias, cast
 
 from msgspec import Struct, field
 
 from rosld.adapters.model import Descriptor, NotFound, Parameter, Refused, RosError, Sent, TimedOut, Unreachable, freeze
 from rosld.adapters.model.names import global_name, segments
 from rosld.adapters.model.parameter import ParameterValue, as_declared
-from rosld.adapters.ros2.calls import Calls
-from rosld.adapters.ros2.message_classes import make_message
-from rosld.adapters.ros2.middleware import Names
-from rosld.adapters.ros2.values import Tag, descriptor_of, from_message, to_fields
+from rosld.adapters.model.plain import MessageFactory
+from rosld.adapters.parameter_messages import Tag, descriptor_of, from_message, to_fields
 from rosld.adapters.thread import Tasks
 
 _SERVICES = {
@@ -34,6 +32,20 @@ _LONGEST_RETRY = 60.0
 _AGAIN = 60.0
 _AT_ONCE = 16
 _MAX_PARAMETERS = 20_000
+
+
+Names: TypeAlias = Mapping[str, Sequence[str]]
+"""Names of services, with the names of their types."""
+
+
+class NodeCalls(Protocol):
+    """Calls of the nodes' services, with messages of a factory."""
+
+    @property
+    def messages(self) -> MessageFactory: ...
+
+    async def call(self, service: str, type: str, request: object, until: float) -> object:
+        """Return the response; `until` is a time of the running loop. Raises TimedOut, Unreachable, UnknownType."""
 
 
 class _Owner(Struct):
@@ -61,7 +73,7 @@ class _Owner(Struct):
 class Parameters(Struct):
     """Parameters of all nodes except ours. `changed` is called with the names of changed parameters."""
 
-    calls: Calls
+    calls: NodeCalls
     changed: Callable[[Sequence[str]], None]
     owners: dict[str, _Owner] = field(default_factory=dict)
     unreachable: dict[str, str] = field(default_factory=dict)
@@ -199,7 +211,7 @@ class Parameters(Struct):
     async def _set(self, node: str, changes: Mapping[str, tuple[str, ParameterValue]], until: float) -> None:
         current = await self._tags(node, [parameter for parameter, (_, value) in changes.items() if value == []], until)
         messages = [
-            _parameter(parameter, to_fields(name, value, current.get(parameter)))
+            self._parameter(parameter, to_fields(name, value, current.get(parameter)))
             for parameter, (name, value) in changes.items()
         ]
         response = await self._query(node, "set_parameters_atomically", {"parameters": messages}, until)
@@ -209,7 +221,7 @@ class Parameters(Struct):
         self._note(node, set=changes.keys())
 
     async def _delete(self, node: str, parameters: Sequence[str], until: float) -> None:
-        messages = [_parameter(parameter, {"type": int(Tag.NOT_SET)}) for parameter in parameters]
+        messages = [self._parameter(parameter, {"type": int(Tag.NOT_SET)}) for parameter in parameters]
         response = await self._query(node, "set_parameters", {"parameters": messages}, until)
         for parameter, result in zip(parameters, response.results, strict=False):
             if not result.successful:
@@ -333,7 +345,13 @@ class Parameters(Struct):
 
     async def _query(self, node: str, service: str, fields: dict[str, object], until: float) -> Any:
         type = _SERVICES[service]
-        return cast(Any, await self.calls.call(f"{node}/{service}", type, make_message(type, fields, "Request"), until))
+        request = self.calls.messages.make_message(type, fields, "Request")
+        return cast(Any, await self.calls.call(f"{node}/{service}", type, request, until))
+
+    def _parameter(self, name: str, fields: dict[str, object]) -> object:
+        make = self.calls.messages.make_message
+        value = make("rcl_interfaces/msg/ParameterValue", fields)
+        return make("rcl_interfaces/msg/Parameter", {"name": name, "value": value})
 
     def _refresh_list(self) -> None:
         names = {
@@ -383,11 +401,6 @@ def _tree(name: str, values: Mapping[str, ParameterValue]) -> ParameterValue:
             place = below
         place[last] = values[each]
     return root
-
-
-def _parameter(name: str, fields: dict[str, object]) -> object:
-    value = make_message("rcl_interfaces/msg/ParameterValue", fields)
-    return make_message("rcl_interfaces/msg/Parameter", {"name": name, "value": value})
 
 
 def _refusal(name: str, node: str, reason: str) -> Refused:

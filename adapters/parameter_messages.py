@@ -54,7 +54,7 @@ def from_message(message: Any) -> ParameterValue | None:
         return None
     value = getattr(message, _FIELDS[tag])
     if tag is Tag.BYTE_ARRAY:
-        return b"".join(each if isinstance(each, bytes) else bytes([each]) for each in value)
+        return b"".join(each if isinstance(each, bytes) else bytes([int(each) & 0xFF]) for each in value)
     if tag in _ARRAYS.values():
         kind = next(kind for kind, each in _ARRAYS.items() if each is tag)
         return [kind(each) for each in value]

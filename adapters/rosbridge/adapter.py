@@ -1,0 +1,103 @@
+"""The `Adapter` of a robot behind a rosbridge server: its methods use a system in a separate thread."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+from rosld.adapters.base import AdapterOptions, Capabilities, Sink
+from rosld.adapters.bridge_connection import BridgeFeed, BridgeSource, read_source
+from rosld.adapters.model import Encoding, Operation, Schema, TypeRef
+from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.parameter import ParameterValue
+from rosld.adapters.rosbridge.system import System
+from rosld.adapters.thread import IoThread, ThreadAdapter, seconds_left, thread_time
+
+PORT = 9090
+_CAPABILITIES = {
+    1: Capabilities(
+        "ROS 1", Encoding.ROS1, writes=True, creates_topics=True, parameter_trees=True, parameter_server=True
+    ),
+    2: Capabilities("ROS 2", Encoding.CDR, writes=True, creates_topics=True, parameter_trees=False, hidden_names=True),
+}
+
+
+def adapter(source: str, options: AdapterOptions) -> RosbridgeAdapter:
+    """Return the adapter for a source such as `rosbridge://robot:9090` or `rosbridges://robot?ros=1`.
+
+    Raises ValueError for other sources.
+    """
+    read = read_source(source, "rosbridge", PORT, ("ros",))
+    if read.options.get("ros") not in (None, "1", "2"):
+        raise ValueError(f"ros={read.options['ros']!r} is neither 1 nor 2, the versions of ROS")
+    return RosbridgeAdapter(read, options)
+
+
+class RosbridgeAdapter(ThreadAdapter[System, BridgeFeed]):
+    """A ROS 1 or ROS 2 system, reached through rosbridge.
+
+    The version of ROS is the bridge's when the adapter is opened; of a bridge that is off then, it is the option `ros`
+    of the source, or else 2.
+    """
+
+    def __init__(self, source: BridgeSource, options: AdapterOptions) -> None:
+        self._version = int(source.options["ros"]) if "ros" in source.options else None
+        library = TypeLibrary(ros_version=1 if self._version == 1 else 2, folders=options.types)
+        super().__init__(library, f"/rosld_{socket.gethostname().replace('-', '_')}_{os.getpid()}")
+        self._source = source
+        self._options = options
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """The capabilities of the bridge's version of ROS."""
+        return _CAPABILITIES[self._version or 2]
+
+    async def open(self, sink: Sink, *, deadline: float) -> None:
+        """Connect to the bridge. If it does not respond, the graph is Stale until it does."""
+        if self._system is not None:
+            return
+        thread = IoThread("rosld-rosbridge")
+        thread.start()
+        self._thread = thread
+        left = seconds_left(deadline)
+
+        async def begin() -> System:
+            system = System(self._source.url, self._version, self._graph, self._options, sink)
+            await system.open(left)
+            return system
+
+        self._system = await thread.run(begin())
+        self._version = self._system.client.version
+        self._library = self._system.client.library
+
+    def _parameter_operations(self, name: str) -> frozenset[Operation]:
+        return self._system.parameters.operations(name) if self._system else frozenset()
+
+    async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
+        _, system = self._running()
+        return await self._schema_in_time(ref.name, system.client.types.schema(ref, thread_time(deadline)), deadline)
+
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """Call a service. Raises Refused with the words of the bridge or the node, TimedOut, Unreachable, NotFound."""
+        thread, system = self._running()
+        return await thread.run(system.call(service, type, request, thread_time(deadline)))
+
+    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        """Return the current values of existing parameters."""
+        thread, system = self._running()
+        return await thread.run(system.parameters.get(names, thread_time(deadline)))
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        """Set parameters: in ROS 2 all or none of each node. Raises Refused naming the parameter."""
+        thread, system = self._running()
+        await thread.run(system.parameters.set(values, thread_time(deadline)))
+
+    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
+        """Delete parameters. Raises NotFound, and Refused if a node keeps them."""
+        thread, system = self._running()
+        await thread.run(system.parameters.delete(names, thread_time(deadline)))
+
+    def _new_feed(self, topic: str, system: System) -> BridgeFeed:
+        return BridgeFeed(topic, self.capabilities.encoding, partial(self._apply, topic))

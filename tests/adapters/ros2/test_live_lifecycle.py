@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from rosld.adapters.model import Kind, Lifecycle, NotFound, Operation, Ref, Refused, Sent, TimedOut
-from rosld.adapters.ros2 import lifecycle as lifecycles
+from rosld.adapters.ros2 import message_classes
 
 pytestmark = pytest.mark.slow
 
@@ -97,7 +97,7 @@ async def test_a_managed_node_that_answers_nothing_holds_up_nobody_and_one_that_
 async def test_without_lifecycle_msgs_a_managed_node_is_told_with_the_reason(
     ros: Any, opened: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lifecycles, "class_problem", lambda type: f"{type} is not installed")
+    monkeypatch.setattr(message_classes, "class_problem", lambda type: f"{type} is not installed")
     async with opened(ros) as session:
         found = await session.until(lambda: known(session, "/camera"))
         assert found.unknown == "lifecycle_msgs/srv/GetState is not installed"

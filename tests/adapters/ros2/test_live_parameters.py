@@ -9,6 +9,7 @@ import pytest
 
 from rosld.adapters.model import Descriptor, Kind, Operation, ParameterType, Range, Ref, Refused, TimedOut
 from rosld.adapters.node_parameters import Parameters
+from rosld.adapters.ros2 import message_classes
 
 pytestmark = pytest.mark.slow
 
@@ -101,6 +102,8 @@ async def test_what_a_node_declares_later_or_anew_is_asked_for_soon(ros: Any, op
 
 class Node:
     """A node's parameter services, which declare fewer parameters than they list, or do not describe them."""
+
+    messages = message_classes
 
     def __init__(self, listed: list[str], declared: set[str], *, describes: bool = True) -> None:
         self.listed = listed

@@ -97,10 +97,10 @@ class AboutResources(Struct, frozen=True):
         space, session = self.session.space, self.session
         match location.kind, location.segments:
             case "calls", (id,):
-                name = session.calls.service_of(id)
+                name = session.calls.subject_of(id)
                 return name if name is None else (space.service(name),) if name else ()
             case "goals", (id,):
-                name = session.goals.action_of(id)
+                name = session.goals.subject_of(id)
                 return name if name is None else (space.action(name),) if name else ()
             case "holds", (id,):
                 name = self.holds.topic_of(id)

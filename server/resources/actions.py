@@ -35,14 +35,13 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas, json_object, nullable
 from rosld.server.resources.limit_checks import STRICTNESS
 from rosld.server.resources.named_resource import READ_ONLY, KeptResource
-from rosld.server.resources.services import InvocableResource, sender_of
+from rosld.server.resources.services import InvocableResource, idempotency_key, sender_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer
 from rosld.server.rest.responses import offer_url
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import EndedState, State
-from rosld.server.robot.calls import IdempotencyKeyReused
 from rosld.server.robot.goal_store import Goal
 from rosld.server.robot.goals import GoalSubmission
 from rosld.server.robot.session import Session
@@ -122,7 +121,10 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
 
     async def send(self, exchange: Exchange, schema: ActionSchema, message: Message) -> CreatedAnswer:
         """Send a goal: 201 once it is accepted. Raises RosError and Problems if it is not."""
-        sending = await self._submit(exchange, schema, message)
+        deadline, once = loop_time() + self.session.settings.call_deadline, await idempotency_key(exchange)
+        sending = await self.session.goals.send(
+            self.name, schema, message, deadline=deadline, sender=sender_of(exchange), once=once
+        )
         problem = _failure(self.space, self.name, sending)
         if problem is not None or sending.goal is None:
             raise problem or Problem(502, f"{self.name} did not accept the goal.")
@@ -145,19 +147,6 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
             with contextlib.suppress(DryRunEnded):
                 answer = await _cancel(self.session, goal)
         return answer
-
-    async def _submit(self, exchange: Exchange, schema: ActionSchema, message: Message) -> GoalSubmission:
-        """Send a goal, once for each Idempotency-Key, and return its outcome."""
-        goals, deadline = self.session.goals, loop_time() + self.session.settings.call_deadline
-        key, sender = exchange.header("idempotency-key"), sender_of(exchange)
-        if key is None:
-            return await goals.send(self.name, schema, message, deadline=deadline, sender=sender)
-        try:
-            return await goals.send_idempotent(
-                key, self.name, schema, message, await exchange.body(), deadline=deadline, sender=sender
-            )
-        except IdempotencyKeyReused as error:
-            raise Problem(422, f"The Idempotency-Key {key!r} was already used with another goal.") from error
 
 
 class GoalResource(KeptResource[Goal]):

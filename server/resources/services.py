@@ -47,7 +47,7 @@ from rosld.server.rest.resource import READ, Answer, CreatedAnswer
 from rosld.server.rest.responses import offer_url
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import EndedState, State
-from rosld.server.robot.calls import Call, CallOutcome, CallState, IdempotencyKeyReused
+from rosld.server.robot.calls import Call, CallOutcome, CallState
 from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey, VersionCache
@@ -205,15 +205,8 @@ class ServiceResource(InvocableResource[Service, ServiceSchema]):
     async def call(self, exchange: Exchange, schema: ServiceSchema, request: Message) -> CallOutcome:
         """Call the service, once per Idempotency-Key. Raises a 422 Problem for a key of another request."""
         deadline = loop_time() + self.session.settings.call_deadline
-        key, sender, calls = exchange.header("idempotency-key"), sender_of(exchange), self.session.calls
-        if key is None:
-            return await calls.call(self.name, schema, request, deadline=deadline, sender=sender)
-        try:
-            return await calls.call_idempotent(
-                key, self.name, schema, request, await exchange.body(), deadline=deadline, sender=sender
-            )
-        except IdempotencyKeyReused as error:
-            raise Problem(422, f"The Idempotency-Key {key!r} was already used with another request.") from error
+        sender, once = sender_of(exchange), await idempotency_key(exchange)
+        return await self.session.calls.call(self.name, schema, request, deadline=deadline, sender=sender, once=once)
 
 
 class CallResource(KeptResource[Call]):
@@ -238,7 +231,7 @@ class CallResource(KeptResource[Call]):
         return self.states.get_or_make(self.url, IdentityKey(call), lambda: self.state_of(call))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.session.calls.changes.watch(wake)
+        return self.session.calls.changes.watch(wake, lambda about: about == self.id)
 
     def state_of(self, call: Call) -> State:
         """Return the state of this version of the call."""
@@ -308,6 +301,12 @@ def _view(call: Call) -> CallView:
 def sender_of(exchange: Exchange) -> Sender:
     """Return the sender of a request: its agent and its receipt."""
     return Sender(exchange.agent.name, exchange.audit.receipt_id())
+
+
+async def idempotency_key(exchange: Exchange) -> tuple[str, bytes] | None:
+    """Return the key of a request that takes effect once, and its body."""
+    key = exchange.header("idempotency-key")
+    return None if key is None else (key, await exchange.body())
 
 
 def call_problem(space: Space, outcome: CallOutcome) -> Problem | None:

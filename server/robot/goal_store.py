@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import time
 from collections import OrderedDict
 from collections.abc import Sequence
 
@@ -12,11 +11,8 @@ from msgspec import Struct
 
 from rosld.adapters.model import ActionSchema, GoalId, GoalStatus, Message
 from rosld.server.receipts.audit import Sender
-from rosld.server.robot.calls import Gone
-from rosld.server.runtime.tasks import Signal
+from rosld.server.robot.limited_store import MAX_REMEMBERED, LimitedStore
 
-MAX_REMEMBERED = 10_000
-"""Maximum number of removed goals that are remembered as such."""
 _PLAIN = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _NOT_PLAIN = re.compile(r"[^A-Za-z0-9_-]+")
 _MAX_ID_LENGTH = 48
@@ -59,97 +55,55 @@ class Goal(Struct, frozen=True, eq=False):
         return self.status in (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
 
 
-class GoalStore:
-    """Goals by id; above the limit, ended goals are removed first.
+class GoalStore(LimitedStore[Goal]):
+    """Goals by id and key. Deleted and expired goals are not added again by later events."""
 
-    Deleted and expired goals are not added again by later events. `changes` is emitted with the action and the id of
-    each changed goal, `revision` counts the changes.
-    """
+    word = "goal"
 
     def __init__(self, *, limit: int, age: float) -> None:
-        self._limit = limit
-        self._age_ns = int(age * 1e9)
-        self._goals: OrderedDict[str, Goal] = OrderedDict()
+        super().__init__(limit, age)
         self._ids: dict[GoalId, str] = {}
-        self._removed: OrderedDict[str, GoalId | None] = OrderedDict()
-        self._dropped: set[GoalId] = set()
-        self.revision = 0
-        self.changes = Signal()
+        self._dropped: OrderedDict[GoalId, None] = OrderedDict()
 
-    def all(self) -> Sequence[Goal]:
-        """Return the stored goals, oldest first."""
-        self._forget_old()
-        return list(self._goals.values())
+    def subjects(self, one: Goal) -> Sequence[str]:
+        return one.id, one.action
 
-    def find(self, id: str) -> Goal:
-        """Return a goal by its id. Raises Gone for a deleted or expired goal, KeyError for an unknown one."""
-        self._forget_old()
-        if id in self._removed:
-            raise Gone(id)
-        return self._goals[id]
+    def may_go(self, one: Goal) -> bool:
+        return one.status.is_final
+
+    def changed_ns(self, one: Goal) -> int:
+        return one.updated_ns
 
     def current(self, action: str) -> Goal | None:
-        """Return the newest goal of an action that has not ended, or else the last goal."""
-        newest = [goal for goal in reversed(self._goals.values()) if goal.action == action]
+        """Return the goal that an action pursues, the newest of several; if none, the last one."""
+        newest = [goal for goal in reversed(self._stored.values()) if goal.action == action]
         return next((goal for goal in newest if not goal.status.is_final), newest[0] if newest else None)
-
-    def get(self, id: str) -> Goal | None:
-        """Return a stored goal, whatever its age."""
-        return self._goals.get(id)
-
-    def action_of(self, id: str) -> str | None:
-        """Return the action of a goal, "" for a removed goal, None for an unknown one (thread-safe)."""
-        goal = self._goals.get(id)
-        return goal.action if goal is not None else "" if id in self._removed else None
 
     def of_key(self, key: GoalId) -> Goal | None:
         """Return the goal with this key."""
-        return self._goals.get(self._ids.get(key, ""))
+        return self._stored.get(self._ids.get(key, ""))
 
     def is_dropped(self, key: GoalId) -> bool:
         """Whether the goal was removed, so that later events are ignored."""
         return key in self._dropped
 
-    def delete(self, id: str) -> None:
-        """Remove a goal; raises as `find`."""
-        self.find(id)
-        self._drop(id)
-
-    def keep(self, goal: Goal) -> None:
-        """Store a goal, or its next state."""
-        self._goals[goal.id] = goal
-        if goal.key is not None:
-            self._ids[goal.key] = goal.id
-        self._revise(goal)
-        while len(self._goals) > self._limit:
-            ended = (each.id for each in self._goals.values() if each.status.is_final and each.id != goal.id)
-            self._drop(next(ended, None) or next(iter(self._goals)))
+    def keep(self, one: Goal) -> None:
+        if one.key is not None:
+            self._ids[one.key] = one.id
+        super().keep(one)
 
     def _drop(self, id: str) -> None:
-        goal = self._goals.pop(id)
-        if goal.key is not None:
-            self._ids.pop(goal.key, None)
-            self._dropped.add(goal.key)
-        self._removed[id] = goal.key
-        while len(self._removed) > MAX_REMEMBERED:
-            _, key = self._removed.popitem(last=False)
-            if key is not None:
-                self._dropped.discard(key)
-        self._revise(goal)
-
-    def _forget_old(self) -> None:
-        horizon = time.time_ns() - self._age_ns
-        for goal in [each for each in self._goals.values() if each.updated_ns < horizon]:
-            self._drop(goal.id)
-
-    def _revise(self, goal: Goal) -> None:
-        self.revision += 1
-        self.changes.emit(goal.action)
-        self.changes.emit(goal.id)
+        key = self._stored[id].key
+        if key is not None:
+            self._ids.pop(key, None)
+            self._dropped[key] = None
+            while len(self._dropped) > MAX_REMEMBERED:
+                self._dropped.popitem(last=False)
+        super()._drop(id)
 
     def new_id(self, key: GoalId) -> str:
         """Return the id of a goal in URLs: its own if that is safe and unused, else one derived from it."""
-        if _PLAIN.fullmatch(key.id) and key.id not in self._goals and key.id not in self._removed:
+        if _PLAIN.fullmatch(key.id) and key.id not in self._stored and key.id not in self._removed:
             return key.id
         whole = f"{key.action}\0{key.id}".encode("utf-8", "surrogatepass")
         begin = _NOT_PLAIN.sub("-", key.id)[:_MAX_ID_LENGTH].strip("-")

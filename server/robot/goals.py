@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hashlib
 import logging
 import threading
 import time
@@ -27,11 +26,10 @@ from rosld.adapters.model import (
     RosError,
 )
 from rosld.server.http.problem import one_line
-from rosld.server.receipts.audit import Sender, new_identifier, record_step
-from rosld.server.robot.calls import IdempotencyKeyReused
-from rosld.server.robot.goal_store import MAX_REMEMBERED, Feedback, Goal, GoalStore
-from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
-from rosld.server.runtime.tasks import Signal, call_on_close, combine_watches, end_tasks, loop_time
+from rosld.server.receipts.audit import Sender, new_identifier
+from rosld.server.robot.goal_store import Feedback, Goal, GoalStore
+from rosld.server.robot.limited_store import MAX_REMEMBERED
+from rosld.server.runtime.tasks import call_on_close, combine_watches, end_tasks, loop_time
 
 _SWEEP = 1.0
 
@@ -130,75 +128,54 @@ class GoalSubmission(Struct, frozen=True):
     error: RosError | None
 
 
-class Goals:
+class Goals(GoalStore):
     """The goals of one robot. `on_event` is thread-safe, everything else belongs to the server's loop.
 
-    Feedback that arrives faster than the loop runs is merged. Deleted and expired goals are not added again by later
-    events. Above the limit, ended goals are removed first.
+    Feedback that arrives faster than the loop runs is merged.
     """
 
     def __init__(
         self, adapter: Adapter, schemas: Callable[[str], ActionSchema | None], *, limit: int, age: float, idle: float
     ) -> None:
         """Initialize; `schemas` returns the cached schema of an action by its name."""
+        super().__init__(limit=limit, age=age)
         self._adapter = adapter
         self._schemas = schemas
-        self._most_keys = limit
-        self._store = GoalStore(limit=limit, age=age)
         self._follower = GoalFollower(adapter, idle)
-        self._keyed: OrderedDict[tuple[str, str], tuple[bytes, asyncio.Task[GoalSubmission]]] = OrderedDict()
         self._pending: OrderedDict[GoalId, tuple[GoalEvent, int]] = OrderedDict()
         self._lock = threading.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
-
-    @property
-    def revision(self) -> int:
-        """Number of changes so far."""
-        return self._store.revision
-
-    @property
-    def changes(self) -> Signal:
-        """Signal of changed goals, emitted with the action and the id of each."""
-        return self._store.changes
-
-    # All goals
-
-    def all(self) -> Sequence[Goal]:
-        """Return the stored goals, oldest first."""
-        return self._store.all()
 
     def of_action(self, action: str) -> Sequence[Goal]:
         """Return the stored goals of one action, oldest first."""
         return [goal for goal in self.all() if goal.action == action]
 
-    def current(self, action: str) -> Goal | None:
-        """Return the goal that an action pursues, the newest of several; if none, the last one."""
-        return self._store.current(action)
-
     def is_followed(self, action: str) -> bool:
         """Whether all goals of an action are currently followed."""
         return self._follower.is_followed(action)
 
-    def find(self, id: str) -> Goal:
-        """Return a goal by its id. Raises Gone for a deleted or expired goal, KeyError for an unknown one."""
-        return self._store.find(id)
-
-    def action_of(self, id: str) -> str | None:
-        """Return the action of a goal, "" for a removed goal, None for an unknown one (thread-safe)."""
-        return self._store.action_of(id)
-
-    def delete(self, id: str) -> None:
-        """Remove a goal; raises as `find`."""
-        record_step(f"forget the goal {self.find(id).id}")
-        end_dry_run(204)
-        self._store.delete(id)
-
     # Sending and canceling
 
     async def send(
-        self, action: str, schema: ActionSchema, message: Message, *, deadline: float, sender: Sender | None = None
+        self,
+        action: str,
+        schema: ActionSchema,
+        message: Message,
+        *,
+        deadline: float,
+        sender: Sender | None = None,
+        once: tuple[str, bytes] | None = None,
     ) -> GoalSubmission:
-        """Send a goal, and store it even if it is rejected. Raises ValueError if it cannot be encoded."""
+        """Send a goal, and store it even if it is rejected.
+
+        Raises as `send_once`, and ValueError if the goal cannot be encoded.
+        """
+        sent = await self.send_once(action, once, lambda: self._send(action, schema, message, deadline, sender))
+        return sent if sent.goal is None else GoalSubmission(self.get(sent.goal.id) or sent.goal, sent.error)
+
+    async def _send(
+        self, action: str, schema: ActionSchema, message: Message, deadline: float, sender: Sender | None
+    ) -> GoalSubmission:
         data = schema.goal.codec.encode(message, self._adapter.capabilities.encoding)
         now = time.time_ns()
         try:
@@ -211,46 +188,18 @@ class Goals:
                 new_identifier(), action, None, now, now, GoalStatus.REJECTED, schema, message, words=words,
                 ended_ns=time.time_ns(), is_own=True, sender=sender,
             )  # fmt: skip
-            self._store.keep(goal)
+            self.keep(goal)
             return GoalSubmission(goal, error)
         self._drain()
-        known = self._store.of_key(key)
+        known = self.of_key(key)
         if known is None:
-            known = Goal(self._store.new_id(key), action, key, now, now, GoalStatus.ACCEPTED)
-        self._store.keep(
+            known = Goal(self.new_id(key), action, key, now, now, GoalStatus.ACCEPTED)
+        self.keep(
             replace(
                 known, schema=schema, goal=message, created_ns=min(now, known.created_ns), is_own=True, sender=sender
             )
         )
-        return GoalSubmission(self._store.get(known.id), None)
-
-    async def send_idempotent(
-        self,
-        key: str,
-        action: str,
-        schema: ActionSchema,
-        message: Message,
-        body: bytes,
-        *,
-        deadline: float,
-        sender: Sender | None = None,
-    ) -> GoalSubmission:
-        """Send as `send` does; return the first goal for a repeated key, or raise IdempotencyKeyReused."""
-        digest = hashlib.blake2b(body).digest()
-        known = self._keyed.get((action, key))
-        if known is not None and known[0] != digest:
-            raise IdempotencyKeyReused(key)
-        if known is None and is_dry_run():
-            return await self.send(action, schema, message, deadline=deadline)
-        if known is None:
-            sending = asyncio.get_running_loop().create_task(
-                self.send(action, schema, message, deadline=deadline, sender=sender)
-            )
-            known = self._keyed[(action, key)] = (digest, sending)
-            while len(self._keyed) > self._most_keys:
-                self._keyed.popitem(last=False)
-        sent = await asyncio.shield(known[1])
-        return sent if sent.goal is None else GoalSubmission(self._store.get(sent.goal.id) or sent.goal, sent.error)
+        return GoalSubmission(self.get(known.id), None)
 
     async def cancel(self, goal: Goal, *, deadline: float) -> None:
         """Request the cancellation of a goal. Raises what the adapter raises."""
@@ -259,9 +208,7 @@ class Goals:
 
     async def wait_ended(self, id: str, *, seconds: float) -> bool:
         """Wait up to `seconds` until a goal has ended; return whether it has."""
-        return await self._wait_true(
-            id, lambda: (goal := self._store.get(id)) is not None and goal.status.is_settled, seconds
-        )
+        return await self._wait_true(id, lambda: (goal := self.get(id)) is not None and goal.status.is_settled, seconds)
 
     async def wait_all_ended(self, action: str, *, seconds: float) -> bool:
         """Wait until all goals of an action have ended; return whether at least one is known and all have."""
@@ -313,17 +260,17 @@ class Goals:
                 _log.exception("failed to process an update about goal %.100r of %s", key.id, key.action)
 
     def _take(self, key: GoalId, event: GoalEvent, count: int) -> None:
-        if self._store.is_dropped(key):
+        if self.is_dropped(key):
             return
-        known = self._store.of_key(key)
+        known = self.of_key(key)
         if known is None:
             known = Goal(
-                self._store.new_id(key), key.action, key, event.received_ns, event.received_ns, GoalStatus.ACCEPTED,
+                self.new_id(key), key.action, key, event.received_ns, event.received_ns, GoalStatus.ACCEPTED,
                 self._schemas(key.action),
             )  # fmt: skip
         goal = self._after(known, event, count)
-        if goal is not known or self._store.get(known.id) is None:
-            self._store.keep(goal)
+        if goal is not known or self.get(known.id) is None:
+            self.keep(goal)
 
     def _after(self, goal: Goal, event: GoalEvent, count: int) -> Goal:
         """Return the goal after an event: a final status does not change, except that of a goal thought lost."""

@@ -60,7 +60,7 @@ class Settings:
         metavar="FILE",
     )
     tls_cert: Path | None = setting(  # noqa: RUF009 - it is a field
-        None, "The certificate (PEM, with its chain) to serve https with.", metavar="FILE"
+        None, "The certificate (PEM, with its chain) to serve https with. Reloaded when it changes.", metavar="FILE"
     )
     tls_key: Path | None = setting(  # noqa: RUF009 - it is a field
         None, "Its private key (PEM), if it is in a separate file.", metavar="FILE"

@@ -20,7 +20,15 @@ from rosld.server import settings as settings_module
 from rosld.server.cli import data_folder
 from rosld.server.cli.failure import end_signals, user_errors
 from rosld.server.serving.connection import ConnectionBounds
-from rosld.server.serving.http_server import Server, bind, configure_logging, configure_tls, require_certificate, run
+from rosld.server.serving.http_server import (
+    Server,
+    bind,
+    configure_logging,
+    configure_tls,
+    reloaded_certificate,
+    require_certificate,
+    run,
+)
 from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings
 
@@ -109,7 +117,9 @@ class Serving:
             await self._adapter.close()
 
     async def _open_and_serve(self) -> None:
-        async with lifespan(self._app):
+        settings = self._app.session.settings
+        renewed = reloaded_certificate(self._server.config, settings.tls_cert, settings.tls_key)
+        async with lifespan(self._app), renewed:
             await self._server.serve(sockets=[self._sock])
 
     def _stop_in_time(self) -> None:

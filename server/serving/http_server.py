@@ -9,7 +9,7 @@ import logging
 import socket
 import ssl
 import sys
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,42 @@ def configure_tls(config: uvicorn.Config, certificate: Path | None, key: Path | 
         config.ssl_keyfile = None if key is None else str(key)
 
 
+@contextlib.asynccontextmanager
+async def reloaded_certificate(
+    config: uvicorn.Config, certificate: Path | None, key: Path | None
+) -> AsyncIterator[None]:
+    """Use a renewed certificate for new connections; one that cannot be used changes nothing."""
+
+    async def watch(path: Path) -> None:
+        loaded = _stamps(path, key)
+        while True:
+            await asyncio.sleep(CERTIFICATE_SECONDS)
+            if (stamps := _stamps(path, key)) == loaded:
+                continue
+            loaded = stamps
+            try:
+                require_certificate(path, key)
+                assert config.ssl is not None
+                config.ssl.load_cert_chain(path, key, password=_no_password)
+                _log.info("certificate reloaded from %s", path)
+            except (OSError, ValueError) as error:
+                _log.error("%s. The former certificate stays in use.", error)
+
+    watching = None if certificate is None else asyncio.get_running_loop().create_task(watch(certificate))
+    try:
+        yield
+    finally:
+        if watching is not None:
+            watching.cancel()
+
+
+def _stamps(*paths: Path | None) -> list[tuple[int, int]]:
+    """Return stamps that change when one of the files is written; a missing file has none."""
+    with contextlib.suppress(OSError):
+        return [(found.st_mtime_ns, found.st_ino) for path in paths if path is not None for found in [path.stat()]]
+    return []
+
+
 def _no_password() -> str:
     raise ValueError("the private key is encrypted: provide it without a password, in a file that nobody else can read")
 
@@ -50,6 +86,8 @@ def _no_password() -> str:
 _log = logging.getLogger("rosld")
 
 KEEP_ALIVE_SECONDS = 30
+CERTIFICATE_SECONDS = 1.0
+"""Seconds between looks at the files of the certificate."""
 GRACE_SECONDS = 2
 MAX_CONNECTIONS = 3000
 """Maximum number of connections; a new one replaces an idle one, or is limited to POST /stop."""

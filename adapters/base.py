@@ -423,3 +423,19 @@ class AdapterOptions(Struct, frozen=True):
 
 Factory: TypeAlias = Callable[[str, AdapterOptions], Adapter]
 """Factory of an unopened adapter from a source on the command line. Raises ValueError for an invalid source."""
+
+
+class Finding(NamedTuple):
+    """Finding of `rosld check`: `level` is "ok", "warning" or "error"; `step` is what to do."""
+
+    level: str
+    subject: str
+    text: str
+    step: str = ""
+
+
+Diagnose: TypeAlias = "Callable[[str, AdapterOptions, Graph | None], Iterable[Finding]]"
+"""`diagnose` in the module `diagnosis` of an adapter's package: what this machine says about reaching a source.
+
+Called once the adapter is closed again, with its last graph, None if it could not be opened. Changes nothing.
+"""

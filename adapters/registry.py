@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 
-from rosld.adapters.base import Adapter, AdapterOptions, Factory
+from rosld.adapters.base import Adapter, AdapterOptions, Diagnose, Factory
 
 GROUP = "rosld.adapters"
 RECORDING = "recording"
@@ -59,3 +60,16 @@ def adapter_for(source: str, options: AdapterOptions) -> Adapter:
         raise ValueError(f"no adapter {scheme!r} is installed; is rosld installed with pip?")
     factory = cast(Factory, points[scheme].load())
     return factory(source, options)
+
+
+def diagnosis_of(source: str) -> Diagnose | None:
+    """Return what the adapter's package says about reaching its sources (`diagnosis.diagnose`), None for most."""
+    points = installed()
+    scheme = scheme_of(source, frozenset(points))
+    name = f"{points[scheme].module}.diagnosis"
+    try:
+        return cast(Diagnose, importlib.import_module(name).diagnose)
+    except ModuleNotFoundError as error:
+        if error.name is None or not name.startswith(error.name):
+            raise
+        return None

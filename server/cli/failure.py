@@ -99,10 +99,9 @@ def user_errors(values: ExitCode = ExitCode.FAILED) -> Iterator[None]:
     try:
         yield
     except RosError as error:
-        code = next((code for kind, code in _OF_ROBOTS if isinstance(error, kind)), ExitCode.FAILED)
-        raise Failure(str(error), code) from error
+        raise Failure(str(error), code_of(error)) from error
     except OSError as error:
-        raise Failure(reason(error), _code_of(error)) from error
+        raise Failure(reason(error), _code_of_os(error)) from error
     except ValueError as error:
         raise Failure(str(error), values) from error
 
@@ -116,7 +115,12 @@ def output_errors() -> Iterator[None]:
         raise Failure(f"the output cannot be written: {reason(error)}", ExitCode.OUTPUT) from error
 
 
-def _code_of(error: OSError) -> ExitCode:
+def code_of(error: RosError) -> ExitCode:
+    """Return the exit code for an error of an adapter."""
+    return next((code for kind, code in _OF_ROBOTS if isinstance(error, kind)), ExitCode.FAILED)
+
+
+def _code_of_os(error: OSError) -> ExitCode:
     if error.errno in _OF_OUTPUT:
         return ExitCode.OUTPUT
     return ExitCode.INPUT if error.errno in _OF_INPUT else ExitCode.FAILED

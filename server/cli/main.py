@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 import rosld
 from rosld.adapters.base import AdapterOptions
@@ -24,6 +25,7 @@ from rosld.server.cli.options import (
     source_argument,
 )
 from rosld.server.cli.recording_commands import COMMANDS
+from rosld.server.cli.tables import json_text
 
 
 @click.group(
@@ -50,6 +52,7 @@ def main() -> None:
       rosld export recordings/ -o tables   recordings as Parquet
       rosld types run.bag                  the message types in it
       rosld mcp rover                      tools for a language model, on stdin and stdout
+      rosld check ros1:                    what would work, what not, and why
       rosld guard ros2: --data DIR         end the holds on DIR when its rosld is killed
       rosld token add anna --file a.toml   a token for a user of a server with --auth
       rosld dump DIR -o data.tar.gz        a copy of stored resources; restore it with rosld load
@@ -98,6 +101,41 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
     from rosld.server.cli.serve import serve as run
 
     run(source, settings, base_given=base_url is not None)
+
+
+@main.command(cls=GlobCommand, short_help="Say what would work with SOURCE, and what not and why.")
+@source_argument(required=False)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@setting_options()
+def check(
+    source: str | None,
+    others: tuple[tuple[str, str], ...],
+    base_url: str | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Look at SOURCE and at this machine, and say what would work, what not, why, and what to do.
+
+    Takes the options of `rosld serve`. The robot is only read: a few topics with stamps are subscribed to for a moment.
+    Exits with the code with which `rosld serve` would fail. Without SOURCE, only the file of --config is checked.
+
+    \b
+    Examples:
+      rosld check ros2:?domain=42
+      rosld check ros1://robot:11311 --ros-ip 10.0.0.7 --data /var/lib/rosld
+      rosld check --config rosld.toml
+    """
+    settings = settings_of(others, base_url, **options)
+    context = click.get_current_context()
+    origin = context.get_parameter_source("source")
+    if source is None or origin not in (ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT):
+        if not context.default_map:
+            raise click.UsageError("Give a SOURCE, --config FILE, or both", context)
+        click.echo(json_text({"findings": []}) if as_json else "ok  the settings are valid")
+        return
+    from rosld.server.cli.check import check as run
+
+    context.exit(run(source, settings, base_given=base_url is not None, as_json=as_json))
 
 
 @main.command("mcp", cls=GlobCommand, short_help="Serve SOURCE to a language model, on stdin and stdout.")

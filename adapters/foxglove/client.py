@@ -370,7 +370,12 @@ class Client:
             return tuple(map(global_name, connections.get(kind, {}).get(name, ()))) if is_known else ()
 
         topics: dict[str, Topic] = {}
-        for channel in peer.channels.values():
+        channels = [*peer.channels.values()]
+        written = {each.written for each in channels}
+        for name in {**connections.get("publishedTopics", {}), **connections.get("subscribedTopics", {})}:
+            if name not in written:  # such as one that the server only subscribes to
+                channels.append(Channel(-1, global_name(name), name))
+        for channel in channels:
             ref = None if channel.schema is None else channel.schema.ref
             publishers = nodes("publishedTopics", channel.written) if is_known else (server,)
             subscribers = tuple(Endpoint(node) for node in nodes("subscribedTopics", channel.written))

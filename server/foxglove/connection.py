@@ -6,6 +6,7 @@ import asyncio
 import struct
 from collections.abc import Coroutine, Iterable, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from typing import Any
 
 import orjson
@@ -30,11 +31,11 @@ from rosld.server.auth.authenticator import AuthContext
 from rosld.server.foxglove.offers import Connections, Offer, Offers, connection_changes
 from rosld.server.history.topic_feed import TopicFeed
 from rosld.server.mcp.transport import Answer, Caller, Transport
-from rosld.server.runtime.tasks import end_tasks, loop_time
+from rosld.server.runtime.tasks import call_every, end_tasks, loop_time
 
-_DEPTH = 8
+_DEPTH, _LEAST_DEPTH = 64, 8
 _MAX_BYTES = 8 * 1024 * 1024
-"""Maximum bytes of the queue of one channel of one client, beyond its initial depth."""
+"""Maximum bytes of the queue of one channel of one client, beyond its least depth."""
 _TICK = 1.0
 _MAX_CALLS = 32
 _AT_ONCE = 100
@@ -67,6 +68,8 @@ class Connection:
         self._channels: dict[int, Offer] = {}
         self._services: dict[int, Offer] = {}
         self._subscribed: dict[int, _Subscribed] = {}
+        self._due: set[int] = set()
+        """Subscriptions that may have new messages."""
         self._published: dict[int, Json] = {}
         self._followed: set[str] = set()
         self._pending: dict[str, set[str]] = {"parameters": set(), "changes": {"graph"}, "learnt": set()}
@@ -83,14 +86,14 @@ class Connection:
             for watch in (
                 self._session.changes.watch(self._note_change),
                 self._session.parameter_changes.watch(woken.set, self._note_parameter),
+                call_every(_TICK, woken.set),
             ):
                 watches.callback(watch.close)
             try:
                 while self._auth.is_valid():
                     woken.clear()
                     await self._send_news()
-                    with suppress(asyncio.TimeoutError, TimeoutError):
-                        await asyncio.wait_for(woken.wait(), _TICK)
+                    await woken.wait()
             finally:
                 for each in self._subscribed.values():
                     each.watch.close()
@@ -105,8 +108,10 @@ class Connection:
         if names := self._pending["parameters"]:
             self._pending["parameters"] = set()
             self._begin(self._send_parameters(names, None))
-        for id in tuple(self._subscribed):
-            await self._forward(id)
+        due, self._due = self._due, set()
+        for id in due:
+            if id in self._subscribed:
+                await self._forward(id)
 
     async def _forward(self, id: int) -> None:
         """Send the new messages of a subscription; while the client is slow, its queue drops the oldest ones."""
@@ -115,7 +120,8 @@ class Connection:
         new: Sequence[Sample] = feed.take()
         if not new:
             return
-        depth = feed.next_depth(new, _MAX_BYTES)
+        depth = min(feed.next_depth(new, _MAX_BYTES), _MAX_BYTES // (max(len(each.data) for each in new) + 1))
+        depth = max(depth, _LEAST_DEPTH)
         if subscribed.is_new:  # of what was sent before, all that is latched, and the newest
             subscribed.is_new = False
             new = [each for each in new if each.latched or each is new[-1]]
@@ -127,12 +133,13 @@ class Connection:
             await self._send(protocol.time_message(new[-1].received_ns + self._session.adapter.age_ns(new[-1])))
         if feed.dropped > subscribed.told and loop_time() - subscribed.told_at >= _TICK:
             dropped, subscribed.told, subscribed.told_at = feed.dropped - subscribed.told, feed.dropped, loop_time()
-            words = f"{dropped} messages of {feed.topic} were dropped, because the connection is slow."
+            words = f"{dropped} messages of {feed.topic} were dropped, because they could not be sent in time."
             await self._send_status(WARNING, words, f"slow {feed.topic}")
         if depth != feed.depth and id in self._subscribed:
             subscribed.watch.close()
             await feed.resubscribe(self._session.adapter, depth)
-            subscribed.watch = feed.subscription.watch(self._background[0].set)
+            subscribed.watch = feed.subscription.watch(partial(self._wake, id))
+            self._wake(id)
 
     async def _send_offers(self) -> None:
         """Send the channels and services that are new, and those that are gone."""
@@ -196,6 +203,10 @@ class Connection:
         with suppress(OSError):  # the client has just left
             await self._send_event({"type": "websocket.send", "text" if isinstance(data, str) else "bytes": data})
 
+    def _wake(self, id: int) -> None:
+        self._due.add(id)
+        self._background[0].set()
+
     def _note_change(self) -> None:
         self._pending["changes"].add("graph")
         self._background[0].set()
@@ -249,9 +260,9 @@ class Connection:
                 await self._send_status(ERROR, f"The subscription is refused: {words}.")
                 continue
             subscription = await self._session.adapter.subscribe(offer.name, depth=_DEPTH)
-            watch = subscription.watch(self._background[0].set)
+            watch = subscription.watch(partial(self._wake, id))
             self._subscribed[id] = _Subscribed(offer, TopicFeed(offer.name, subscription, _DEPTH), watch)
-            self._background[0].set()
+            self._wake(id)
 
     async def _on_unsubscribe(self, message: Json) -> None:
         for id in message["subscriptionIds"]:

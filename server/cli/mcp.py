@@ -28,7 +28,7 @@ TOKEN = "ROSLD_TOKEN"
 
 def serve_tools(source: str, settings: Settings) -> None:
     """Serve the tools until the client or a signal ends them. Raises Failure if that is impossible."""
-    configure_logging()
+    configure_logging(settings.log_format)
     if settings.mcp == "off":
         raise Failure("--mcp off: choose read or write")
     if importlib.util.find_spec("mcp") is None:

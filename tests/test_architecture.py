@@ -299,6 +299,7 @@ NAMES = {
     "re2": "google-re2",
     "ruamel": "ruamel-yaml",
     "xdist": "pytest-xdist",
+    "zenoh": "eclipse-zenoh",
     "SPARQLWrapper": "sparqlwrapper",
 }
 """Distributions whose name differs from that of their module."""
@@ -349,14 +350,16 @@ def test_every_imported_distribution_is_declared_and_only_some_features_need_ext
         "jwt in server/auth/oidc.py",
         "opentelemetry in server/runtime/tracing.py",
         "pyarrow in server/cli/export.py",
+        "xxhash in adapters/ros2/zenoh_participant.py",
+        "zenoh in adapters/ros2/zenoh_participant.py",
         *(
             f"pyarrow in server/{file}.py"
             for file in ("history/message_columns", "history/table_files", "history/tables", "sparql/result_tables")
         ),
         *(f"mcp in server/{file}.py" for file in files),
     }
-    assert not undeclared(ROOMS, declared("oidc", "mcp", "dask", "files", "otel", "parquet"))
-    assert not undeclared(("tests",), declared("test", "parquet"), excluded="interop")
+    assert not undeclared(ROOMS, declared("oidc", "mcp", "dask", "files", "otel", "parquet", "zenoh"))
+    assert not undeclared(("tests",), declared("test", "parquet", "zenoh"), excluded="interop")
     assert not undeclared(("tests/interop",), declared("test", "interop", "parquet", "dask", "files", "otel"))
     assert not undeclared(("bench",), declared("test", "bench"))
     assert not undeclared(("docs",), declared())

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any, cast
 
 from rosld.adapters.base import AdapterOptions, Sink
-from rosld.adapters.model import Graph, NotFound, Qos, Refused, TypeRef
+from rosld.adapters.model import Graph, Live, NotFound, Qos, Refused, TypeRef, Unreachable
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.names import global_name
 from rosld.adapters.node_parameters import Parameters
@@ -79,7 +79,11 @@ class System:
         until = min(until, changed + _DISCOVERY)
         while loop.time() < until:
             before = self._discovery.observation
-            await self.poll()
+            try:
+                await self.poll()
+            except Unreachable as error:
+                self._graph.mark_stale(error.sentence)
+                break
             if self._discovery.observation != before:
                 changed = loop.time()
             if self._graph.has_robot and loop.time() - changed > _STABLE:
@@ -87,7 +91,8 @@ class System:
             await asyncio.sleep(_SOON)
         await self.parameters.queries.wait(min(_PATIENCE, max(0.0, until - loop.time())))
         await self.lifecycles.queries.wait(min(_PATIENCE, max(0.0, until - loop.time())))
-        self.refresh()
+        if self._discovery.observation.nodes or isinstance(self.graph.state, Live):
+            self.refresh()
         self._task = loop.create_task(self._watch())
 
     async def close(self) -> None:
@@ -194,7 +199,8 @@ class System:
                 self.calls.drop_missing_servers()
                 self.actions.drop_missing_servers()
             except Exception as error:  # any error of the middleware: the next poll retries
-                self._graph.mark_stale(f"the system cannot be inspected: {error}")
+                words = error.sentence if isinstance(error, Unreachable) else f"the system cannot be inspected: {error}"
+                self._graph.mark_stale(words)
                 await asyncio.sleep(_EVERY)
 
     def _graph_inputs(self) -> GraphInputs:

@@ -44,6 +44,7 @@ def main() -> None:
       rosld serve run.bag                  a recording, played in a loop
       rosld serve ros1://localhost:11311   a live ROS 1 system
       rosld serve rosbridge://robot:9090   a robot behind rosbridge
+      rosld serve zenoh://robot:7447       a ROS 2 system with rmw_zenoh
       rosld info run.bag                   what a recording contains
       rosld ls runs --where 'battery_state.percentage < 0.2'
       rosld query run.bag 'SELECT ...'     SPARQL over a recording

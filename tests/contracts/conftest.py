@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-ROBOTS = ["aircraft", "foxglove", "recording", "ros1", "rosbridge", "rosbridge1", "rover"]
+ROBOTS = ["aircraft", "foxglove", "recording", "ros1", "rosbridge", "rosbridge1", "rover", "zenoh"]
 if "ROSLD_ROS2_PYTHON" in os.environ:  # the suite runs once more on a Python that has rclpy (tests/adapters/ros2)
     ROBOTS.append("ros2")
 

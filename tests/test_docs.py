@@ -145,6 +145,7 @@ def add_lines(root: Path, diff: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.skipif((ROOT / "PKG-INFO").exists(), reason="a source distribution has copies instead of links")
 def test_the_examples_of_the_architecture_add_an_adapter_a_function_a_resource_and_a_panel(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -103,3 +103,19 @@ def test_the_version_is_the_same_everywhere() -> None:
 def test_the_guide_for_services_shows_the_unit_of_the_package() -> None:
     unit = (ROOT / "deploy" / "rosld.service").read_text("utf-8")
     assert f"```ini\n{unit}```" in (ROOT / "docs" / "how-to" / "service.md").read_text("utf-8")
+
+
+def test_rosld_runs_in_the_ros_whose_setup_is_named_and_is_not_started_if_that_fails(tmp_path: Path) -> None:
+    script = shutil.copy(ROOT / "deploy" / "rosld-ros", tmp_path)
+    (tmp_path / "rosld").write_text('#!/bin/sh\necho "$ROS_DISTRO $@"\n')
+    (tmp_path / "rosld").chmod(0o755)
+    setup = tmp_path / "setup.bash"
+    setup.write_text("export ROS_DISTRO=own\n")
+
+    def run(**environment: str) -> str:
+        words = [script, "serve", "ros2:?domain=4 2"]
+        return subprocess.run(words, env=environment, capture_output=True, text=True, timeout=60, check=False).stdout
+
+    assert run(PATH=os.environ["PATH"], ROSLD_SETUP=str(setup)) == "own serve ros2:?domain=4 2\n"
+    assert run(PATH=os.environ["PATH"], AMENT_PREFIX_PATH="/x", ROS_DISTRO="here") == "here serve ros2:?domain=4 2\n"
+    assert run(PATH=os.environ["PATH"], ROSLD_SETUP=str(tmp_path / "missing")) == ""

@@ -10,12 +10,14 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import cast
 
 from rosld.adapters.base import Adapter, AdapterOptions, Diagnose, Factory
 
 GROUP = "rosld.adapters"
 RECORDING = "recording"
+_NAMED = re.compile(r"([A-Za-z0-9][A-Za-z0-9_.-]*)=(.+)", re.DOTALL)
 _SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):(?!\\)")
 
 
@@ -35,8 +37,31 @@ def scheme_of(source: str, schemes: frozenset[str]) -> str:
     return RECORDING
 
 
+def named_sources(words: Sequence[str]) -> Mapping[str, str] | None:
+    """Return the sources of several robots, written as `NAME=SOURCE`, by name; None if no word is one.
+
+    An existing file of that name is a recording. Raises ValueError for a mixture, and for a name used twice.
+    """
+    found = [(None if Path(word).exists() else _NAMED.fullmatch(word), word) for word in words]
+    if not any(match for match, _ in found):
+        return None
+    sources: dict[str, str] = {}
+    for match, word in found:
+        if match is None:
+            raise ValueError(f"{word!r} must be NAME=SOURCE, like the others: with several robots each has a name")
+        if match[1] in sources:
+            raise ValueError(f"two robots are named {match[1]!r}")
+        sources[match[1]] = match[2]
+    return sources
+
+
 def joined(sources: Sequence[str]) -> str:
-    """Return one source, or several recordings as one source: a line each. Raises ValueError for several others."""
+    """Return one source, or several recordings or named robots as one source: a line each.
+
+    Raises ValueError for several others.
+    """
+    if named_sources(sources) is not None:
+        return "\n".join(sources)
     if len(sources) == 1:
         return sources[0]
     schemes = frozenset(installed())

@@ -82,7 +82,7 @@ xhv = Namespace("http://www.w3.org/1999/xhtml/vocab#", "first last next prev")
 # Dublin Core.
 dcterms = Namespace(
     "http://purl.org/dc/terms/",
-    "title description isPartOf hasPart created modified issued format publisher temporal PeriodOfTime",
+    "title description isPartOf hasPart created modified issued format publisher source temporal PeriodOfTime",
 )
 # DCAT 3.
 dcat = Namespace(

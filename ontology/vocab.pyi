@@ -530,6 +530,7 @@ class _dcterms(Namespace):
     issued: NamedNode
     format: NamedNode
     publisher: NamedNode
+    source: NamedNode
     temporal: NamedNode
     PeriodOfTime: NamedNode
 

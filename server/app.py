@@ -5,24 +5,28 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from functools import partial
 from urllib.parse import urlsplit
 
+from msgspec import Struct, field
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rosld.adapters.base import Adapter
 from rosld.ontology.urls import Space
 from rosld.server.auth.authenticator import Authenticator
+from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits
 from rosld.server.dataset.replication import Mirror
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.notification_channels import Channels
 from rosld.server.foxglove.endpoint import FoxgloveService
 from rosld.server.html.frame import prepare_pages
+from rosld.server.html.site import SECTIONS
 from rosld.server.http.fields import render_links
-from rosld.server.http.origin import OriginPolicy, origin_policy
+from rosld.server.http.origin import FormKey, OriginPolicy, origin_policy
 from rosld.server.mcp.endpoint import Mcp, McpService
 from rosld.server.mcp.transport import LocalTransport
 from rosld.server.middleware import Handler
@@ -36,7 +40,7 @@ from rosld.server.middleware.access import (
 )
 from rosld.server.middleware.audit import Audit
 from rosld.server.middleware.dispatch import Dispatch, ErrorResponses, ServerOptions, WebSockets
-from rosld.server.middleware.limits import Admission, RateLimits, Scheduling
+from rosld.server.middleware.limits import Admission, RateLimits, RequestScheduler, Scheduling
 from rosld.server.middleware.monitor import Monitor, Traced
 from rosld.server.policies.stored_mappings import log_mapping_warnings
 from rosld.server.receipts.journal import Journal
@@ -65,6 +69,7 @@ from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.interrupted_holds import InterruptedHolds
 from rosld.server.robot.scene import Scene
 from rosld.server.robot.session import Session
+from rosld.server.robot.software_stop import SoftwareStop
 from rosld.server.routing.dispatcher import Dispatcher
 from rosld.server.routing.live_graphs import OTHER_ROUTES, RobotGraphs
 from rosld.server.routing.router import ResourceFactory, Router, single_route
@@ -84,20 +89,51 @@ from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs
 from rosld.server.sparql.restricted import RestrictedDatasets
 from rosld.server.sparql.syntax.lexer import QueryBounds, ServiceAllowlist
+from rosld.server.sparql.update.base import UpdateRunner
 from rosld.server.sparql.update.executor import UpdateEvaluator
+
+
+class Shared(Struct, frozen=True, kw_only=True):
+    """What the applications of a server share. `root` is the base of the server: rules are about paths below it.
+
+    `stop`, `make_materializer` and `make_permissions` replace those of a single robot.
+    """
+
+    root: str
+    process: QueryProcess
+    clients: ClientLimiter
+    is_first: bool = True
+    """Whether this application starts the watchdog."""
+    watchdog: Watchdog = field(default_factory=Watchdog)
+    turns: RequestScheduler = field(default_factory=RequestScheduler)
+    readers: Counter[str | None] = field(default_factory=Counter)
+    keys: FormKey = field(default_factory=FormKey)
+    stop: SoftwareStop | None = None
+    make_materializer: Callable[..., Materializer] = Materializer
+    make_updates: Callable[[UpdateRunner], UpdateRunner] = lambda own: own
+    make_permissions: Callable[..., Permissions] = Permissions
+    sections: tuple[str, ...] = (*SECTIONS, "bags")
+    types_version: Callable[[Session], Hashable] = lambda session: IdentityKey(session.graph)
+    """Version of the types of resources, which rules can depend on."""
+
+
+def shared_of(settings: Settings) -> Shared:
+    """Return what applications share, for the only application of a server or the first of several."""
+    process = QueryProcess(settings.query_concurrency, settings.query_queue)
+    return Shared(root=settings.base_url, process=process, clients=client_limiter(settings))
 
 
 class SparqlServices:
     """Queries and updates over the states of the robot's resources, in a separate process."""
 
-    def __init__(self, services: Services, factory: ResourceFactory, scene: Scene) -> None:
+    def __init__(self, services: Services, factory: ResourceFactory, scene: Scene, shared: Shared) -> None:
         session, space, settings = services.session, services.session.space, services.session.settings
         self._services = services
-        self.process = QueryProcess(settings.query_concurrency, settings.query_queue)
+        self.process = shared.process
         self.graphs = RobotGraphs(factory)
         """Source of the dataset."""
         record_graphs = RecordGraphs(services.documents.records, space.base, services.queries.description, OTHER_ROUTES)
-        self.materializer = Materializer(
+        self.materializer = shared.make_materializer(
             self.process, self.graphs, record_graphs, ReceiptGraphs(services.receipts, space)
         )
         self._analyser = Analyser(space.base, space.types, reach=ServiceAllowlist(frozenset(settings.allow_service)))
@@ -107,7 +143,7 @@ class SparqlServices:
             self._analyser,
             session.message_ages,
             _limits(settings),
-            RestrictedDatasets(self.process, lambda: IdentityKey(session.graph)),
+            RestrictedDatasets(self.process, partial(shared.types_version, session)),
             RecordedPast(session, services.recordings),
             scene.frames.settle,
         )
@@ -137,19 +173,22 @@ def _limits(settings: Settings) -> Limits:
     )
 
 
-def create_app(adapter: Adapter, settings: Settings) -> Application:
+def create_app(adapter: Adapter, settings: Settings, shared: Shared | None = None) -> Application:
     """Return the ASGI app for this adapter; its lifespan opens and closes the adapter, raising the errors of `open`."""
-    services = Services(adapter, settings)
+    shared = shared or shared_of(settings)
+    services = Services(adapter, settings, shared.stop)
     session, space = services.session, services.session.space
     factory = ResourceFactory(services)
-    scene, watchdog = Scene(session), Watchdog()
-    sparql = SparqlServices(services, factory, scene)
+    scene, watchdog = Scene(session), shared.watchdog
+    sparql = SparqlServices(services, factory, scene, shared)
     large = LargeDocuments(services.documents.workers)
-    pages = PageRenderer(session, services.software_stop, large, services.receipts)
+    pages = PageRenderer(session, services.software_stop, large, services.receipts, shared.keys, shared.sections)
     names = origin_policy(settings.base_url, settings.host, settings.port, settings.cors_origins)
-    broadcasters = Broadcasters(session.changes, settings.client_streams)
+    broadcasters = Broadcasters(session.changes, settings.client_streams, shared.readers)
     keyed_lock = KeyedLock(settings.call_deadline)
-    router = Router(factory, sparql.queries, pages, partial(sparql.updates, keyed_lock=keyed_lock))
+    router = Router(
+        factory, sparql.queries, pages, lambda at: shared.make_updates(sparql.updates(at, keyed_lock=keyed_lock))
+    )
     mirror = create_mirror(session, services.instance_id, sparql.process, sparql.materializer, router.route_names)
     notifications = Notifications(
         space, services.instance_id, Channels(services.instance_id), broadcasters, names, router.resolve
@@ -170,7 +209,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     fixed = (router.endpoint, router.graphs, router.search, *(make() for make in views.values()))
     described = {each.url: each.document for each in (*fixed_resources(notifications), *fixed)}
     sparql.graphs.add(described, [router.at(f"/{name}") for name in changing])
-    authenticator = create_authenticator(services, notifications.channels)
+    authenticator = create_authenticator(services, notifications.channels, shared)
     if authenticator is not None:
         authenticator.changed.watch(broadcasters.wake_all)
         router.add({"acl": single_route(partial(AclResource, space, authenticator))})
@@ -178,7 +217,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     router.add({"bags": partial(bag_route, factory.bags, triggers=triggers, queries=sparql.queries)})
     near = partial(near_urls, space, session.adapter, services.affordances)
     dispatcher = Dispatcher(services.instance_id, session, pages, broadcasters, keyed_lock, large, near)
-    clients = client_limiter(settings)
+    clients = shared.clients
     admission = Admission(clients, f"{space.path}stop".encode("ascii"))
     mcp = McpService(space, settings)
     health, ready = HealthResource(space), ReadinessResource(session, lambda: sparql.process.is_running)
@@ -198,7 +237,9 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
         broadcasters,
     )
     router.add({"metrics": single_route(partial(MetricsResource, space, sources))})
-    handler = middleware(space, services.receipts, router, dispatcher, pages, names, admission, authenticator, mcp)
+    handler = middleware(
+        space, services.receipts, router, dispatcher, pages, names, admission, authenticator, mcp, shared.turns
+    )
     tracing = tracing_of(os.environ)
     if tracing is not None:
         handler = Traced(handler, tracing, timings)
@@ -207,7 +248,9 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
     http = HttpApplication(handler, clients, settings, link, monitor, (health, ready))
     mcp.connect(http)
     foxglove = FoxgloveService(session, broadcasters, authenticator, LocalTransport(http), services.instance_id)
+    parts = Parts(services, factory, router, sparql, authenticator)
     return Application(
+        parts,
         session,
         services.holds,
         clients,
@@ -221,7 +264,7 @@ def create_app(adapter: Adapter, settings: Settings) -> Application:
             services.start,
             services.stop,
             sparql.process,
-            watchdog,
+            watchdog if shared.is_first else None,
             background_jobs(services, sparql, mirror, authenticator, triggers),
             [
                 mcp.close,
@@ -254,14 +297,14 @@ def background_jobs(
     ]
 
 
-def create_authenticator(services: Services, channels: Channels) -> Authenticator | None:
+def create_authenticator(services: Services, channels: Channels, shared: Shared) -> Authenticator | None:
     """Return the authenticator for the file of `--auth`; None without one."""
     session = services.session
     if session.settings.auth is None:
         return None
     about = AboutResources(session, services.holds, services.faults, services.recordings, services.receipts, channels)
     types = partial(types_at, session, services.affordances)
-    return Authenticator(session.settings.auth, session.space, types, about)
+    return Authenticator(session.settings.auth, session.space, types, about, shared.root, shared.make_permissions)
 
 
 def client_limiter(settings: Settings) -> ClientLimiter:
@@ -282,6 +325,7 @@ def middleware(
     admission: Admission,
     authenticator: Authenticator | None,
     mcp: McpService,
+    turns: RequestScheduler,
 ) -> Handler:
     """Return the middleware stack, built from the innermost to the outermost."""
     stop = f"{space.path}stop".encode("ascii")
@@ -296,7 +340,7 @@ def middleware(
         handler = Preflight(handler, names, lambda exchange: admission.admit(exchange))
     handler = Mcp(handler, mcp, names, admission, authenticator)
     handler = ServerOptions(handler, admission)
-    handler = Scheduling(handler, stop)
+    handler = Scheduling(handler, stop, turns)
     handler = TrustedHosts(handler, names)
     handler = ErrorResponses(handler, admission, pages, space)
     handler = Audit(handler, receipts, space)
@@ -305,11 +349,22 @@ def middleware(
     return CrossOriginHeaders(handler, names)
 
 
+class Parts(Struct, frozen=True):
+    """The parts of an application that others use: a server of several robots."""
+
+    services: Services
+    factory: ResourceFactory
+    router: Router
+    sparql: SparqlServices
+    authenticator: Authenticator | None
+
+
 class Application:
     """One robot on the web: an ASGI application."""
 
     def __init__(
         self,
+        parts: Parts,
         session: Session,
         holds: Holds,
         clients: ClientLimiter,
@@ -322,6 +377,7 @@ class Application:
         lifespan: ASGIApp,
         metric_sources: MetricSources,
     ) -> None:
+        self.parts = parts
         self.session = session
         self.metric_sources = metric_sources
         self._holds = holds

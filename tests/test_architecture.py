@@ -174,6 +174,7 @@ def test_the_directions_are_really_held() -> None:
 
 LAYERS = [
     "cli",
+    "robots",
     "app",
     "serving",
     "foxglove",

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.ontology.urls import Space
 from rosld.server.auth import config
@@ -48,13 +49,24 @@ UNRESTRICTED = AuthContext(ALLOW_ALL, _always, ALLOW_ALL)
 class Authenticator:
     """Authenticator of one server's requests. Belongs to one loop. Raises ValueError for an invalid file."""
 
-    def __init__(self, path: Path, space: Space, types: TypesAt, about: AboutAt) -> None:
+    def __init__(
+        self,
+        path: Path,
+        space: Space,
+        types: TypesAt,
+        about: AboutAt,
+        root: str | None = None,
+        make_permissions: Callable[..., Permissions] = Permissions,
+    ) -> None:
+        """Initialize; the rules are about paths below `root`, by default the base of the space."""
         self._path = path
+        self._root = root or space.base
+        self._make_permissions = make_permissions
         self._space = space
         self._types = types
         self._about = about
         self._stamp = _stamp(path)
-        self.config = config.read_config(path, space.base)
+        self.config = self._read()
         if self.config.issuers:
             require_library()
         self.changed = Signal()
@@ -91,7 +103,8 @@ class Authenticator:
         if found is None:
             if len(self._judges) >= _MAX_AGENTS:
                 self._judges.clear()
-            found = Permissions(agent, self.config.policy.rights_of(agent), self._space, self._types, self._about)
+            rights = self.config.policy.rights_of(agent)
+            found = self._make_permissions(agent, rights, self._space, self._types, self._about)
             self._judges[agent] = found
         return found
 
@@ -123,12 +136,18 @@ class Authenticator:
             return
         self._stamp = stamp
         try:
-            found = await asyncio.to_thread(config.read_config, self._path, self._space.base)
+            found = await asyncio.to_thread(self._read)
         except ValueError as error:
             _log.error("%s. The permissions are unchanged.", error)
             return
         self._replace(found)
         _log.info("permissions reloaded from %s", self._path)
+
+    def _read(self) -> AuthConfig:
+        """Return the configuration in the file, with rules relative to the base of the space. Raises ValueError."""
+        found = config.read_config(self._path, self._root)
+        path = tuple(self._space.base[len(self._root) :].split("/")[:-1])
+        return replace(found, policy=found.policy.below(path)) if path else found
 
     def _replace(self, access: AuthConfig) -> None:
         self.config = access

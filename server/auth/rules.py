@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import re
 import secrets
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property, lru_cache
@@ -21,6 +21,7 @@ from typing import TypeAlias
 from urllib.parse import unquote
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from rosld.ontology.urls import Location, decode_segment
 
@@ -81,6 +82,12 @@ class Glob(Struct, frozen=True, dict=True):
                 raise ValueError(f"{self.text!r}: {error}") from error
         literal = (re.escape(unquote(each, errors="strict")) for each in segment.split("*"))
         return re.compile(".*".join(literal), re.DOTALL)
+
+    def below(self, path: Path) -> Iterator[Glob]:
+        """Yield the globs that match, relative to a path, what this one matches below it."""
+        segments = self.text.strip("/").split("/")
+        for state in self._states_after(path):
+            yield Glob("/" + "/".join(segments[state:]))
 
     def matches(self, path: Path) -> bool:
         """Whether the glob matches this path."""
@@ -158,6 +165,8 @@ _CONTROLLED = frozenset(
 """Routes in which a write commands the robot."""
 ACL = "acl"
 """Route of the access rules."""
+ROBOTS = "robots"
+"""Route of the robots of a server with several. Those who add and remove them administer it."""
 _READS = frozenset({"GET", "HEAD", "OPTIONS"})
 _READ_BY_POST = frozenset({"sparql", "channels"})
 """Routes in which a POST reads: queries and subscriptions. Updates are judged for each graph they change."""
@@ -170,7 +179,7 @@ def mode_of(method: str, path: Path) -> Mode:
         return Mode.ADMINISTER
     if method in _READS or route in _READ_BY_POST:
         return Mode.READ
-    if route == "stop" and method == "DELETE":
+    if route == ROBOTS or (route == "stop" and method == "DELETE"):
         return Mode.ADMINISTER
     return Mode.CONTROL if route in _CONTROLLED else Mode.WRITE
 
@@ -201,6 +210,11 @@ class Rule(Struct, frozen=True):
         fitting = (any(type_matches(glob, name) for glob in self.types) for name in types)
         return any(fitting) if self.deny else bool(types) and all(fitting)
 
+    def below(self, path: Path) -> Iterator[Rule]:
+        """Yield the rule for what is below a path, with globs relative to it, if it applies to anything there."""
+        if globs := tuple(each for glob in self.globs for each in glob.below(path)):
+            yield replace(self, globs=globs)
+
     def covers(self, mode: Mode, path: Path, types: Types | None) -> bool:
         """Whether the rule covers a request; unknown types (None) fit an allowance, but not a denial."""
         return (
@@ -227,6 +241,10 @@ class Policy(Struct, frozen=True):
 
     rules: tuple[Rule, ...] = ()
     agents: Mapping[str, Agent] = field(default_factory=dict)
+
+    def below(self, path: Path) -> Policy:
+        """Return the policy of a server whose base is at this path."""
+        return replace(self, rules=tuple(each for rule in self.rules for each in rule.below(path)))
 
     def rights_of(self, agent: Agent) -> Rights:
         """Return the rights of an agent."""

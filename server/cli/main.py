@@ -87,6 +87,8 @@ def _others() -> str:
 def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None, **options: Any) -> None:
     """Serve SOURCE on the web: a robot, a recording, or all recordings of folders, files and globs.
 
+    Several robots, each as NAME=SOURCE, are below /robots/NAME/.
+
     Listens once the source is open, then prints one line, the URL of the start page. Exits on Ctrl-C, SIGTERM, SIGQUIT,
     and SIGHUP unless that is ignored (nohup).
 
@@ -95,6 +97,7 @@ def serve(source: str, others: tuple[tuple[str, str], ...], base_url: str | None
       rosld serve aircraft --port 0
       rosld serve run.mcap --rate 0.5 --subscribe '/camera/*'
       rosld serve runs/ more/ 'old/*.bag'
+      rosld serve anna=ros1://anna:11311 ben=ros2:?domain=7
       rosld serve ros1://robot:11311 --ros-ip 10.0.0.7 --allow-publish /cmd_vel
       rosld serve ros1: --host 0.0.0.0 --base-url http://robot.example:8080/
     """

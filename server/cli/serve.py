@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rosld.adapters.base import Adapter
-from rosld.adapters.registry import adapter_for
+from rosld.adapters.registry import adapter_for, named_sources
 from rosld.server import settings as settings_module
 from rosld.server.cli import data_folder
 from rosld.server.cli.failure import end_signals, user_errors
@@ -34,6 +34,7 @@ from rosld.server.settings import Settings
 
 if TYPE_CHECKING:
     from rosld.server.app import Application
+    from rosld.server.robots.robots import Robots
 
 MAX_FILES = 256
 """Number of open files reserved for other uses than clients: databases, recordings, robots, reserve connections."""
@@ -55,7 +56,8 @@ def opened(
 ) -> Iterator[Serving]:
     """Yield a server with its bound address and its data folder. Raises Failure if it cannot start."""
     with user_errors():
-        adapter = adapter_for(source, settings.adapter_options)
+        sources = named_sources(source.split("\n"))
+        adapter = None if sources is not None else adapter_for(source, settings.adapter_options)
         sock = bind(settings.host, settings.port)
     with contextlib.closing(sock), user_errors(), contextlib.ExitStack() as lasting:
         settings = settings_module.bound(settings, sock.getsockname()[1], base_given=base_given)
@@ -67,7 +69,15 @@ def opened(
         _warn(settings)
         from rosld.server.app import create_app
 
-        yield Serving(create_app(adapter, settings), adapter, sock, lambda: on_listening(settings.base_url))
+        app: Application | Robots
+        if adapter is not None:
+            app = create_app(adapter, settings)
+        else:
+            from rosld.server.robots.robots import Robots
+
+            app = Robots(sources or {}, settings)
+            adapter = app.adapter
+        yield Serving(app, adapter, sock, lambda: on_listening(settings.base_url))
 
 
 def _announce(url: str) -> None:
@@ -82,7 +92,7 @@ class Serving:
     """The lifecycle of one server: open the source, listen, serve, shut down."""
 
     def __init__(
-        self, app: Application, adapter: Adapter, sock: socket.socket, on_listening: Callable[[], None]
+        self, app: Application | Robots, adapter: Adapter, sock: socket.socket, on_listening: Callable[[], None]
     ) -> None:
         self._app = app
         self._adapter = adapter

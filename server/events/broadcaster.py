@@ -172,10 +172,13 @@ class Broadcaster:
 class Broadcasters:
     """Broadcasters of one server, one per resource with readers; `changes` wakes them after every change."""
 
-    def __init__(self, changes: Signal, max_of_address: int = MAX_OF_ADDRESS) -> None:
+    def __init__(
+        self, changes: Signal, max_of_address: int = MAX_OF_ADDRESS, of_address: Counter[str | None] | None = None
+    ) -> None:
+        """Initialize; `of_address` are the numbers of readers by address, where several broadcasters share them."""
         self._general = changes
         self._max_of_address = max_of_address
-        self._of_address: Counter[str | None] = Counter()
+        self._of_address: Counter[str | None] = Counter() if of_address is None else of_address
         self._broadcasters: dict[Resource, Broadcaster] = {}
         self._held: set[asyncio.Task[None]] = set()
         self._is_over = False

@@ -150,7 +150,7 @@ class Frame(Struct, frozen=True):
     def navigation(self) -> tuple[tuple[Anchor, bool], ...]:
         """The sections of the site, and whether the page is in each."""
         site = self.site
-        sections = [(f"{name}/", SECTIONS[name]) for name in site.sections]
+        sections = [(f"{name}/", SECTIONS.get(name, name.capitalize())) for name in site.sections]
         places = (("cockpit/default", "Cockpit"), *_VIEWS, *sections, ("sparql", "SPARQL"))
         found = (Anchor(f"{site.root}{path}", words, f"{site.base}{path}") for path, words in places)
         return tuple((each, self._lies_in(each.url)) for each in found if site.may("GET", each.url))

@@ -108,10 +108,10 @@ class RequestScheduler:
 class Scheduling:
     """Scheduling of all requests but the stop, whose path is `stop`."""
 
-    def __init__(self, next: Handler, stop: bytes) -> None:
+    def __init__(self, next: Handler, stop: bytes, turns: RequestScheduler) -> None:
         self._next = next
         self._stop = stop
-        self._turns = RequestScheduler()
+        self._turns = turns
 
     def __call__(self, exchange: Exchange) -> Awaitable[Response]:
         """Answer as the next handler does, in turn."""

@@ -76,6 +76,8 @@ class OpenApiResource(Resource):
 
     kind = "Description"
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
+    only: Mapping[str, str] | None = None
+    """The described paths, each with the path of an example; None for all."""
 
     def __init__(
         self,
@@ -207,7 +209,7 @@ class OpenApiResource(Resource):
             schemas,
             hidden=not hides,
         )
-        paths = await _in_turns(collector.all())
+        paths = await _in_turns(collector.all() if self.only is None else collector.some(self.only))
         if len(paths) > _MANY:
             data = await self.workers.run(self._writing(paths, schemas.by_key, hidden))
         else:

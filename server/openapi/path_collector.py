@@ -120,6 +120,11 @@ class PathCollector(Struct, frozen=True):
         with suppress(Problem):  # only exists if it is configured
             yield self._path("/mirror")
 
+    def some(self, paths: Mapping[str, str]) -> Iterator[DescribedPath]:
+        """Yield these paths and templates, each described by the resource at an example path."""
+        for template, example in paths.items():
+            yield self._template(template, example)
+
     def _path(self, path: str) -> DescribedPath:
         """Return a path described by its resource."""
         resource = self.resolve(path)

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from typing import Protocol
 from urllib.parse import quote
 
 import orjson
@@ -300,6 +301,14 @@ _RESULTS: JsonSchema = json_object(
 )
 
 
+class SearchEngine(Protocol):
+    """The search of a robot, or of several."""
+
+    async def find(self, query: Query, permissions: Permissions, limit: int) -> SearchResults:
+        """Return at most `limit` readable entries that match, best first."""
+        ...
+
+
 class FindResource(Resource):
     """The search, or what one search found for one agent."""
 
@@ -316,14 +325,14 @@ class FindResource(Resource):
         affordances: AffordanceService[State],
         latest_values: LatestValues,
         property_reader: PropertyReader,
-        finder: Finder,
+        finder: SearchEngine,
     ) -> None:
         super().__init__(session.space, f"{session.space.base}find")
         self.session = session
         self.affordances = affordances
         self.latest_values = latest_values
         self.property_reader = property_reader
-        self._finder = finder
+        self.finder = finder
         self._results: Sequence[SearchResult] = ()
         self._about: Mapping[str, str] = {}
         self._pictures: Mapping[str, Thumbnail] = {}
@@ -346,7 +355,7 @@ class FindResource(Resource):
     async def state(self) -> State:
         if not self._text:
             return State(self.document, self._plain)
-        self._found = await self._finder.find(read_query(self._text, PHRASES), self._permissions, MAX_RESULTS)
+        self._found = await self.finder.find(read_query(self._text, PHRASES), self._permissions, MAX_RESULTS)
         self._results = await self._results_of(self._found.hits)
         self._about = self._about_robot()
         plain = self._plain()

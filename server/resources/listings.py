@@ -88,19 +88,19 @@ class ListingResource(Resource):
         self.title = self.kind
         self._states = states
         self._columns = columns
-        self._members = members
+        self.members = members
         self._changes = changes
         self.item = PathItem(summary)
 
     async def state(self) -> State:
         """Return the state, which changes with that of each member because the page shows it."""
-        members = tuple(self._members())
+        members = tuple(self.members())
         token = digest(repr(members).encode("utf-8", "replace"))
         return self._states.get_or_make(self.url, token, lambda: State(lambda: self._document(members), token=token))
 
     def outline(self) -> tuple[Hashable, Callable[[], Document]]:
         """Return a token that changes with the description, and a function for the description."""
-        members = tuple(self._members())
+        members = tuple(self.members())
         return members, lambda: self._document(members)
 
     def _document(self, members: Sequence[ListedMember]) -> Document:
@@ -110,7 +110,7 @@ class ListingResource(Resource):
         return replace(document, triples=(*document.triples, *outlines))
 
     def listing(self) -> MemberColumns:
-        members = tuple(self._members())
+        members = tuple(self.members())
         return MemberColumns(
             self._columns,
             {member.url: member.cells for member in members},

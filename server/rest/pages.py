@@ -53,11 +53,21 @@ class PageRenderer:
 
     headers: Mapping[str, str] = {name.lower(): value for name, value in HEADERS.items()}
 
-    def __init__(self, session: Session, stops: SoftwareStop, large: LargeDocuments, receipts: Journal) -> None:
+    def __init__(
+        self,
+        session: Session,
+        stops: SoftwareStop,
+        large: LargeDocuments,
+        receipts: Journal,
+        keys: FormKey,
+        sections: tuple[str, ...] = (*SECTIONS, "bags"),
+    ) -> None:
+        """Initialize; `sections` are the containers in the navigation."""
         self._session = session
         self._receipts = receipts
         self._stops = stops
-        self._keys = FormKey()
+        self._keys = keys
+        self._sections = sections
         self._large = large
 
     @property
@@ -81,7 +91,7 @@ class PageRenderer:
             session.adapter.capabilities.system,
             stale,
             session.settings.read_only,
-            (*SECTIONS, "bags"),
+            self._sections,
             session.space.types,
             stop_token=self._stop_token(permissions),
             stopped="" if stop_state is None or not permissions.may_read(session.space.stop) else stop_state.words,

@@ -159,7 +159,7 @@ class SoftwareStop:
         """
         session = self._session
         if is_dry_run():
-            self._record_steps()
+            self.record_steps()
         end_dry_run(200)
         stop_state = self.stop_state or self._new_state(by, reason)
         session.interlock.engage(stop_state)
@@ -196,7 +196,7 @@ class SoftwareStop:
         if self.warning is not None:
             _log.error("%s", self.warning)
 
-    def _record_steps(self) -> None:
+    def record_steps(self) -> None:
         """Record the steps that a stop would perform now, for a dry run."""
         space = self._session.space
         for step in self.steps:

@@ -244,7 +244,7 @@ class Router:
         affordances, settings, history = factory.affordances, session.settings, factory.history
         documents, queries, recordings = services.documents, services.queries, services.recordings
         space = self._space = session.space
-        changes = None if settings.read_only else updates(self.at)
+        self.updates = changes = None if settings.read_only else updates(self.at)
         finder = Finder(session, affordances, documents, queries, services.faults)
         self.search = FindResource(session, affordances, factory.latest_values, services.property_reader, finder)
         self.graphs = GraphStore(space, settings, states, service, self.resolve, changes)

@@ -45,7 +45,7 @@ _ROUTES = (ROUTE, stored_queries.ROUTE, active_limits.ROUTE, stored_cockpits.ROU
 class Services:
     """All services of one robot. Each resource receives only those that it needs."""
 
-    def __init__(self, adapter: Adapter, settings: Settings) -> None:
+    def __init__(self, adapter: Adapter, settings: Settings, software_stop: SoftwareStop | None = None) -> None:
         self.session = Session(adapter, settings)
         self.instance_id = secrets.token_hex(4)
         """Identifier of this run of the server."""
@@ -86,7 +86,7 @@ class Services:
         self.holds = Holds(session)
         self._fault_follower = FaultFollower(session, subscribes=settings.faults == "all")
         self.recordings = Recordings(adapter, settings, session.schemas.get, session.schemas.definition_of)
-        self.software_stop = SoftwareStop(
+        self.software_stop = software_stop or SoftwareStop(
             session, self.holds, lambda: self.mappings.mapping_set.stop_commands(), self._is_at_rest
         )
         self.pictures = PictureCache(self.instance_id)

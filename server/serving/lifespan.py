@@ -19,7 +19,8 @@ Job: TypeAlias = Callable[[], Awaitable[None]]
 class Lifespan:
     """Start of the query process, the robot and background jobs, and their end in reverse order.
 
-    `start` opens the robot, and `stop` releases it. `background` jobs run until the end; then `closings` are called.
+    `start` opens the robot, and `stop` releases it. `watchdog` is None if another application starts it.
+    `background` jobs run until the end; then `closings` are called.
     """
 
     def __init__(
@@ -27,7 +28,7 @@ class Lifespan:
         start: Job,
         stop: Job,
         process: QueryProcess,
-        watchdog: Watchdog,
+        watchdog: Watchdog | None,
         background: Sequence[Job],
         closings: Sequence[Job],
     ) -> None:
@@ -47,11 +48,13 @@ class Lifespan:
         except BaseException:
             await self._process.close()
             raise
-        self._watchdog.start()
+        if self._watchdog is not None:
+            self._watchdog.start()
         background = [asyncio.ensure_future(run()) for run in self._background]
         await send({"type": "lifespan.startup.complete"})
         await receive()
-        self._watchdog.stop()
+        if self._watchdog is not None:
+            self._watchdog.stop()
         await end_tasks(background)
         for close in self._closings:
             await close()

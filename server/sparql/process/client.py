@@ -75,6 +75,11 @@ class QueryProcess:
         """Call the listener after each start of the process, when its datasets are empty."""
         self._on_start.append(listener)
 
+    def remove_listener(self, listener: Callable[[], None]) -> None:
+        """Do not call a listener of `on_start` any more."""
+        if listener in self._on_start:
+            self._on_start.remove(listener)
+
     def on_change(self, listener: Callable[[Mapping[str, str | None], Sequence[Edit]], None]) -> None:
         """Call the listener with each change of the first dataset from now on."""
         self._on_change.append(listener)

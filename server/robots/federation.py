@@ -1,0 +1,264 @@
+"""What the robots of a server do together: answer queries and updates, stop, and judge permissions."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import re
+import time
+from collections.abc import AsyncIterator, Hashable, Iterable, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import TYPE_CHECKING, Any
+
+from starlette.responses import Response
+
+from rosld.ontology.serialize import serialize
+from rosld.ontology.syntax import Syntax
+from rosld.server.auth.permissions import ALLOW_ALL, Permissions
+from rosld.server.auth.rules import Agent
+from rosld.server.http.problem import Problem
+from rosld.server.receipts.audit import new_identifier
+from rosld.server.resources.listings import ListingResource
+from rosld.server.robot.interlock import StopState
+from rosld.server.robot.software_stop import SoftwareStop, StepStatus, StopStep
+from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
+from rosld.server.runtime.tasks import loop_time
+from rosld.server.sparql.materializer import GraphEntry, GraphSource, LiveDocument, LiveGraphs, Materializer
+from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.process.client import QueryProcess
+from rosld.server.sparql.protocol import UpdateRequest
+from rosld.server.sparql.query_limits import Limits
+from rosld.server.sparql.stored_sync import ChangeSource
+from rosld.server.sparql.update.base import UpdateRunner
+from rosld.server.sparql.update.operations import Operation
+
+if TYPE_CHECKING:
+    from rosld.server.robots.robots import Robot, Robots
+
+_NAMES = re.compile(r"[</]robots/([^/\s<>]+)/")
+"""Names of robots in absolute and relative IRIs."""
+_log = logging.getLogger("rosld")
+
+
+class RobotsPermissions(Permissions):
+    """Permissions at the base of a server of several robots: each judges the URLs below its own base."""
+
+    def __init__(self, robots: Robots, agent: Agent, *others: Any) -> None:
+        super().__init__(agent, *others)
+        self._robots = robots
+
+    def __reduce__(self) -> tuple[object, ...]:
+        raise TypeError("only the server knows its robots")
+
+    def may(self, method: str, url: str) -> bool:
+        if self.is_unrestricted:
+            return True
+        robot = self._robots.at_url(url)
+        if robot is None or robot.app is None or robot.app.parts.authenticator is None:
+            return super().may(method, url)
+        return robot.app.parts.authenticator.permissions(self.agent).may(method, url)
+
+
+class BaseGraphs:
+    """Source of the graph of `/robots/`, the only live one at the base."""
+
+    def __init__(self, robots: Robots, base: GraphSource) -> None:
+        self._robots = robots
+        self._base = base
+
+    @property
+    def revision(self) -> Hashable:
+        """Revision of the graph."""
+        return self._listing().outline()[0]
+
+    @property
+    def writes(self) -> int:
+        """Number of writes to robots at the base: none."""
+        return self._base.writes
+
+    def _listing(self) -> ListingResource:
+        found = self._robots.base.parts.router.at("/robots/")
+        assert isinstance(found, ListingResource)
+        return found
+
+    def descriptions(self) -> Mapping[str, GraphEntry]:
+        """Return the graph."""
+        listing = self._listing()
+        version, describe = listing.outline()
+        return {listing.url: GraphEntry(listing.url, version, lambda: serialize(describe(), Syntax.N_TRIPLES).decode())}
+
+    async def prepare(self, needs: Needs) -> None:
+        """Do nothing: the graph is always available."""
+
+    def wanted(self, needs: Needs, permissions: Permissions) -> Sequence[LiveDocument]:
+        """Return no documents: each robot reads its own."""
+        return ()
+
+    async def read(self, documents: Sequence[LiveDocument], *, deadline: float) -> LiveGraphs:
+        """Return no values."""
+        return LiveGraphs({}, {})
+
+
+class RobotsMaterializer(Materializer):
+    """Synchronisation of the union of all robots' datasets, and of the documents at the base."""
+
+    def __init__(self, robots: Robots, target: QueryProcess, source: GraphSource, *sources: ChangeSource) -> None:
+        super().__init__(target, BaseGraphs(robots, source), *sources)
+        self._robots = robots
+
+    @asynccontextmanager
+    async def materialize(
+        self,
+        needs: Needs,
+        permissions: Permissions = ALLOW_ALL,
+        *,
+        deadline: float,
+        scope: frozenset[str] | None = None,
+    ) -> AsyncIterator[Mapping[str, str]]:
+        """Within the context the union holds what the needs require of each robot that is connected."""
+        limits = Limits(max(0.1, deadline - loop_time()))
+        until = time.monotonic() + limits.seconds
+        running = [each for each in self._robots if each.app is not None]
+        async with AsyncExitStack() as stack:
+
+            async def enter(materializer: Materializer, robot: Robot | None = None) -> Mapping[str, str]:
+                manager = Materializer.materialize(materializer, needs, permissions, deadline=deadline, scope=scope)
+                unread = await stack.enter_async_context(manager)
+                if robot is not None:
+                    await robot.union.catch_up(limits, until)
+                return unread
+
+            entering = [enter(self), *(enter(each.app.parts.sparql.materializer, each) for each in running if each.app)]
+            found = await asyncio.gather(*entering, return_exceptions=True)
+            unread: dict[str, str] = {}
+            for robot, each in zip((None, *running), found, strict=True):
+                if not isinstance(each, BaseException):
+                    unread |= each
+                elif robot is None or robot.app is not None:  # a robot that has gone takes nothing else with it
+                    raise each
+            yield unread
+
+
+class RobotsUpdates:
+    """Updates at the base: each reaches the one robot that it names, or else the documents at the base."""
+
+    def __init__(self, robots: Robots, own: UpdateRunner) -> None:
+        self._robots = robots
+        self._own = own
+
+    async def answer(self, request: UpdateRequest, *, permissions: Permissions = ALLOW_ALL) -> Response:
+        """Carry out an update. Raises Problems: 400 for an update that names several robots."""
+        base = self._robots.base_url
+        named = {
+            name
+            for text in (request.text, *request.using_graphs, *request.using_named_graphs)
+            for name in _NAMES.findall(text)
+        }
+        robots = [each for each in self._robots if each.name in named]
+        if len(robots) > 1:
+            names = ", ".join(each.name for each in robots)
+            raise Problem(400, f"An update reaches one robot, but this one names {names}: send one for each.")
+        if not robots:
+            return await self._own.answer(request, permissions=permissions)
+        app = robots[0].require()
+        if app.parts.router.updates is None:
+            raise Problem(403, "This server is read-only.")
+        authenticator = app.parts.authenticator
+        own = permissions if authenticator is None else authenticator.permissions(permissions.agent)
+        absolute = UpdateRequest(f"BASE <{base}> {request.text}", request.using_graphs, request.using_named_graphs)
+        return await app.parts.router.updates.answer(absolute, permissions=own)
+
+    async def carry_out(self, operations: Sequence[Operation], *, permissions: Permissions = ALLOW_ALL) -> Response:
+        """Carry out operations on documents at the base."""
+        return await self._own.carry_out(operations, permissions=permissions)
+
+    def is_stored(self, graph: str) -> bool:
+        """Whether the graph of this name is, or may be, stored at the base."""
+        return self._own.is_stored(graph)
+
+
+class StopOfAll(SoftwareStop):
+    """The stop of all robots: each of its steps is the stop of one. Each robot is released at its own stop."""
+
+    def __init__(self, robots: Robots) -> None:
+        self._robots = robots
+        self.revision = 0
+        self.changes = robots.changes
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether some robot can be stopped from here, or could once it is connected."""
+        return self.unusable_reason is None
+
+    @property
+    def unusable_reason(self) -> str | None:
+        if self._robots.settings.read_only:
+            return "This server is read-only: it sends no commands to the robots, not even to stop."
+        return None if self._movable() else "Nothing moves here: there is no robot."
+
+    @property
+    def is_running(self) -> bool:
+        return any(each.is_running for each in self._stops())
+
+    @property
+    def stop_state(self) -> StopState | None:
+        """The newest stop, if every robot is stopped."""
+        states = [each.stop_state if stop is None else stop.stop_state for each, stop in self._movable()]
+        known = [each for each in states if each is not None]
+        if not states or len(known) < len(states):
+            return None
+        newest = max(known, key=lambda each: each.since_ns)
+        return StopState(newest.stopped_by, newest.since_ns, newest.reason, self._robots.space.stop, newest.id)
+
+    @property
+    def steps(self) -> tuple[StopStep, ...]:
+        return tuple(_step(robot, stop) for robot, stop in self._movable())
+
+    @property
+    def warning(self) -> str | None:
+        failed = [robot.name for robot, stop in self._movable() if _step(robot, stop).status is StepStatus.FAILED]
+        return f"These robots may still be moving: {', '.join(failed)}. See their own stops." if failed else None
+
+    def start(self) -> None:
+        """Do nothing: each robot prepares its own stop."""
+
+    async def wait_ended(self) -> None:
+        """Do nothing: each robot waits for its own steps."""
+
+    async def stop(self, by: Agent, reason: str | None) -> None:
+        """Stop all robots at once; one that is not connected is stopped as soon as it is."""
+        if is_dry_run():
+            for each in self._stops():
+                each.record_steps()
+        end_dry_run(200)
+        for robot, stop in self._movable():
+            if stop is None:
+                robot.stop_state = StopState(by.name, time.time_ns(), reason, id=new_identifier())
+        found = await asyncio.gather(*(each.stop(by, reason) for each in self._stops()), return_exceptions=True)
+        for error in found:
+            if isinstance(error, BaseException):
+                _log.error("a robot could not be stopped", exc_info=error)
+        self._robots.changes.emit()
+
+    async def release(self, by: Agent) -> bool:
+        """Release nothing: each robot is released at its own stop."""
+        return False
+
+    def _movable(self) -> list[tuple[Robot, SoftwareStop | None]]:
+        """Return the robots that a stop is for, with their own stops; None while they are not connected."""
+        found = ((each, None if each.app is None else each.app.parts.services.software_stop) for each in self._robots)
+        return [(robot, stop) for robot, stop in found if stop is None or stop.is_usable]
+
+    def _stops(self) -> Iterable[SoftwareStop]:
+        return [stop for _, stop in self._movable() if stop is not None]
+
+
+def _step(robot: Robot, stop: SoftwareStop | None) -> StopStep:
+    does, urls = f"stop {robot.name}", (f"{robot.url}stop",)
+    if stop is None:
+        status = StepStatus.PLANNED if robot.stop_state is None else StepStatus.FAILED
+        return StopStep(does, urls, status, "it is not connected, and is stopped as soon as it is")
+    if stop.stop_state is None:
+        return StopStep(does, urls, StepStatus.PLANNED)
+    failed = StepStatus.DONE if stop.warning is None else StepStatus.FAILED
+    return StopStep(does, urls, StepStatus.RUNNING if stop.is_running else failed, stop.warning)

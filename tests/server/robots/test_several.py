@@ -1,0 +1,307 @@
+"""Several robots in one server: each below its own URL, and the base about all of them."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections import Counter
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from pyoxigraph import NamedNode, RdfFormat, parse
+
+from rosld.adapters.base import AdapterOptions, Capabilities, Published
+from rosld.adapters.embedded import EmbeddedRobot, Interface
+from rosld.adapters.model import Encoding, TypeRef, Unreachable
+from rosld.adapters.registry import joined, named_sources
+from rosld.server.auth.tokens import generate_token, token_digest
+from rosld.server.robots.robots import Robots
+from rosld.server.serving.lifespan import lifespan
+from rosld.server.settings import Settings
+from tests.server.conftest import Served
+
+CONTAINS = NamedNode("http://www.w3.org/ns/ldp#contains")
+JSON = {"accept": "application/json"}
+CAPABILITIES = Capabilities("counter", Encoding.CDR, writes=True, creates_topics=False, parameter_trees=False)
+
+
+class Counting(EmbeddedRobot):
+    """A robot that keeps the numbers published to it."""
+
+    def __init__(self, source: str, options: AdapterOptions) -> None:
+        super().__init__(
+            CAPABILITIES, options, published={}, subscribed={"/number": Interface("std_msgs/msg/Int64", node="/me")}
+        )
+        self.source = source
+        self.received: Counter[bytes] = Counter()
+        self.is_broken = False
+
+    def _start(self) -> None:
+        if self.is_broken:
+            raise Unreachable("its plug is pulled")
+
+    async def publish(
+        self, topic: str, type: TypeRef, data: bytes, *, latch: bool = False, deadline: float
+    ) -> Published:
+        self.received[data[4:]] += 1
+        return await super().publish(topic, type, data, latch=latch, deadline=deadline)
+
+
+class Site:
+    """Robots in this process, reached through their ASGI application."""
+
+    def __init__(self, *names: str, **settings: Any) -> None:
+        self.opened: dict[str, list[Counting]] = {}
+        self.broken: set[str] = set()
+        base = Settings(base_url="http://127.0.0.1:8080/", max_publish_rate=1e6, **settings)
+        self.robots = Robots({name: f"counting:{name}" for name in names}, base, self._open)
+        transport = httpx.ASGITransport(self.robots, client=("127.0.0.1", 1))
+        self.http = httpx.AsyncClient(transport=transport, base_url=base.base_url)
+
+    def _open(self, source: str, options: AdapterOptions) -> Counting:
+        made = Counting(source, options)
+        name = source.removeprefix("counting:")
+        made.is_broken = name in self.broken
+        self.opened.setdefault(name, []).append(made)
+        return made
+
+    async def get(self, path: str) -> Any:
+        """Return the JSON at a path."""
+        answer = await self.http.get(path, headers=JSON)
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        """Wait for a condition on the robots."""
+        changed = asyncio.Event()
+        with closing(self.robots.changes.watch(changed.set)):
+            while not condition():
+                changed.clear()
+                await asyncio.wait_for(changed.wait(), 20)
+
+
+async def put(robots: Robots, path: str, value: int) -> int:
+    """PUT a number as a server would, without the costs of a client; return the status."""
+    body, status = b'{"data":%d}' % value, 0
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "http.request", "body": body}
+
+    async def send(message: Mapping[str, Any]) -> None:
+        nonlocal status
+        status = message.get("status", status)
+
+    headers = [(b"host", b"127.0.0.1:8080"), (b"content-type", b"application/json")]
+    await robots(
+        {
+            "type": "http", "method": "PUT", "scheme": "http", "path": path, "raw_path": path.encode(),
+            "headers": headers, "query_string": b"", "http_version": "1.1", "client": ("127.0.0.1", 1),
+            "server": ("127.0.0.1", 8080), "root_path": "", "asgi": {"version": "3.0"},
+        },
+        receive,
+        send,
+    )  # fmt: skip
+    return status
+
+
+async def test_each_of_10000_random_writes_arrives_at_its_own_robot() -> None:
+    site, chance = Site("one", "two"), random.Random(7)
+    writes = [(chance.choice(["one", "two"]), chance.getrandbits(40)) for _ in range(10_000)]
+    async with lifespan(site.robots):
+        waiting = iter(writes)
+
+        async def work() -> None:
+            for name, value in waiting:
+                assert await put(site.robots, f"/robots/{name}/topics/number", value) == 204
+                await asyncio.sleep(0)
+
+        await asyncio.gather(*(work() for _ in range(32)))
+        for name in ("one", "two"):
+            expected = Counter(value.to_bytes(8, "little") for robot, value in writes if robot == name)
+            assert site.opened[name][-1].received == expected
+
+
+@pytest.fixture(scope="module")
+def site(start_server: Callable[..., Served]) -> httpx.Client:
+    """A client of a rover and an aircraft side by side."""
+    return start_server("rover=rover", "plane=aircraft", "--faults", "quiet").http
+
+
+def ask(site: httpx.Client, path: str, query: str) -> list[list[str]]:
+    """Return the rows of a query at an endpoint."""
+    answer = site.post(path, data={"query": query}, headers={"accept": "application/sparql-results+json"})
+    assert answer.status_code == 200, answer.text
+    return [[term["value"] for term in row.values()] for row in answer.json()["results"]["bindings"]]
+
+
+def test_the_container_of_robots_links_to_each_with_its_state(site: httpx.Client) -> None:
+    assert [(each["name"], each["state"], each["source"]) for each in site.get("robots/", headers=JSON).json()] == [
+        ("rover", "Live", "rover"),
+        ("plane", "Live", "aircraft"),
+    ]
+    answer = site.get("robots/", headers={"accept": "text/turtle"})
+    triples = [quad.triple for quad in parse(answer.content, RdfFormat.TURTLE, base_iri=str(answer.url))]
+    members = {each.object.value for each in triples if each.predicate == CONTAINS}
+    assert members == {f"{site.base_url}robots/rover/", f"{site.base_url}robots/plane/"}
+    assert 'rel="service-desc"' in answer.headers["link"]
+    assert "BasicContainer" in answer.headers["link"]
+    unchanged = site.get("robots/", headers={"accept": "text/turtle", "if-none-match": answer.headers["etag"]})
+    assert unchanged.status_code == 304
+    assert site.get("").is_redirect
+    assert site.get("").headers["location"] == f"{site.base_url}robots/"
+
+
+def test_the_page_of_robots_has_a_button_to_stop_each(site: httpx.Client) -> None:
+    page = site.get("robots/", headers={"accept": "text/html"}).text
+    for name in ("rover", "plane"):
+        assert f'action="/robots/{name}/stop"' in page
+        assert f'href="/robots/{name}/cockpit/default"' in page
+    assert site.get("cockpit/default").headers["location"] == f"{site.base_url}robots/"
+
+
+def test_each_robot_is_as_if_it_were_alone(site: httpx.Client) -> None:
+    odometry = site.get("robots/rover/topics/odom", headers=JSON)
+    assert odometry.status_code == 200
+    assert site.get("robots/plane/topics/odom", headers=JSON).status_code == 404
+    assert site.get("topics/odom").status_code == 404
+    entry = site.get("robots/plane/", headers={"accept": "text/turtle"})
+    assert "aircraft" in entry.text
+    assert site.get("robots/plane").headers["location"] == f"{site.base_url}robots/plane/"
+    assert site.get("robots/other/topics/").status_code == 404
+
+
+def test_one_query_matches_the_values_of_all_robots(site: httpx.Client) -> None:
+    graphs = ask(site, "sparql", "SELECT ?g { ?g a ros:Graph }")
+    assert sorted(graphs) == [[f"{site.base_url}robots/plane/"], [f"{site.base_url}robots/rover/"]]
+    live = ask(site, "sparql", "SELECT ?l { GRAPH <robots/> { ?r rdfs:label ?l ; ros:state ros:Live } }")
+    assert sorted(live) == [["plane"], ["rover"]]
+    x = "SELECT ?x { GRAPH <robots/rover/topics/odom> { ?m ros:latest ?v . ?v ?field ?x } }"
+    assert ask(site, "sparql", x)
+    topics = {topic for (topic,) in ask(site, "sparql", "SELECT ?t { ?t a ros:Topic }")}
+    own = {topic for (topic,) in ask(site, "robots/rover/sparql", "SELECT ?t { ?t a ros:Topic }")}
+    assert own == {each for each in topics if "/robots/rover/" in each} != topics
+
+
+def test_an_update_reaches_the_robot_that_it_names(site: httpx.Client) -> None:
+    insert = "INSERT DATA { GRAPH <robots/rover/data/note> { <robots/rover/> rdfs:comment 'mine' } }"
+    answer = site.post("sparql", content=insert, headers={"content-type": "application/sparql-update"})
+    assert answer.status_code in (200, 204), answer.text
+    assert "mine" in site.get("robots/rover/data/note", headers={"accept": "text/turtle"}).text
+    assert site.get("robots/plane/data/note").status_code == 404
+    assert ask(site, "sparql", "SELECT ?c { ?r rdfs:comment 'mine' ; rdfs:comment ?c }") == [["mine"]]
+    both = insert + "; " + insert.replace("rover", "plane")
+    refused = site.post("sparql", content=both, headers={"content-type": "application/sparql-update"})
+    assert refused.status_code == 400
+    assert "send one for each" in refused.text
+
+
+def test_words_are_found_in_all_robots(site: httpx.Client) -> None:
+    found = site.get("find", params={"q": "speed"}, headers=JSON).json()["results"]
+    assert {each["url"].split("/")[4] for each in found} == {"rover", "plane"}
+
+
+def test_a_stop_at_a_robot_stops_one_and_at_the_base_all(site: httpx.Client) -> None:
+    def stopped() -> list[bool]:
+        return [each["stopped"] for each in site.get("robots/", headers=JSON).json()]
+
+    def release(name: str) -> None:
+        page = site.get(f"robots/{name}/stop", headers={"accept": "text/html"}).text
+        id = page.partition("The id of this stop is ")[2].partition(".")[0]
+        assert site.delete(f"robots/{name}/stop", params={"confirm": id}).status_code == 204
+
+    assert site.post("robots/rover/stop").status_code == 200
+    assert stopped() == [True, False]
+    assert site.get("stop", headers=JSON).json()["stopped"] is False
+    answer = site.post("stop", json={"reason": "smoke"}, headers=JSON)
+    assert answer.json()["stopped"] is True
+    assert [step["does"] for step in answer.json()["steps"]] == ["stop rover", "stop plane"]
+    assert stopped() == [True, True]
+    assert site.get("robots/plane/stop", headers=JSON).json()["reason"] == "smoke"
+    assert site.delete("stop").status_code == 405
+    release("rover")
+    release("plane")
+    assert stopped() == [False, False]
+
+
+def test_the_base_is_described(site: httpx.Client) -> None:
+    paths = site.get("openapi.json").json()["paths"]
+    assert {"/robots/", "/sparql", "/find", "/stop", "/faults/"} <= paths.keys()
+    assert "/topics/" not in paths
+    assert f"{site.base_url}robots/" in site.get("llms.txt").text
+    assert "/robots/{name}" not in site.get("robots/rover/openapi.json").json()["paths"]
+    for path in ("faults/", "status", "data/", "queries/", "robots/"):
+        assert site.get(path, headers={"accept": "text/html"}).status_code == 200, path
+
+
+async def test_a_robot_that_goes_away_takes_nothing_else_with_it_and_comes_back() -> None:
+    site = Site("one", "two")
+    site.broken.add("two")
+    async with lifespan(site.robots):
+        one, two = await site.get("robots/")
+        assert (one["state"], two["state"], two["reason"]) == ("Live", "Stale", "its plug is pulled")
+        assert (await site.http.get("robots/two/topics/")).status_code == 503
+        assert (await site.http.post("stop")).status_code == 200
+        site.broken.clear()
+        await site.until(lambda: all(each.app is not None for each in site.robots))
+        assert await put(site.robots, "/robots/two/topics/number", 1) == 423, "it is stopped since it is connected"
+        assert await put(site.robots, "/robots/one/topics/number", 1) == 423
+    assert [each.app for each in site.robots] == [None, None]
+
+
+async def test_robots_are_added_and_removed_while_the_server_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    site = Site("one")
+    async with lifespan(site.robots):
+        assert (await site.http.post("robots/", json={"name": "file", "source": "/etc/passwd"})).status_code == 403
+        assert (await site.http.post("robots/", json={"name": "a/b", "source": "rover"})).status_code == 422
+        assert (await site.http.post("robots/", json={"name": "one", "source": "rover"})).status_code == 409
+        answer = await site.http.post("robots/", json={"name": "two", "source": "rover"})
+        assert (answer.status_code, answer.headers["location"]) == (201, "http://127.0.0.1:8080/robots/two/")
+        await site.until(lambda: all(each.app is not None for each in site.robots))
+        assert await put(site.robots, "/robots/two/topics/number", 5) == 204
+        assert (await site.http.delete("robots/two/")).status_code == 204
+        assert (await site.http.get("robots/two/topics/")).status_code == 404
+        assert [each["name"] for each in await site.get("robots/")] == ["one"]
+
+
+AUTH = """
+[[token]]
+agent = "ann"
+sha256 = "{ann}"
+[[rule]]
+agents = ["ann"]
+modes = ["read", "control", "write"]
+paths = ["/robots", "/robots/one/**", "/sparql", "/find", "/stop"]
+"""
+
+
+async def test_rules_are_about_paths_below_the_base_of_the_server(tmp_path: Path) -> None:
+    token = generate_token()
+    file = tmp_path / "auth.toml"
+    file.write_text(AUTH.format(ann=token_digest(token)))
+    site = Site("one", "two", auth=file)
+    async with lifespan(site.robots):
+        assert (await site.http.get("robots/", headers=JSON)).status_code == 401
+        site.http.headers["authorization"] = f"Bearer {token}"
+        assert [each["name"] for each in await site.get("robots/")] == ["one"]
+        assert (await site.http.put("robots/one/topics/number", json={"data": 1})).status_code == 204
+        assert (await site.http.put("robots/two/topics/number", json={"data": 1})).status_code == 404
+        assert (await site.http.post("robots/", json={"name": "three", "source": "rover"})).status_code == 403
+        assert (await site.http.delete("robots/one/")).status_code == 403
+        query = {"query": "SELECT ?t { ?t a ros:Topic }"}
+        answer = await site.http.post("sparql", data=query, headers={"accept": "text/csv"})
+        assert answer.text.split() == ["t", "http://127.0.0.1:8080/robots/one/topics/number"]
+        assert "two" not in (await site.http.get("robots/", headers={"accept": "text/turtle"})).text
+        assert "two" not in (await site.http.get("robots/", headers={"accept": "text/html"})).text
+
+
+def test_sources_with_names_are_several_robots(tmp_path: Path) -> None:
+    assert named_sources(["a=rover", "b=ros2:?domain=1"]) == {"a": "rover", "b": "ros2:?domain=1"}
+    assert named_sources(["ros2:?domain=1"]) is None
+    assert joined(["a=rover", "b=aircraft"]) == "a=rover\nb=aircraft"
+    for words, reason in ((["a=rover", "aircraft"], "must be NAME=SOURCE"), (["a=rover", "a=aircraft"], "two robots")):
+        with pytest.raises(ValueError, match=reason):
+            named_sources(words)

@@ -109,6 +109,7 @@ def serve(start: Callable[..., Served], command: str) -> str:
         ("docs/tutorial/aircraft.md", "rosld serve aircraft"),
         ("docs/how-to/rover.md", "rosld serve rover"),
         ("docs/how-to/faults.md", "rosld serve rover"),
+        ("docs/how-to/robots.md", "rosld serve rover=rover plane=aircraft"),
     ],
 )
 def test_a_page_on_an_embedded_robot_prints_what_it_shows(page: str, command: str, tmp_path: Path) -> None:

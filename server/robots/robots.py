@@ -28,6 +28,7 @@ from rosld.adapters.model import (
     UnknownType,
 )
 from rosld.adapters.registry import RECORDING, adapter_for, installed, scheme_of
+from rosld.ontology.urls import Space
 from rosld.server.app import Application, create_app, shared_of
 from rosld.server.auth.rules import Agent
 from rosld.server.http.problem import Problem, one_line
@@ -211,7 +212,6 @@ class Robots:
 
     def __init__(self, sources: Mapping[str, str], settings: Settings, open_adapter: OpenAdapter = adapter_for) -> None:
         self.settings = settings
-        self.base_url = settings.base_url
         for name, source in sources.items():
             require_name(name)
             open_adapter(source, settings.adapter_options)
@@ -235,7 +235,6 @@ class Robots:
         self.base = create_app(self.adapter, _base_settings(settings), own)
         self.session, self.clients = self.base.session, self.base.clients
         self.metric_sources = self.base.metric_sources
-        self.space = self.session.space
         self.base.parts.router.routes = dict(routes(self, self.base.parts))
         self.base.mcp.connect(self)
         self._prefix = f"{self.space.path}robots/".encode("ascii")
@@ -243,6 +242,16 @@ class Robots:
 
     def __iter__(self) -> Iterator[Robot]:
         return iter(tuple(self._robots.values()))
+
+    @property
+    def base_url(self) -> str:
+        """The base of the server."""
+        return self.settings.base_url
+
+    @property
+    def space(self) -> Space:
+        """The URLs at the base."""
+        return self.session.space
 
     def get(self, name: str) -> Robot | None:
         """Return the robot of a name, None if there is none."""

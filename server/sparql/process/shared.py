@@ -43,6 +43,10 @@ class RobotProcess(QueryProcess):
     def running(self) -> int:
         return self._shared.running
 
+    @property
+    def waiting(self) -> int:
+        return self._shared.waiting
+
     async def start(self) -> None:
         """Use the shared process, which runs."""
         self._loop = asyncio.get_running_loop()

@@ -24,6 +24,7 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.events import query_params
 from rosld.server.html.page import Cell, MemberColumns
 from rosld.server.http.conditional import digest
+from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
 from rosld.server.receipts.journal import Journal, JournalEntry, NoSuchReceipt
@@ -70,7 +71,7 @@ class ListingResource(Resource):
     """`/NAME/`: a container of current members, newest first; `changes` announces changes of members."""
 
     shape = "Container"
-    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+    links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     links_offer = True
 
     def __init__(
@@ -323,7 +324,7 @@ class NewestReceipt(Resource):
 
     kind = "Activity"
     shape = "Write"
-    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
+    links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def __init__(self, space: Space, receipts: Journal, permissions: Permissions) -> None:
         super().__init__(space, space.container("activity"))

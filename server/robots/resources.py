@@ -189,7 +189,7 @@ class RobotsResource(ListingResource):
         )
         self._robots = robots
         base = robots.space.base
-        self.links: tuple[Link, ...] = (
+        self.links = (
             *self.links,
             Link(f"{base}openapi.json", "service-desc", type="application/openapi+json"),
             Link(f"{base}find", "search"),

@@ -1,6 +1,6 @@
 # demo: the paper's aircraft at http://127.0.0.1:8080/     check: style and types
 # quick: most tests in a minute     test: all tests     interop: other people's clients
-# bench: the table of ratios     clean: back to a fresh clone
+# bench: the table of ratios     docs: the documentation site in build/docs     clean: back to a fresh clone
 # release: sdist, wheel and SBOM in dist/, checked     deb: a Debian package for this machine's release, in dist/
 #
 # Each of them makes .venv when it is missing or pyproject.toml has changed. PYTHON=python3.12 chooses another Python.
@@ -12,7 +12,7 @@ READY := .venv/.ready
 PORT ?= 8080
 HEADERS := import sysconfig; print(sysconfig.get_path("include") + "/Python.h")
 
-.PHONY: demo quick test interop check bench release deb clean venv debian ros2
+.PHONY: demo quick test interop check bench docs release deb clean venv debian ros2
 
 demo: $(INSTALLED)
 	$(BIN)/rosld serve aircraft --port $(PORT)
@@ -58,6 +58,11 @@ build/release/.installed: pyproject.toml
 
 deb:
 	deploy/debian/build
+
+# A broken link fails. The pages load nothing from other hosts.
+docs: $(INSTALLED)
+	@test -e .venv/.docs || { $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]' && touch .venv/.docs; }
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 venv: $(READY)
 

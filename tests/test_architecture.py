@@ -248,7 +248,8 @@ from rosld.adapters.registry import adapter_for
 from rosld.server.app import create_app
 from rosld.server.settings import Settings
 create_app(adapter_for("aircraft", AdapterOptions()), Settings())
-optional = {"PIL", "mcp", "opentelemetry", "prometheus_client", "pyarrow", "pydantic", "pyshacl", "rdflib"}
+optional = {"PIL", "markdown_it", "mcp", "opentelemetry"}
+optional |= {"prometheus_client", "pyarrow", "pydantic", "pyshacl", "rdflib"}
 print(*sorted(optional & sys.modules.keys()))
 """
 
@@ -295,6 +296,7 @@ NAMES = {
     "cv2": "opencv-python-headless",
     "backports": "backports-zstd",
     "jwt": "pyjwt",
+    "markdown_it": "markdown-it-py",
     "opentelemetry": "opentelemetry-sdk",
     "mcap_ros1": "mcap-ros1-support",
     "re2": "google-re2",

@@ -119,6 +119,9 @@ class PathCollector(Struct, frozen=True):
             yield self._path("/body")
         with suppress(Problem):  # only exists if it is configured
             yield self._path("/mirror")
+        with suppress(Problem):  # packagers may leave the documentation out
+            yield self._path("/docs/")
+            yield self._template("/docs/{folder}/{page}", "/docs/how-to/trouble", folder="A folder.", page="A page.")
 
     def some(self, paths: Mapping[str, str]) -> Iterator[DescribedPath]:
         """Yield these paths and templates, each described by the resource at an example path."""
@@ -143,7 +146,7 @@ class PathCollector(Struct, frozen=True):
         return DescribedPath(path, self._tag(path[1:]), item, methods, accepts)
 
     def _tag(self, path: str) -> str:
-        if path in _ENTRY:
+        if path in _ENTRY or path.startswith("docs/"):
             return "entry"
         return _TAGS.get(path) or path.partition("/")[0]
 

@@ -24,6 +24,7 @@ from rosld.server.resources.cockpits import cockpit_route
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.datasets import DatasetResource
 from rosld.server.resources.diagnostics import DiagnosticsResource
+from rosld.server.resources.documentation import documentation_route
 from rosld.server.resources.entry_point import FILES, EntryResource, GuideResource
 from rosld.server.resources.faults import FaultResource, faults_listing
 from rosld.server.resources.find import Finder, FindResource
@@ -305,6 +306,7 @@ class Router:
             "diagnostics": single_route(lambda: DiagnosticsResource(session, history, level_times)),
             "llms.txt": single_route(lambda: GuideResource(space, session.name, read_only=settings.read_only)),
             "ontology": partial(ontology_route, space, states),
+            "docs": partial(documentation_route, space, pages),
             "sparql": single_route(lambda: self.endpoint),
             "queries": partial(query_route, documents, queries, runner),
             "cockpit": partial(cockpit_route, cockpits),

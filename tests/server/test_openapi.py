@@ -25,7 +25,14 @@ from tests.server.robots.made_up import served
 pytestmark = pytest.mark.slow
 
 METHODS = {"get", "put", "post", "patch", "delete"}
-SAMPLES = {"package": "std_msgs", "kind": "msg", "name": "String", "path": "described"}
+SAMPLES = {
+    "package": "std_msgs",
+    "kind": "msg",
+    "name": "String",
+    "path": "described",
+    "folder": "how-to",
+    "page": "ros1",
+}
 
 
 def described(http: httpx.Client) -> dict[str, Any]:

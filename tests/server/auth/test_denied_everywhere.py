@@ -107,6 +107,7 @@ SAMPLES: Mapping[str, tuple[str, ...]] = {
     "graph": ("/graph", "/graph?all=true", "/graph?below=/zq7x9_node", "/graph?format=svg", "/graph?format=dot"),
     "diagnostics": ("/diagnostics", "/diagnostics?name=zq7x9%20motor", "/diagnostics?name=motor"),
     "llms.txt": ("/llms.txt",),
+    "docs": ("/docs/", "/docs/?q=topics", "/docs/how-to/trouble"),
     "ontology": ("/ontology",),
     "sparql": ("/sparql",),
     "queries": ("/queries/", "/queries/graph"),

@@ -294,6 +294,7 @@ def test_no_class_has_more_than_fourteen_attributes_of_its_own() -> None:
 NAMES = {
     "PIL": "pillow",
     "cv2": "opencv-python-headless",
+    "foxglove": "foxglove-sdk",
     "backports": "backports-zstd",
     "jwt": "pyjwt",
     "markdown_it": "markdown-it-py",
@@ -303,6 +304,7 @@ NAMES = {
     "ruamel": "ruamel-yaml",
     "xdist": "pytest-xdist",
     "zenoh": "eclipse-zenoh",
+    "pamoja": "pamoja-ros2",
     "SPARQLWrapper": "sparqlwrapper",
 }
 """Distributions whose name differs from that of their module."""

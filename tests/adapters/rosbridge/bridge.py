@@ -148,7 +148,7 @@ class _Connection(NullSink):
 
     # Topics
 
-    async def _subscribe(self, topic: str, compression: str, id: str, **_: Any) -> None:
+    async def _subscribe(self, topic: str, id: str, compression: str = "none", **_: Any) -> None:
         if compression == "cbor-raw" and not self._bridge.raw:
             self._send({"op": "status", "level": "error", "id": id, "msg": "unknown compression"})
             return
@@ -243,6 +243,9 @@ class _Connection(NullSink):
             "subscribing": [*subscribing, *(self._subscriptions if node == NODE else ())],
             "services": services,
         }
+
+    async def _rosapi_topic_type(self, topic: str) -> Any:
+        return {"type": self._name(self._robot.graph.topics[topic].types[0])}
 
     async def _rosapi_services(self) -> Any:
         owners = {each.node for each in self._robot.graph.parameters.values()} if self._ros2 else ()

@@ -9,8 +9,8 @@ from functools import partial
 from urllib.parse import urlsplit, urlunsplit
 
 from rosld.adapters.base import Adapter, AdapterOptions, Capabilities, Sink
+from rosld.adapters.bridge_connection import BridgeFeed
 from rosld.adapters.foxglove.client import Client, Types
-from rosld.adapters.foxglove.feeds import TopicFeed
 from rosld.adapters.model import NotFound, Operation, ParameterValue, Ref, Schema, TypeRef
 from rosld.adapters.thread import IoThread, ThreadAdapter, seconds_left, thread_time
 
@@ -43,7 +43,7 @@ def adapter(source: str, options: AdapterOptions) -> FoxgloveAdapter:
     return FoxgloveAdapter(server_url(source), options)
 
 
-class FoxgloveAdapter(ThreadAdapter[Client, TopicFeed]):
+class FoxgloveAdapter(ThreadAdapter[Client, BridgeFeed]):
     """A robot that is reached through a Foxglove server. It has no actions: the protocol has none."""
 
     send_goal = Adapter.send_goal
@@ -56,7 +56,6 @@ class FoxgloveAdapter(ThreadAdapter[Client, TopicFeed]):
         super().__init__(self._types.library, f"/rosld_foxglove_{os.getpid()}_{next(_numbers)}")
         self._urls = urls
         self._options = options
-        self._sequences: dict[str, int] = {}
 
     @property
     def capabilities(self) -> Capabilities:
@@ -131,9 +130,5 @@ class FoxgloveAdapter(ThreadAdapter[Client, TopicFeed]):
     def _can(self, capability: str) -> bool:
         return self._system is None or self._system.peer.can(capability)
 
-    def _new_feed(self, topic: str, system: Client) -> TopicFeed:
-        return TopicFeed(topic, partial(self._apply, topic), self._sequences.get(topic, 0))
-
-    def _apply(self, topic: str, feed: TopicFeed) -> None:
-        self._sequences[topic] = feed.sequence
-        super()._apply(topic, feed)
+    def _new_feed(self, topic: str, system: Client) -> BridgeFeed:
+        return BridgeFeed(topic, self._types.encoding, partial(self._apply, topic))

@@ -15,7 +15,8 @@ from typing import Any
 from msgspec import Struct, field
 
 from rosld.adapters.base import AdapterOptions, Sink
-from rosld.adapters.foxglove.feeds import Publication, Publications, TopicFeed
+from rosld.adapters.bridge_connection import BridgeFeed, Echoes
+from rosld.adapters.foxglove.publications import Publication, Publications
 from rosld.adapters.foxglove.types import (
     Channel,
     ServiceOffer,
@@ -121,7 +122,9 @@ class Client:
         self.peer = Peer()
         self.publications = Publications()
         self._sink = sink
-        self._feeds: dict[str, TopicFeed] = {}
+        self._feeds: dict[str, BridgeFeed] = {}
+        self._sequences: dict[str, int] = {}
+        self._echoes = Echoes()
         self._pending: dict[str | int, asyncio.Future[Any]] = {}
         self._numbers = itertools.count(1)
         self._outbox: asyncio.Queue[str | bytes] | None = None
@@ -237,15 +240,16 @@ class Client:
             response = protocol.read_service_message(data)
             self._settle(response.call_id, response.payload)
 
-    def _deliver(self, channel: Channel, schema: MessageSchema, feed: TopicFeed, data: bytes) -> None:
-        own = self.publications.get(channel.topic)
-        if own is not None and own.takes_echo(data):
+    def _deliver(self, channel: Channel, schema: MessageSchema, feed: BridgeFeed, data: bytes) -> None:
+        if channel.topic in self.publications and self._echoes.take(channel.topic, data):
             return
         if channel.is_json:
             data = schema.codec.encode(message_of_json(schema, data), self.types.encoding)
         topic = self.graph.topics.get(channel.topic)
         others = () if topic is None else [each for each in topic.publishers if each.node != self.graph.own_node]
-        feed.take(data, self.types.encoding, schema.ref, others[0].node if len(others) == 1 else "")
+        feed.publisher = others[0].node if len(others) == 1 else ""
+        sequence = self._sequences[channel.topic] = self._sequences.get(channel.topic, 0) + 1
+        feed.put(data, schema.ref, sequence)
 
     async def _on_op(self, message: Json) -> None:
         peer = self.peer
@@ -420,7 +424,7 @@ class Client:
 
     # --- what the adapter asks for
 
-    def read(self, feed: TopicFeed) -> None:
+    def read(self, feed: BridgeFeed) -> None:
         """Subscribe to the channels of a topic, now and whenever they appear."""
         self._feeds[feed.topic] = feed
         for channel in tuple(self.peer.channels.values()):
@@ -434,10 +438,10 @@ class Client:
         self.peer.subscriptions[id] = channel
         self.transmit(protocol.op("subscribe", subscriptions=[{"id": id, "channelId": channel.id}]))
 
-    def deepen(self, feed: TopicFeed) -> None:
+    def deepen(self, feed: BridgeFeed) -> None:
         """Do nothing: a feed reads its depth with each message."""
 
-    def stop_reading(self, feed: TopicFeed) -> None:
+    def stop_reading(self, feed: BridgeFeed) -> None:
         """Unsubscribe from the channels of a topic."""
         if self._feeds.get(feed.topic) is feed:
             del self._feeds[feed.topic]
@@ -479,6 +483,7 @@ class Client:
     def _publish(self, publication: Publication, data: bytes) -> None:
         with contextlib.suppress(Unreachable):  # the graph says that the connection has just been lost
             self.transmit(protocol.client_message_data(publication.id, data))
+            self._echoes.note(publication.topic, data)
 
     async def unadvertise(self, topic: str) -> None:
         """Stop publishing a topic. Raises NotFound."""

@@ -119,7 +119,7 @@ _Json: TypeAlias = "dict[str, object]"
 May: TypeAlias = Callable[[str, str], bool]
 """Permission for a method at a path."""
 _METHODS = frozenset({"get", "put", "post", "patch", "delete"})
-_SCHEMES: _Json = {
+SECURITY_SCHEMES: _Json = {
     "bearer": {"type": "http", "scheme": "bearer", "description": "A token from the operator of this server."},
     "basic": {"type": "http", "scheme": "basic", "description": "The same token as the password, with any user name."},
 }
@@ -166,7 +166,7 @@ def add_security(data: bytes, public: May, *, whole: bool) -> bytes:
         for method in _METHODS & item.keys():
             if public(method.upper(), path):
                 item[method]["security"] = [{}, *_DEMANDED]
-    said["components"]["securitySchemes"] = _SCHEMES
+    said["components"]["securitySchemes"] = SECURITY_SCHEMES
     said["security"] = _DEMANDED
     if not whole:
         said["components"] = _referred_to(said)
@@ -178,7 +178,7 @@ def _referred_to(said: _Json) -> _Json:
     components = said["components"]
     assert isinstance(components, dict)
     found = references({name: part for name, part in said.items() if name != "components"}, components)
-    return chosen(components, found | {("securitySchemes", name) for name in _SCHEMES})
+    return chosen(components, found | {("securitySchemes", name) for name in SECURITY_SCHEMES})
 
 
 VERSION = "3.1.1"

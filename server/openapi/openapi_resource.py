@@ -62,7 +62,7 @@ _MAX_VARIANTS = 8
 """Maximum number of cached descriptions, one per set of permissions."""
 
 
-class _Described(Struct, frozen=True, eq=False):
+class Described(Struct, frozen=True, eq=False):
     """A description, its paths and schemas, and its version."""
 
     version: Hashable
@@ -99,8 +99,8 @@ class OpenApiResource(Resource):
         self.recordings = recordings
         self.instance_id = instance_id
         self._resolve = resolve
-        self._kept: dict[bool, _Described] = {}
-        self._of_agents: dict[tuple[bool, str, str], tuple[_Described, bytes]] = {}
+        self._kept: dict[bool, Described] = {}
+        self._of_agents: dict[tuple[bool, str, str], tuple[Described, bytes]] = {}
         self._part_sets: dict[tuple[str, str, str], tuple[bytes, ...]] = {}
         self._making = asyncio.Lock()
 
@@ -114,7 +114,7 @@ class OpenApiResource(Resource):
             raise Problem(406, f"None of {exchange.accept!r} is available; choose from {', '.join(MEDIA_TYPES)}.")
         part = parse_part(exchange.query, self.space.base)
         hidden = exchange.query_flag("hidden") and self.session.adapter.capabilities.hidden_names
-        kept = await self._describe(hidden)
+        kept = await self.describe(hidden=hidden)
         data = kept.data
         if exchange.auth is not UNRESTRICTED:
             data = await self._for_agent(kept, hidden, exchange.permissions, exchange.auth.public)
@@ -139,7 +139,7 @@ class OpenApiResource(Resource):
             self._part_sets[key] = found
         return found
 
-    async def _for_agent(self, kept: _Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
+    async def _for_agent(self, kept: Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
         """Return the description for an agent, cached until it changes."""
         key = (hidden, permissions.rights_key, public.rights_key)
         known = self._of_agents.get(key)
@@ -150,18 +150,18 @@ class OpenApiResource(Resource):
             known = self._of_agents[key] = (kept, made)
         return known[1]
 
-    def _made_for(self, kept: _Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
+    def _made_for(self, kept: Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
         """Return the description for an agent, rewritten so that not even numbers in names reveal hidden resources."""
         data = kept.data
         if not permissions.is_unrestricted:
             data = self._write(
-                permitted_paths(kept.paths, partial(self._may, permissions), permissions.may_read),
+                permitted_paths(kept.paths, partial(self.may, permissions), permissions.may_read),
                 kept.schemas,
                 hidden,
             )
-        return add_security(data, partial(self._may, public), whole=permissions.is_unrestricted)
+        return add_security(data, partial(self.may, public), whole=permissions.is_unrestricted)
 
-    def _may(self, permissions: Permissions, method: str, path: str) -> bool:
+    def may(self, permissions: Permissions, method: str, path: str) -> bool:
         """Whether a method may be used at a path below the base, or at some path that matches a template."""
         url = self.space.base.rstrip("/") + path
         place = permissions.locate(url)
@@ -172,7 +172,8 @@ class OpenApiResource(Resource):
         except Problem:
             return False
 
-    async def _describe(self, hidden: bool) -> _Described:
+    async def describe(self, *, hidden: bool) -> Described:
+        """Return the current description, with or without hidden names."""
         kept = self._kept.get(hidden)
         if kept is not None and kept.version == self._version(self.session.graph):
             return kept
@@ -190,7 +191,7 @@ class OpenApiResource(Resource):
             self.queries.version,
         )
 
-    async def _made(self, hidden: bool) -> _Described:
+    async def _made(self, hidden: bool) -> Described:
         """Return a new description: collected on the event loop and written on a thread, as a large one takes long."""
         await _learn_types(self.session.schemas, self.session.graph)
         tree = await self.affordances.tree()
@@ -214,7 +215,7 @@ class OpenApiResource(Resource):
             data = await self.workers.run(self._writing(paths, schemas.by_key, hidden))
         else:
             data = await asyncio.to_thread(self._write, paths, schemas.by_key, hidden)
-        return _Described(version, data, paths, schemas.by_key)
+        return Described(version, data, paths, schemas.by_key)
 
     def _writing(
         self, paths: Iterable[DescribedPath], schemas: Mapping[str, JsonSchema], hidden: bool

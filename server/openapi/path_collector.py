@@ -67,7 +67,15 @@ _TAGS = {
     "readyz": "status",
 }
 """Tags of URLs that are not named after their first segment."""
-_ENTRY = ("ontology", ".well-known/", ".well-known/wot", ".well-known/void", "openapi.json", "llms.txt")
+_ENTRY = (
+    "ontology",
+    ".well-known/",
+    ".well-known/wot",
+    ".well-known/void",
+    "openapi.json",
+    "asyncapi.json",
+    "llms.txt",
+)
 _NAME = "A name, as in the URL: its parts are separated by slashes."
 
 

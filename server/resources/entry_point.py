@@ -77,10 +77,11 @@ class EntryResource(Resource):
         described = Link(
             f"{session.space.base}openapi.json", "service-desc", type="application/openapi+json"
         )  # RFC 8631
+        channels = Link(f"{session.space.base}asyncapi.json", "service-desc", type="application/vnd.aai.asyncapi+json")
         search = Link(f"{session.space.base}find", "search")  # of the IANA registry: what is found by words
         guide = Link(f"{session.space.base}llms.txt", "help", type="text/plain")  # of the IANA registry
         dataset = Link(f"{session.space.base}.well-known/void", "describedby")
-        self.links = (RESOURCE, RDF_SOURCE_LINK, BASIC_CONTAINER, described, search, guide, dataset)
+        self.links = (RESOURCE, RDF_SOURCE_LINK, BASIC_CONTAINER, described, channels, search, guide, dataset)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
         whole, space = self.session.graph, self.space

@@ -13,6 +13,7 @@ from rosld.server.html.page import StoredQueryLink
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.brief_value import LatestValues
 from rosld.server.hypermedia.resource_tree import path_of
+from rosld.server.openapi.asyncapi import AsyncApiResource
 from rosld.server.openapi.openapi_resource import OpenApiResource
 from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.actions import ActionResource, GoalResource
@@ -261,6 +262,7 @@ class Router:
             services.instance_id,
             self.at,
         )
+        channels = AsyncApiResource(described)
         cockpits = CockpitSources(
             session,
             affordances,
@@ -311,6 +313,7 @@ class Router:
             "queries": partial(query_route, documents, queries, runner),
             "cockpit": partial(cockpit_route, cockpits),
             "openapi.json": single_route(lambda: described),
+            "asyncapi.json": single_route(lambda: channels),
             "find": single_route(lambda: self.search),
             "graphs": single_route(lambda: self.graphs),
             **{name: single_route(partial(make, space)) for name, make in FILES.items()},

@@ -112,6 +112,7 @@ SAMPLES: Mapping[str, tuple[str, ...]] = {
     "sparql": ("/sparql",),
     "queries": ("/queries/", "/queries/graph"),
     "cockpit": ("/cockpit/", "/cockpit/default", "/cockpit/kept", "/cockpit/kept?format=html"),
+    "asyncapi.json": ("/asyncapi.json",),
     "openapi.json": ("/openapi.json", "/openapi.json?below=/topics/", "/openapi.json?below=/bags/"),
     "find": (
         "/find", "/find?q=zq", "/find?q=open", "/find?q=speed&values=true", "/find?q=Float64&values=true",

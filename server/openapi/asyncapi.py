@@ -1,4 +1,4 @@
-"""`/asyncapi.json`: the AsyncAPI 3.0 description of what this server sends and receives, by the tables of OpenAPI."""
+"""`/asyncapi.json`: the AsyncAPI 3.1 description of what this server sends and receives, by the tables of OpenAPI."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class _Writer:
         license = {"name": "Apache-2.0", "url": "https://www.apache.org/licenses/LICENSE-2.0"}
         return orjson.dumps(
             {
-                "asyncapi": "3.0.0",
+                "asyncapi": "3.1.0",
                 "info": {"title": self._title, "version": __version__, "description": _ABOUT, "license": license},
                 "defaultContentType": "application/json",
                 "servers": servers,
@@ -193,5 +193,14 @@ def _policies(qos: Qos | None) -> dict[str, object] | None:
     if qos is None:
         return None
     times = {"deadline": qos.deadline_ns, "lifespan": qos.lifespan_ns, "leaseDuration": qos.lease_ns}
-    words = without_none(reliability=qos.reliability, durability=qos.durability, history=qos.history)
+    words = {name: word for name, known in _POLICIES.items() if (word := getattr(qos, name)) in known}
     return {**words, **{name: -1 if each is None else each for name, each in times.items()}}
+
+
+_POLICIES = {
+    "reliability": ("best_effort",),  # the schema of the binding misspells "reliable", and so refuses it
+    "durability": ("transient_local", "volatile"),
+    "history": ("keep_last", "keep_all"),
+    "liveliness": ("automatic",),
+}
+"""Words that the binding takes, by policy."""

@@ -18,10 +18,9 @@ from tests.server.dataset.conftest import free_port
 
 REASON = "is not installed: pip install '.[interop,dask,files,parquet]'"
 pytest.importorskip("distributed", reason=f"distributed {REASON}")
-boto3 = pytest.importorskip("boto3", reason=f"moto {REASON}")
 moto = pytest.importorskip("moto.server", reason=f"moto {REASON}")
 parquet = pytest.importorskip("pyarrow.parquet", reason=f"pyarrow {REASON}")
-pytest.importorskip("s3fs", reason=f"s3fs {REASON}")
+s3fs = pytest.importorskip("s3fs", reason=f"s3fs {REASON}")
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +45,9 @@ def s3(runs: Path) -> Iterator[str]:
         patch.setenv("AWS_SECRET_ACCESS_KEY", "test")
         patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
         patch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
-        client = boto3.client("s3")
-        client.create_bucket(Bucket="fleet")
-        for path in runs.rglob("*"):
-            if path.is_file():
-                client.upload_file(str(path), "fleet", f"monday/{path.relative_to(runs)}")
+        store = s3fs.S3FileSystem()
+        store.mkdir("fleet")
+        store.put(f"{runs}/", "fleet/monday/", recursive=True)
         yield "s3://fleet/monday"
     server.stop()
 

@@ -57,7 +57,7 @@ class Site:
     def __init__(self, *names: str, **settings: Any) -> None:
         self.opened: dict[str, list[Counting]] = {}
         self.broken: set[str] = set()
-        base = Settings(base_url="http://127.0.0.1:8080/", max_publish_rate=1e6, **settings)
+        base = Settings(base_url="http://127.0.0.1:8080/", max_publish_rate=1e6, publish_wait=60.0, **settings)
         self.robots = Robots({name: f"counting:{name}" for name in names}, base, self._open)
         transport = httpx.ASGITransport(self.robots, client=("127.0.0.1", 1))
         self.http = httpx.AsyncClient(transport=transport, base_url=base.base_url)

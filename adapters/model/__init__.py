@@ -11,6 +11,7 @@ from rosld.adapters.model.errors import (
     Unreadable,
 )
 from rosld.adapters.model.graph import (
+    GOAL_STATUSES,
     Action,
     Endpoint,
     GoalEvent,
@@ -58,6 +59,7 @@ from rosld.adapters.model.schema import (
 )
 
 __all__ = [
+    "GOAL_STATUSES",
     "OCTETS",
     "STRINGS",
     "Action",

@@ -43,6 +43,17 @@ class GoalStatus(Enum):
         return self.is_final and self is not GoalStatus.LOST
 
 
+GOAL_STATUSES = {
+    1: GoalStatus.ACCEPTED,
+    2: GoalStatus.EXECUTING,
+    3: GoalStatus.CANCELING,
+    4: GoalStatus.SUCCEEDED,
+    5: GoalStatus.CANCELED,
+    6: GoalStatus.ABORTED,
+}
+"""Statuses by their numbers in action_msgs/GoalStatus."""
+
+
 @dataclass(frozen=True, slots=True)
 class Action:
     """An action: its type, its servers and clients; `unusable` is the reason why no goal can be sent.

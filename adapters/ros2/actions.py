@@ -18,6 +18,7 @@ from msgspec import Struct, field
 
 from rosld.adapters.base import Sink
 from rosld.adapters.model import (
+    GOAL_STATUSES,
     Action,
     GoalEvent,
     GoalId,
@@ -37,14 +38,6 @@ from rosld.adapters.thread import Tasks
 
 _STATUS = "action_msgs/msg/GoalStatusArray"
 _CANCEL = "action_msgs/srv/CancelGoal"
-_STATUSES = {
-    1: GoalStatus.ACCEPTED,
-    2: GoalStatus.EXECUTING,
-    3: GoalStatus.CANCELING,
-    4: GoalStatus.SUCCEEDED,
-    5: GoalStatus.CANCELED,
-    6: GoalStatus.ABORTED,
-}
 _CANCELED_NOT = {1: "the server refuses to cancel it", 2: "the server does not know it", 3: "it has ended already"}
 _HEAD, _UUID = 4, 16
 _FEEDBACK_DEPTH = 32
@@ -253,7 +246,7 @@ class Actions:
             return
         state.has_status = True
         for each in cast(Any, self._messages.deserialize(_STATUS, message.data)).status_list:
-            status = _STATUSES.get(each.status)
+            status = GOAL_STATUSES.get(each.status)
             if status is not None:
                 self._note_status(state, bytes(each.goal_info.goal_id.uuid).hex(), status)
 
@@ -294,8 +287,8 @@ class Actions:
             request = self._messages.make_message(f"{state.type}_GetResult", fields, "Request")
             name = f"{state.name}/_action/get_result"
             answer = cast(Any, await self._calls.call(name, f"{state.type}_GetResult", request, until))
-            if answer.status in _STATUSES:
-                status = _STATUSES[answer.status]
+            if answer.status in GOAL_STATUSES:
+                status = GOAL_STATUSES[answer.status]
                 result = self._messages.serialize(answer.result, f"{state.type}_Result")
             elif final is None:
                 words = "its action server no longer knows it"

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 from msgspec import Struct, field
 
 from rosld.adapters.model import (
+    GOAL_STATUSES,
     Action,
     ActionSchema,
     GoalEvent,
@@ -36,14 +37,6 @@ if TYPE_CHECKING:
 
 _STATUS = "action_msgs/msg/GoalStatusArray"
 _CANCEL = "action_msgs/srv/CancelGoal"
-_STATUSES = {
-    1: GoalStatus.ACCEPTED,
-    2: GoalStatus.EXECUTING,
-    3: GoalStatus.CANCELING,
-    4: GoalStatus.SUCCEEDED,
-    5: GoalStatus.CANCELED,
-    6: GoalStatus.ABORTED,
-}
 _MAX_REMEMBERED = 1000
 _FIRST_STATUS = 0.3
 
@@ -175,7 +168,7 @@ class Actions:
             self._fail(state, id, goal, error)
         else:
             self._accept(goal)
-            goal.status = _STATUSES.get(int(message.get("status") or 0), GoalStatus.LOST)
+            goal.status = GOAL_STATUSES.get(int(message.get("status") or 0), GoalStatus.LOST)
             result = self._bytes(goal.schema.result, message.get("values"))
             event = GoalEvent(time.time_ns(), goal.status, result=result, own=True)
             # The sender is told of the acceptance first, in the next turn of the loop.
@@ -239,7 +232,7 @@ class Actions:
         by_server_id = {goal.server_id: id for id, goal in state.goals.items() if goal.server_id}
         for each in listed:
             server_id = bytes(each.goal_info.goal_id.uuid).hex()
-            status = _STATUSES.get(each.status)
+            status = GOAL_STATUSES.get(each.status)
             if status is None:
                 continue
             id = by_server_id.get(server_id) or self._identify(state, server_id)

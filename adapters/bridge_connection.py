@@ -62,8 +62,8 @@ class Session(Protocol):
     async def begin(self) -> None:
         """Start speaking on a new connection, which receives meanwhile. A RosError closes it, to be tried again."""
 
-    def receive(self, message: str | bytes) -> None:
-        """Process a message. A ValueError closes the connection."""
+    async def receive(self, message: str | bytes) -> None:
+        """Process a message, before the next one is read. A ValueError closes the connection."""
 
     def end(self, error: RosError) -> None:
         """Learn that there is no connection, after each lost one and each attempt that failed."""
@@ -73,16 +73,29 @@ class BridgeConnection:
     """A connection to a bridge, opened again after it was lost. Belongs to the adapter's thread."""
 
     def __init__(
-        self, url: str, session: Session, *, message_limit: int, subprotocols: Sequence[str] = (), name: str = "bridge"
+        self,
+        url: str,
+        session: Session,
+        *,
+        message_limit: int,
+        subprotocols: Sequence[str] = (),
+        name: str = "bridge",
+        shown: str | None = None,
     ) -> None:
-        self.url = url
+        """`shown` is the URL in messages, without credentials."""
+        self._url = url
         self._session = session
         self._limit = message_limit
         self._subprotocols = subprotocols
-        self._name = name
+        self._name = f"the {name} at {shown or url}"
         self._unsent: asyncio.Queue[str | bytes] | None = None
         self._task: asyncio.Task[None] | None = None
         self._tried = asyncio.Event()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a connection."""
+        return self._unsent is not None
 
     async def open(self, patience: float) -> None:
         """Connect in the background; return once a session has begun or could not be begun, or after `patience`."""
@@ -90,7 +103,7 @@ class BridgeConnection:
         try:
             await asyncio.wait_for(self._tried.wait(), max(patience, 0.0))
         except asyncio.TimeoutError:
-            self._session.end(TimedOut(f"the {self._name} at {self.url} does not answer in time"))
+            self._session.end(TimedOut(f"{self._name} does not answer in time"))
 
     async def close(self) -> None:
         """Disconnect, after what was sent. Idempotent."""
@@ -105,11 +118,11 @@ class BridgeConnection:
     def send(self, message: str | bytes) -> None:
         """Queue a message. Raises Unreachable without a connection, or if too many messages are queued."""
         if self._unsent is None:
-            raise Unreachable(f"the {self._name} at {self.url} is not connected")
+            raise Unreachable(f"{self._name} is not connected")
         try:
             self._unsent.put_nowait(message)
         except asyncio.QueueFull as error:
-            raise Unreachable(f"the {self._name} at {self.url} does not read what it is sent") from error
+            raise Unreachable(f"{self._name} does not read what it is sent") from error
 
     async def _run(self) -> None:
         pause = _FIRST_PAUSE
@@ -117,12 +130,12 @@ class BridgeConnection:
             started = time.monotonic()
             try:
                 await self._connect()
-                error: RosError = Unreachable(f"the {self._name} at {self.url} closed the connection")
+                error: RosError = Unreachable(f"{self._name} closed the connection")
             except RosError as problem:
                 error = problem
             except Exception as problem:  # what libraries raise about a broken handshake has no common class
                 words = " ".join(str(problem).split()) or type(problem).__name__
-                error = Unreachable(f"the {self._name} at {self.url} cannot be reached: {words}")
+                error = Unreachable(f"{self._name} cannot be reached: {words}")
             self._session.end(error)
             self._tried.set()
             pause = _FIRST_PAUSE if time.monotonic() - started > _LONGEST_PAUSE else min(2 * pause, _LONGEST_PAUSE)
@@ -133,7 +146,7 @@ class BridgeConnection:
         from websockets.asyncio.client import connect  # 20 ms, only for those who have a bridge
 
         async with connect(
-            self.url,
+            self._url,
             subprotocols=list(self._subprotocols) or None,  # type: ignore[arg-type]
             compression=None,
             max_size=self._limit,
@@ -143,6 +156,8 @@ class BridgeConnection:
             close_timeout=0.5,
             proxy=None,
         ) as socket:
+            if self._subprotocols and socket.subprotocol is None:
+                raise ValueError(f"it speaks none of {', '.join(self._subprotocols)}")
             self._unsent = asyncio.Queue(_MAX_UNSENT)
             tasks = [asyncio.ensure_future(each) for each in (self._read(socket), self._write(socket, self._unsent))]
             beginning = asyncio.ensure_future(self._begin())
@@ -165,7 +180,7 @@ class BridgeConnection:
 
     async def _read(self, socket: Any) -> None:
         async for message in socket:
-            self._session.receive(message)
+            await self._session.receive(message)
 
     async def _write(self, socket: Any, unsent: asyncio.Queue[str | bytes]) -> None:
         while True:

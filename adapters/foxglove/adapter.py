@@ -79,7 +79,7 @@ class FoxgloveAdapter(ThreadAdapter[Client, BridgeFeed]):
         left = seconds_left(deadline)
 
         async def begin() -> Client:
-            client = Client(*self._urls, self._graph.own_node, self._options, self._types, sink)
+            client = Client(*self._urls, self._graph, self._options, self._types, sink)
             await client.open(left)
             return client
 

@@ -1,4 +1,4 @@
-"""The connection to a Foxglove server: reconnected until it is closed, on the thread of the adapter."""
+"""The session with a Foxglove server, on the thread of the adapter."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import logging
 import re
 import struct
 import time
-from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from msgspec import Struct, field
 
 from rosld.adapters.base import AdapterOptions, Sink
-from rosld.adapters.bridge_connection import BridgeFeed, Echoes
+from rosld.adapters.bridge_connection import BridgeConnection, BridgeFeed, BridgeGraph, Calls, Echoes
 from rosld.adapters.foxglove.publications import Publication, Publications
 from rosld.adapters.foxglove.types import (
     Channel,
@@ -35,6 +35,7 @@ from rosld.adapters.model import (
     Parameter,
     ParameterValue,
     Refused,
+    RosError,
     Schema,
     Sent,
     Service,
@@ -50,13 +51,11 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.names import global_name
 from rosld.adapters.thread import LiveActions, Tasks
 
-_RETRY = 1.0
 _SETTLE = 0.05
 _GRAPH_PATIENCE = 1.0
 """Seconds to wait for the connection graph before the graph is shown without it."""
 _NEW_PARAMETERS = 30.0
 """Seconds between searches for new parameters, of which servers do not inform clients."""
-_CONNECT_SECONDS = 5.0
 _ALL = "rosld-all"
 _NODE = re.compile(r"\W+", re.ASCII)
 _log = logging.getLogger("rosld.foxglove")
@@ -115,117 +114,76 @@ class Client:
     actions: LiveActions
     """There are none: the adapter refuses goals before it would need them."""
 
-    def __init__(self, url: str, shown: str, own_node: str, options: AdapterOptions, types: Types, sink: Sink) -> None:
-        self._address = (url, shown, options.message_limit)
+    def __init__(self, url: str, shown: str, graph: Graph, options: AdapterOptions, types: Types, sink: Sink) -> None:
+        self._connection = BridgeConnection(
+            url,
+            self,
+            message_limit=options.message_limit,
+            subprotocols=protocol.SUBPROTOCOLS,
+            name="Foxglove server",
+            shown=shown,
+        )
         self.types = types
-        self.graph = Graph(0, own_node=own_node)
+        self._graph = BridgeGraph(graph, sink)
         self.peer = Peer()
         self.publications = Publications()
         self._sink = sink
         self._feeds: dict[str, BridgeFeed] = {}
         self._sequences: dict[str, int] = {}
         self._echoes = Echoes()
-        self._pending: dict[str | int, asyncio.Future[Any]] = {}
+        self._calls = Calls()
         self._numbers = itertools.count(1)
-        self._outbox: asyncio.Queue[str | bytes] | None = None
         self._tasks = Tasks()
         self._timer: asyncio.TimerHandle | None = None
-        self._known = asyncio.Event()
+        self._is_shown = asyncio.Event()
+
+    @property
+    def graph(self) -> Graph:
+        """The computation graph as last known; any thread may read it."""
+        return self._graph.current
 
     async def open(self, patience: float) -> None:
         """Start to connect; wait until the graph is known or the first attempt has failed, at most `patience` s."""
-        self._tasks.begin(self._keep_connected())
-        with contextlib.suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(self._known.wait(), max(patience, 0.0))
-        if not self._known.is_set():
-            self._lose("it does not answer in time")
+        self._tasks.begin(self._search_parameters())
+        await self._connection.open(patience)
 
     async def close(self) -> None:
         """Disconnect."""
+        await self._connection.close()
         self._tasks.cancel()
         await self._tasks.wait(1.0)
 
     # --- the connection
 
-    async def _keep_connected(self) -> None:
-        from websockets.asyncio.client import connect
-        from websockets.exceptions import WebSocketException
+    async def begin(self) -> None:
+        """Wait until the graph of a new session is known."""
+        self._is_shown.clear()
+        await self._is_shown.wait()
 
-        url, _, limit = self._address
-        options: Any = {
-            "subprotocols": protocol.SUBPROTOCOLS,
-            "max_size": limit,
-            "compression": None,
-            "open_timeout": _CONNECT_SECONDS,
-            "close_timeout": 0.5,
-            "user_agent_header": "rosld",
-        }
-        while True:
-            try:
-                async with connect(url, **options) as socket:
-                    if socket.subprotocol is None:
-                        raise ValueError("it does not speak Foxglove's protocol")
-                    await self._converse(socket)
-                why = "it closed the connection"
-            except (OSError, ValueError, asyncio.TimeoutError, WebSocketException) as error:
-                why = " ".join(str(error).split()) or "it does not answer in time"
-            self._lose(why)
-            await asyncio.sleep(_RETRY)
-
-    async def _converse(self, socket: Any) -> None:
-        """Handle the messages of a connection until it ends."""
-        outbox = self._outbox = asyncio.Queue()
-
-        async def write() -> None:
-            with contextlib.suppress(Exception):  # the reader notices that the connection has ended
-                while True:
-                    await socket.send(await outbox.get())
-
-        async def poll() -> None:
-            while True:
-                await asyncio.sleep(_NEW_PARAMETERS)
-                self._request_all_parameters()
-
-        tasks = [asyncio.ensure_future(write()), asyncio.ensure_future(poll())]
+    async def receive(self, message: str | bytes) -> None:
+        """Process a message of the server; an invalid one is ignored."""
         try:
-            async for data in socket:
-                try:
-                    if isinstance(data, bytes):
-                        self._on_binary(data)
-                    else:
-                        await self._on_op(protocol.read_op(data))
-                except _INVALID as error:
-                    _log.debug("an invalid message of the Foxglove server is ignored: %r", error)
-        finally:
-            for task in tasks:
-                task.cancel()
+            if isinstance(message, bytes):
+                self._on_binary(message)
+            else:
+                await self._on_op(protocol.read_op(message))
+        except _INVALID as error:
+            _log.debug("an invalid message of the Foxglove server is ignored: %r", error)
 
-    def _lose(self, why: str) -> None:
+    def end(self, error: RosError) -> None:
         """Mark the graph as stale, and fail what waits for answers."""
-        self._outbox = None
         self.publications.is_connected = False
-        _, shown, _ = self._address
-        pending, self._pending = self._pending, {}
-        for each in pending.values():
-            if not each.done():
-                each.set_exception(Unreachable("the connection to the Foxglove server was lost", sent=Sent.MAYBE))
+        self._calls.fail("the connection to the Foxglove server was lost")
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        self._show(self.graph.as_stale(f"the Foxglove server at {shown} cannot be reached: {why}"))
+        self._graph.mark_stale(error)
 
-    def _show(self, graph: Graph) -> None:
-        self._known.set()
-        if graph is not self.graph:
-            self.graph = graph
-            self._sink.graph_changed(graph)
-
-    def transmit(self, *messages: str | bytes) -> None:
-        """Send messages, in order. Raises Unreachable."""
-        if self._outbox is None:
-            raise Unreachable("there is no connection to the Foxglove server")
-        for each in messages:
-            self._outbox.put_nowait(each)
+    async def _search_parameters(self) -> None:
+        while True:
+            await asyncio.sleep(_NEW_PARAMETERS)
+            if self._connection.is_open:
+                self._request_all_parameters()
 
     # --- what the server says
 
@@ -238,7 +196,7 @@ class Client:
                 self._deliver(channel, channel.schema, feed, payload)
         elif data[0] == protocol.SERVICE_RESPONSE:
             response = protocol.read_service_message(data)
-            self._settle(response.call_id, response.payload)
+            self._calls.settle(response.call_id, response.payload)
 
     def _deliver(self, channel: Channel, schema: MessageSchema, feed: BridgeFeed, data: bytes) -> None:
         if channel.topic in self.publications and self._echoes.take(channel.topic, data):
@@ -275,7 +233,7 @@ class Client:
                 self._take_parameters(message)
             case "serviceCallFailure":
                 error = Refused("the service failed", words=message.get("message"), sent=Sent.YES)
-                self._settle(message["callId"], error)
+                self._calls.settle(message["callId"], error)
             case "status" if message.get("level") == protocol.ERROR:
                 peer.words = str(message.get("message"))[:500]
                 _log.info("the Foxglove server reports: %s", peer.words)
@@ -286,16 +244,16 @@ class Client:
         self.peer = Peer(info, since=time.monotonic())
         self.types.decide(info.get("supportedEncodings") or ())
         if self.peer.can("connectionGraph"):
-            self.transmit(protocol.op("subscribeConnectionGraph"))
+            self._connection.send(protocol.op("subscribeConnectionGraph"))
         self._request_all_parameters()
         for each in self.publications.values():
-            self.transmit(_advertisement(each))
+            self._connection.send(_advertisement(each))
         self.publications.is_connected = True
         self._refresh_soon()
 
     def _request_all_parameters(self) -> None:
         if self.peer.can("parameters"):
-            self.transmit(protocol.op("getParameters", parameterNames=[], id=_ALL))
+            self._connection.send(protocol.op("getParameters", parameterNames=[], id=_ALL))
 
     async def _learn_channels(self, entries: Sequence[Json]) -> None:
         self.types.decide(each["encoding"] for each in entries)
@@ -336,23 +294,15 @@ class Client:
             if known is not None and (known[1] != value or type(known[1]) is not type(value)):
                 self._sink.parameter_changed(global_name(name))
         if new and peer.can("parametersSubscribe"):
-            self.transmit(protocol.op("subscribeParameterUpdates", parameterNames=new))
+            self._connection.send(protocol.op("subscribeParameterUpdates", parameterNames=new))
         if isinstance(id, str):
-            self._settle(id, {global_name(name): value for name, value in values if value is not None})
-
-    def _settle(self, key: str | int, answer: object) -> None:
-        future = self._pending.pop(key, None)
-        if future is not None and not future.done():
-            if isinstance(answer, Exception):
-                future.set_exception(answer)
-            else:
-                future.set_result(answer)
+            self._calls.settle(id, {global_name(name): value for name, value in values if value is not None})
 
     # --- the graph
 
     def _refresh_soon(self) -> None:
         """Show the graph once for all messages that arrive together."""
-        if self._timer is None and self._outbox is not None:
+        if self._timer is None and self._connection.is_open:
             self._timer = asyncio.get_running_loop().call_later(_SETTLE, self._refresh)
 
     def _refresh(self) -> None:
@@ -361,7 +311,7 @@ class Client:
         is_due = time.monotonic() - peer.since > _GRAPH_PATIENCE
         awaits_connections = peer.can("connectionGraph") and peer.connections is None
         awaits_channels = not peer.channels and not peer.services
-        if self._outbox is None or not peer.info:
+        if not self._connection.is_open or not peer.info:
             return
         if (awaits_connections or awaits_channels) and not is_due:
             self._refresh_soon()
@@ -414,13 +364,13 @@ class Client:
         named = {node for kind in connections.values() for ids in kind.values() for node in map(global_name, ids)}
         named |= set() if is_known or not (topics or services) else {server}
         named |= {own} if self.publications else set()
-        graph = self.graph.updated(
+        self._is_shown.set()
+        self._graph.update(
             nodes={name: Node(name) for name in named},
             topics=topics,
             services=services,
             parameters={name: Parameter(name) for name in peer.parameters},
         )
-        self._show(graph)
 
     # --- what the adapter asks for
 
@@ -432,11 +382,11 @@ class Client:
                 self._subscribe(channel)
 
     def _subscribe(self, channel: Channel) -> None:
-        if channel.schema is None or self._outbox is None:
+        if channel.schema is None or not self._connection.is_open:
             return
         id = next(self._numbers)
         self.peer.subscriptions[id] = channel
-        self.transmit(protocol.op("subscribe", subscriptions=[{"id": id, "channelId": channel.id}]))
+        self._connection.send(protocol.op("subscribe", subscriptions=[{"id": id, "channelId": channel.id}]))
 
     def deepen(self, feed: BridgeFeed) -> None:
         """Do nothing: a feed reads its depth with each message."""
@@ -448,8 +398,8 @@ class Client:
             ids = [id for id, channel in self.peer.subscriptions.items() if channel.topic == feed.topic]
             for id in ids:
                 del self.peer.subscriptions[id]
-            if ids and self._outbox is not None:
-                self.transmit(protocol.op("unsubscribe", subscriptionIds=ids))
+            if ids and self._connection.is_open:
+                self._connection.send(protocol.op("unsubscribe", subscriptionIds=ids))
 
     async def schema(self, ref: TypeRef) -> Schema:
         """Return the schema of a type. Raises UnknownType."""
@@ -464,9 +414,9 @@ class Client:
             raise Refused("the Foxglove server accepts no messages of clients")
         encoding = self._write_encoding()
         publication = Publication(topic, next(self._numbers), schema, encoding, self._publish)
-        self.transmit(_advertisement(publication))
+        self._connection.send(_advertisement(publication))
         if (former := self.publications.get(topic)) is not None:
-            self.transmit(protocol.op("unadvertise", channelIds=[former.id]))
+            self._connection.send(protocol.op("unadvertise", channelIds=[former.id]))
         self.publications[topic] = publication
         self._refresh()
         await publication.wait_matched(1, until, 0.0)
@@ -482,7 +432,7 @@ class Client:
 
     def _publish(self, publication: Publication, data: bytes) -> None:
         with contextlib.suppress(Unreachable):  # the graph says that the connection has just been lost
-            self.transmit(protocol.client_message_data(publication.id, data))
+            self._connection.send(protocol.client_message_data(publication.id, data))
             self._echoes.note(publication.topic, data)
 
     async def unadvertise(self, topic: str) -> None:
@@ -490,8 +440,8 @@ class Client:
         publication = self.publications.pop(topic, None)
         if publication is None:
             raise NotFound(f"rosld does not advertise {topic}")
-        if self._outbox is not None:
-            self.transmit(protocol.op("unadvertise", channelIds=[publication.id]))
+        if self._connection.is_open:
+            self._connection.send(protocol.op("unadvertise", channelIds=[publication.id]))
             self._refresh()
 
     async def call(self, service: str, type: TypeRef, request: bytes, until: float) -> bytes:
@@ -508,9 +458,7 @@ class Client:
             request = json_of_message(offer.schema.request, codec.decode(request, self.types.encoding))
         id = next(self._numbers)
         message = protocol.service_message(protocol.SERVICE_REQUEST, ServiceMessage(offer.id, id, encoding, request))
-        async with self._answer(id, until, service) as future:
-            self.transmit(message)
-            response: bytes = await future
+        response: bytes = await self._ask(message, id, service, until)
         if (answered or encoding) == "json":
             try:
                 decoded = message_of_json(offer.schema.response, response)
@@ -519,21 +467,12 @@ class Client:
             return offer.schema.response.codec.encode(decoded, self.types.encoding)
         return response
 
-    @contextlib.asynccontextmanager
-    async def _answer(self, key: str | int, until: float, name: str) -> AsyncIterator[asyncio.Future[Any]]:
-        """Yield the future of an answer, which raises TimedOut at a time of the loop."""
-        left = until - time.monotonic()
-        if left <= 0:
+    async def _ask(self, message: str | bytes, id: str | int, name: str, until: float) -> Any:
+        """Send a request, and return the answer to its id. Raises Refused, TimedOut, Unreachable."""
+        if until <= time.monotonic():
             raise TimedOut(f"the deadline passed before {name} was asked")
-        loop = asyncio.get_running_loop()
-        future = self._pending[key] = loop.create_future()
-        error = TimedOut(f"{name} did not answer in time", sent=Sent.MAYBE)
-        timer = loop.call_later(left, lambda: self._settle(key, error))
-        try:
-            yield future
-        finally:
-            timer.cancel()
-            self._pending.pop(key, None)
+        self._connection.send(message)
+        return await self._calls.answer(id, name, until)
 
     async def get_parameters(self, names: Sequence[str], until: float) -> Mapping[str, ParameterValue]:
         """Return the current values of parameters, and trees of those below other names."""
@@ -571,9 +510,8 @@ class Client:
 
     async def _request(self, operation: str, until: float, **members: object) -> Mapping[str, ParameterValue]:
         id = f"rosld-{next(self._numbers)}"
-        async with self._answer(id, until, "the Foxglove server") as future:
-            self.transmit(protocol.op(operation, id=id, **members))
-            values: Mapping[str, ParameterValue] = await future
+        message = protocol.op(operation, id=id, **members)
+        values: Mapping[str, ParameterValue] = await self._ask(message, id, "the Foxglove server", until)
         return values
 
 

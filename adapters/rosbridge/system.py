@@ -95,7 +95,7 @@ class System:
         self.publications.begin()
         await self._poll(whole=True)
 
-    def receive(self, message: str | bytes) -> None:
+    async def receive(self, message: str | bytes) -> None:
         """Process a message of the bridge."""
         decoded = decode_message(message)
         match decoded.get("op"):

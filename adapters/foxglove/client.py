@@ -6,20 +6,17 @@ import asyncio
 import contextlib
 import itertools
 import logging
-import re
 import struct
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from msgspec import Struct, field
-
 from rosld.adapters.base import AdapterOptions, Sink
 from rosld.adapters.bridge_connection import BridgeConnection, BridgeFeed, BridgeGraph, Calls, Echoes
+from rosld.adapters.foxglove.graph import Peer, compose
 from rosld.adapters.foxglove.publications import Publication, Publications
 from rosld.adapters.foxglove.types import (
     Channel,
-    ServiceOffer,
     json_of_message,
     message_of_json,
     read_channel,
@@ -27,20 +24,15 @@ from rosld.adapters.foxglove.types import (
 )
 from rosld.adapters.model import (
     Encoding,
-    Endpoint,
     Graph,
     MessageSchema,
-    Node,
     NotFound,
-    Parameter,
     ParameterValue,
     Refused,
     RosError,
     Schema,
     Sent,
-    Service,
     TimedOut,
-    Topic,
     TypeRef,
     UnknownType,
     Unreachable,
@@ -57,36 +49,8 @@ _GRAPH_PATIENCE = 1.0
 _NEW_PARAMETERS = 30.0
 """Seconds between searches for new parameters, of which servers do not inform clients."""
 _ALL = "rosld-all"
-_NODE = re.compile(r"\W+", re.ASCII)
 _log = logging.getLogger("rosld.foxglove")
 _INVALID = (KeyError, TypeError, ValueError, AttributeError, struct.error)
-
-
-class Peer(Struct):
-    """What the server of the current or last connection has said.
-
-    `connections` are nodes by name, for each member of the connection graph; None before the first.
-    """
-
-    info: Json = field(default_factory=dict)
-    since: float = 0.0
-    channels: dict[int, Channel] = field(default_factory=dict)
-    services: dict[int, ServiceOffer] = field(default_factory=dict)
-    connections: dict[str, dict[str, tuple[str, ...]]] | None = None
-    parameters: dict[str, tuple[str, ParameterValue]] = field(default_factory=dict)
-    """Values by ROS name, with the server's own name."""
-    subscriptions: dict[int, Channel] = field(default_factory=dict)
-    words: str | None = None
-    """The last error that the server reported."""
-
-    def can(self, capability: str) -> bool:
-        """Whether the server has a capability; before the first connection, it may."""
-        return not self.info or capability in self.info.get("capabilities", ())
-
-    @property
-    def encodings(self) -> Sequence[str]:
-        """The encodings that the server reads."""
-        return self.info.get("supportedEncodings") or ()
 
 
 class Types:
@@ -228,7 +192,7 @@ class Client:
                 for id in message["serviceIds"]:
                     peer.services.pop(id, None)
             case "connectionGraphUpdate":
-                self._update_connections(message)
+                peer.update_connections(message)
             case "parameterValues":
                 self._take_parameters(message)
             case "serviceCallFailure":
@@ -267,15 +231,6 @@ class Client:
         """Parse a definition on another thread: a large one takes seconds."""
         types = self.types
         return await asyncio.get_running_loop().run_in_executor(None, read, types.library, types.encoding, entry)
-
-    def _update_connections(self, message: Json) -> None:
-        connections = self.peer.connections or {kind: {} for kind in _MEMBERS}
-        for kind, members in _MEMBERS.items():
-            connections[kind] |= {each["name"]: tuple(each[members]) for each in message.get(kind, ())}
-        for kind, removed in zip(_MEMBERS, ("removedTopics", "removedTopics", "removedServices"), strict=True):
-            for name in message.get(removed, ()):
-                connections[kind].pop(name, None)
-        self.peer.connections = connections
 
     def _take_parameters(self, message: Json) -> None:
         """Store values, follow new parameters, and report changes."""
@@ -316,61 +271,11 @@ class Client:
         if (awaits_connections or awaits_channels) and not is_due:
             self._refresh_soon()
             return
-        own, connections = self.graph.own_node, peer.connections or {}
-        is_known = any(connections.values())
-        server = f"/{_NODE.sub('_', str(peer.info.get('name', ''))).strip('_') or 'foxglove'}"
-
-        def nodes(kind: str, name: str) -> tuple[str, ...]:
-            return tuple(map(global_name, connections.get(kind, {}).get(name, ()))) if is_known else ()
-
-        topics: dict[str, Topic] = {}
-        channels = [*peer.channels.values()]
-        written = {each.written for each in channels}
-        for name in {**connections.get("publishedTopics", {}), **connections.get("subscribedTopics", {})}:
-            if name not in written:  # such as one that the server only subscribes to
-                channels.append(Channel(-1, global_name(name), name))
-        for channel in channels:
-            ref = None if channel.schema is None else channel.schema.ref
-            publishers = nodes("publishedTopics", channel.written) if is_known else (server,)
-            subscribers = tuple(Endpoint(node) for node in nodes("subscribedTopics", channel.written))
-            topic = topics.get(channel.topic, Topic(channel.topic))
-            ends = {each.node: each for each in (*topic.publishers, *(Endpoint(node, ref) for node in publishers))}
-            topics[channel.topic] = Topic(
-                channel.topic,
-                tuple(dict.fromkeys((*topic.types, *([] if ref is None else [ref])))),
-                tuple(ends.values()),
-                subscribers,
-                topic.unreadable or channel.unreadable,
-            )
-        for each in self.publications.values():
-            topic = topics.get(each.topic, Topic(each.topic, (each.ref,)))
-            subscribers = tuple(Endpoint(node) for node in nodes("subscribedTopics", each.topic))
-            each.match(len(subscribers) if is_known else int(each.topic in topics))
-            mine = Endpoint(own, each.ref)
-            topics[each.topic] = Topic(
-                each.topic, topic.types or (each.ref,), (*topic.publishers, mine), subscribers, topic.unreadable
-            )
-        services = {
-            each.name: Service(
-                each.name,
-                each.type,
-                tuple(map(global_name, connections.get("advertisedServices", {}).get(each.name, ())))
-                if is_known
-                else (server,),
-                each.uncallable,
-            )
-            for each in peer.services.values()
-        }
-        named = {node for kind in connections.values() for ids in kind.values() for node in map(global_name, ids)}
-        named |= set() if is_known or not (topics or services) else {server}
-        named |= {own} if self.publications else set()
         self._is_shown.set()
-        self._graph.update(
-            nodes={name: Node(name) for name in named},
-            topics=topics,
-            services=services,
-            parameters={name: Parameter(name) for name in peer.parameters},
-        )
+        composed = compose(peer, self.graph.own_node, {each.topic: each.ref for each in self.publications.values()})
+        for each in self.publications.values():
+            each.match(composed.matched[each.topic])
+        self._graph.update(**composed.parts)
 
     # --- what the adapter asks for
 
@@ -513,9 +418,6 @@ class Client:
         message = protocol.op(operation, id=id, **members)
         values: Mapping[str, ParameterValue] = await self._ask(message, id, "the Foxglove server", until)
         return values
-
-
-_MEMBERS = {"publishedTopics": "publisherIds", "subscribedTopics": "subscriberIds", "advertisedServices": "providerIds"}
 
 
 def _advertisement(publication: Publication) -> str:

@@ -12,7 +12,7 @@ import threading
 import time
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
@@ -26,6 +26,7 @@ from rosld.adapters.model import (
     Graph,
     Kind,
     Operation,
+    ParameterValue,
     Ref,
     Refused,
     RosError,
@@ -231,11 +232,24 @@ class LiveActions(Protocol):
         """Report all goals of an action until the returned function is called."""
 
 
+class LiveParameters(Protocol):
+    """Parameters of a live system: what `Adapter` promises, with `until` as a time of the thread's loop."""
+
+    async def get(self, names: Sequence[str], until: float) -> Mapping[str, ParameterValue]: ...
+
+    async def set(self, values: Mapping[str, ParameterValue], until: float) -> None: ...
+
+    async def delete(self, names: Sequence[str], until: float) -> None: ...
+
+
 class LiveSystem(Protocol):
     """A system that lives on the thread of its adapter."""
 
     @property
     def actions(self) -> LiveActions: ...
+
+    @property
+    def parameters(self) -> LiveParameters: ...
 
     @property
     def publications(self) -> LivePublications: ...
@@ -407,6 +421,21 @@ class ThreadAdapter(Adapter, Generic[_S, _F]):
     @abstractmethod
     def _parameter_operations(self, name: str) -> frozenset[Operation]:
         """Return the operations on a parameter."""
+
+    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
+        """Return the current values of existing parameters."""
+        thread, system = self._running()
+        return await thread.run(system.parameters.get(names, thread_time(deadline)))
+
+    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
+        """Set parameters: in ROS 2 all or none of each node. Raises Refused naming the parameter, with the reason."""
+        thread, system = self._running()
+        await thread.run(system.parameters.set(values, thread_time(deadline)))
+
+    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
+        """Delete parameters. Raises NotFound, and Refused if a node keeps them."""
+        thread, system = self._running()
+        await thread.run(system.parameters.delete(names, thread_time(deadline)))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         thread, system = self._running()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from urllib.parse import urlsplit, urlunsplit
 
 from rosld.adapters.base import Adapter, AdapterOptions, Capabilities, Sink
 from rosld.adapters.bridge_connection import BridgeFeed
 from rosld.adapters.foxglove.client import Client, Types
-from rosld.adapters.model import NotFound, Operation, ParameterValue, Ref, Schema, TypeRef
+from rosld.adapters.model import Operation, Ref, Schema, TypeRef
 from rosld.adapters.thread import IoThread, ThreadAdapter, seconds_left, thread_time
 
 _DEFAULT_PORT = 8765
@@ -108,24 +108,6 @@ class FoxgloveAdapter(ThreadAdapter[Client, BridgeFeed]):
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
         thread, client = self._running()
         return await thread.run(client.call(service, type, request, thread_time(deadline)))
-
-    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the current values of existing parameters, from the server."""
-        thread, client = self._running()
-        return await thread.run(client.get_parameters(names, thread_time(deadline)))
-
-    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Set parameters in one request. Raises Refused naming a parameter that the server did not set."""
-        thread, client = self._running()
-        await thread.run(client.set_parameters(values, thread_time(deadline)))
-
-    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """Delete parameters. Raises NotFound, and Refused if the server does not delete one."""
-        thread, client = self._running()
-        for name in names:
-            if name not in self.graph.parameters:
-                raise NotFound(f"there is no parameter {name!r}")
-        await thread.run(client.set_parameters(dict.fromkeys(names), thread_time(deadline)))
 
     def _can(self, capability: str) -> bool:
         return self._system is None or self._system.peer.can(capability)

@@ -14,6 +14,7 @@ from typing import Any
 from rosld.adapters.base import AdapterOptions, Sink
 from rosld.adapters.bridge_connection import BridgeConnection, BridgeFeed, BridgeGraph, Calls, Echoes
 from rosld.adapters.foxglove.graph import Peer, compose
+from rosld.adapters.foxglove.parameters import Parameters
 from rosld.adapters.foxglove.publications import Publication, Publications
 from rosld.adapters.foxglove.types import (
     Channel,
@@ -91,6 +92,7 @@ class Client:
         self._graph = BridgeGraph(graph, sink)
         self.peer = Peer()
         self.publications = Publications()
+        self.parameters = Parameters(lambda: self.peer, self._request, self._refresh)
         self._sink = sink
         self._feeds: dict[str, BridgeFeed] = {}
         self._sequences: dict[str, int] = {}
@@ -379,40 +381,6 @@ class Client:
         self._connection.send(message)
         return await self._calls.answer(id, name, until)
 
-    async def get_parameters(self, names: Sequence[str], until: float) -> Mapping[str, ParameterValue]:
-        """Return the current values of parameters, and trees of those below other names."""
-        known = self.peer.parameters
-        if not names or not self.peer.can("parameters"):
-            return {}
-        below = {name: [each for each in known if each.startswith(f"{name.rstrip('/')}/")] for name in names}
-        wanted = dict.fromkeys(each for name in names for each in (name, *below[name]) if each != "/")
-        values = await self._request(
-            "getParameters", until, parameterNames=[known[each][0] if each in known else each for each in wanted]
-        )
-        found: dict[str, ParameterValue] = {}
-        for name in names:
-            if name in values:
-                found[name] = values[name]
-            elif inner := {each: values[each] for each in below[name] if each in values}:
-                found[name] = _tree(name, inner)
-        return found
-
-    async def set_parameters(self, values: Mapping[str, ParameterValue | None], until: float) -> None:
-        """Set parameters; None deletes one. Raises Refused naming a parameter that did not change as requested."""
-        if not self.peer.can("parameters"):
-            raise Refused("the Foxglove server has no parameters")
-        known, self.peer.words = self.peer.parameters, None
-        written = {name: known[name][0] if name in known else name for name in values}
-        entries = [protocol.parameter_entry(written[name], value) for name, value in values.items()]
-        now = await self._request("setParameters", until, parameters=entries)
-        for name, value in values.items():
-            if value is None:
-                known.pop(name, None)
-            if now.get(name) != value:
-                words = f"the parameter {name} was not {'deleted' if value is None else 'set'}"
-                raise Refused(words, words=self.peer.words, sent=Sent.YES)
-        self._refresh()
-
     async def _request(self, operation: str, until: float, **members: object) -> Mapping[str, ParameterValue]:
         id = f"rosld-{next(self._numbers)}"
         message = protocol.op(operation, id=id, **members)
@@ -429,18 +397,3 @@ def _advertisement(publication: Publication) -> str:
     if publication.encoding != "json":
         channel |= {"schema": schema.definition, "schemaEncoding": "ros1msg" if is_ros1 else "ros2msg"}
     return protocol.op("advertise", channels=[channel])
-
-
-def _tree(name: str, values: Mapping[str, ParameterValue]) -> ParameterValue:
-    """Return values as a tree below a name."""
-    tree: dict[str, ParameterValue] = {}
-    for each, value in values.items():
-        *above, last = each[len(name.rstrip("/")) + 1 :].split("/")
-        place = tree
-        for step in above:
-            below = place.setdefault(step, {})
-            if not isinstance(below, dict):
-                below = place[step] = {}
-            place = below
-        place[last] = value
-    return tree

@@ -93,11 +93,6 @@ class Ros1Adapter(ThreadAdapter[Client, TopicFeed]):
         thread, client = self._running()
         return await thread.run(client.services.call(service, type, request, thread_time(deadline)))
 
-    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the current values of existing parameters, from the master."""
-        thread, client = self._running()
-        return await thread.run(client.parameters.get(names, thread_time(deadline)))
-
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """Set parameters; all are checked before the first is sent. Raises Refused naming the parameter.
 

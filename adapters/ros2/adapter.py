@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Mapping, Sequence
 from functools import partial
 from urllib.parse import parse_qsl
 
@@ -13,7 +12,6 @@ from msgspec import Struct
 from rosld.adapters.base import AdapterOptions, Capabilities, Sink
 from rosld.adapters.model import Encoding, Operation, RosError, Schema, TypeRef, Unreachable
 from rosld.adapters.model.library import TypeLibrary
-from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.parameter_messages import operations_on
 from rosld.adapters.ros2.feeds import TopicFeed
 from rosld.adapters.ros2.graph import nodes_using, type_in_use
@@ -167,21 +165,6 @@ class Ros2Adapter(ThreadAdapter[System, TopicFeed]):
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         thread, system = self._running()
         await thread.run(system.change_state(node, transition, thread_time(deadline)))
-
-    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the current values of existing parameters, from their nodes."""
-        thread, system = self._running()
-        return await thread.run(system.parameters.get(names, thread_time(deadline)))
-
-    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Set parameters, all or none of each node. Raises Refused naming the parameter, with the node's reason."""
-        thread, system = self._running()
-        await thread.run(system.parameters.set(values, thread_time(deadline)))
-
-    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """Delete parameters. Raises NotFound, and Refused if a node does not delete declared ones."""
-        thread, system = self._running()
-        await thread.run(system.parameters.delete(names, thread_time(deadline)))
 
     def _new_feed(self, topic: str, system: System) -> TopicFeed:
         epoch = self._epochs.get(topic, -1) + 1

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Mapping, Sequence
 from functools import partial
 
 from rosld.adapters.base import AdapterOptions, Capabilities, Sink
 from rosld.adapters.bridge_connection import BridgeFeed, BridgeSource, read_source
 from rosld.adapters.model import Encoding, Operation, Schema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
-from rosld.adapters.model.parameter import ParameterValue
 from rosld.adapters.rosbridge.system import System
 from rosld.adapters.thread import IoThread, ThreadAdapter, seconds_left, thread_time
 
@@ -83,21 +81,6 @@ class RosbridgeAdapter(ThreadAdapter[System, BridgeFeed]):
         """Call a service. Raises Refused with the words of the bridge or the node, TimedOut, Unreachable, NotFound."""
         thread, system = self._running()
         return await thread.run(system.call(service, type, request, thread_time(deadline)))
-
-    async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the current values of existing parameters."""
-        thread, system = self._running()
-        return await thread.run(system.parameters.get(names, thread_time(deadline)))
-
-    async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
-        """Set parameters: in ROS 2 all or none of each node. Raises Refused naming the parameter."""
-        thread, system = self._running()
-        await thread.run(system.parameters.set(values, thread_time(deadline)))
-
-    async def delete_parameters(self, names: Sequence[str], *, deadline: float) -> None:
-        """Delete parameters. Raises NotFound, and Refused if a node keeps them."""
-        thread, system = self._running()
-        await thread.run(system.parameters.delete(names, thread_time(deadline)))
 
     def _new_feed(self, topic: str, system: System) -> BridgeFeed:
         return BridgeFeed(topic, self.capabilities.encoding, partial(self._apply, topic))

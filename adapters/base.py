@@ -435,7 +435,7 @@ class Finding(NamedTuple):
 
 
 Diagnose: TypeAlias = "Callable[[str, AdapterOptions, Graph | None], Iterable[Finding]]"
-"""`diagnose` in the module `diagnosis` of an adapter's package: what this machine says about reaching a source.
+"""`diagnose` in the module `diagnosis` of an adapter's package: findings of this machine about reaching a source.
 
 Called once the adapter is closed again, with its last graph, None if it could not be opened. Changes nothing.
 """

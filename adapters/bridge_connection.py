@@ -278,7 +278,7 @@ class Echoes:
         self._published.append((time.monotonic(), topic, data))
 
     def take(self, topic: str, data: bytes) -> bool:
-        """Whether a received message is an echo, each of which is recognized once."""
+        """Whether a received message is an echo that was not recognized before."""
         now = time.monotonic()
         for each in self._published:
             if each[2] == data and each[1] == topic and now - each[0] < _ECHO_SECONDS:

@@ -88,7 +88,7 @@ def adapter_for(source: str, options: AdapterOptions) -> Adapter:
 
 
 def diagnosis_of(source: str) -> Diagnose | None:
-    """Return what the adapter's package says about reaching its sources (`diagnosis.diagnose`), None for most."""
+    """Return the checks of an adapter's package for its sources (`diagnosis.diagnose`), None for most."""
     points = installed()
     scheme = scheme_of(source, frozenset(points))
     name = f"{points[scheme].module}.diagnosis"

@@ -94,7 +94,7 @@ from rosld.server.sparql.update.executor import UpdateEvaluator
 
 
 class Shared(Struct, frozen=True, kw_only=True):
-    """What the applications of a server share. `root` is the base of the server: rules are about paths below it.
+    """State that the applications of a server share. `root` is the base of the server: rules are about paths below it.
 
     `stop`, `make_materializer` and `make_permissions` replace those of a single robot.
     """

@@ -48,7 +48,7 @@ _SETTLE = 0.05
 _GRAPH_PATIENCE = 1.0
 """Seconds to wait for the connection graph before the graph is shown without it."""
 _NEW_PARAMETERS = 30.0
-"""Seconds between searches for new parameters, of which servers do not inform clients."""
+"""Seconds between searches for new parameters; servers do not announce them."""
 _ALL = "rosld-all"
 _log = logging.getLogger("rosld.foxglove")
 _INVALID = (KeyError, TypeError, ValueError, AttributeError, struct.error)

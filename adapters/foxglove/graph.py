@@ -1,4 +1,4 @@
-"""The computation graph behind a Foxglove server, composed from what the server has said."""
+"""The computation graph behind a Foxglove server, composed from the state of the server."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MEMBERS = {_PUBLISHED: "publisherIds", _SUBSCRIBED: "subscriberIds", _SERVICES:
 
 
 class Peer(Struct):
-    """What the server of the current or last connection has said.
+    """The state of the server, as received over the current or last connection.
 
     `connections` are nodes by name, for each member of the connection graph; None before the first.
     """

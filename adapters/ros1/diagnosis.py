@@ -1,4 +1,4 @@
-"""What this machine says about reaching ROS 1: the addresses of the master and of rosld, for `rosld check`."""
+"""Checks of this machine for `rosld check` of ROS 1: the addresses of the master and of rosld."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rosld.adapters.ros1.publications import addresses
 def diagnose(
     source: str, options: AdapterOptions, graph: Graph | None, environment: Mapping[str, str] = os.environ
 ) -> Iterator[Finding]:
-    """Yield which address nodes are told to connect to, and whether it is another machine's."""
+    """Yield the address that nodes connect to, and whether it is another machine's."""
     try:
         host, port = master_address(source, environment)
     except ValueError:
@@ -43,16 +43,14 @@ def diagnose(
     try:
         resolved = socket.gethostbyname(own)
     except OSError:
-        text = f"nodes are told to connect to rosld at {own}, a name that does not resolve here"
+        text = f"nodes connect to rosld at {own}, a name that does not resolve here"
         yield Finding("warning", "address", text, step)
         return
     if resolved.startswith("127.") and not master.startswith("127."):
-        text = (
-            f"nodes are told to connect to rosld at {own}, which on the robot is the robot itself: nothing that rosld "
-        )
+        text = f"nodes connect to rosld at {own}, which on the robot is the robot itself: nothing that rosld "
         yield Finding("warning", "address", f"{text}publishes arrives", step)
     else:
-        yield Finding("ok", "address", f"nodes are told to connect to rosld at {own}")
+        yield Finding("ok", "address", f"nodes connect to rosld at {own}")
 
 
 def _names(graph: Graph | None, known: Mapping[str, str]) -> Iterator[Finding]:

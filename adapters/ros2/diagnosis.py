@@ -1,4 +1,4 @@
-"""What this machine says about reaching ROS 2: its Python, variables, network and shared memory, for `rosld check`."""
+"""Checks of this machine for `rosld check` of ROS 2: its Python, variables, network and shared memory."""
 
 from __future__ import annotations
 

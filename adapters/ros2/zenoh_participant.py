@@ -53,7 +53,7 @@ _FIRST_SECONDS, _RETRY_SECONDS = 2.0, 1.0
 
 
 class _Inbox:
-    """What arrived and was not taken yet, at most `depth` items. `pointer` and `with` are those of a `Handle`."""
+    """Queue of at most `depth` received items. `pointer` and `with` are those of a `Handle`."""
 
     pointer = 0
 

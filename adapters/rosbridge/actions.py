@@ -171,7 +171,7 @@ class Actions:
             goal.status = GOAL_STATUSES.get(int(message.get("status") or 0), GoalStatus.LOST)
             result = self._bytes(goal.schema.result, message.get("values"))
             event = GoalEvent(time.time_ns(), goal.status, result=result, own=True)
-            # The sender is told of the acceptance first, in the next turn of the loop.
+            # The sender learns of the acceptance first, in the next turn of the loop.
             asyncio.get_running_loop().call_soon(self._report, state, id, event)
             asyncio.get_running_loop().call_soon(self._leave, state)
 

@@ -36,7 +36,7 @@ class NodeDetails(Struct, frozen=True):
 
 
 class Observation(Struct):
-    """What rosapi reports: types of topics, services and actions (empty if unknown), and details by node."""
+    """Reports of rosapi: types of topics, services and actions (empty if unknown), and details by node."""
 
     topics: dict[str, str] = field(default_factory=dict)
     services: dict[str, str] = field(default_factory=dict)

@@ -175,7 +175,7 @@ class System:
             try:
                 await self._observer.poll(until, ros2=self.client.version == 2, whole=whole)
             except Refused as error:
-                raise Unreachable(f"rosapi does not answer: {error}; start its node beside the bridge") from error
+                raise Unreachable(f"rosapi does not answer: {error}; start its node with the bridge") from error
         self.parameters.follow(self._observer.observation)
         self.refresh()
         await self.readers.subscribe()

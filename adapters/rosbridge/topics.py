@@ -176,7 +176,7 @@ class Publication:
 
     @property
     def matched(self) -> int:
-        """Number of nodes that subscribe, beside the bridge."""
+        """Number of subscribing nodes, without the bridge."""
         return self._of.subscribers(self.topic)
 
     async def wait_matched(self, count: int, until: float, patience: float) -> None:
@@ -211,7 +211,7 @@ class Publications:
         return publication.latched
 
     def subscribers(self, topic: str) -> int:
-        """Return the number of nodes that subscribe to a topic, beside the bridge."""
+        """Return the number of nodes that subscribe to a topic, without the bridge."""
         existing = self._graph().topics.get(topic)
         return len(existing.subscribers) if existing is not None else 0
 

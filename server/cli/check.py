@@ -263,7 +263,7 @@ def _recording_findings(adapter: Adapter) -> list[Finding]:
         if len(bad) > _SHOWN:
             found.append(Finding("warning", "recording", f"{len(bad) - _SHOWN} more cannot be read"))
         count = len(adapter.catalogue.names())
-        text = f"{count} recordings, of which {count - len(bad)} can be read"
+        text = f"{count} recordings; {count - len(bad)} can be read"
         return [*found, Finding("ok", "recording", text, "rosld index makes queries over them quick")]
     for recording in adapter.recordings.values():
         for note in getattr(recording, "notes", ()):

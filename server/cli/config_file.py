@@ -29,7 +29,7 @@ _IN_MESSAGE = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)"
 _HEADER = re.compile(r"""\s*\[\s*["']?([\w-]+)["']?\s*\]""")
 _KEY = re.compile(r"""\s*(?:([\w-]+)|"([^"]*)"|'([^']*)')\s*=\s*""")
 _SUBJECT = re.compile(r"(?:--setting |the setting |--)([a-z][a-z_-]*)")
-"""What a message of `Settings` begins with: an option or the name of a setting."""
+"""Beginning of a message of `Settings`: an option or the name of a setting."""
 _SCALARS: Mapping[str, tuple[Any, str]] = {
     "bool": (bool, "true or false"),
     "int": (int, "a whole number"),

@@ -1,4 +1,4 @@
-"""What a client of Foxglove's protocol is offered: channels, services and the connection graph, as far as it may read.
+"""The offers to a client of Foxglove's protocol: the channels, services and connections that it may read.
 
 Numbers of channels and services are the same for all clients and never reused, so that clients may cache schemas.
 """

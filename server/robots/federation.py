@@ -1,4 +1,4 @@
-"""What the robots of a server do together: answer queries and updates, stop, and judge permissions."""
+"""Queries, updates, stops and permissions over all robots of a server."""
 
 from __future__ import annotations
 

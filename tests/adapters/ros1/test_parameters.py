@@ -49,6 +49,7 @@ async def test_parameters_are_exchanged_with_rosparam_and_keep_their_types(ros: 
 
 
 async def test_names_with_empty_segments_and_slashes_in_keys_survive(ros: RosSystem, opened: Opening) -> None:
+    ros.master.setParam("/test", "/even", 2)
     ros.master.setParam("/test", "/odd", {"a/b": 1, "": 2, "c": {"": {"d": 3}}, "none": {}})
     async with opened(ros) as session:
         names = ["/odd/a/b", "/odd/", "/odd/c//d", "/odd/c/", "/odd/a", "/odd/none", "/odd/c"]

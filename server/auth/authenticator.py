@@ -7,7 +7,6 @@ import logging
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeAlias
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -21,13 +20,13 @@ from rosld.server.auth.permissions import ALLOW_ALL, AboutAt, Permissions, Types
 from rosld.server.auth.rules import ANONYMOUS, AUTHENTICATED, Agent
 from rosld.server.auth.tokens import parse_credentials
 from rosld.server.runtime.tasks import Signal
+from rosld.server.runtime.version_cache import file_version
 
 _POLL_SECONDS = 1.0
 """Seconds between checks for changes of the file."""
 _MAX_AGENTS = 1000
 """Maximum number of agents whose permissions are cached."""
 _log = logging.getLogger("rosld")
-_Stamp: TypeAlias = tuple[int, int, int]
 
 
 class AuthContext(Struct, frozen=True):
@@ -65,7 +64,7 @@ class Authenticator:
         self._space = space
         self._types = types
         self._about = about
-        self._stamp = _stamp(path)
+        self._version = file_version(path)
         self.config = self._read()
         if self.config.issuers:
             require_library()
@@ -131,10 +130,10 @@ class Authenticator:
 
     async def reload_if_changed(self) -> None:
         """Reload the file if it has changed."""
-        stamp = await asyncio.to_thread(_stamp, self._path)
-        if stamp == self._stamp:
+        version = await asyncio.to_thread(file_version, self._path)
+        if version == self._version:
             return
-        self._stamp = stamp
+        self._version = version
         try:
             found = await asyncio.to_thread(self._read)
         except ValueError as error:
@@ -189,12 +188,3 @@ class Authenticator:
         if all(issuer.url != claims.issuer for issuer in self.config.issuers):
             return Agent(AUTHENTICATED)
         return Agent(f"{claims.issuer}#{claims.subject}", claims.webid)
-
-
-def _stamp(path: Path) -> _Stamp:
-    """Return a stamp that changes whenever the file is written."""
-    try:
-        found = path.stat()
-    except OSError:
-        return (0, 0, 0)
-    return found.st_mtime_ns, found.st_size, found.st_ino

@@ -1,8 +1,9 @@
-"""A cache with a version per entry: an entry of another version is not found."""
+"""Versions of values and files, and a cache that finds an entry only at its version."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from pathlib import Path
 from typing import Generic, TypeVar
 
 from msgspec import Struct, field
@@ -52,3 +53,12 @@ class IdentityKey:
 
     def __hash__(self) -> int:
         return id(self.value)
+
+
+def file_version(path: Path) -> tuple[int, int, int]:
+    """Return a version that changes whenever the file is written; a missing file has version zero."""
+    try:
+        found = path.stat()
+    except OSError:
+        return (0, 0, 0)
+    return found.st_mtime_ns, found.st_size, found.st_ino

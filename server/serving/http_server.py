@@ -20,6 +20,7 @@ from starlette.types import ASGIApp
 
 from rosld.server.http.token_redaction import redact_tokens, redact_tokens_in
 from rosld.server.runtime.tracing import current_request_id
+from rosld.server.runtime.version_cache import file_version
 from rosld.server.serving.connection import BoundedConfig, Connection, ConnectionBounds
 from rosld.server.serving.connections import Connections, WebSocketConnection
 from rosld.server.sparql.process.pool import Aborted
@@ -50,12 +51,13 @@ async def reloaded_certificate(
     """Use a renewed certificate for new connections; one that cannot be used changes nothing."""
 
     async def watch(path: Path) -> None:
-        loaded = _stamps(path, key)
+        paths = [path] if key is None else [path, key]
+        loaded = [*map(file_version, paths)]
         while True:
             await asyncio.sleep(CERTIFICATE_SECONDS)
-            if (stamps := _stamps(path, key)) == loaded:
+            if (versions := [*map(file_version, paths)]) == loaded:
                 continue
-            loaded = stamps
+            loaded = versions
             try:
                 require_certificate(path, key)
                 assert config.ssl is not None
@@ -70,13 +72,6 @@ async def reloaded_certificate(
     finally:
         if watching is not None:
             watching.cancel()
-
-
-def _stamps(*paths: Path | None) -> list[tuple[int, int]]:
-    """Return stamps that change when one of the files is written; a missing file has none."""
-    with contextlib.suppress(OSError):
-        return [(found.st_mtime_ns, found.st_ino) for path in paths if path is not None for found in [path.stat()]]
-    return []
 
 
 def _no_password() -> str:

@@ -222,7 +222,7 @@ def create_app(adapter: Adapter, settings: Settings, shared: Shared | None = Non
     mcp = McpService(space, settings)
     health, ready = HealthResource(space), ReadinessResource(session, lambda: sparql.process.is_running)
     router.add({"healthz": single_route(lambda: health), "readyz": single_route(lambda: ready)})
-    timings = RequestTimings(space.path, {*router.route_names, "metrics", "mcp"})
+    timings = RequestTimings(space.path, lambda: router.route_names | {"mcp"})
     sources = MetricSources(
         session,
         services.holds,

@@ -85,14 +85,14 @@ UNKNOWN = "{unknown}"
 
 
 class RequestTimings:
-    """Durations of requests by method, route and status. `routes` are the first segments of all paths below `base`."""
+    """Durations of requests by method, route and status. `routes` returns the first segments of paths below `base`."""
 
-    def __init__(self, base: str, routes: Collection[str]) -> None:
+    def __init__(self, base: str, routes: Callable[[], Collection[str]]) -> None:
         self.current = 0
         """Number of requests in progress, including streams."""
         self.histograms: dict[tuple[bytes, bool, str, int], Histogram] = {}
         self._start = len(base)
-        self._routes = frozenset(routes)
+        self._routes = routes
         self._cache: dict[tuple[bytes, str, int], Histogram] = {}
         """Histograms by path, method and status: splitting a path takes 1 us, the hundredth part of a request."""
 
@@ -122,7 +122,7 @@ class RequestTimings:
         return (path[start:end], end == len(path)) if end else (path[start:], True)
 
     def _is_known(self, route: bytes) -> bool:
-        return route.decode("latin-1").removesuffix("/") in self._routes
+        return route.decode("latin-1").removesuffix("/") in self._routes()
 
     def _find(self, path: bytes, method: str, status: int) -> Histogram:
         """Return the histogram of a path, a method and a status; unknown paths and methods share theirs."""

@@ -66,7 +66,7 @@ def test_requests_are_counted_by_route_and_status(robot: MadeUp, serving: Servin
 
 
 def test_random_paths_and_methods_add_no_series() -> None:
-    timings = RequestTimings("/base/", {"", "topics"})
+    timings = RequestTimings("/base/", lambda: {"", "topics"})
     for number in range(1000):
         timings.add(f"/base/x{number}/y".encode(), f"M{number}", 404, 0.1)
         timings.add(f"/base/topics/x{number}".encode(), "GET", 200, 20.0)

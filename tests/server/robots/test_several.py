@@ -151,6 +151,7 @@ def test_the_container_of_robots_links_to_each_with_its_state(site: httpx.Client
     assert "BasicContainer" in answer.headers["link"]
     unchanged = site.get("robots/", headers={"accept": "text/turtle", "if-none-match": answer.headers["etag"]})
     assert unchanged.status_code == 304
+    assert 'route="/robots/"' in site.get("metrics").text
     assert site.get("").is_redirect
     assert site.get("").headers["location"] == f"{site.base_url}robots/"
 

@@ -110,17 +110,16 @@ _NOTHING: Properties = {}
 _DEFAULT_GRAPHS_OF_JENA = tuple(NamedNode(f"urn:x-arq:{name}") for name in ("DefaultGraph", "DefaultGraphNode"))
 
 
-def parse_body(data: bytes, media_type: str, base: str, *, alone: bool = False) -> RdfBody:
+def parse_body(data: bytes, media_type: str, base: str) -> RdfBody:
     """Return the triples of `data`, with relative IRIs resolved against `base` (absolute).
 
-    Of a dataset, the default graph and the graph named `base` are used; other graphs are ignored, or rejected with
-    `alone`. Raises BodyError for such a graph, for invalid UTF-8, nesting deeper than `MAX_DEPTH`, a reference that
-    would have to be fetched, or a missing `media_type`; ValueError for a media type not in `MEDIA_TYPES`. The caller
-    checks the size.
+    Of a dataset, the default graph and the graph named `base` are used; other graphs are ignored. Raises BodyError
+    for invalid UTF-8, nesting deeper than `MAX_DEPTH`, a reference that would have to be fetched, or a missing
+    `media_type`; ValueError for a media type not in `MEDIA_TYPES`. The caller checks the size.
     """
     form = _form(media_type)
     with _parser_errors():
-        return index_quads(_quads(data, form, base), base, alone=alone)
+        return index_quads(_quads(data, form, base), base)
 
 
 def parse_dataset(data: bytes, media_type: str, base: str) -> dict[str, list[Triple]]:
@@ -243,21 +242,15 @@ def index_triples(triples: Iterable[Triple]) -> RdfBody:
     return RdfBody(subjects, size)
 
 
-def index_quads(quads: Iterable[Quad], base: str, *, alone: bool = False) -> RdfBody:
-    """Return the triples of the default graph and of the graph named `base`, by subject and predicate.
-
-    Other graphs are ignored; with `alone` they raise BodyError.
-    """
+def index_quads(quads: Iterable[Quad], base: str) -> RdfBody:
+    """Return the triples of the default graph and of the graph named `base`, by subject and predicate."""
     graphs = _own_graphs(base)
     subjects: dict[Subject, dict[NamedNode, list[Term]]] = {}
     size = 0
     for subject, predicate, object, graph in quads:
-        if graph not in graphs:
-            if alone:
-                raise _strange(graph)
-            continue
-        subjects.setdefault(subject, {}).setdefault(predicate, []).append(object)
-        size += 1
+        if graph in graphs:
+            subjects.setdefault(subject, {}).setdefault(predicate, []).append(object)
+            size += 1
     return RdfBody(subjects, size)
 
 

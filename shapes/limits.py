@@ -129,10 +129,10 @@ class Limits(Struct, frozen=True, eq=False):
         """Return the validator of triples of the resource at a URL (the focus node); None without limits."""
         return self.by_url.get(url)
 
-    def bounds_of_resource(self, url: str, predicate: NamedNode = rdf.value) -> Bounds:
-        """Return the bounds on the scalar that is a resource's value of a predicate."""
+    def bounds_of_resource(self, url: str) -> Bounds:
+        """Return the bounds on the scalar that is a resource's value."""
         shape = self.by_url.get(url)
-        return UNBOUNDED if shape is None else shape.within.get((predicate,), UNBOUNDED)
+        return UNBOUNDED if shape is None else shape.within.get((rdf.value,), UNBOUNDED)
 
     def bounds_of_message(self, schema: MessageSchema) -> Mapping[str, Bounds]:
         """Return the bounds on single scalars by dotted path; in arrays of messages they apply to each element.

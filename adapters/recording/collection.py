@@ -12,13 +12,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Val
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar
 
 from rosld.adapters.base import (
     Adapter,
     AdapterOptions,
     Capabilities,
-    MessageFilter,
-    MessagePage,
     RecordedMessage,
     RecordedTopic,
     Recording,
@@ -51,6 +50,8 @@ from rosld.adapters.recording.storage import OpenBudget, OpeningRefused
 from rosld.adapters.recording.summary import PatientBudget, SummaryReader
 
 log = logging.getLogger("rosld.recording")
+P = ParamSpec("P")
+T = TypeVar("T")
 FILE = ".rosld.sqlite"
 """Name of the catalogue in the first folder of a collection."""
 SUFFIXES = (".bag", ".bag.active", ".mcap", ".db3")
@@ -131,6 +132,16 @@ class OpenRecordings:
                 one.bag.close()
 
 
+def _reading(method: Callable[Concatenate[Bag, P], T]) -> Callable[Concatenate[CataloguedRecording, P], T]:
+    """Return a method of the recording, opened for it."""
+
+    def read(self: CataloguedRecording, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        with self._pool.use(self._row) as bag:
+            return method(bag, *args, **kwargs)
+
+    return read
+
+
 class CataloguedRecording:
     """A recording as the catalogue describes it, whose file is opened by the first read of a message."""
 
@@ -157,46 +168,22 @@ class CataloguedRecording:
         """The topics by name."""
         return {topic.name: topic for topic in self._catalogue.topics(self._row.id)}
 
-    def message(self, index: int) -> RecordedMessage:
-        with self._pool.use(self._row) as bag:
-            return bag.message(index)
-
-    def topic_of(self, index: int) -> str | None:
-        with self._pool.use(self._row) as bag:
-            return bag.topic_of(index)
+    message = _reading(Bag.message)
+    topic_of = _reading(Bag.topic_of)
+    times_between = _reading(Bag.times_between)
+    latest_at = _reading(Bag.latest_at)
+    select = _reading(Bag.select)
+    types_of = _reading(Bag.types_of)
+    density = _reading(Bag.density)
+    schema = _reading(Bag.schema)
 
     def messages(self) -> Iterator[RecordedMessage]:
         with self._pool.use(self._row) as bag:
             yield from bag.messages()
 
-    def times_between(self, start: int, end: int) -> tuple[int, int] | None:
-        with self._pool.use(self._row) as bag:
-            return bag.times_between(start, end)
-
-    def latest_at(self, topic: str, time_ns: int) -> RecordedMessage | None:
-        with self._pool.use(self._row) as bag:
-            return bag.latest_at(topic, time_ns)
-
-    def select(self, criteria: MessageFilter, limit: int) -> MessagePage:
-        with self._pool.use(self._row) as bag:
-            return bag.select(criteria, limit)
-
     def latched_before(self, time_ns: int, selects: Callable[[str], bool]) -> Iterable[tuple[str, Sample]]:
         with self._pool.use(self._row) as bag:
             return list(bag.latched_before(time_ns, selects))
-
-    def types_of(self, topic: str) -> frozenset[TypeRef]:
-        """Return all types that messages of a topic have."""
-        with self._pool.use(self._row) as bag:
-            return bag.types_of(topic)
-
-    def density(self, parts: int) -> Mapping[str, Sequence[int]]:
-        with self._pool.use(self._row) as bag:
-            return bag.density(parts)
-
-    def schema(self, ref: TypeRef) -> Schema:
-        with self._pool.use(self._row) as bag:
-            return bag.schema(ref)
 
 
 class CataloguedRecordings(Mapping[str, Recording]):

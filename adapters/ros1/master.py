@@ -167,9 +167,9 @@ class MasterApi:
         """Return a node's own URI. Raises NotFound."""
         return str(await self.call("lookupNode", node, timeout=timeout))
 
-    async def lookup_service(self, service: str, timeout: float = LOOK) -> str:
+    async def lookup_service(self, service: str) -> str:
         """Return a service's URI (`rosrpc://host:port`). Raises NotFound."""
-        return str(await self.call("lookupService", service, timeout=timeout))
+        return str(await self.call("lookupService", service, timeout=LOOK))
 
     async def register_publisher(self, topic: str, type_name: str, uri: str, timeout: float) -> list[str]:
         """Register as a publisher; return the URIs of the topic's subscribers."""

@@ -55,7 +55,8 @@ def channel_record(number: int, schema: int, channel: Channel) -> bytes:
 
 def schema_record(number: int, type: TypeRef, encoding: Encoding, definition: str) -> bytes:
     """Return the MCAP record of a message type."""
-    return mcap.schema(number, _recorded_name(type.name, encoding), _SYNTAXES[encoding], definition)
+    name = type.name.replace("/msg/", "/") if encoding is Encoding.ROS1 else type.name
+    return mcap.schema(number, name, _SYNTAXES[encoding], definition)
 
 
 def read_channel(fields: Fields, types: Mapping[int, str]) -> tuple[int, Channel]:
@@ -72,10 +73,6 @@ def model_name(recorded: str) -> str:
     """Return the model's name of a recorded type: ROS 1 records `pkg/Name`."""
     package, _, name = recorded.partition("/")
     return recorded if "/" in name else f"{package}/msg/{name}"
-
-
-def _recorded_name(name: str, encoding: Encoding) -> str:
-    return name.replace("/msg/", "/") if encoding is Encoding.ROS1 else name
 
 
 def _metadata(channel: Channel) -> Mapping[str, str]:

@@ -134,7 +134,7 @@ def escape_controls(text: str) -> str:
     return _UNASSIGNED.sub("\ufffd", text.translate(_PICTURES))
 
 
-def text_view(text: str, hint: str = "", tone: str = "") -> View:
+def text_view(text: str, hint: str = "") -> View:
     """Return the view of a string: several lines as a block, a long one shortened."""
     shown = escape_controls(text)
     if not shown:
@@ -142,8 +142,8 @@ def text_view(text: str, hint: str = "", tone: str = "") -> View:
     if "\n" in shown:
         return BlockView(shown, hint)
     if len(shown) > _LONG:
-        return TextView(shown[: _LONG // 4], hint, full=shown, tone=tone)
-    return TextView(shown, hint, tone=tone)
+        return TextView(shown[: _LONG // 4], hint, full=shown)
+    return TextView(shown, hint)
 
 
 _DIGITS = 6
@@ -190,9 +190,9 @@ def time_view_of_text(text: str, hint: str = "") -> View:
     return TextView(text, hint)
 
 
-def duration_view(seconds: int, nanoseconds: int, hint: str = "") -> View:
+def duration_view(seconds: int, nanoseconds: int) -> View:
     """Return a ROS duration: the sum of whole seconds and nanoseconds."""
     total = seconds * 1_000_000_000 + nanoseconds
     whole, rest = divmod(abs(total), 1_000_000_000)
     digits = f"{rest:09d}".rstrip("0")
-    return TextView(f"{'-' if total < 0 else ''}{whole}{'.' if digits else ''}{digits} s", hint)
+    return TextView(f"{'-' if total < 0 else ''}{whole}{'.' if digits else ''}{digits} s")

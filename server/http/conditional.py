@@ -112,7 +112,7 @@ def check_preconditions(method: str, current: ETag | None, *, if_match: str | No
         raise Problem(
             412,
             "The resource is not in the state that the request requires; read it again.",
-            headers=_etag_headers(current),
+            headers={} if current is None else {"ETag": str(current)},
         )
     return result is PreconditionResult.NOT_MODIFIED
 
@@ -122,10 +122,6 @@ def require_if_match(if_match: str | None, why: str) -> str:
     if if_match is None:
         raise Problem(428, f"{why} Send If-Match with the ETag of the state that you read.")
     return if_match
-
-
-def _etag_headers(current: ETag | None) -> dict[str, str]:
-    return {} if current is None else {"ETag": str(current)}
 
 
 def _any_state(tags: Tags, current: ETag | None, *, weakly: bool = False) -> bool:

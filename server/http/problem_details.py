@@ -23,7 +23,7 @@ from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import AGENT_SAID, ROBOT_SAID, Problem
 
 
-def validation_report(url: str, violations: Sequence[Violation], *, node: str = "#message") -> Document:
+def validation_report(url: str, violations: Sequence[Violation]) -> Document:
     """Return the validation report of a body sent to `url`: one result per violation.
 
     A violation of a shape has that shape, its constraint, focus node, path and value; any other concerns the node of
@@ -39,7 +39,7 @@ def validation_report(url: str, violations: Sequence[Violation], *, node: str = 
             result,
             (rdf.type, sh.ValidationResult),
             (sh.resultSeverity, violation.severity or sh.Violation),
-            (sh.focusNode, violation.focus or NamedNode(url + node)),
+            (sh.focusNode, violation.focus or NamedNode(f"{url}#message")),
             (ros.fieldPath, text(violation.path) if violation.path else None),
             (sh.resultMessage, text(violation.quote or violation.message)),
             *_source(violation),

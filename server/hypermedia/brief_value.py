@@ -49,7 +49,9 @@ def brief_json(value: Value, limit: int = MAX_CHARACTERS) -> str:
 
 def _members(schema: MessageSchema, fields: tuple[Field, ...], message: Message, room: int) -> str | None:
     """Return the object of the leading fields that fit; None if none does."""
-    shown = [field for field in fields if not _is_header(field.type)] or list(fields)
+    shown = [field for field in fields if not (isinstance(field.type, Nested) and field.type.name in _HEADERS)] or list(
+        fields
+    )
     parts: list[str] = []
     left = room - len(_MARK) - 2
     for field in shown:
@@ -62,10 +64,6 @@ def _members(schema: MessageSchema, fields: tuple[Field, ...], message: Message,
 
 def _object(parts: list[str], *, is_whole: bool) -> str:
     return "{" + ",".join(parts if is_whole else [*parts, _MARK]) + "}"
-
-
-def _is_header(kind: FieldType) -> bool:
-    return isinstance(kind, Nested) and kind.name in _HEADERS
 
 
 def _of(schema: MessageSchema, kind: FieldType, value: object, room: int) -> str | None:

@@ -242,9 +242,8 @@ class StorageDescription(DescribedResource):
 class WellKnownContainer(DescribedResource):
     """`/.well-known/`: container of the resources below it. RFC 8615 3 does not require one."""
 
-    kind = "Well-known resources"
+    kind = title = "Well-known resources"
     shape = "Container"
-    title = "Well-known resources"
     item = PathItem("The well-known resources")
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
@@ -253,14 +252,11 @@ class WellKnownContainer(DescribedResource):
         return container_document(self.url, [described, f"{self.url}{THING}", f"{self.url}{VOID}"], self.title)
 
 
-class ServiceContainer(DescribedResource):
+class ServiceContainer(WellKnownContainer):
     """`/channels/`: the subscription services. Channels are not listed: knowing the URL of one suffices to use it."""
 
-    kind = "Subscription services"
-    shape = "Container"
-    title = "Subscription services"
+    kind = title = "Subscription services"
     item = PathItem("The subscription services")
-    links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
     def document(self) -> Document:
         return container_document(self.url, [one.url for one in self.notifications.services], self.title)

@@ -106,7 +106,8 @@ class EventStreamResource(BagBase):
         found = choose_profile(_PROFILES, exchange.header("accept-profile"), exchange.prefer, requested)
         if requested is not None and found is None:
             raise Problem(406, f"?{PROFILE_QUERY}={requested[:60]} is unknown; choose from {', '.join(_PROFILES)}.")
-        suffix = "" if requested is None or found is None else f"?{PROFILE_QUERY}={_short_name(found)}"
+        name = next((name for name, known in _PROFILES.items() if known == found), None)
+        suffix = "" if requested is None or name is None else f"?{PROFILE_QUERY}={name}"
         profile = StreamProfile(found) if found else StreamProfile.RECORD
         links = (RESOURCE, RDF_SOURCE, Link(profile.value, "profile"))
         return self.variant(url=self.url + suffix, links=links, _profile=profile, _suffix=suffix)
@@ -201,7 +202,3 @@ def _url(space: Space, recording: Recording, page: PageNumber | None = None) -> 
     if page is None:
         return space.bag_stream(recording.name)
     return space.bag_stream_page(recording.name, f"{recording.identity}-{page.level}-{page.number}")
-
-
-def _short_name(iri: str) -> str:
-    return next(name for name, known in _PROFILES.items() if known == iri)

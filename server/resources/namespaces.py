@@ -393,20 +393,12 @@ class NamespaceContainer(NamespaceBase):
             )
         if self.route == "services":
             found, total = self._below(graph.services, members)
-            services = {name: graph.services[name] for name in found}
-            return MemberColumns(
-                ("type", "provider"),
-                {space.service(name): service_cells(service, space) for name, service in services.items()},
-                total,
-            )
+            cells = {space.service(name): service_cells(graph.services[name], space) for name in found}
+            return MemberColumns(("type", "provider"), cells, total)
         if self.route == "actions":
             found, total = self._below(graph.actions, members)
-            actions = {name: graph.actions[name] for name in found}
-            return MemberColumns(
-                ("type", "server"),
-                {space.action(name): action_cells(action, space) for name, action in actions.items()},
-                total,
-            )
+            cells = {space.action(name): action_cells(graph.actions[name], space) for name in found}
+            return MemberColumns(("type", "server"), cells, total)
         return None if self._place is None or members is None else MemberColumns(total=count_members(members))
 
     def _below(self, known: Mapping[str, object], members: Members | None) -> tuple[list[str], int]:

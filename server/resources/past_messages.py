@@ -6,11 +6,11 @@ import asyncio
 import time
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache, partial
 from itertools import starmap
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -181,6 +181,10 @@ _SLICE = 0.004
 """Seconds of lifting between pauses that let the loop run."""
 
 
+Text = TypeVar("Text")
+_Read: TypeAlias = "Callable[[_Reading, Sequence[Recording], Sequence[PastSelection]], Text]"
+
+
 class RecordedPast:
     """Recorded messages of one robot for its SPARQL endpoint."""
 
@@ -192,38 +196,31 @@ class RecordedPast:
         self, query: PastQuery, dataset: PastDataset, now: Interval, until: float, most: int | None = None
     ) -> PastText:
         """Return the text of the messages that a query selects, or of about `most` at one end. Raises Problems."""
-        readable, selections = self._chosen(query, dataset, now)
-        reading = _Reading(self._session, query, dataset, until, self._recordings.indexer.statistics)
-        try:
-            return await asyncio.to_thread(reading.read, readable, selections, most)
-        finally:
-            self._learn(reading)
+        return await self._run(query, dataset, now, until, lambda one, bags, found: one.read(bags, found, most))
 
     async def summarize(
         self, query: PastQuery, summary: SummaryQuery, dataset: PastDataset, until: float
     ) -> PastText | None:
         """Return the text of summaries of the selected messages, or None if they are not known. Raises Problems."""
-        readable, selections = self._chosen(query, dataset, summary.time)
-        reading = _Reading(self._session, query, dataset, until, self._recordings.indexer.statistics)
-        try:
-            return await asyncio.to_thread(reading.summarize, readable, selections, summary)
-        finally:
-            self._learn(reading)
+        return await self._run(
+            query, dataset, summary.time, until, lambda one, bags, found: one.summarize(bags, found, summary)
+        )
 
-    def _chosen(
-        self, query: PastQuery, dataset: PastDataset, now: Interval
-    ) -> tuple[Sequence[Recording], Sequence[PastSelection]]:
-        """Return the readable recordings and the selections of a query. Raises Problems."""
+    async def _run(
+        self, query: PastQuery, dataset: PastDataset, now: Interval, until: float, read: _Read[Text]
+    ) -> Text:
+        """Read from the readable recordings of a query, in a thread. Raises Problems."""
         recordings = self._find(query, dataset.graphs)
         selections = query.selections(now)
         readable = [one for one in recordings if may_read_recording(self._session.space, dataset.permissions, one)]
         for selection in selections:
             self._require_recorded(selection, readable, dataset.permissions)
-        return readable, selections
-
-    def _learn(self, reading: _Reading) -> None:
-        for ref, schema in reading.learned.items():
-            self._session.schemas.add(ref, schema)
+        reading = _Reading(self._session, query, dataset, until, self._recordings.indexer.statistics)
+        try:
+            return await asyncio.to_thread(read, reading, readable, selections)
+        finally:
+            for ref, schema in reading.learned.items():
+                self._session.schemas.add(ref, schema)
 
     def _find(self, query: PastQuery, graphs: tuple[str, ...]) -> Sequence[Recording]:
         """Return the recordings of a query. Raises a 400 Problem if there are none."""

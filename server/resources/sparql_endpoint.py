@@ -372,7 +372,7 @@ class SparqlResource(Resource):
                 store = f"{self.space.base}graphs"
                 raise Problem(400, f"Read and write graphs at {store}?graph=URL; this endpoint answers queries.")
             return self._page(exchange.permissions) if prefers_page(accept) else None
-        request = query_request("GET", exchange.request.scope["query_string"])
+        request = query_request(exchange.request.scope["query_string"])
         return await self._answer(request, accept, exchange)
 
     async def post(self, exchange: Exchange) -> Answer:

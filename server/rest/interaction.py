@@ -243,7 +243,6 @@ _COUNTED = range(2, 10)
 """Numbers tried before random suffixes: searching all names of a large container would take too long."""
 _SOUNDS = tuple(consonant + vowel for consonant in "bdfghjklmnprstvz" for vowel in "aeiou")
 _RESERVED = re.compile(r"\.meta$", re.IGNORECASE)
-_SUFFIX = re.compile(r"(?:\.[0-9A-Za-z]{1,15})?")
 _READ = MAX_LENGTH * 12
 """Number of characters of a Slug that are read: each of a name's may be four bytes, each percent-encoded."""
 _INVISIBLE = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0") | {
@@ -252,18 +251,15 @@ _INVISIBLE = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0") | {
 """Invisible letters and marks (Unicode's Default_Ignorable_Code_Point), which would make two names look the same."""
 
 
-def choose_name(slug: str | None, taken: Callable[[str], bool], *, suffix: str = "") -> str:
+def choose_name(slug: str | None, taken: Callable[[str], bool]) -> str:
     """Return a name for a new member, not yet percent-encoded: readable, a single path segment, and never used before.
 
     Letters, marks, digits, `-`, `_` and `.` of the Slug are retained, everything else becomes `-`; without a usable
     Slug the name is made of random syllables. It is in NFC, has at most 100 characters, begins with a letter, a digit
     or `_`, and does not end in a dot or in `.meta`. `taken` returns whether a name exists or ever did (LDP 5.2.3.11);
-    then a number or, at last, a random suffix is added. `suffix`, such as `.png`, is appended to a name without an
-    extension; raises ValueError for an invalid one.
+    then a number or, at last, a random suffix is added.
     """
-    if not _SUFFIX.fullmatch(suffix) or _RESERVED.search(suffix):
-        raise ValueError(f"{suffix!r} is not an extension such as '.png'")
-    stem, extension = _split(_readable(redact_tokens(slug or "")), suffix)
+    stem, extension = _split(_readable(redact_tokens(slug or "")))
     return next(name for name in _candidates(stem or _word(), extension) if not taken(name))
 
 
@@ -308,12 +304,12 @@ def _is_safe(char: str) -> bool:
     return char in "-_." or unicodedata.category(char)[0] in "LMN"
 
 
-def _split(name: str, suffix: str) -> tuple[str, str]:
-    """Return a name without its extension, and the extension; `suffix` if it has none."""
+def _split(name: str) -> tuple[str, str]:
+    """Return a name without its extension, and the extension."""
     stem, dot, last = name.rpartition(".")
     if dot and stem and re.fullmatch(r"[0-9A-Za-z]{1,15}", last):
         return stem, dot + last
-    return name, suffix
+    return name, ""
 
 
 def _word() -> str:

@@ -64,6 +64,7 @@ class GoalStore(LimitedStore[Goal]):
         super().__init__(limit, age)
         self._ids: dict[GoalId, str] = {}
         self._dropped: OrderedDict[GoalId, None] = OrderedDict()
+        """Keys of removed goals, whose later events are ignored."""
 
     def subjects(self, one: Goal) -> Sequence[str]:
         return one.id, one.action
@@ -82,10 +83,6 @@ class GoalStore(LimitedStore[Goal]):
     def of_key(self, key: GoalId) -> Goal | None:
         """Return the goal with this key."""
         return self._stored.get(self._ids.get(key, ""))
-
-    def is_dropped(self, key: GoalId) -> bool:
-        """Whether the goal was removed, so that later events are ignored."""
-        return key in self._dropped
 
     def keep(self, one: Goal) -> None:
         if one.key is not None:

@@ -260,7 +260,7 @@ class Goals(GoalStore):
                 _log.exception("failed to process an update about goal %.100r of %s", key.id, key.action)
 
     def _take(self, key: GoalId, event: GoalEvent, count: int) -> None:
-        if self.is_dropped(key):
+        if key in self._dropped:
             return
         known = self.of_key(key)
         if known is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import date
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from math import inf, isfinite, nan
 from typing import NamedTuple
@@ -37,6 +38,7 @@ _STAMP, _DAY_TIME, _DURATION_TYPE = (
     NamedNode(xsd.iri + name) for name in ("dateTimeStamp", "dayTimeDuration", "duration")
 )
 _NUMBERS = frozenset((xsd.integer, xsd.decimal, xsd.double, xsd.float))
+_EPOCH = date(1970, 1, 1).toordinal()
 _ROUNDING = 1e-6
 """Relative margin of bounds; a float has 24 binary digits."""
 _LEAST_FLOAT, _MOST_FLOAT = 1e-44, 3.4e38
@@ -169,7 +171,10 @@ def date_time_interval(value: Value) -> Interval | None:
     if found is None:
         return None
     year, month, day, hour, minute, second, sign, hours, minutes = found.groups()
-    days = _days(int(year), int(month), int(day))
+    try:
+        days = date(int(year), int(month), int(day)).toordinal() - _EPOCH
+    except ValueError:  # before the year 1, after 9999, or no date at all
+        return None
     seconds = Decimal(days * 86400 + int(hour) * 3600 + int(minute) * 60) + Decimal(second)
     if hours is not None:
         offset = int(hours) * 3600 + int(minutes) * 60
@@ -188,20 +193,9 @@ _DURATION = re.compile(
 """A duration without years and months, because their lengths depend on the date."""
 
 
-def _days(year: int, month: int, day: int) -> int:
-    """Days from the epoch to a date of the proleptic Gregorian calendar."""
-    year -= month <= 2
-    era, of_era = divmod(year, 400)
-    of_year = (153 * (month + (-3 if month > 2 else 9)) + 2) // 5 + day - 1
-    return era * 146097 + of_era * 365 + of_era // 4 - of_era // 100 + of_year - 719468
-
-
 def _nanoseconds(seconds: Decimal) -> Interval:
     exact = seconds * 1_000_000_000
-    return Interval(
-        int(exact.to_integral_value(ROUND_FLOOR)),
-        int(exact.to_integral_value(ROUND_CEILING)),
-    )
+    return Interval(int(exact.to_integral_value(ROUND_FLOOR)), int(exact.to_integral_value(ROUND_CEILING)))
 
 
 def _duration(text: str) -> Interval | None:
@@ -240,7 +234,7 @@ def _narrow(test: Operand, known: Knowledge, now: Interval) -> Knowledge:
     test = strip_brackets(test)
     if not isinstance(test, Expression):
         return known
-    alternatives = [*_split(test.parts, "||")]
+    alternatives = [*split_parts(test.parts, "||")]
     if len(alternatives) > 1:
         found = [_narrow_all(each, known, now) for each in alternatives]
         joined = found[0]
@@ -251,7 +245,7 @@ def _narrow(test: Operand, known: Knowledge, now: Interval) -> Knowledge:
 
 
 def _narrow_all(parts: Sequence[Part], known: Knowledge, now: Interval) -> Knowledge:
-    for each in _split(parts, "&&"):
+    for each in split_parts(parts, "&&"):
         if len(each) == 1 and not isinstance(each[0], str):
             known = _narrow(each[0], known, now)
         else:
@@ -259,7 +253,8 @@ def _narrow_all(parts: Sequence[Part], known: Knowledge, now: Interval) -> Knowl
     return known
 
 
-def _split(parts: Sequence[Part], operator: str) -> Iterator[Sequence[Part]]:
+def split_parts(parts: Sequence[Part], operator: str) -> Iterator[Sequence[Part]]:
+    """Yield the parts of an expression between occurrences of an operator."""
     begin = 0
     for at, part in enumerate(parts):
         if part == operator:

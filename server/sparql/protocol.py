@@ -52,18 +52,13 @@ class UpdateRequest(Struct, frozen=True):
     using_named_graphs: tuple[str, ...] = ()
 
 
-def query_request(method: str, query_string: bytes, content_type: str | None = None, body: bytes = b"") -> QueryRequest:
-    """Return the query of a request; parameters unknown to the protocol are ignored.
+def query_request(query_string: bytes) -> QueryRequest:
+    """Return the query of a GET; parameters unknown to the protocol are ignored.
 
     `query_string` is percent-encoded, as in the URL. Raises Problem 400 for no query, several, an update, text that is
-    not UTF-8 or invalid graph names; 415 for bodies of other media types.
+    not UTF-8 or invalid graph names.
     """
-    if method in ("GET", "HEAD"):
-        return _remembered(query_string) if len(query_string) <= _LONGEST_CACHED else _from_url(query_string)
-    request = posted_request(query_string, content_type, body)
-    if isinstance(request, UpdateRequest):
-        raise Problem(400, "This is an update, but only queries are accepted here.")
-    return request
+    return _remembered(query_string) if len(query_string) <= _LONGEST_CACHED else _from_url(query_string)
 
 
 def posted_request(query_string: bytes, content_type: str | None, body: bytes) -> QueryRequest | UpdateRequest:

@@ -8,13 +8,13 @@ So the patterns stay as they are, and only the aggregates change: COUNT becomes 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
 from rosld.ontology.vocab import rdf, ros
-from rosld.server.sparql.intervals import ANY_TIME, Interval, date_time_interval
+from rosld.server.sparql.intervals import ANY_TIME, Interval, date_time_interval, split_parts
 from rosld.server.sparql.syntax.expressions import calls_within, is_aggregate
 from rosld.server.sparql.syntax.token import Kind
 from rosld.server.sparql.syntax.tree import (
@@ -24,6 +24,7 @@ from rosld.server.sparql.syntax.tree import (
     Group,
     Iri,
     Operand,
+    Part,
     Pattern,
     Query,
     Reference,
@@ -132,18 +133,13 @@ def _is_distinct(query: Query) -> bool:
 def _extreme(test: Operand, found: _Message) -> tuple[Reference, str] | None:
     """Return the variable of a number and its extreme that passes a test if any number of several messages does."""
     test = strip_brackets(test)
-    if not isinstance(test, Expression) or len(test.parts) != 3 or test.parts[1] not in _TURNED:
+    compared = _comparison(test.parts) if isinstance(test, Expression) else None
+    if compared is None or compared[2].kind is not Kind.NUMBER:
         return None
-    one, operator, other = test.parts
-    if isinstance(one, str) or isinstance(other, str) or not isinstance(operator, str):
+    variable, operator, _ = compared
+    if variable.name[1:] not in found.ends - found.times:
         return None
-    one, other = strip_brackets(one), strip_brackets(other)
-    if isinstance(one, Constant):
-        one, operator, other = other, _TURNED[operator], one
-    is_number = isinstance(other, Constant) and other.kind is Kind.NUMBER
-    if not isinstance(one, Reference) or one.name[1:] not in found.ends - found.times or not is_number:
-        return None
-    return one, MINIMUM if operator.startswith("<") else MAXIMUM
+    return variable, MINIMUM if operator.startswith("<") else MAXIMUM
 
 
 class _Message:
@@ -255,32 +251,33 @@ def _bound(test: Operand, times: set[str]) -> Interval | None:
     test = strip_brackets(test)
     if not isinstance(test, Expression):
         return None
-    found, begin = ANY_TIME, 0
-    for at, part in enumerate((*test.parts, "&&")):
-        if part != "&&":
-            continue
-        pieces = test.parts[begin:at]
-        begin = at + 1
-        if len(pieces) == 1 and isinstance(pieces[0], Expression):
-            bound = _bound(pieces[0], times)
-        elif len(pieces) == 3 and isinstance(pieces[1], str) and pieces[1] in _TURNED:
-            bound = _compared(pieces[0], pieces[1], pieces[2], times)
+    found = ANY_TIME
+    for parts in split_parts(test.parts, "&&"):
+        if len(parts) == 1 and isinstance(parts[0], Expression):
+            bound = _bound(parts[0], times)
         else:
-            bound = None
+            bound = _compared(parts, times)
         if bound is None:
             return None
         found = found.meet(bound)
     return found
 
 
-def _compared(one: Operand | str, operator: str, other: Operand | str, times: set[str]) -> Interval | None:
-    if isinstance(one, str) or isinstance(other, str):
+def _comparison(parts: Sequence[Part]) -> tuple[Reference, str, Constant] | None:
+    """Return the variable, the operator and the constant of a comparison."""
+    if len(parts) != 3 or parts[1] not in _TURNED or isinstance(parts[0], str) or isinstance(parts[2], str):
         return None
-    one, other = strip_brackets(one), strip_brackets(other)
+    one, operator, other = strip_brackets(parts[0]), str(parts[1]), strip_brackets(parts[2])
     if isinstance(one, Constant):
         one, operator, other = other, _TURNED[operator], one
-    if not (isinstance(one, Reference) and one.name[1:] in times and isinstance(other, Constant)):
+    return (one, operator, other) if isinstance(one, Reference) and isinstance(other, Constant) else None
+
+
+def _compared(parts: Sequence[Part], times: set[str]) -> Interval | None:
+    found = _comparison(parts)
+    if found is None or found[0].name[1:] not in times:
         return None
+    _, operator, other = found
     if not isinstance(other.term, Value) or not _ZONE.search(other.term.literal.value.rstrip()):
         return None
     moment = date_time_interval(other.term)

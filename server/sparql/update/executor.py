@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from functools import reduce
 from typing import NamedTuple
 
@@ -62,9 +62,9 @@ class UpdateEvaluator:
         For large graphs whose names begin with `documents` the changes are differences. Raises Problems as a query
         does, and those of `evaluate.evaluate`.
         """
-        wheres = [self._plan_where(each) for each in _wheres(operations)]
+        wheres = [self._plan_where(each.where) for each in operations if isinstance(each, Modify)]
         graphs = named_graphs(operations) | more
-        needs = _all_needs(wheres, graphs)
+        needs = reduce(Needs.__or__, (one.needs for one in wheres), needs_of_documents(graphs))
         templates = sum(len(each.inserts) + len(each.deletes) for each in operations if isinstance(each, Modify))
 
         async def prepare() -> Work:
@@ -95,18 +95,10 @@ class UpdateEvaluator:
         )
 
 
-def _wheres(operations: Sequence[Operation]) -> Iterator[Where]:
-    return (each.where for each in operations if isinstance(each, Modify))
-
-
 def _scope(wheres: Sequence[_PlannedWhere], graphs: frozenset[str]) -> frozenset[str] | None:
     """Return the only graphs that an update can read, None for all."""
     scopes = [one.scope for one in wheres]
     return None if None in scopes else graphs.union(*(scope for scope in scopes if scope is not None))
-
-
-def _all_needs(wheres: Sequence[_PlannedWhere], graphs: frozenset[str]) -> Needs:
-    return reduce(Needs.__or__, (one.needs for one in wheres), needs_of_documents(graphs))
 
 
 def _read_tokens(needs: Needs, versions: DatasetVersions) -> Mapping[str, Hashable]:

@@ -10,6 +10,8 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.waiting import once_started
+
 Served = Any
 ANSWER = b'{"head":{"vars":["x"]},"results":{"bindings":[{"x":{"type":"literal","value":"from afar"}}]}}'
 DOCUMENTS = {
@@ -111,7 +113,8 @@ def test_an_endpoint_that_fails_is_502_and_silently_passed_over_where_asked_so(
 def test_an_endpoint_that_does_not_answer_takes_no_longer_than_a_query_may(
     federated: Served, endpoint: Endpoint
 ) -> None:
-    answer = ask(federated, f"SELECT ?x {{ SERVICE <{endpoint.url('silent')}> {{ ?s ?p ?x }} }}", timeout="0.5")
+    query = f"SELECT ?x {{ SERVICE <{endpoint.url('silent')}> {{ ?s ?p ?x }} }}"
+    answer = once_started(lambda: ask(federated, query, timeout="0.5"))
     assert (answer.status_code, answer.json()["reason"]) == (503, "time")
 
 

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import httpx
 
+from tests.waiting import once_started
+
 TEXT = (Path(__file__).parents[2] / "docs" / "reference" / "sparql.md").read_text("utf-8")
 BLOCK = re.compile(r"(?:<!-- (?P<on>aircraft[^>]*) -->\n)?```(?P<kind>\w+)\n(?P<text>.*?)```\n", re.DOTALL)
 PRINTED = "http://127.0.0.1:8080/"
@@ -109,6 +111,6 @@ def test_stored_queries_take_parameters_and_refuse_bad_ones(plane: httpx.Client)
 def test_a_query_that_exceeds_its_timeout_says_so(plane: httpx.Client) -> None:
     heavy = "SELECT (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i }"
     assert heavy in TEXT
-    answer = plane.post("/sparql", params={"timeout": "0.2"}, data={"query": heavy})
+    answer = once_started(lambda: plane.post("/sparql", params={"timeout": "0.2"}, data={"query": heavy}))
     assert (answer.status_code, answer.json()["reason"]) == (503, "time")
     assert answer.json()["detail"] in TEXT

@@ -49,13 +49,13 @@ from rosld.adapters.model import ParameterValue as ParameterValue
 class Capabilities(Struct, frozen=True):
     """Capabilities of a kind of system as a whole; `Adapter.allows` answers for a single thing.
 
-    `system` names it ("ROS 1", "recording", ...); `encoding` is what `publish` and `call` take and `call` returns;
-    `parameter_trees`: parameters form one tree of namespaces (ROS 1), so that a namespace can be read and deleted
-    whole; `parameter_server`: a server stores parameters that belong to no node, and does not notify nodes of changes
-    (ROS 1); `writes`: the system accepts writes; `creates_topics`: publishing may create a topic;
-    `qos`: publishers and subscribers have a quality of service; `hidden_names`: a name with a segment that begins with
-    an underscore is hidden (ROS 2), and listings omit it by default.
-    `mapping` and `limits` are documents supplied with this kind of robot (RDF, opaque to adapters), None for most.
+    - `system`: its name ("ROS 1", "recording", ...); `encoding`: of messages that are sent, and of responses.
+    - `writes`: the system accepts writes; `creates_topics`: publishing may create a topic.
+    - `parameter_trees`: parameters form one tree of namespaces, which can be read and deleted whole (ROS 1).
+    - `parameter_server`: parameters belong to no node, and nodes are not notified of changes (ROS 1).
+    - `qos`: publishers and subscribers have a quality of service (ROS 2).
+    - `hidden_names`: names with a segment that begins with an underscore are hidden; listings omit them (ROS 2).
+    - `mapping`, `limits`: RDF documents supplied with this kind of robot, opaque to adapters; None for most.
     """
 
     system: str
@@ -84,7 +84,7 @@ class Watch(Protocol):
 
 
 class Subscription(Protocol):
-    """A reference-counted subscription to one topic."""
+    """A reference-counted subscription to one topic, used on the server's loop."""
 
     def latest(self) -> Sequence[Sample]:
         """Return the newest `depth` samples of each publisher, the most recently received last.
@@ -100,7 +100,7 @@ class Subscription(Protocol):
 
 
 class Sink(Protocol):
-    """Receives the changes of an adapter. Thread-safe, never blocks, never raises."""
+    """Receives the changes of an adapter, from any thread. Never blocks, never raises."""
 
     def graph_changed(self, graph: Graph) -> None:
         """Receive the new computation graph; one call may cover several changes."""
@@ -155,10 +155,7 @@ class MessageFilter(Struct, frozen=True):
 
 
 class MessagePage(NamedTuple):
-    """A page of messages in index order, with the `start` of the next page (None for the last page).
-
-    Unreadable messages are omitted.
-    """
+    """A page of messages in index order, without unreadable ones, and the `start` of the next page (None: no more)."""
 
     messages: Sequence[RecordedMessage]
     next: int | None
@@ -169,7 +166,7 @@ PAGE_BYTES = 16 * 1024 * 1024
 
 
 class Recording(Protocol):
-    """A recording (a ROS bag) that can be read message by message."""
+    """A recording (a ROS bag) that can be read message by message, by several threads at once."""
 
     @property
     def name(self) -> str:
@@ -229,7 +226,7 @@ class Recording(Protocol):
 
     @property
     def content(self) -> str | None:
-        """The key of what is known of its content, the same when its file is moved; None if the content may change."""
+        """A key of its content, the same after its file was moved; None if the content may change."""
 
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
         """Return bounds in ns on the times of the messages from `start` to `end` (exclusive), or None."""
@@ -248,7 +245,7 @@ class Recording(Protocol):
         """Return at most `limit` messages of about `PAGE_BYTES` in total, reading no others."""
 
     def density(self, parts: int) -> Mapping[str, Sequence[int]]:
-        """Return the numbers of messages in equal parts of the time, by topic; empty if that is not known at once."""
+        """Return the numbers of messages in equal parts of the time, by topic; empty if they are not known yet."""
 
     def schema(self, ref: TypeRef) -> Schema:
         """Return the schema of a type of this recording; raises UnknownType."""
@@ -257,7 +254,7 @@ class Recording(Protocol):
 class Adapter(Protocol):
     """One ROS system, live, embedded or recorded.
 
-    The methods with a body are those of a system without services, actions and parameters, to which nothing is written.
+    Methods without a body are required. The others suit a system without services, actions, parameters and writes.
     """
 
     @property
@@ -299,13 +296,13 @@ class Adapter(Protocol):
         """
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
-        """Return the schema of a type; without a hash, the one in use. Raises UnknownType."""
+        """Return the schema of a type: with this hash, or without one as in use now. Raises UnknownType."""
 
     def known_types(self) -> Sequence[TypeRef]:
-        """Return the types that are or were in use (listed at `/types/`). Cheap."""
+        """Return the types that are or were in use, for `/types/`. Cheap."""
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
-        """Subscribe to a topic, which may not have a publisher yet. Reference-counted; returns at once."""
+        """Subscribe to a topic, which need not exist yet, for `depth` samples of each publisher. Returns at once."""
 
     def age_ns(self, sample: Sample) -> int:
         """Return the nanoseconds since a sample was received, by the wall clock or the playback clock of a recording.
@@ -319,7 +316,8 @@ class Adapter(Protocol):
     ) -> Published:
         """Publish a message, advertising the topic and waiting for a subscriber until `deadline` if necessary.
 
-        Without a subscriber by then, the message is still published and `matched` is 0. Raises Refused, Unreachable.
+        Without a subscriber by then, the message is still published and `matched` is 0. With `latch`, subscribers that
+        come later receive it, too. Raises Refused, Unreachable, UnknownType.
         """
         raise _refusal(self)
 
@@ -336,7 +334,7 @@ class Adapter(Protocol):
         raise NotFound(f"rosld does not advertise {topic}")
 
     async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Call a service. Raises Refused with the node's message, TimedOut, Unreachable, NotFound."""
+        """Return a service's response. Raises Refused with the node's message, TimedOut, Unreachable, NotFound."""
         raise _missing(self, "service", service)
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
@@ -376,7 +374,7 @@ class Adapter(Protocol):
         raise without_lifecycle(self.graph.nodes, node)
 
     async def get_parameters(self, names: Sequence[str], *, deadline: float) -> Mapping[str, ParameterValue]:
-        """Return the values of existing names; a namespace has a dict as its value, and `/` holds all parameters."""
+        """Return the values of those names that exist; the value of a namespace is a dict, and `/` holds everything."""
         return {}
 
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
@@ -402,11 +400,13 @@ MESSAGE_LIMIT = 256 * 1024 * 1024
 class AdapterOptions(Struct, frozen=True):
     """The options of `rosld serve` for adapters; each adapter uses those that apply to it.
 
-    `qos` maps globs of topics to profiles; the first matching profile applies, as far as it is set. `message_limit` is
-    the maximum size in bytes of a message or response from a robot's node. `recording_index_limit` is the maximum
-    memory in bytes for the index of a recording, which may come from an untrusted source. `catalogue` is the path of
-    the catalogue of a source of many recordings, None for one in its first folder. `recording_name` replaces the name
-    that a recording has from its path.
+    - `types`: folders with definitions of types. `qos`: profiles by globs of topics; the first match applies.
+    - `ros_ip`, `host_map`: the address at which nodes reach rosld, and addresses of hosts by name (ROS 1).
+    - `message_limit`: the maximum size in bytes of a message or response from a node.
+    - `rate`, `once`: the speed of playback, and whether it ends instead of looping.
+    - `recording_index_limit`: the maximum memory in bytes for the index of an untrusted recording, else None.
+    - `recording_name`: the name of a recording, instead of one from its path.
+    - `catalogue`: the path of the catalogue of many recordings; None for one in their first folder.
     """
 
     types: tuple[Path, ...] = ()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -62,6 +63,11 @@ def test_every_page_is_reached_from_the_readme() -> None:
                 seen.add(target)
                 waiting.append(target)
     assert not [str(page.relative_to(ROOT)) for page in pages() if page.resolve() not in seen]
+
+
+def test_the_reference_of_adapters_is_up_to_date() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "adapter_reference.py"))
+    assert script["PAGE"].read_text("utf-8").endswith("\n" + script["reference"]()), "run docs/adapter_reference.py"
 
 
 PRINTED = "http://127.0.0.1:8080/"

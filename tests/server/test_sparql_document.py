@@ -15,7 +15,7 @@ import httpx
 from tests.waiting import once_started
 
 TEXT = (Path(__file__).parents[2] / "docs" / "reference" / "sparql.md").read_text("utf-8")
-BLOCK = re.compile(r"(?:<!-- (?P<on>aircraft[^>]*) -->\n)?```(?P<kind>\w+)\n(?P<text>.*?)```\n", re.DOTALL)
+BLOCK = re.compile(r"(?:\[//\]: # \((?P<on>aircraft[^)]*)\)\n)?```(?P<kind>\w+)\n(?P<text>.*?)```\n", re.DOTALL)
 PRINTED = "http://127.0.0.1:8080/"
 
 
@@ -47,7 +47,7 @@ def rows(text: str) -> list[list[str]]:
 
 
 def test_every_example_is_answered_as_printed(plane: httpx.Client) -> None:
-    assert re.findall(r"^\*\*(\d+)\. ", TEXT, re.MULTILINE) == [str(number) for number in range(1, 11)]
+    assert re.findall(r"^\*\*(\d+)\. ", TEXT, re.MULTILINE) == [str(number) for number in range(1, 10)]
     found = list(examples())
     assert {one.on[0] for one in found if one.on} == {"200", "204", "403", "422"}, "updates of every outcome"
     for example in found:
@@ -94,6 +94,8 @@ def update(http: httpx.Client, example: Example) -> None:
     if example.printed:
         told = json.loads(answer.text.replace(str(http.base_url), PRINTED))
         assert told == json.loads(example.printed)
+    if flags:
+        update(http, example._replace(on=("204",), printed=""))
 
 
 _UPDATE = {"Content-Type": "application/sparql-update"}

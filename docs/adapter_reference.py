@@ -46,7 +46,8 @@ def _kind(kind: ast.stmt, level: str) -> str:
     head = f"{level} {_name(kind)}"
     if not isinstance(kind, ast.ClassDef):
         return f"{head}\n\n`{ast.unparse(getattr(kind, 'value', kind))}`".replace("'", "")
-    fields = (ast.unparse(each) for each in kind.body if isinstance(each, ast.AnnAssign | ast.Assign))
+    values = ", ".join(f"`{ast.unparse(each.targets[0])}`" for each in kind.body if isinstance(each, ast.Assign))
+    fields = (ast.unparse(each).replace("'", '"') for each in kind.body if isinstance(each, ast.AnnAssign))
     lines = [re.sub(r"field\(default_factory=(\w+)\)", r"\1()", each) for each in fields]
     methods = [each for each in kind.body if isinstance(each, _Function) and not each.name.startswith("_")]
     made = [each for each in kind.body if isinstance(each, _Function) and each.name == "__init__"]
@@ -58,7 +59,7 @@ def _kind(kind: ast.stmt, level: str) -> str:
         described = [f"{head}{note}\n\n{_text(each)}" for head, note, each in zip(heads, notes, methods, strict=True)]
     else:
         described = ["\n".join(f"- `{_signature(each)}`: {' '.join(_text(each).split())}" for each in methods)]
-    return "\n\n".join(filter(None, [head, _text(kind), *code, *described]))
+    return "\n\n".join(filter(None, [head, _text(kind), values, *code, *described]))
 
 
 def _text(node: ast.ClassDef | _Function) -> str:

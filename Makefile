@@ -1,4 +1,4 @@
-# demo: the paper's aircraft at http://127.0.0.1:8080/     check: style and types
+# demo: the paper's aircraft at http://127.0.0.1:8080/, or with ROBOT=rover a mobile robot     check: style and types
 # quick: most tests in a minute     test: all tests     interop: other people's clients
 # bench: the table of ratios     docs: the documentation site in build/docs     clean: back to a fresh clone
 # release: sdist, wheel and SBOM in dist/, checked     deb: a Debian package for this machine's release, in dist/
@@ -10,12 +10,13 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 READY := .venv/.ready
 PORT ?= 8080
+ROBOT := aircraft
 HEADERS := import sysconfig; print(sysconfig.get_path("include") + "/Python.h")
 
 .PHONY: demo quick test interop check bench docs release deb clean venv debian ros2
 
 demo: $(INSTALLED)
-	$(BIN)/rosld serve aircraft --port $(PORT)
+	$(BIN)/rosld serve $(ROBOT) --port $(PORT)
 
 # Tests wait as much as they work, so four run side by side, file by file; the real ROS 2 are made meanwhile. They start
 # hundreds of servers, each of which would compile all of rosld where Python is told to keep nothing that it compiled.

@@ -1,12 +1,13 @@
-"""Photographs the demo for the README: `python docs/screenshots.py` writes the pictures to `docs/images`.
+"""Photographs the rover for the README: `python -m docs.screenshots` writes the pictures to `docs/images`.
 
-It starts `rosld serve aircraft` on a free port, waits for the URL on its standard output, starts the aircraft, and ends
-it all again. Needs chromium and the fonts in tests/debian-browser.txt.
+It serves the rover on a free port, sends it to the other room, and photographs pages while it drives. Needs chromium
+and the fonts in tests/debian-browser.txt.
 """
 
 from __future__ import annotations
 
-import shutil
+import io
+import json
 import subprocess
 import sys
 import tempfile
@@ -16,59 +17,63 @@ from pathlib import Path
 from urllib.parse import quote
 from urllib.request import Request, urlopen
 
-IMAGES = Path(__file__).parent / "images"
-QUERY = """PREFIX ros: <https://w3id.org/rosld#>
+from PIL import Image
 
-SELECT ?node ?topic ?type ?rate WHERE {
-  ?node ros:publishes ?topic .
-  ?topic ros:hasMessageType ?type ;
-         ros:rate ?rate .
+from tests.server.html.devtools import browser
+
+IMAGES = Path(__file__).parent / "images"
+GOAL = {"pose": {"pose": {"position": {"x": 4, "y": -3}}}}
+QUERY = """SELECT ?sensor ?property ?value ?unit WHERE {
+  ?observation sosa:madeBySensor ?sensor ;
+    sosa:observedProperty ?property ;
+    sosa:hasResult ?result .
+  ?result qudt:numericValue ?value ; qudt:hasUnit ?unit .
 }
-ORDER BY ?topic"""
+ORDER BY ?property"""
 PICTURES = {
-    "entry.png": ("", (1100, 940)),
-    "resource.png": ("resources/aircraft/", (1100, 760)),
-    "topic.png": ("topics/aircraft/engine/speed", (1100, 760)),
-    "sparql.png": (f"sparql?query={quote(QUERY, safe='')}&format=html", (1100, 860)),
+    "cockpit.png": (
+        "cockpit/default",
+        (1280, 960),
+        "Number(document.querySelector('.panel.plot figure').dataset.points) > 250"
+        " && document.querySelector('.panel img').dataset.moving === 'yes'"
+        " && Number(document.querySelector('.panel.space canvas').dataset.messages) > 100",
+    ),
+    "topic.png": ("topics/odom", (1100, 760), "true"),
+    "sparql.png": (f"sparql?query={quote(QUERY, safe='')}#table", (1100, 860), "document.querySelector('.yasr table')"),
 }
+"""Pages, with the size of the window and when they are complete."""
 
 
 @contextmanager
-def aircraft() -> Iterator[str]:
-    """The demo, served; yields its entry URL."""
-    command = [sys.executable, "-m", "rosld", "serve", "aircraft", "--port", "0"]
+def rover() -> Iterator[str]:
+    """Serve the rover on its way to a goal; yield the URL of the server."""
+    command = [sys.executable, "-m", "rosld", "serve", "rover:?pose=-3.5,-2,0", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None
             url = server.stdout.readline().strip()
             if not url:
-                raise SystemExit("rosld serve aircraft has not started; its reason stands above")
+                raise SystemExit("rosld serve rover has not started; its reason stands above")
+            fields = {"Content-Type": "application/json"}
+            goal = Request(f"{url}actions/navigate_to", json.dumps(GOAL).encode(), fields)
+            urlopen(goal, timeout=30).close()
             yield url
         finally:
             server.terminate()
 
 
-def photograph(url: str, target: Path, size: tuple[int, int]) -> None:
-    """One page as a PNG file."""
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if program is None:
-        raise SystemExit("chromium is not installed: apt-get install $(cat tests/debian-browser.txt)")
-    quiet = "--headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking --hide-scrollbars"
-    with tempfile.TemporaryDirectory() as profile:
-        arguments = ["--disable-component-update", "--disable-sync", f"--user-data-dir={profile}"]
-        picture = [f"--window-size={size[0]},{size[1]}", f"--screenshot={target}"]
-        subprocess.run(
-            [program, *quiet.split(), *arguments, *picture, url], check=True, capture_output=True, timeout=120
-        )
-
-
 def main() -> None:
-    with aircraft() as base:
-        urlopen(Request(f"{base}resources/aircraft/start", method="POST"), timeout=30).close()
-        for name, (path, size) in PICTURES.items():
-            urlopen(base + path, timeout=30).close()  # the first look subscribes, so the second has a value
-            photograph(base + path, IMAGES / name, size)
-            print(IMAGES / name)
+    with tempfile.TemporaryDirectory() as folder, rover() as base, browser(Path(folder) / "profile") as window:
+        for name, (path, (width, height), complete) in PICTURES.items():
+            with window.tab() as tab:
+                size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+                tab.send("Emulation.setDeviceMetricsOverride", **size)
+                tab.open(base + path)
+                tab.until(complete)
+                tab.photograph(picture := Path(folder) / name, width, height)
+            image = Image.open(io.BytesIO(picture.read_bytes())).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+            image.save(IMAGES / name, optimize=True)
+            print(IMAGES / name, (IMAGES / name).stat().st_size)
 
 
 if __name__ == "__main__":

@@ -53,6 +53,7 @@ def test_every_relative_link_leads_to_a_file_and_a_heading() -> None:
     assert not broken
 
 
+@pytest.mark.skipif((ROOT / "PKG-INFO").exists(), reason="links of a released README lead to the repository")
 def test_every_page_is_reached_from_the_readme() -> None:
     waiting, seen = [ROOT / "README.md"], {ROOT / "README.md"}
     while waiting:
@@ -111,8 +112,9 @@ def serve(start: Callable[..., Served], command: str) -> str:
 @pytest.mark.parametrize(
     ("page", "command"),
     [
-        ("README.md", "rosld serve aircraft"),
+        ("README.md", "rosld serve rover"),
         ("docs/tutorial/aircraft.md", "rosld serve aircraft"),
+        ("docs/how-to/data.md", "rosld serve aircraft"),
         ("docs/how-to/rover.md", "rosld serve rover"),
         ("docs/how-to/faults.md", "rosld serve rover"),
         ("docs/how-to/robots.md", "rosld serve rover=rover plane=aircraft"),

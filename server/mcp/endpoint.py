@@ -24,7 +24,7 @@ from rosld.server.runtime.tasks import end_tasks
 from rosld.server.settings import Settings
 
 SEGMENT = "mcp"
-NEEDS_SDK = "tools for language models need the Model Context Protocol SDK: pip install '.[mcp]' in a clone of rosld"
+NEEDS_SDK = "tools for language models need the Model Context Protocol SDK: pip install 'rosld[mcp]'"
 _OFF = "Tools for language models are switched off here: start the server with --mcp read or --mcp write."
 
 

@@ -57,5 +57,5 @@ def test_without_rclpy_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.delitem(sys.modules, "rclpy.node", raising=False)
     with pytest.raises(ValueError, match="source") as caught:
         adapter("ros2:", AdapterOptions())
-    for word in ("/opt/ros/jazzy/setup.bash", "--system-site-packages", 'pip install ".[ros2-jazzy]"'):
+    for word in ("/opt/ros/jazzy/setup.bash", "--system-site-packages", "pip install 'rosld[ros2-jazzy]'"):
         assert word in str(caught.value)

@@ -190,7 +190,7 @@ def test_the_endpoint_says_why_it_is_not_there(serve: Callable[..., Any], monkey
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     missing = server.http.get("/mcp")
     assert missing.status_code == 404
-    assert "pip install '.[mcp]' in a clone of rosld" in missing.json()["detail"]
+    assert "pip install 'rosld[mcp]'" in missing.json()["detail"]
 
 
 def test_the_endpoint_checks_host_and_origin(serve: Callable[..., Any]) -> None:

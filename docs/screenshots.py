@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 from urllib.parse import quote
 from urllib.request import Request, urlopen
 
@@ -22,7 +23,6 @@ from PIL import Image
 from tests.server.html.devtools import browser
 
 IMAGES = Path(__file__).parent / "images"
-GOAL = {"pose": {"pose": {"position": {"x": 4, "y": -3}}}}
 QUERY = """SELECT ?sensor ?property ?value ?unit WHERE {
   ?observation sosa:madeBySensor ?sensor ;
     sosa:observedProperty ?property ;
@@ -30,45 +30,68 @@ QUERY = """SELECT ?sensor ?property ?value ?unit WHERE {
   ?result qudt:numericValue ?value ; qudt:hasUnit ?unit .
 }
 ORDER BY ?property"""
+
+
+class Picture(NamedTuple):
+    """A page, the size of the window, where the rover is sent, and when the page is complete."""
+
+    path: str
+    size: tuple[int, int]
+    goal: tuple[float, float] | None
+    complete: str
+
+
 PICTURES = {
-    "cockpit.png": (
+    "cockpit.png": Picture(
         "cockpit/default",
-        (1280, 960),
-        "Number(document.querySelector('.panel.plot figure').dataset.points) > 250"
+        (1440, 1244),
+        (4, -1),
+        "Number(document.querySelector('.panel.plot figure').dataset.points) > 150"
         " && document.querySelector('.panel img').dataset.moving === 'yes'"
         " && Number(document.querySelector('.panel.space canvas').dataset.messages) > 100",
     ),
-    "topic.png": ("topics/odom", (1100, 760), "true"),
-    "sparql.png": (f"sparql?query={quote(QUERY, safe='')}#table", (1100, 860), "document.querySelector('.yasr table')"),
+    "topic.png": Picture(
+        "topics/odom",
+        (1100, 1168),
+        (-3, -2.8),
+        "Number(document.querySelector('.space canvas').dataset.messages) > 150",
+    ),
+    "sparql.png": Picture(
+        f"sparql?query={quote(QUERY, safe='')}#table", (1100, 990), None, "!!document.querySelector('.yasr table')"
+    ),
 }
-"""Pages, with the size of the window and when they are complete."""
 
 
 @contextmanager
 def rover() -> Iterator[str]:
-    """Serve the rover on its way to a goal; yield the URL of the server."""
-    command = [sys.executable, "-m", "rosld", "serve", "rover:?pose=-3.5,-2,0", "--port", "0"]
+    """Serve the rover; yield the URL of the server."""
+    command = [sys.executable, "-m", "rosld", "serve", "rover:?pose=-3,-2.8,0.3", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None
             url = server.stdout.readline().strip()
             if not url:
                 raise SystemExit("rosld serve rover has not started; its reason stands above")
-            fields = {"Content-Type": "application/json"}
-            goal = Request(f"{url}actions/navigate_to", json.dumps(GOAL).encode(), fields)
-            urlopen(goal, timeout=30).close()
             yield url
         finally:
             server.terminate()
 
 
+def send(base: str, x: float, y: float) -> None:
+    """Send the rover to a position."""
+    goal = json.dumps({"pose": {"pose": {"position": {"x": x, "y": y}}}}).encode()
+    urlopen(Request(f"{base}actions/navigate_to", goal, {"Content-Type": "application/json"}), timeout=30).close()
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder, rover() as base, browser(Path(folder) / "profile") as window:
-        for name, (path, (width, height), complete) in PICTURES.items():
+        for name, (path, (width, height), goal, complete) in PICTURES.items():
             with window.tab() as tab:
                 size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
                 tab.send("Emulation.setDeviceMetricsOverride", **size)
                 tab.open(base + path)
+                if goal is not None:
+                    send(base, *goal)
                 tab.until(complete)
                 tab.photograph(picture := Path(folder) / name, width, height)
             image = Image.open(io.BytesIO(picture.read_bytes())).convert("RGB").quantize(256, dither=Image.Dither.NONE)

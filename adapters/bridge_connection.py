@@ -1,20 +1,34 @@
-"""WebSocket bridges: the connection, which is opened again whenever it is lost, and the feeds and the graph over it."""
+"""WebSocket bridges: the connection, which is opened again whenever it is lost, and the base of systems behind it."""
 
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
+import itertools
+import logging
 import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import parse_qsl, unquote, urlsplit
 
 from rosld.adapters.base import Sink
-from rosld.adapters.model import Encoding, Graph, RosError, Sample, Sent, TimedOut, TypeRef, Unreachable
+from rosld.adapters.model import (
+    Encoding,
+    Graph,
+    MessageSchema,
+    RosError,
+    Sample,
+    Sent,
+    TimedOut,
+    TypeRef,
+    Unreachable,
+)
+from rosld.adapters.registry import without_credentials
 from rosld.adapters.slots import received_ns
-from rosld.adapters.thread import LiveFeed
+from rosld.adapters.thread import LiveFeed, wait_event
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.2, 5.0
 _OPEN_SECONDS = 5.0
@@ -24,36 +38,47 @@ _MAX_UNSENT = 1000
 """Maximum number of messages that wait for a slow bridge; further ones are refused."""
 _ECHO_SECONDS = 2.0
 _MAX_ECHOES = 64
+_EPOCHS = itertools.count()
+logging.getLogger("websockets.client").setLevel(logging.INFO)  # at lower levels it logs credentials
 
 
 class BridgeSource(NamedTuple):
-    """A WebSocket URL, and the options of a source."""
+    """The address `HOST:PORT/PATH` of a bridge, the value of `Authorization` for it, and the options of a source."""
 
-    url: str
+    address: str
+    is_tls: bool
+    authorization: str | None
     options: Mapping[str, str]
 
 
-def read_source(source: str, scheme: str, port: int, options: Sequence[str] = ()) -> BridgeSource:
-    """Return the URL in `SCHEME://HOST:PORT/PATH?OPTION=VALUE`; `SCHEMEs` is over TLS.
+def read_source(source: str, port: int, options: Sequence[str] = ()) -> BridgeSource:
+    """Return what `SCHEME://USER:PASSWORD@HOST:PORT/PATH?OPTION=VALUE` says; `SCHEMEs` is over TLS.
 
-    Raises ValueError with a sentence for the user.
+    All but the scheme may be left out. `:TOKEN@` is a bearer token. Raises ValueError with a sentence for the user, in
+    which nothing that may be a password is repeated.
     """
-    example = f"{scheme}://HOST:{port}"
+    scheme = source.partition(":")[0]
+    example = f"write {scheme}://HOST:{port}"
     try:
-        parts = urlsplit(source)
-        host, given = parts.hostname, parts.port
+        parts = urlsplit(source if ":" in source else f"{source}:")
+        if parts.path and not parts.path.startswith("/"):
+            raise ValueError(parts.path)
+        host, given = parts.hostname or "localhost", parts.port or port
         pairs = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query)))
-    except ValueError as error:
-        raise ValueError(f"{source!r} cannot be read ({error}): write {example}") from error
-    if not host:
-        raise ValueError(f"{source!r} does not name a host: write {example}")
+    except ValueError:
+        shown = without_credentials(source)
+        raise ValueError(f"{shown!r} does not name a host, a port and options: {example}") from None
     for name in pairs:
         if name not in options:
             known = f"the options are {' and '.join(options)}" if options else "there are none"
-            raise ValueError(f"{name!r} is not an option of {scheme}: {known}")
-    address = f"[{host}]" if ":" in host else host
-    tls = "s" if parts.scheme == f"{scheme}s" else ""
-    return BridgeSource(f"ws{tls}://{address}:{given or port}{parts.path}", pairs)
+            raise ValueError(f"{name!r} is not an option of {scheme}: {known}; {example}")
+    user, password = unquote(parts.username or ""), unquote(parts.password or "")
+    authorization = f"Bearer {password}" if password else None
+    if user:
+        authorization = f"Basic {base64.b64encode(f'{user}:{password}'.encode()).decode()}"
+    host = f"[{host}]" if ":" in host else host
+    path = "" if parts.path == "/" else parts.path
+    return BridgeSource(f"{host}:{given}{path}", scheme.endswith("s"), authorization, pairs)
 
 
 class Session(Protocol):
@@ -74,20 +99,18 @@ class BridgeConnection:
 
     def __init__(
         self,
-        url: str,
+        name: str,
+        source: BridgeSource,
         session: Session,
-        *,
         message_limit: int,
         subprotocols: Sequence[str] = (),
-        name: str = "bridge",
-        shown: str | None = None,
     ) -> None:
-        """`shown` is the URL in messages, without credentials."""
-        self._url = url
+        self._url = f"{'wss' if source.is_tls else 'ws'}://{source.address}"
+        self._headers = {"Authorization": source.authorization} if source.authorization else None
         self._session = session
         self._limit = message_limit
         self._subprotocols = subprotocols
-        self._name = f"the {name} at {shown or url}"
+        self.name = f"the {name} at {self._url}"
         self._unsent: asyncio.Queue[str | bytes] | None = None
         self._task: asyncio.Task[None] | None = None
         self._tried = asyncio.Event()
@@ -103,7 +126,7 @@ class BridgeConnection:
         try:
             await asyncio.wait_for(self._tried.wait(), max(patience, 0.0))
         except asyncio.TimeoutError:
-            self._session.end(TimedOut(f"{self._name} does not answer in time"))
+            self._session.end(TimedOut(f"{self.name} does not answer in time"))
 
     async def close(self) -> None:
         """Disconnect, after what was sent. Idempotent."""
@@ -118,11 +141,11 @@ class BridgeConnection:
     def send(self, message: str | bytes) -> None:
         """Queue a message. Raises Unreachable without a connection, or if too many messages are queued."""
         if self._unsent is None:
-            raise Unreachable(f"{self._name} is not connected")
+            raise Unreachable(f"{self.name} is not connected")
         try:
             self._unsent.put_nowait(message)
         except asyncio.QueueFull as error:
-            raise Unreachable(f"{self._name} does not read what it is sent") from error
+            raise Unreachable(f"{self.name} does not read what it is sent") from error
 
     async def _run(self) -> None:
         pause = _FIRST_PAUSE
@@ -130,12 +153,12 @@ class BridgeConnection:
             started = time.monotonic()
             try:
                 await self._connect()
-                error: RosError = Unreachable(f"{self._name} closed the connection")
+                error: RosError = Unreachable(f"{self.name} closed the connection")
             except RosError as problem:
                 error = problem
             except Exception as problem:  # what libraries raise about a broken handshake has no common class
                 words = " ".join(str(problem).split()) or type(problem).__name__
-                error = Unreachable(f"{self._name} cannot be reached: {words}")
+                error = Unreachable(f"{self.name} cannot be reached: {words}")
             self._session.end(error)
             self._tried.set()
             pause = _FIRST_PAUSE if time.monotonic() - started > _LONGEST_PAUSE else min(2 * pause, _LONGEST_PAUSE)
@@ -145,8 +168,9 @@ class BridgeConnection:
         """Hold one connection until it ends."""
         from websockets.asyncio.client import connect  # 20 ms, only for those who have a bridge
 
-        async with connect(
+        connecting = connect(
             self._url,
+            additional_headers=self._headers,
             subprotocols=list(self._subprotocols) or None,  # type: ignore[arg-type]
             compression=None,
             max_size=self._limit,
@@ -155,7 +179,9 @@ class BridgeConnection:
             ping_timeout=_PING_SECONDS,
             close_timeout=0.5,
             proxy=None,
-        ) as socket:
+        )
+        connecting.process_redirect = lambda error: error  # type: ignore[assignment,method-assign]  # no other host
+        async with connecting as socket:
             if self._subprotocols and socket.subprotocol is None:
                 raise ValueError(f"it speaks none of {', '.join(self._subprotocols)}")
             self._unsent = asyncio.Queue(_MAX_UNSENT)
@@ -223,27 +249,26 @@ class Calls:
 
 
 class BridgeFeed(LiveFeed):
-    """Messages of one topic that arrive through a bridge, which does not say who published them.
+    """Messages of one topic that arrive through a bridge.
 
-    The adapter's thread calls `put` and replaces `publisher`, the only publisher of the topic or an empty string;
-    everything else belongs to the server's event loop.
+    The adapter's thread calls `put`; everything else belongs to the server's event loop.
     """
 
     def __init__(self, topic: str, encoding: Encoding, changed: Callable[[Any], None]) -> None:
         super().__init__(topic, changed)
-        self.publisher = ""
-        self.latched = False
         self._encoding = encoding
         self._server = asyncio.get_running_loop()
+        self._epoch = next(_EPOCHS)
+        self._sequence = 0
         self._received: tuple[Sample, ...] = ()
         self._woken = False
         self._known: tuple[tuple[Sample, ...], tuple[Sample, ...]] = ((), ())
         self._views: dict[int, tuple[Sample, ...]] = {}
 
-    def put(self, data: bytes, type: TypeRef, sequence: int) -> None:
-        """Add a message: the `sequence`th that was received on the topic."""
-        origin = self.publisher, time.time_ns(), sequence
-        sample = Sample(data, self._encoding, type, *origin, latched=self.latched)
+    def put(self, data: bytes, type: TypeRef, publisher: str) -> None:
+        """Add a message."""
+        self._sequence += 1
+        sample = Sample(data, self._encoding, type, publisher, time.time_ns(), self._sequence, self._epoch)
         self._received = (*self._received, sample)[-self.depth :]
         if self.watches and not self._woken:
             self._woken = True
@@ -267,42 +292,98 @@ class BridgeFeed(LiveFeed):
         self.notify()
 
 
-class Echoes:
-    """Messages that rosld published a moment ago, which a bridge returns to rosld as a subscriber of the topic."""
+class BridgePublication:
+    """A topic that rosld publishes through a bridge; `matched` is the number of subscribers in the graph."""
 
-    def __init__(self) -> None:
+    def __init__(
+        self,
+        topic: str,
+        schema: MessageSchema,
+        transmit: Callable[[BridgePublication, bytes], None],
+        *,
+        id: int = 0,
+        encoding: str = "",
+        latched: bool = False,
+    ) -> None:
+        """`id` and `encoding` are those of a channel, for protocols that have them."""
+        self.topic = topic
+        self.schema = schema
+        self.ref = schema.ref
+        self.id = id
+        self.encoding = encoding
+        self.latched = latched
+        self.matched = 0
+        self._transmit = transmit
+        self._changed = asyncio.Event()
+
+    async def wait_matched(self, count: int, until: float, patience: float) -> None:
+        """Wait until there are `count` subscribers, at most until a time of the thread's loop."""
+        while self.matched < count and await wait_event(self._changed, until - time.monotonic()):
+            self._changed.clear()
+
+    def match(self, count: int) -> None:
+        """Set the number of subscribers."""
+        self.matched = count
+        self._changed.set()
+
+    def send(self, data: bytes, latch: bool) -> None:
+        """Send a message, which is lost without a connection."""
+        with contextlib.suppress(RosError, ValueError):
+            self._transmit(self, data)
+
+
+class BridgePublications(dict[str, BridgePublication]):
+    """The publications by topic; `latches` is whether the bridge can latch messages."""
+
+    is_connected = False
+
+    def __init__(self, *, latches: bool) -> None:
+        self._latches = latches
+
+    def suitable(self, topic: str, type: TypeRef, latch: bool) -> BridgePublication | None:
+        """Return the publication of a topic if messages of this type can be sent with it now (thread-safe)."""
+        found = self.get(topic) if self.is_connected else None
+        if found is None or found.ref.name != type.name or type.hash not in (None, found.ref.hash):
+            return None
+        return found if found.latched or not (latch and self._latches) else None
+
+    def is_latched(self, publication: BridgePublication, latch: bool) -> bool:
+        """Whether a message is latched: as its publication is."""
+        return publication.latched
+
+
+class BridgeSystem:
+    """Base of the systems behind a bridge. Belongs to the adapter's thread, except for `graph`.
+
+    A bridge returns what rosld published to rosld as a subscriber, and does not say who published a message.
+    """
+
+    def __init__(self, graph: Graph, sink: Sink, *, latches: bool) -> None:
+        self.graph = graph
+        self.sink = sink
+        self.publications = BridgePublications(latches=latches)
         self._published: deque[tuple[float, str, bytes]] = deque(maxlen=_MAX_ECHOES)
 
-    def note(self, topic: str, data: bytes) -> None:
-        """Expect the echo of a message."""
+    def show(self, graph: Graph) -> None:
+        """Replace the graph."""
+        if graph is not self.graph:
+            self.graph = graph
+            self.sink.graph_changed(graph)
+
+    def expect_echo(self, topic: str, data: bytes) -> None:
+        """Note a published message."""
         self._published.append((time.monotonic(), topic, data))
 
-    def take(self, topic: str, data: bytes) -> bool:
-        """Whether a received message is an echo that was not recognized before."""
-        now = time.monotonic()
+    def deliver(self, feed: BridgeFeed, data: bytes, type: TypeRef) -> None:
+        """Add a received message to a feed, as one of the topic's only publisher; drop an echo."""
+        since = time.monotonic() - _ECHO_SECONDS
         for each in self._published:
-            if each[2] == data and each[1] == topic and now - each[0] < _ECHO_SECONDS:
+            if each[2] == data and each[1] == feed.topic and each[0] > since:
                 self._published.remove(each)
-                return True
-        return False
+                return
+        topic = self.graph.topics.get(feed.topic)
+        nodes = {each.node for each in topic.publishers} - {self.graph.own_node} if topic else ()
+        feed.put(data, type, next(iter(nodes)) if len(nodes) == 1 else "")
 
-
-class BridgeGraph:
-    """The current graph, which any thread may read; changes are reported to the sink."""
-
-    def __init__(self, graph: Graph, sink: Sink) -> None:
-        self.current = graph
-        self._sink = sink
-
-    def update(self, **parts: Any) -> None:
-        """Replace parts of the graph, which is live."""
-        self._show(self.current.updated(**parts))
-
-    def mark_stale(self, error: RosError) -> None:
-        """Mark the graph as the last one known, because of an error."""
-        self._show(self.current.as_stale(error.sentence))
-
-    def _show(self, graph: Graph) -> None:
-        if graph is not self.current:
-            self.current = graph
-            self._sink.graph_changed(graph)
+    def deepen(self, feed: BridgeFeed) -> None:
+        """Do nothing: a feed reads its depth with each message."""

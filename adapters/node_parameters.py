@@ -12,11 +12,22 @@ from typing import Any, Protocol, TypeAlias, cast
 
 from msgspec import Struct, field
 
-from rosld.adapters.model import Descriptor, NotFound, Parameter, Refused, RosError, Sent, TimedOut, Unreachable, freeze
+from rosld.adapters.model import (
+    Descriptor,
+    NotFound,
+    Operation,
+    Parameter,
+    Refused,
+    RosError,
+    Sent,
+    TimedOut,
+    Unreachable,
+    freeze,
+)
 from rosld.adapters.model.names import global_name, segments
 from rosld.adapters.model.parameter import ParameterValue, as_declared
 from rosld.adapters.model.plain import MessageFactory
-from rosld.adapters.parameter_messages import Tag, descriptor_of, from_message, to_fields
+from rosld.adapters.parameter_messages import Tag, descriptor_of, from_message, operations_on, to_fields
 from rosld.adapters.thread import Tasks
 
 _SERVICES = {
@@ -129,6 +140,12 @@ class Parameters(Struct):
         node = max(fits, key=len, default=None)
         return None if node is None else (node, name[len(node) + 1 :])
 
+    def operations(self, name: str) -> frozenset[Operation]:
+        """Return the operations on a parameter; a node may accept a new one."""
+        if (existing := self._listed.get(name)) is not None:
+            return operations_on(existing.descriptor)
+        return frozenset({Operation.SET_PARAMETER} if self.owner_of(name) is not None else ())
+
     async def get(self, names: Sequence[str], until: float) -> dict[str, ParameterValue]:
         """Return the values of existing names; that of a prefix of other names is a dict."""
         trees = {name: self._below(name) for name in names if name not in self._listed}
@@ -138,7 +155,7 @@ class Parameters(Struct):
         return {
             name: values[name]
             if name in values
-            else _tree(name, {each: values[each] for each in below if each in values})
+            else tree_below(name, {each: values[each] for each in below if each in values})
             for name in names
             for below in [trees.get(name, [])]
             if name in values or below or name == "/"
@@ -387,7 +404,7 @@ async def _all_done(*writes: Any) -> None:
         raise error
 
 
-def _tree(name: str, values: Mapping[str, ParameterValue]) -> ParameterValue:
+def tree_below(name: str, values: Mapping[str, ParameterValue]) -> ParameterValue:
     """Return the values below a name as nested dicts; a leaf yields to a tree of the same name."""
     root: dict[str, ParameterValue] = {}
     start = len(segments(name))

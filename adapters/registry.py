@@ -33,8 +33,13 @@ def scheme_of(source: str, schemes: frozenset[str]) -> str:
         return match[1]
     if match and source[match.end() :].startswith("//"):
         names = ", ".join(sorted(schemes))
-        raise ValueError(f"no adapter for {match[1]!r} in {source!r}; installed: {names}")
+        raise ValueError(f"no adapter for {match[1]!r} in {without_credentials(source)!r}; installed: {names}")
     return RECORDING
+
+
+def without_credentials(source: str) -> str:
+    """Return a source for messages and pages: without the user and the password of its URL."""
+    return re.sub(r"(?<=//)\S*@", "", source)
 
 
 def named_sources(words: Sequence[str]) -> Mapping[str, str] | None:
@@ -48,7 +53,8 @@ def named_sources(words: Sequence[str]) -> Mapping[str, str] | None:
     sources: dict[str, str] = {}
     for match, word in found:
         if match is None:
-            raise ValueError(f"{word!r} must be NAME=SOURCE, like the others: with several robots each has a name")
+            shown = without_credentials(word)
+            raise ValueError(f"{shown!r} must be NAME=SOURCE, like the others: with several robots each has a name")
         if match[1] in sources:
             raise ValueError(f"two robots are named {match[1]!r}")
         sources[match[1]] = match[2]
@@ -67,7 +73,8 @@ def joined(sources: Sequence[str]) -> str:
     schemes = frozenset(installed())
     other = next((each for each in sources if scheme_of(each, schemes) != RECORDING), None)
     if other is not None:
-        raise ValueError(f"{other!r} is not a recording: several sources must all be recordings or folders of them")
+        shown = without_credentials(other)
+        raise ValueError(f"{shown!r} is not a recording: several sources must all be recordings or folders of them")
     return f"{RECORDING}:" + "\n".join(each.removeprefix(f"{RECORDING}:") for each in sources)
 
 

@@ -19,7 +19,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from msgspec import Struct
 
-from rosld.adapters.base import Adapter, Published, Watch
+from rosld.adapters.base import Adapter, Published, Sink, Watch
 from rosld.adapters.model import (
     Encoding,
     GoalId,
@@ -297,6 +297,23 @@ class ThreadAdapter(Adapter, Generic[_S, _F]):
     @property
     def graph(self) -> Graph:
         return self._system.graph if self._system else self._graph
+
+    async def open(self, sink: Sink, *, deadline: float) -> None:
+        """Connect to the system. If it does not respond, the graph is Stale until it does."""
+        if self._system is not None:
+            return
+        self._thread = IoThread(f"rosld-{type(self).__name__}")
+        self._thread.start()
+        try:
+            self._system = await self._thread.run(self._begin(sink, thread_time(deadline)))
+        except RosError:
+            await self._thread.stop(1.0)
+            self._thread = None
+            raise
+
+    @abstractmethod
+    async def _begin(self, sink: Sink, until: float) -> _S:
+        """Return the system, opened before a time of the thread's loop. Runs on the thread."""
 
     async def close(self) -> None:
         """Leave the system within two seconds, even if it hangs. Idempotent."""

@@ -4,43 +4,24 @@ from __future__ import annotations
 
 import itertools
 import os
+import time
 from collections.abc import Sequence
 from functools import partial
-from urllib.parse import urlsplit, urlunsplit
 
 from rosld.adapters.base import Adapter, AdapterOptions, Capabilities, Sink
-from rosld.adapters.bridge_connection import BridgeFeed
+from rosld.adapters.bridge_connection import BridgeFeed, BridgeSource, read_source
 from rosld.adapters.foxglove.client import Client, Types
 from rosld.adapters.model import Operation, Ref, Schema, TypeRef
-from rosld.adapters.thread import IoThread, ThreadAdapter, seconds_left, thread_time
+from rosld.adapters.thread import ThreadAdapter, thread_time
 
 _DEFAULT_PORT = 8765
-_SCHEMES = {"foxglove": "ws", "foxgloves": "wss"}
 _WRITES = frozenset({Operation.PUBLISH})
 _numbers = itertools.count()
 
 
-def server_url(source: str) -> tuple[str, str]:
-    """Return the URL of the WebSocket of a source, and the same without credentials.
-
-    Raises ValueError with a sentence for the user.
-    """
-    try:
-        parts = urlsplit(source if "//" in source else f"{source.partition(':')[0]}://localhost")
-        host, port = parts.hostname, parts.port or _DEFAULT_PORT
-    except ValueError as error:
-        raise ValueError(f"{source!r} does not name a Foxglove server: {error}") from error
-    if parts.scheme not in _SCHEMES or not host:
-        raise ValueError(f"{source!r} does not name a Foxglove server: use foxglove://HOST:{_DEFAULT_PORT}")
-    credentials, _, _ = parts.netloc.rpartition("@")
-    place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-    shown = urlunsplit((_SCHEMES[parts.scheme], place, parts.path or "/", parts.query, ""))
-    return shown.replace("//", f"//{credentials}@", 1) if credentials else shown, shown
-
-
 def adapter(source: str, options: AdapterOptions) -> FoxgloveAdapter:
     """Return the adapter for a source `foxglove://host:port`. Raises ValueError for other sources."""
-    return FoxgloveAdapter(server_url(source), options)
+    return FoxgloveAdapter(read_source(source, _DEFAULT_PORT), options)
 
 
 class FoxgloveAdapter(ThreadAdapter[Client, BridgeFeed]):
@@ -51,10 +32,10 @@ class FoxgloveAdapter(ThreadAdapter[Client, BridgeFeed]):
     cancel_goals = Adapter.cancel_goals
     follow_goals = Adapter.follow_goals
 
-    def __init__(self, urls: tuple[str, str], options: AdapterOptions) -> None:
+    def __init__(self, source: BridgeSource, options: AdapterOptions) -> None:
         self._types = Types(options)
         super().__init__(self._types.library, f"/rosld_foxglove_{os.getpid()}_{next(_numbers)}")
-        self._urls = urls
+        self._source = source
         self._options = options
 
     @property
@@ -69,21 +50,10 @@ class FoxgloveAdapter(ThreadAdapter[Client, BridgeFeed]):
             parameter_trees=False,
         )
 
-    async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Connect to the server. If it does not respond, the graph is Stale until it does."""
-        if self._system is not None:
-            return
-        thread = IoThread("rosld-foxglove")
-        thread.start()
-        self._thread = thread
-        left = seconds_left(deadline)
-
-        async def begin() -> Client:
-            client = Client(*self._urls, self._graph, self._options, self._types, sink)
-            await client.open(left)
-            return client
-
-        self._system = await thread.run(begin())
+    async def _begin(self, sink: Sink, until: float) -> Client:
+        client = Client(self._source, self._graph, self._options, self._types, sink)
+        await client.open(until - time.monotonic())
+        return client
 
     def known_types(self) -> Sequence[TypeRef]:
         self._library = self._types.library  # that of ROS 1 if the server turned out to have that

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import itertools
 import logging
 import struct
@@ -12,10 +11,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rosld.adapters.base import AdapterOptions, Sink
-from rosld.adapters.bridge_connection import BridgeConnection, BridgeFeed, BridgeGraph, Calls, Echoes
+from rosld.adapters.bridge_connection import (
+    BridgeConnection,
+    BridgeFeed,
+    BridgePublication,
+    BridgeSource,
+    BridgeSystem,
+    Calls,
+)
 from rosld.adapters.foxglove.graph import Peer, compose
 from rosld.adapters.foxglove.parameters import Parameters
-from rosld.adapters.foxglove.publications import Publication, Publications
 from rosld.adapters.foxglove.types import (
     Channel,
     json_of_message,
@@ -36,7 +41,6 @@ from rosld.adapters.model import (
     TimedOut,
     TypeRef,
     UnknownType,
-    Unreachable,
 )
 from rosld.adapters.model import foxglove_protocol as protocol
 from rosld.adapters.model.foxglove_protocol import Json, ServiceMessage
@@ -73,40 +77,25 @@ class Types:
                 self.library = TypeLibrary(ros_version=1, folders=self._options.types)
 
 
-class Client:
-    """rosld as a client of one server. All methods run on the thread of the adapter, which also reads `graph`."""
+class Client(BridgeSystem):
+    """rosld as a client of one server."""
 
     actions: LiveActions
     """There are none: the adapter refuses goals before it would need them."""
 
-    def __init__(self, url: str, shown: str, graph: Graph, options: AdapterOptions, types: Types, sink: Sink) -> None:
-        self._connection = BridgeConnection(
-            url,
-            self,
-            message_limit=options.message_limit,
-            subprotocols=protocol.SUBPROTOCOLS,
-            name="Foxglove server",
-            shown=shown,
-        )
+    def __init__(self, source: BridgeSource, graph: Graph, options: AdapterOptions, types: Types, sink: Sink) -> None:
+        super().__init__(graph, sink, latches=False)
+        limit, subprotocols = options.message_limit, protocol.SUBPROTOCOLS
+        self._connection = BridgeConnection("Foxglove server", source, self, limit, subprotocols)
         self.types = types
-        self._graph = BridgeGraph(graph, sink)
         self.peer = Peer()
-        self.publications = Publications()
-        self.parameters = Parameters(lambda: self.peer, self._request, self._refresh)
-        self._sink = sink
+        self.parameters = Parameters(self)
         self._feeds: dict[str, BridgeFeed] = {}
-        self._sequences: dict[str, int] = {}
-        self._echoes = Echoes()
         self._calls = Calls()
         self._numbers = itertools.count(1)
         self._tasks = Tasks()
         self._timer: asyncio.TimerHandle | None = None
         self._is_shown = asyncio.Event()
-
-    @property
-    def graph(self) -> Graph:
-        """The computation graph as last known; any thread may read it."""
-        return self._graph.current
 
     async def open(self, patience: float) -> None:
         """Start to connect; wait until the graph is known or the first attempt has failed, at most `patience` s."""
@@ -143,7 +132,7 @@ class Client:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        self._graph.mark_stale(error)
+        self.show(self.graph.as_stale(error.sentence))
 
     async def _search_parameters(self) -> None:
         while True:
@@ -159,21 +148,12 @@ class Client:
             channel = self.peer.subscriptions.get(id)
             feed = None if channel is None else self._feeds.get(channel.topic)
             if channel is not None and feed is not None and channel.schema is not None:
-                self._deliver(channel, channel.schema, feed, payload)
+                if channel.is_json:
+                    payload = channel.schema.codec.encode(message_of_json(channel.schema, payload), self.types.encoding)
+                self.deliver(feed, payload, channel.schema.ref)
         elif data[0] == protocol.SERVICE_RESPONSE:
             response = protocol.read_service_message(data)
             self._calls.settle(response.call_id, response.payload)
-
-    def _deliver(self, channel: Channel, schema: MessageSchema, feed: BridgeFeed, data: bytes) -> None:
-        if channel.topic in self.publications and self._echoes.take(channel.topic, data):
-            return
-        if channel.is_json:
-            data = schema.codec.encode(message_of_json(schema, data), self.types.encoding)
-        topic = self.graph.topics.get(channel.topic)
-        others = () if topic is None else [each for each in topic.publishers if each.node != self.graph.own_node]
-        feed.publisher = others[0].node if len(others) == 1 else ""
-        sequence = self._sequences[channel.topic] = self._sequences.get(channel.topic, 0) + 1
-        feed.put(data, schema.ref, sequence)
 
     async def _on_op(self, message: Json) -> None:
         peer = self.peer
@@ -249,7 +229,7 @@ class Client:
                 peer.parameters[global_name(name)] = (name, value)
                 new += [name] if known is None else []
             if known is not None and (known[1] != value or type(known[1]) is not type(value)):
-                self._sink.parameter_changed(global_name(name))
+                self.sink.parameter_changed(global_name(name))
         if new and peer.can("parametersSubscribe"):
             self._connection.send(protocol.op("subscribeParameterUpdates", parameterNames=new))
         if isinstance(id, str):
@@ -260,9 +240,10 @@ class Client:
     def _refresh_soon(self) -> None:
         """Show the graph once for all messages that arrive together."""
         if self._timer is None and self._connection.is_open:
-            self._timer = asyncio.get_running_loop().call_later(_SETTLE, self._refresh)
+            self._timer = asyncio.get_running_loop().call_later(_SETTLE, self.refresh)
 
-    def _refresh(self) -> None:
+    def refresh(self) -> None:
+        """Show the graph, as soon as there is one."""
         self._timer = None
         peer = self.peer
         is_due = time.monotonic() - peer.since > _GRAPH_PATIENCE
@@ -277,7 +258,7 @@ class Client:
         composed = compose(peer, self.graph.own_node, {each.topic: each.ref for each in self.publications.values()})
         for each in self.publications.values():
             each.match(composed.matched[each.topic])
-        self._graph.update(**composed.parts)
+        self.show(self.graph.updated(**composed.parts))
 
     # --- what the adapter asks for
 
@@ -295,9 +276,6 @@ class Client:
         self.peer.subscriptions[id] = channel
         self._connection.send(protocol.op("subscribe", subscriptions=[{"id": id, "channelId": channel.id}]))
 
-    def deepen(self, feed: BridgeFeed) -> None:
-        """Do nothing: a feed reads its depth with each message."""
-
     def stop_reading(self, feed: BridgeFeed) -> None:
         """Unsubscribe from the channels of a topic."""
         if self._feeds.get(feed.topic) is feed:
@@ -312,7 +290,7 @@ class Client:
         """Return the schema of a type. Raises UnknownType."""
         return await asyncio.get_running_loop().run_in_executor(None, self.types.library.find, ref)
 
-    async def advertise(self, topic: str, type: TypeRef, latch: bool, until: float) -> Publication:
+    async def advertise(self, topic: str, type: TypeRef, latch: bool, until: float) -> BridgePublication:
         """Advertise a channel. Raises Refused, Unreachable, UnknownType."""
         schema = await self.schema(type)
         if not isinstance(schema, MessageSchema):
@@ -320,12 +298,12 @@ class Client:
         if not self.peer.can("clientPublish"):
             raise Refused("the Foxglove server accepts no messages of clients")
         encoding = self._write_encoding()
-        publication = Publication(topic, next(self._numbers), schema, encoding, self._publish)
+        publication = BridgePublication(topic, schema, self._publish, id=next(self._numbers), encoding=encoding)
         self._connection.send(_advertisement(publication))
         if (former := self.publications.get(topic)) is not None:
             self._connection.send(protocol.op("unadvertise", channelIds=[former.id]))
         self.publications[topic] = publication
-        self._refresh()
+        self.refresh()
         await publication.wait_matched(1, until, 0.0)
         return publication
 
@@ -337,10 +315,11 @@ class Client:
             raise Refused(f"the Foxglove server reads none of {self.types.encoding.value} and json")
         return found
 
-    def _publish(self, publication: Publication, data: bytes) -> None:
-        with contextlib.suppress(Unreachable):  # the graph says that the connection has just been lost
-            self._connection.send(protocol.client_message_data(publication.id, data))
-            self._echoes.note(publication.topic, data)
+    def _publish(self, publication: BridgePublication, data: bytes) -> None:
+        self.expect_echo(publication.topic, data)
+        if publication.encoding == "json":
+            data = json_of_message(publication.schema, publication.schema.codec.decode(data, self.types.encoding))
+        self._connection.send(protocol.client_message_data(publication.id, data))
 
     async def unadvertise(self, topic: str) -> None:
         """Stop publishing a topic. Raises NotFound."""
@@ -349,7 +328,7 @@ class Client:
             raise NotFound(f"rosld does not advertise {topic}")
         if self._connection.is_open:
             self._connection.send(protocol.op("unadvertise", channelIds=[publication.id]))
-            self._refresh()
+            self.refresh()
 
     async def call(self, service: str, type: TypeRef, request: bytes, until: float) -> bytes:
         """Return the response of a service. Raises Refused with the server's message, TimedOut, Unreachable."""
@@ -381,14 +360,15 @@ class Client:
         self._connection.send(message)
         return await self._calls.answer(id, name, until)
 
-    async def _request(self, operation: str, until: float, **members: object) -> Mapping[str, ParameterValue]:
+    async def request(self, operation: str, until: float, **members: object) -> Mapping[str, ParameterValue]:
+        """Return values of parameters by ROS name. Raises Refused, TimedOut, Unreachable."""
         id = f"rosld-{next(self._numbers)}"
         message = protocol.op(operation, id=id, **members)
         values: Mapping[str, ParameterValue] = await self._ask(message, id, "the Foxglove server", until)
         return values
 
 
-def _advertisement(publication: Publication) -> str:
+def _advertisement(publication: BridgePublication) -> str:
     """Return the advertisement of a topic that rosld publishes."""
     schema, is_ros1 = publication.schema, publication.encoding == "ros1"
     name = schema.ref.name.replace("/msg/", "/") if is_ros1 else schema.ref.name

@@ -6,23 +6,16 @@ works for those of programs without ROS. JSON without a schema becomes the text 
 
 from __future__ import annotations
 
-import base64
 import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
 import orjson
 
 from rosld.adapters.model import (
-    OCTETS,
-    STRINGS,
-    Array,
     Encoding,
-    FieldType,
     Message,
     MessageSchema,
-    Nested,
     Schema,
     ServiceSchema,
     TypeRef,
@@ -32,6 +25,7 @@ from rosld.adapters.model.definition import split_sections
 from rosld.adapters.model.foxglove_protocol import Json
 from rosld.adapters.model.library import SEPARATOR, TypeLibrary
 from rosld.adapters.model.names import global_name
+from rosld.adapters.model.plain import message_of, plain_of
 
 _PACKAGE = "foxglove_json"
 _ROS_SCHEMAS = frozenset({"ros1msg", "ros2msg"})
@@ -40,7 +34,6 @@ _ROS_NAME = re.compile(r"([A-Za-z]\w*)/(?:(?:msg|srv)/)?([A-Za-z]\w*)\Z", re.ASC
 _FIELD = re.compile(r"[A-Za-z]\w*\Z", re.ASCII)
 _PRIMITIVES = {"integer": "int64", "number": "float64", "boolean": "bool", "string": "string"}
 _MAX_DEPTH = 32
-_DTYPES = {"char": "uint8", "byte": "int8"}
 
 
 class Channel(NamedTuple):
@@ -191,51 +184,12 @@ def _type_of(whole: Json, schema: Any, name: str, found: dict[str, str], depth: 
 
 
 def message_of_json(schema: MessageSchema, data: bytes) -> Message:
-    """Return the message in JSON. Raises ValueError."""
+    """Return the message in JSON, without the members that are not in its schema. Raises ValueError."""
     if schema.ref.name == "std_msgs/msg/String":
         return schema.codec.build(schema.ref.name, {"data": data.decode("utf-8", "surrogateescape")})
-
-    def message(name: str, value: object) -> Message:
-        members = value if isinstance(value, dict) else {}
-        fields = schema.types[name].fields
-        return schema.codec.build(name, {each.attribute: convert(each.type, members.get(each.name)) for each in fields})
-
-    def convert(kind: FieldType, value: Any) -> object:
-        if isinstance(kind, Nested):
-            return message(kind.name, value)
-        if isinstance(kind, Array):
-            if isinstance(value, str) and not isinstance(kind.element, Nested) and kind.element.name in OCTETS:
-                return np.frombuffer(base64.b64decode(value), np.uint8)
-            values = value if isinstance(value, list) else []
-            if isinstance(kind.element, Nested) or kind.element.name in STRINGS:
-                return [convert(kind.element, each) for each in values]
-            return np.array(values, _DTYPES.get(kind.element.name, kind.element.name))
-        if kind.name in STRINGS:
-            return value if isinstance(value, str) else "" if value is None else orjson.dumps(value).decode()
-        if kind.name.startswith("float"):
-            return float(value or 0)
-        return bool(value) if kind.name == "bool" else int(value or 0)
-
-    try:
-        return message(schema.ref.name, orjson.loads(data))
-    except (TypeError, OverflowError) as error:
-        raise ValueError(f"the message does not fit its schema: {error}") from error
+    return message_of(schema, orjson.loads(data), is_open=True)
 
 
 def json_of_message(schema: MessageSchema, message: Message) -> bytes:
     """Return a message as JSON; octets are base64 in types that were made from a JSON schema."""
-    is_derived = schema.ref.name.startswith(f"{_PACKAGE}/")
-
-    def members(name: str, message: object) -> Json:
-        return {each.name: convert(each.type, getattr(message, each.attribute)) for each in schema.types[name].fields}
-
-    def convert(kind: FieldType, value: Any) -> object:
-        if isinstance(kind, Nested):
-            return members(kind.name, value)
-        if isinstance(kind, Array) and isinstance(kind.element, Nested):
-            return [members(kind.element.name, each) for each in value]
-        if isinstance(value, np.ndarray):
-            return base64.b64encode(value.tobytes()).decode() if is_derived and value.dtype.itemsize == 1 else value
-        return value
-
-    return orjson.dumps(members(schema.ref.name, message), option=orjson.OPT_SERIALIZE_NUMPY)
+    return orjson.dumps(plain_of(schema, message, base64_octets=schema.ref.name.startswith(f"{_PACKAGE}/")))

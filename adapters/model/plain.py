@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, Protocol, cast
 
 import numpy as np
+import orjson
 
 from rosld.adapters.model.codec import DTYPES
 from rosld.adapters.model.errors import UnknownType
@@ -29,68 +30,94 @@ from rosld.adapters.model.schema import (
 _TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
 _ROS1_NAMES = {"sec": "secs", "nanosec": "nsecs"}
 """Names of the parts of times in ROS 1."""
+_PLAIN = (Mapping, list, str, int, float, type(None))
 
 
-def message_of(schema: MessageSchema, values: Mapping[str, Any], type_name: str | None = None) -> Message:
+def message_of(schema: MessageSchema, values: Any, *, is_open: bool = False) -> Message:
     """Return a message with these values; what they lack has its default value, or is zero.
 
     Octets may be a list, bytes or text in base64; null is a float that JSON lacks; a nested message may be a message.
-    Times may have ROS 1's names. Raises ValueError naming a field that does not fit or does not exist.
+    Times may have ROS 1's names. What is no text is JSON in a string. Raises ValueError naming a field that does not
+    fit or, unless `is_open`, does not exist.
     """
-    name = type_name or schema.ref.name
-    fields = schema.types[name].fields
-    if name in _TIMES:
-        values = {each.name: values.get(each.name, values.get(_ROS1_NAMES[each.name], 0)) for each in fields}
-    unknown = values.keys() - {each.name for each in fields}
-    if unknown:
-        raise ValueError(f"{name} has no field {min(unknown)!r}")
-    return schema.codec.build(name, {each.attribute: _field(schema, name, each, values) for each in fields})
+
+    def message(name: str, values: Any) -> Message:
+        if not isinstance(values, Mapping):
+            raise ValueError(f"{name} must be an object, not {values!r}")
+        fields = schema.types[name].fields
+        if name in _TIMES:
+            values = {each.name: values.get(each.name, values.get(_ROS1_NAMES[each.name], 0)) for each in fields}
+        unknown = values.keys() - {each.name for each in fields}
+        if unknown and not is_open:
+            raise ValueError(f"{name} has no field {min(unknown)!r}")
+        return schema.codec.build(name, {each.attribute: member(name, each, values) for each in fields})
+
+    def member(name: str, field: Field, values: Mapping[str, Any]) -> object:
+        given = values.get(field.name, field.default)
+        is_nan = field.name in values and isinstance(field.type, Primitive) and field.type.name.startswith("float")
+        try:
+            return zero(field.type) if given is None and not is_nan else value(field.type, given)
+        except (ValueError, TypeError, OverflowError, AttributeError) as error:
+            raise ValueError(f"{field.name} of {name}: {error}") from error
+
+    def value(kind: FieldType, given: Any) -> object:
+        if isinstance(kind, Array):
+            return array(kind, given)
+        if isinstance(kind, Nested):
+            return message(kind.name, given) if isinstance(given, _PLAIN) else given
+        if kind.name in STRINGS:
+            return given if isinstance(given, str) else orjson.dumps(given).decode()
+        if kind.name.startswith("float"):
+            return math.nan if given is None else float(given)
+        if kind.name == "byte":
+            return int(np.array(given).astype(DTYPES["byte"]))
+        return bool(given) if kind.name == "bool" else int(given)
+
+    def array(kind: Array, given: Any) -> object:
+        if not isinstance(kind.element, Primitive) or kind.element.name in STRINGS:
+            items: Any = [value(kind.element, each) for each in given]
+        else:
+            items = _numbers(kind.element.name, given)
+        if kind.length is not None and len(items) != kind.length:
+            raise ValueError(f"an array must have exactly {kind.length} elements, not {len(items)}")
+        return items
+
+    def zero(kind: FieldType) -> object:
+        if isinstance(kind, Nested):
+            return message(kind.name, {})
+        if isinstance(kind, Array):
+            return array(kind, [zero(kind.element) for _ in range(kind.length or 0)])
+        return "" if kind.name in STRINGS else value(kind, 0)
+
+    return message(schema.ref.name, values)
 
 
-def plain_of(schema: MessageSchema, message: object, *, ros1: bool, type_name: str | None = None) -> dict[str, Any]:
+def plain_of(
+    schema: MessageSchema, message: object, *, ros1: bool = False, base64_octets: bool = True
+) -> dict[str, Any]:
     """Return the values of a message, with octets in base64. With `ros1`, times have ROS 1's names."""
-    name = type_name or schema.ref.name
-    fields = schema.types[name].fields
-    renamed = _ROS1_NAMES if ros1 and name in _TIMES else {}
-    return {
-        renamed.get(each.name, each.name): _plain(schema, each.type, getattr(message, each.attribute), ros1)
-        for each in fields
-    }
 
+    def members(name: str, message: object) -> dict[str, Any]:
+        renamed = _ROS1_NAMES if ros1 and name in _TIMES else {}
+        fields = schema.types[name].fields
+        return {
+            renamed.get(each.name, each.name): plain(each.type, getattr(message, each.attribute)) for each in fields
+        }
 
-def _field(schema: MessageSchema, name: str, field: Field, values: Mapping[str, Any]) -> object:
-    value = values.get(field.name, field.default)
-    try:
-        is_given = value is not None or field.name in values
-        return _value(schema, field.type, value) if is_given else _zero(schema, field.type)
-    except (ValueError, TypeError, OverflowError, AttributeError) as error:
-        raise ValueError(f"{field.name} of {name}: {error}") from error
+    def plain(kind: FieldType, value: Any) -> object:
+        if isinstance(kind, Nested):
+            return members(kind.name, value)
+        if not isinstance(kind, Array):
+            return value & 0xFF if kind.name == "byte" else value
+        if isinstance(kind.element, Nested):
+            return [members(kind.element.name, each) for each in value]
+        if kind.element.name == "byte":
+            return [int(each) & 0xFF for each in value]
+        if kind.element.name in OCTETS and base64_octets:
+            return base64.b64encode(bytes(value)).decode()
+        return value.tolist() if isinstance(value, np.ndarray) else list(value)
 
-
-def _value(schema: MessageSchema, kind: FieldType, value: Any) -> object:
-    if isinstance(kind, Array):
-        return _array(schema, kind, value)
-    if isinstance(kind, Nested):
-        return message_of(schema, value, kind.name) if isinstance(value, Mapping) else value
-    if kind.name in STRINGS:
-        return str(value)
-    if kind.name.startswith("float"):
-        return math.nan if value is None else float(value)
-    return bool(value) if kind.name == "bool" else _integer(kind.name, value)
-
-
-def _integer(name: str, value: Any) -> int:
-    return int(np.array(value).astype(DTYPES[name])) if name == "byte" else int(value)
-
-
-def _array(schema: MessageSchema, kind: Array, value: Any) -> object:
-    if not isinstance(kind.element, Primitive) or kind.element.name in STRINGS:
-        items: Any = [_value(schema, kind.element, each) for each in value]
-    else:
-        items = _numbers(kind.element.name, value)
-    if kind.length is not None and len(items) != kind.length:
-        raise ValueError(f"an array must have exactly {kind.length} elements, not {len(items)}")
-    return items
+    return members(schema.ref.name, message)
 
 
 def _numbers(name: str, value: Any) -> object:
@@ -104,29 +131,6 @@ def _numbers(name: str, value: Any) -> object:
     if dtype.kind == "f":
         return np.array([math.nan if each is None else each for each in value], dtype)
     return np.array(value if isinstance(value, (list, tuple, np.ndarray)) else list(value), dtype)
-
-
-def _zero(schema: MessageSchema, kind: FieldType) -> object:
-    if isinstance(kind, Nested):
-        return message_of(schema, {}, kind.name)
-    if isinstance(kind, Array):
-        elements: Iterable[object] = (_zero(schema, kind.element) for _ in range(kind.length or 0))
-        return _array(schema, kind, list(elements))
-    return "" if kind.name in STRINGS else _value(schema, kind, 0)
-
-
-def _plain(schema: MessageSchema, kind: FieldType, value: Any, ros1: bool) -> object:
-    if isinstance(kind, Nested):
-        return plain_of(schema, value, ros1=ros1, type_name=kind.name)
-    if not isinstance(kind, Array):
-        return value & 0xFF if kind.name == "byte" else value
-    if isinstance(kind.element, Nested):
-        return [plain_of(schema, each, ros1=ros1, type_name=kind.element.name) for each in value]
-    if kind.element.name == "byte":
-        return [int(each) & 0xFF for each in value]
-    if kind.element.name in OCTETS:
-        return base64.b64encode(bytes(value)).decode()
-    return value.tolist() if isinstance(value, np.ndarray) else list(value)
 
 
 class MessageFactory(Protocol):

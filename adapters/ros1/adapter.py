@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import time
 from collections.abc import Mapping, Sequence
 from functools import partial
 from urllib.parse import urlsplit
@@ -16,7 +17,7 @@ from rosld.adapters.ros1.client import Client
 from rosld.adapters.ros1.master import own_name
 from rosld.adapters.ros1.subscription import TopicFeed
 from rosld.adapters.ros1.types import definition_folders
-from rosld.adapters.thread import IoThread, ThreadAdapter, seconds_left, thread_time
+from rosld.adapters.thread import ThreadAdapter, thread_time
 
 DEFAULT_MASTER = "http://localhost:11311"
 _instances = itertools.count()
@@ -63,20 +64,10 @@ class Ros1Adapter(ThreadAdapter[Client, TopicFeed]):
         self._master = master
         self._options = options
 
-    async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Connect to the master. If it does not respond, the graph is Stale until it does."""
-        thread = IoThread("rosld-ros1")
-        thread.start()
-        self._thread = thread
-
-        left = seconds_left(deadline)
-
-        async def begin() -> Client:
-            client = Client(self._master, self._graph.own_node, self._options, self._library, sink)
-            await client.open(left)
-            return client
-
-        self._system = await thread.run(begin())
+    async def _begin(self, sink: Sink, until: float) -> Client:
+        client = Client(self._master, self._graph.own_node, self._options, self._library, sink)
+        await client.open(until - time.monotonic())
+        return client
 
     def _parameter_operations(self, name: str) -> frozenset[Operation]:
         """Return the operations on a parameter: one that a node declares cannot be deleted."""

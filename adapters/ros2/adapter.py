@@ -10,16 +10,15 @@ from urllib.parse import parse_qsl
 from msgspec import Struct
 
 from rosld.adapters.base import AdapterOptions, Capabilities, Sink
-from rosld.adapters.model import Encoding, Operation, RosError, Schema, TypeRef, Unreachable
+from rosld.adapters.model import Encoding, Operation, Schema, TypeRef, Unreachable
 from rosld.adapters.model.library import TypeLibrary
-from rosld.adapters.parameter_messages import operations_on
 from rosld.adapters.ros2.feeds import TopicFeed
 from rosld.adapters.ros2.graph import nodes_using, type_in_use
 from rosld.adapters.ros2.middleware import Participant
 from rosld.adapters.ros2.system import System, unique_name
 from rosld.adapters.ros2.types import definition_folders
 from rosld.adapters.ros2.wait_set import Waiter
-from rosld.adapters.thread import IoThread, ThreadAdapter, thread_time
+from rosld.adapters.thread import ThreadAdapter, thread_time
 
 _DOMAINS = range(233)
 _NAMESPACE = re.compile(r"(/[A-Za-z_]\w*)+\Z", re.ASCII)
@@ -114,30 +113,15 @@ class Ros2Adapter(ThreadAdapter[System, TopicFeed]):
         self._options = options
         self._epochs: dict[str, int] = {}
 
-    async def open(self, sink: Sink, *, deadline: float) -> None:
+    async def _begin(self, sink: Sink, until: float) -> System:
         """Join the domain and discover the system. Raises Unreachable if the middleware cannot be started."""
-        if self._system is not None:
-            return
-        thread = IoThread("rosld-ros2")
-        thread.start()
-        self._thread = thread
-        until = thread_time(deadline)
-
-        async def begin() -> System:
-            try:
-                system = System(*self._join(), self._graph, self._options, self._library, sink)
-            except Exception as error:
-                words = " ".join(str(error).split()) or type(error).__name__
-                raise Unreachable(f"{self._middleware} cannot be started: {words}") from error
-            await system.open(until)
-            return system
-
         try:
-            self._system = await thread.run(begin())
-        except RosError:
-            await thread.stop(1.0)
-            self._thread = None
-            raise
+            system = System(*self._join(), self._graph, self._options, self._library, sink)
+        except Exception as error:
+            words = " ".join(str(error).split()) or type(error).__name__
+            raise Unreachable(f"{self._middleware} cannot be started: {words}") from error
+        await system.open(until)
+        return system
 
     def _join(self) -> tuple[Participant, Waiter]:
         """Return a participant in the system, whose node is hidden like those of ROS 2's own tools."""
@@ -146,10 +130,7 @@ class Ros2Adapter(ThreadAdapter[System, TopicFeed]):
         return participant, Waiter(participant)
 
     def _parameter_operations(self, name: str) -> frozenset[Operation]:
-        if (parameter := self.graph.parameters.get(name)) is not None:
-            return operations_on(parameter.descriptor)
-        owned = self._system is not None and self._system.parameters.owner_of(name) is not None
-        return frozenset({Operation.SET_PARAMETER} if owned else ())
+        return self._system.parameters.operations(name) if self._system else frozenset()
 
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
         _, system = self._running()

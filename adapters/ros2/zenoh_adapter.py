@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import importlib
 import os
-from urllib.parse import parse_qsl, urlsplit
 
 from rosld.adapters.base import AdapterOptions
+from rosld.adapters.bridge_connection import read_source
 from rosld.adapters.ros2.adapter import Ros2Adapter, Source
 from rosld.adapters.ros2.middleware import Participant
 from rosld.adapters.ros2.system import unique_name
 from rosld.adapters.ros2.wait_set import Waiter
 
 PORT = 7447
-_DOMAINS = range(233)
+_DOMAINS = tuple(map(str, range(233)))
 
 
 def adapter(source: str, options: AdapterOptions) -> ZenohAdapter:
@@ -21,23 +21,16 @@ def adapter(source: str, options: AdapterOptions) -> ZenohAdapter:
 
     Raises ValueError for other sources, and if zenoh is not installed.
     """
-    example = f"write zenoh://HOST:{PORT}?domain=0"
-    try:
-        parts = urlsplit(source if ":" in source else f"{source}:")
-        host, port = parts.hostname or "localhost", parts.port or PORT
-        pairs = dict(parse_qsl(parts.query, strict_parsing=bool(parts.query)))
-        domain = int(pairs.pop("domain", os.environ.get("ROS_DOMAIN_ID") or "0"))
-    except ValueError as error:
-        raise ValueError(f"{source!r} cannot be read ({error}): {example}") from error
-    if parts.path.strip("/") or pairs or domain not in _DOMAINS:
-        raise ValueError(f"{source!r} does not name a router of zenoh and a domain from 0 to {_DOMAINS[-1]}: {example}")
+    read = read_source(source, PORT, ("domain",))
+    domain = read.options.get("domain") or os.environ.get("ROS_DOMAIN_ID") or "0"
+    if "/" in read.address or read.authorization or domain not in _DOMAINS:
+        raise ValueError(f"write zenoh://HOST:{PORT}?domain=0, with a domain from 0 to {len(_DOMAINS) - 1}")
     for module in ("zenoh", "xxhash"):
         try:
             importlib.import_module(module)
         except ImportError as error:
             raise ValueError(f"zenoh: needs a package that is missing ({error}): pip install 'rosld[zenoh]'") from error
-    address = f"[{host}]" if ":" in host else host
-    return ZenohAdapter(f"tcp/{address}:{port}", domain, options)
+    return ZenohAdapter(f"tcp/{read.address}", int(domain), options)
 
 
 class ZenohAdapter(Ros2Adapter):

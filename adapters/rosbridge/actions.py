@@ -94,13 +94,11 @@ class Actions:
         try:
             self._client.send({**message, "feedback": True})
             await asyncio.wait_for(cast("asyncio.Future[None]", entry.accepted), max(until - loop.time(), 0.0))
-        except asyncio.TimeoutError as error:
+        except BaseException as error:
             state.goals.pop(id, None)
             self._leave(state)
-            raise TimedOut(f"{action} did not accept the goal in time", sent=Sent.MAYBE) from error
-        except BaseException:
-            state.goals.pop(id, None)
-            self._leave(state)
+            if isinstance(error, asyncio.TimeoutError):
+                raise TimedOut(f"{action} did not accept the goal in time", sent=Sent.MAYBE) from error
             raise
         self._report(state, id, GoalEvent(time.time_ns(), GoalStatus.ACCEPTED, goal=goal, own=True))
         return GoalId(action, id)
@@ -162,7 +160,7 @@ class Actions:
             self._accept(goal)
             feedback = self._bytes(goal.schema.feedback, message.get("values"))
             self._report(state, id, GoalEvent(time.time_ns(), feedback=feedback, own=True))
-        elif message.get("result") is False:
+        elif message.get("result") is False and not isinstance(message.get("values"), Mapping):  # else it has a result
             words = str(message.get("values") or "") or None
             error = Refused(f"{state.name} rejected the goal", words=words, sent=Sent.YES)
             self._fail(state, id, goal, error)
@@ -202,11 +200,9 @@ class Actions:
         return action
 
     async def _request_cancellation(self, action: str, id: str, until: float) -> Any:
-        messages = self._client.messages
-        uuid = {"goal_info": {"goal_id": {"uuid": list(bytes.fromhex(id))}}}
-        request, response = messages.schema(_CANCEL, "Request"), messages.schema(_CANCEL, "Response")
-        message = message_of(request, uuid)
-        return await self._client.call_parts(f"{action}/_action/cancel_goal", request, response, message, until)
+        fields = {"goal_info": {"goal_id": {"uuid": list(bytes.fromhex(id))}}}
+        request = self._client.messages.make_message(_CANCEL, fields, "Request")
+        return await self._client.call(f"{action}/_action/cancel_goal", _CANCEL, request, until)
 
     def _listen(self, name: str) -> _ActionState:
         state = self._states.get(name)
@@ -214,7 +210,7 @@ class Actions:
             state = self._states[name] = _ActionState(name)
             schema = self._client.messages.schema(_STATUS)
             state.reader = self._system.readers.listen(
-                f"{name}/_action/status", lambda data, _: self._take_status(state, schema, data), schema
+                f"{name}/_action/status", lambda data, _: self._take_status(state, schema, data), lambda _: _STATUS
             )
         return state
 

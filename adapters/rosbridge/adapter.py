@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import time
 from functools import partial
 
 from rosld.adapters.base import AdapterOptions, Capabilities, Sink
@@ -11,7 +12,7 @@ from rosld.adapters.bridge_connection import BridgeFeed, BridgeSource, read_sour
 from rosld.adapters.model import Encoding, Operation, Schema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.rosbridge.system import System
-from rosld.adapters.thread import IoThread, ThreadAdapter, seconds_left, thread_time
+from rosld.adapters.thread import ThreadAdapter, thread_time
 
 PORT = 9090
 _CAPABILITIES = {
@@ -27,7 +28,7 @@ def adapter(source: str, options: AdapterOptions) -> RosbridgeAdapter:
 
     Raises ValueError for other sources.
     """
-    read = read_source(source, "rosbridge", PORT, ("ros",))
+    read = read_source(source, PORT, ("ros",))
     if read.options.get("ros") not in (None, "1", "2"):
         raise ValueError(f"ros={read.options['ros']!r} is neither 1 nor 2, the versions of ROS")
     return RosbridgeAdapter(read, options)
@@ -52,23 +53,11 @@ class RosbridgeAdapter(ThreadAdapter[System, BridgeFeed]):
         """The capabilities of the bridge's version of ROS."""
         return _CAPABILITIES[self._version or 2]
 
-    async def open(self, sink: Sink, *, deadline: float) -> None:
-        """Connect to the bridge. If it does not respond, the graph is Stale until it does."""
-        if self._system is not None:
-            return
-        thread = IoThread("rosld-rosbridge")
-        thread.start()
-        self._thread = thread
-        left = seconds_left(deadline)
-
-        async def begin() -> System:
-            system = System(self._source.url, self._version, self._graph, self._options, sink)
-            await system.open(left)
-            return system
-
-        self._system = await thread.run(begin())
-        self._version = self._system.client.version
-        self._library = self._system.client.library
+    async def _begin(self, sink: Sink, until: float) -> System:
+        system = System(self._source, self._version, self._graph, self._options, sink)
+        await system.open(until - time.monotonic())
+        self._version, self._library = system.client.version, system.client.library
+        return system
 
     def _parameter_operations(self, name: str) -> frozenset[Operation]:
         return self._system.parameters.operations(name) if self._system else frozenset()

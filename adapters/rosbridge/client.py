@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from rosld.adapters.base import AdapterOptions
-from rosld.adapters.bridge_connection import BridgeConnection, Calls, Session
+from rosld.adapters.bridge_connection import BridgeConnection, BridgeSource, Calls, Session
 from rosld.adapters.model import (
     Encoding,
     Message,
@@ -64,16 +64,20 @@ class Types:
                 self._missing[ref.name] = time.monotonic() + _AGAIN
                 raise UnknownType(f"{unknown.sentence}; rosapi does not describe it: {error}") from error
 
-    async def message(self, name: str, until: float) -> MessageSchema:
+    async def message(self, type: TypeRef, until: float) -> MessageSchema:
         """Return the schema of a message type. Raises UnknownType."""
-        schema = await self.schema(TypeRef(name), until)
+        schema = await self.schema(type, until)
         if not isinstance(schema, MessageSchema):
-            raise UnknownType(f"{name} is not a message type")
+            raise UnknownType(f"{type.name} is not a message type")
         return schema
 
     async def _described(self, name: str, until: float) -> Schema:
         whole = enclosing_type(name) or name
         kind = written_form(whole)
+        with contextlib.suppress(Refused):  # ROS 1's rosapi has no such service
+            # In ROS 2, nodes of rosapi before August 2026 end when they are asked for a type that is not installed.
+            if whole not in (await self._rosapi("interfaces", {}, until)).get("interfaces", ()):
+                raise ValueError("the robot has no such type")
         texts = []
         for service in _DETAILS[kind]:
             answer = await self._rosapi(service, {"type": whole if self._ros2 else ros1_name(whole)}, until)
@@ -88,11 +92,10 @@ class Types:
 class Client:
     """Connection to a bridge, with the types and the encoding of its version of ROS (None until it is known)."""
 
-    def __init__(self, url: str, version: int | None, options: AdapterOptions, session: Session) -> None:
-        self.url = url
+    def __init__(self, source: BridgeSource, version: int | None, options: AdapterOptions, session: Session) -> None:
         self.version = version
         self.is_connected = False
-        self.connection = BridgeConnection(url, session, message_limit=options.message_limit, name="rosbridge server")
+        self.connection = BridgeConnection("rosbridge server", source, session, options.message_limit)
         self._calls = Calls()
         self._ids = itertools.count(1)
         self._folders = options.types
@@ -154,14 +157,12 @@ class Client:
         """Return the response of a service of rosapi. Raises Refused, TimedOut, Unreachable."""
         return await self.request(f"/rosapi/{service}", args, until) or {}
 
-    async def call_parts(
-        self, service: str, request: MessageSchema, response: MessageSchema, message: object, until: float
-    ) -> Message:
-        """Return the response of a service to a message. Raises Refused, TimedOut, Unreachable."""
-        answer = await self.request(service, self.plain(request, message), until)
+    async def call(self, service: str, type: str, request: object, until: float) -> Message:
+        """Return the response of a service of a known type. Raises Refused, TimedOut, Unreachable, UnknownType."""
+        answer = await self.request(service, self.plain(self.messages.schema(type, "Request"), request), until)
         try:
-            return message_of(response, answer or {})
-        except (ValueError, AttributeError) as error:
+            return message_of(self.messages.schema(type, "Response"), answer or {})
+        except ValueError as error:
             raise Refused(f"the response of {service} cannot be read: {error}", sent=Sent.YES) from error
 
     def settle(self, response: Mapping[str, Any]) -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from msgspec import Struct, field
 
-from rosld.adapters.model import Action, Endpoint, Node, RosError, Service, Topic, TypeRef
+from rosld.adapters.model import Action, Endpoint, Node, Refused, RosError, Service, Topic, TypeRef
+from rosld.adapters.rosbridge.client import Client
 from rosld.adapters.rosbridge.protocol import full_name
 
 _WHOLE = 5.0
@@ -25,6 +27,7 @@ _OF_NODES = {
     "get_type_description": "type_description_interfaces/srv/GetTypeDescription",
 }
 """Types of services that every node of ROS 2 has, by the ends of their names: rosapi would be asked for each."""
+_ACTION_TYPE = re.compile(r"(\w+)/action/(\w+)_GetResult|class (\w+)_GetResult from package (\w+)")
 
 
 class NodeDetails(Struct, frozen=True):
@@ -50,42 +53,49 @@ def is_bridge(node: str) -> bool:
 
 
 class Observer:
-    """Asks rosapi for the graph. `rosapi` calls one of its services."""
+    """Asks rosapi for the graph."""
 
-    def __init__(self, rosapi: Callable[[str, Mapping[str, Any], float], Any]) -> None:
+    def __init__(self, client: Client) -> None:
         self.observation = Observation()
-        self._rosapi = rosapi
+        self._client = client
+        self._untyped: set[str] = set()
+        """Actions whose types the bridge does not tell."""
         self._whole_at = 0.0
-        self._has_actions = True
+        self._has_actions = self._has_rosapi = True
         self._few = asyncio.Semaphore(_AT_ONCE)
 
     async def poll(self, until: float, *, ros2: bool, whole: bool) -> None:
         """Update the observation. Raises RosError."""
         before = self.observation
-        queries = (self._rosapi(each, {}, until) for each in ("topics", "nodes", "services"))
+        queries = (self._client.rosapi(each, {}, until) for each in ("topics", "nodes", "services"))
         topics, nodes, services = await asyncio.gather(*queries)
         named = dict(zip(topics.get("topics", ()), topics.get("types", ()), strict=False))
         names, present = nodes.get("nodes", ()), services.get("services", ())
         changed = set(names) != before.nodes.keys() or named != before.topics or set(present) != before.services.keys()
+        self._has_rosapi = any("rosapi" in each for each in names)
         details = before.nodes
         if whole or changed or time.monotonic() > self._whole_at:
             found = await asyncio.gather(*(self._details(each, until) for each in names))
             details = dict(zip(names, found, strict=True))
             self._whole_at = time.monotonic() + _WHOLE
-        types = await self._typed("service_type", "service", present, before.services, until)
+        types = await self._typed(self._service_type, present, before.services, until)
         actions = await self._actions(before, until) if ros2 and self._has_actions else {}
         self.observation = Observation(named, types, actions, details)
 
     async def _details(self, node: str, until: float) -> NodeDetails:
         async with self._few:
             try:
-                answer = await self._rosapi("node_details", {"node": node}, until)
+                answer = await self._client.rosapi("node_details", {"node": node}, until)
             except RosError:  # it went away, or takes longer than the others
                 return self.observation.nodes.get(node, NodeDetails())
         return NodeDetails(*(frozenset(answer.get(each, ())) for each in ("publishing", "subscribing", "services")))
 
     async def _typed(
-        self, service: str, argument: str, names: Sequence[str], known: Mapping[str, str], until: float
+        self,
+        find: Callable[[str, float], Awaitable[str]],
+        names: Sequence[str],
+        known: Mapping[str, str],
+        until: float,
     ) -> dict[str, str]:
         """Return the types of services or actions; those of known ones are not asked for again."""
 
@@ -94,7 +104,7 @@ class Observer:
                 return found
             async with self._few:
                 try:
-                    return str((await self._rosapi(service, {argument: name}, until)).get("type", ""))
+                    return await find(name, until)
                 except RosError:
                     return ""
 
@@ -102,11 +112,31 @@ class Observer:
 
     async def _actions(self, before: Observation, until: float) -> dict[str, str]:
         try:
-            names = (await self._rosapi("action_servers", {}, until)).get("action_servers", ())
+            names = (await self._client.rosapi("action_servers", {}, until)).get("action_servers", ())
         except RosError:
             self._has_actions = False
             return {}
-        return await self._typed("action_type", "action", names, before.actions, until)
+        return await self._typed(self._action_type, names, before.actions, until)
+
+    async def _service_type(self, service: str, until: float) -> str:
+        return str((await self._client.rosapi("service_type", {"service": service}, until)).get("type", ""))
+
+    async def _action_type(self, action: str, until: float) -> str:
+        """Return the type of an action, as rosbridge_suite names it when it cannot call the action's hidden service.
+
+        rosapi is asked only if it is part of the bridge: `action_type` ends the node of rosapi 2.4 to 2.7.
+        """
+        if action in self._untyped:
+            return ""
+        try:  # with an invalid request, so that a bridge that could call the service does not
+            await self._client.request(f"{action}/_action/get_result", {"none": None}, until)
+        except Refused as error:
+            if found := _ACTION_TYPE.search(error.words or ""):
+                return f"{found[1] or found[4]}/action/{found[2] or found[3]}"
+        if not self._has_rosapi:
+            return str((await self._client.rosapi("action_type", {"action": action}, until)).get("type", ""))
+        self._untyped.add(action)
+        return ""
 
 
 def compose(

@@ -18,7 +18,7 @@ import click
 from rosld.adapters.base import Adapter, AdapterOptions, Finding, NullSink
 from rosld.adapters.model import Encoding, Graph, MessageSchema, RosError, Sample, Stale, Topic, TypeRef, UnknownType
 from rosld.adapters.model.qos import mismatches
-from rosld.adapters.registry import adapter_for, diagnosis_of
+from rosld.adapters.registry import adapter_for, diagnosis_of, without_credentials
 from rosld.server import settings as settings_module
 from rosld.server.auth.config import read_config
 from rosld.server.cli import data_folder
@@ -52,9 +52,8 @@ def check(source: str, settings: Settings, *, base_given: bool, as_json: bool) -
         code = ExitCode.FAILED
     findings = [*machine, *findings]
     if as_json:
-        click.echo(
-            json_text({"source": source, "exitCode": int(code), "findings": [each._asdict() for each in findings]})
-        )
+        found = {"exitCode": int(code), "findings": [each._asdict() for each in findings]}
+        click.echo(json_text({"source": without_credentials(source), **found}))
         return code
     width = max(len(each.subject) for each in findings)
     for each in findings:

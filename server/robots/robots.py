@@ -27,7 +27,7 @@ from rosld.adapters.model import (
     TypeRef,
     UnknownType,
 )
-from rosld.adapters.registry import RECORDING, adapter_for, installed, scheme_of
+from rosld.adapters.registry import RECORDING, adapter_for, installed, scheme_of, without_credentials
 from rosld.ontology.urls import Space
 from rosld.server.app import Application, create_app, shared_of
 from rosld.server.auth.rules import Agent
@@ -114,7 +114,7 @@ class Robot:
     @property
     def shown_source(self) -> str:
         """The source without credentials."""
-        return re.sub(r"//[^/@]*@", "//", self.source)
+        return without_credentials(self.source)
 
     @property
     def trouble(self) -> str | None:

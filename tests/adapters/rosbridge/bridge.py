@@ -8,6 +8,7 @@ import secrets
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from ssl import SSLContext
 from typing import Any
 
 from rosld.adapters.base import Adapter, NullSink
@@ -39,8 +40,9 @@ def cbor(value: Any) -> bytes:
 class Bridge:
     """The server on a thread of its own. `adapter` creates the robot; `raw` is whether the bridge knows cbor-raw."""
 
-    def __init__(self, adapter: Callable[[], Adapter], *, raw: bool = True) -> None:
+    def __init__(self, adapter: Callable[[], Adapter], *, raw: bool = True, tls: SSLContext | None = None) -> None:
         self._adapter = adapter
+        self._tls = tls
         self.raw = raw
         self.without_rosapi = False
         self.port = 0
@@ -80,7 +82,7 @@ class Bridge:
             connection = _Connection(self, self._adapter(), socket)
             await connection.run()
 
-        async with serve(handle, "127.0.0.1", self.port, compression=None) as server:
+        async with serve(handle, "127.0.0.1", self.port, compression=None, ssl=self._tls) as server:
             self.port = server.sockets[0].getsockname()[1]
             ready.set_result(None)
             await ended.wait()
@@ -149,9 +151,8 @@ class _Connection(NullSink):
     # Topics
 
     async def _subscribe(self, topic: str, id: str, compression: str = "none", **_: Any) -> None:
-        if compression == "cbor-raw" and not self._bridge.raw:
-            self._send({"op": "status", "level": "error", "id": id, "msg": "unknown compression"})
-            return
+        if not self._bridge.raw:
+            compression = "none"  # as bridges do with what they do not know
         if topic.endswith("/_action/status"):
             self._subscriptions[topic] = None
             self._send_status(topic)
@@ -209,6 +210,9 @@ class _Connection(NullSink):
             raise KeyError(f"Service {service} does not exist")
         if node == ROSAPI:
             return await getattr(self, f"_rosapi_{last}")(**args)
+        if last == "get_result":  # as rosbridge_suite does with a service of an action
+            package, _, name = self._robot.graph.actions[node.removesuffix("/_action")].type.name.split("/")
+            raise ValueError(f"Unable to import srv class {name}_GetResult from package {package}. Caused by it")
         if last == "cancel_goal":
             return await self._cancel(node.removesuffix("/_action"))
         if self._ros2 and last in _PARAMETER_SERVICES:
@@ -263,9 +267,15 @@ class _Connection(NullSink):
         return {"action_servers": list(self._robot.graph.actions)}
 
     async def _rosapi_action_type(self, action: str) -> Any:
-        return {"type": self._robot.graph.actions[action].type.name}
+        self._bridge.without_rosapi = True  # it ends, as that of rosbridge_suite 2.4 to 2.7 does
+
+    async def _rosapi_interfaces(self) -> Any:
+        if not self._ros2:
+            raise KeyError("Service /rosapi/interfaces does not exist")
+        return {"interfaces": ["odd_msgs/msg/Odd"]}
 
     async def _rosapi_message_details(self, type: str) -> Any:
+        assert type == "odd_msgs/msg/Odd" or not self._ros2, "rosapi ends where it has no such type"
         return {"typedefs": [_ODD] if type.endswith("Odd") else []}
 
     async def _rosapi_get_param(self, name: str, default: str) -> Any:

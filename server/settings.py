@@ -8,10 +8,10 @@ describe()        the table of `docs/reference/settings.md`
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 from rosld.adapters.base import MESSAGE_LIMIT, AdapterOptions
@@ -20,7 +20,6 @@ from rosld.adapters.model import Qos
 from rosld.server.http.origin import is_loopback, is_wildcard, normalize_origin
 
 _V = TypeVar("_V")
-_HELP, _OPTION, _UNIT, _MINIMUM, _METAVAR = "help", "option", "unit", "minimum", "metavar"
 
 
 def setting(
@@ -31,10 +30,12 @@ def setting(
     unit: str = "",
     minimum: float | None = None,
     metavar: str | None = None,
+    choices: tuple[str, ...] = (),
 ) -> _V:
     """Declare a setting; `unit` is the unit of its number, which is at least `minimum`. A `metavar` makes an option."""
-    metadata = {_HELP: help, _OPTION: option or metavar is not None, _UNIT: unit, _MINIMUM: minimum, _METAVAR: metavar}
-    return dataclasses.field(default=default, metadata=metadata)
+    is_option = option or metavar is not None
+    metadata = {"help": help, "option": is_option, "unit": unit, "minimum": minimum, "metavar": metavar}
+    return dataclasses.field(default=default, metadata={**metadata, "choices": choices})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +114,7 @@ class Settings:
         "own",
         "The goals that a stop cancels: 'own', sent through rosld, or 'others', all goals of all actions.",
         metavar="WHOSE",
+        choices=("own", "others"),
     )
     name: str = setting(
         "",
@@ -204,6 +206,7 @@ class Settings:
         "What language models may do with the tools at /mcp: 'off', 'read', or 'write' (with --auth, 'read' permits "
         "what their token does). The stop is always permitted. Needs the extra mcp.",
         metavar="WHAT",
+        choices=("off", "read", "write"),
     )
     mcp_approve: tuple[str, ...] = setting(
         (),
@@ -219,11 +222,13 @@ class Settings:
         "What to follow at /faults/: 'all', or 'quiet', which subscribes to nothing and so leaves out diagnostics and "
         "the log.",
         metavar="WHAT",
+        choices=("all", "quiet"),
     )
     log_format: str = setting(
         "text",
         "The format of the log: 'text', or 'json', an object a line, which also logs every request.",
         metavar="FORMAT",
+        choices=("text", "json"),
     )
     rate: float = setting(1.0, "Recordings: playback speed; 1 is as recorded.", minimum=0.000001, metavar="X")
     once: bool = setting(False, "Recordings: play once and stay at the end, instead of looping.", option=True)
@@ -352,36 +357,23 @@ class Settings:
         _check_base(self.base_url)
         _check_namespace(self.types_namespace)
         for declared in declarations():
-            _check_minimum(declared, getattr(self, declared.name))
-        if self.stop_cancels not in ("own", "others"):
-            raise ValueError(f"--stop-cancels {self.stop_cancels}: must be own or others")
-        if self.mcp not in ("off", "read", "write"):
-            raise ValueError(f"--mcp {self.mcp}: must be off, read or write")
-        if self.log_format not in ("text", "json"):
-            raise ValueError(f"--log-format {self.log_format}: must be text or json")
-        if self.faults not in ("all", "quiet"):
-            raise ValueError(f"--faults {self.faults}: must be all or quiet")
+            _check_value(declared, getattr(self, declared.name))
         for glob in self.mcp_approve:
             _check_path_glob("--mcp-approve", glob)
         if self.port > 65535:
             raise ValueError(f"--port {self.port}: must be at most 65535")
         _check_document(self.default_document)
-        for glob in self.history:
-            check_topic_glob("--history", glob)
-        for glob in self.subscribe:
-            check_topic_glob("--subscribe", glob)
-        for glob in self.allow_publish:
-            check_topic_glob("--allow-publish", glob)
-        for glob in self.allow_non_finite:
-            check_topic_glob("--allow-non-finite", glob)
-        for glob in self.stop_zero:
-            check_topic_glob("--stop-zero", glob.removeprefix("!"))
+        for name in ("history", "subscribe", "allow_publish", "allow_non_finite", "stop_zero"):
+            for glob in getattr(self, name):
+                check_topic_glob(_option(name), glob.removeprefix("!") if name == "stop_zero" else glob)
         for origin in self.cors_origins:
             _check_origin(origin)
-        for url in self.allow_service:
-            _check_asked("--allow-service", url)
-        for url in self.allow_load:
-            _check_asked("--allow-load", url)
+        for option, url in (
+            *(("--allow-service", url) for url in self.allow_service),
+            *(("--allow-load", url) for url in self.allow_load),
+        ):
+            if not _is_web_url(url):
+                raise ValueError(f"{option} {url}: must be an http or https URL, such as https://example.org/sparql")
         if self.tls_key is not None and self.tls_cert is None:
             raise ValueError(f"--tls-key {self.tls_key}: needs a certificate: give --tls-cert")
         _check_store(self)
@@ -430,33 +422,25 @@ class Declaration(NamedTuple):
     unit: str
     minimum: float | None
     metavar: str | None
+    choices: tuple[str, ...]
 
 
-_OPTIONS = {"cors_origins": "--cors-origin"}
-
-
+@cache
 def declarations() -> tuple[Declaration, ...]:
     """Return every setting in the order of declaration."""
-    return _DECLARATIONS
-
-
-def _declarations() -> Iterator[Declaration]:
-    for one in dataclasses.fields(Settings):
-        option = _OPTIONS.get(one.name, "--" + one.name.replace("_", "-")) if one.metadata[_OPTION] else None
-        default = one.default
-        yield Declaration(
+    return tuple(
+        Declaration(
             one.name,
             str(one.type),
-            default,
-            one.metadata[_HELP],
-            option,
-            one.metadata[_UNIT],
-            one.metadata[_MINIMUM],
-            one.metadata[_METAVAR],
+            one.default,
+            **{**one.metadata, "option": _option(one.name) if one.metadata["option"] else None},
         )
+        for one in dataclasses.fields(Settings)
+    )
 
 
-_DECLARATIONS = tuple(_declarations())
+def _option(name: str) -> str:
+    return "--cors-origin" if name == "cors_origins" else "--" + name.replace("_", "-")
 
 
 def parse(name: str, text: str) -> int | float | str:
@@ -470,7 +454,7 @@ def parse(name: str, text: str) -> int | float | str:
         value = kinds[declared.type](text)
     except ValueError as error:
         raise ValueError(f"the setting {name} must be a number, not {text!r}") from error
-    _check_minimum(declared, value)
+    _check_value(declared, value)
     return value
 
 
@@ -520,12 +504,13 @@ def _row(one: Declaration) -> str:
     return f"| `{one.name}` | {option} | {default}{' ' + one.unit if one.unit else ''} | {one.help} |\n"
 
 
-def _check_minimum(declared: Declaration, value: object) -> None:
-    if declared.minimum is None or not isinstance(value, (int, float)):
-        return
-    if not declared.minimum <= value < float("inf"):
-        name = declared.option or f"--setting {declared.name}"
-        raise ValueError(f"{name} {value}: must be at least {declared.minimum:g}")
+def _check_value(declared: Declaration, value: object) -> None:
+    name, choices = declared.option or f"--setting {declared.name}", declared.choices
+    if choices and value not in choices:
+        raise ValueError(f"{name} {value}: must be {', '.join(choices[:-1])} or {choices[-1]}")
+    least = declared.minimum
+    if least is not None and isinstance(value, (int, float)) and not least <= value < float("inf"):
+        raise ValueError(f"{name} {value}: must be at least {least:g}")
 
 
 def check_topic_glob(option: str, glob: str) -> None:
@@ -539,20 +524,24 @@ def _check_path_glob(option: str, glob: str) -> None:
         raise ValueError(f"{option} {glob}: must be a path below the base, such as '/topics/**'")
 
 
-def _check_asked(option: str, url: str) -> None:
-    parts = urlsplit(url)
-    if parts.scheme not in ("http", "https") or not parts.hostname or set(url) & set(' <>"{}|\\^`'):
-        raise ValueError(f"{option} {url}: must be an http or https URL, such as https://example.org/sparql")
+_UNFIT = frozenset(' <>"{}|\\^`')
+
+
+def _is_web_url(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+        return parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0 and not _UNFIT & set(url)
+    except ValueError:  # of the port
+        return False
+
+
+def _is_prefix(url: str) -> bool:
+    """Whether paths can be added to a URL."""
+    return _is_web_url(url) and url.isascii() and url.isprintable() and "?" not in url and "#" not in url
 
 
 def _check_base(url: str) -> None:
-    parts = urlsplit(url)
-    try:
-        port: int | Literal["bad"] | None = parts.port
-    except ValueError:
-        port = "bad"
-    sound = parts.scheme in ("http", "https") and parts.hostname and port != "bad" and parts.username is None
-    if not sound or parts.query or parts.fragment or not url.isascii() or any(char in ' <>"{}|\\^`' for char in url):
+    if not _is_prefix(url) or "@" in urlsplit(url).netloc:
         raise ValueError(f"--base-url {url!r} is not an http(s) URL such as http://robot.example:8080/")
     if not url.endswith("/"):
         raise ValueError(f"--base-url {url!r} must end in a slash")
@@ -574,22 +563,14 @@ def _check_store(settings: Settings) -> None:
 
 
 def _check_endpoint(option: str, url: str) -> None:
-    parts = urlsplit(url)
-    if "@" in parts.netloc:
+    if "@" in urlsplit(url).netloc:
         raise ValueError(f"{option}: the URL is shown to others, so pass credentials with --store-credentials")
-    try:
-        sound = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
-    except ValueError:
-        sound = False
-    if not sound or "?" in url or "#" in url or not url.isascii() or not url.isprintable() or _UNFIT & set(url):
+    if not _is_prefix(url):
         raise ValueError(f"{option} {url!r} is not an http(s) URL such as http://store.example:7878")
 
 
-_UNFIT = frozenset(' <>"{}|\\^`')
-
-
 def _check_namespace(iri: str) -> None:
-    if not urlsplit(iri).scheme or iri[-1] not in "/#" or any(char in ' <>"{}|\\^`' for char in iri):
+    if not urlsplit(iri).scheme or iri[-1] not in "/#" or _UNFIT & set(iri):
         raise ValueError(f"--setting types_namespace {iri!r} must be an IRI that ends in / or #")
 
 

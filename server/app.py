@@ -15,7 +15,6 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rosld.adapters.base import Adapter
-from rosld.ontology.urls import Space
 from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.rate_limit import ClientLimiter, ClientLimits
@@ -43,14 +42,12 @@ from rosld.server.middleware.dispatch import Dispatch, ErrorResponses, ServerOpt
 from rosld.server.middleware.limits import Admission, RateLimits, RequestScheduler, Scheduling
 from rosld.server.middleware.monitor import Monitor, Traced
 from rosld.server.policies.stored_mappings import log_mapping_warnings
-from rosld.server.receipts.journal import Journal
 from rosld.server.resources.acl import AboutResources, AclResource, types_at
-from rosld.server.resources.actions import ActionResource
 from rosld.server.resources.bag_routes import bag_route
+from rosld.server.resources.base import Services
 from rosld.server.resources.channels import Notifications, fixed_resources
 from rosld.server.resources.channels import routes as notification_routes
 from rosld.server.resources.entry_point import StatusResource
-from rosld.server.resources.find import near_urls
 from rosld.server.resources.frames import FramesResource
 from rosld.server.resources.health import HealthResource, ReadinessResource
 from rosld.server.resources.ldp.record_graphs import RecordGraphs
@@ -65,15 +62,13 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.large import LargeDocuments
 from rosld.server.rest.pages import PageRenderer
 from rosld.server.rest.resource import Resource
-from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.interrupted_holds import InterruptedHolds
 from rosld.server.robot.scene import Scene
 from rosld.server.robot.session import Session
 from rosld.server.robot.software_stop import SoftwareStop
 from rosld.server.routing.dispatcher import Dispatcher
 from rosld.server.routing.live_graphs import OTHER_ROUTES, RobotGraphs
-from rosld.server.routing.router import ResourceFactory, Router, single_route
-from rosld.server.routing.services import Services
+from rosld.server.routing.router import Router, single_route
 from rosld.server.runtime.tasks import KeyedLock
 from rosld.server.runtime.timings import RequestTimings
 from rosld.server.runtime.tracing import tracing_of
@@ -88,9 +83,8 @@ from rosld.server.sparql.query_limits import Limits
 from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.receipt_graphs import ReceiptGraphs
 from rosld.server.sparql.restricted import RestrictedDatasets
-from rosld.server.sparql.syntax.lexer import QueryBounds, ServiceAllowlist
+from rosld.server.sparql.syntax.lexer import ServiceAllowlist
 from rosld.server.sparql.update.base import UpdateRunner
-from rosld.server.sparql.update.executor import UpdateEvaluator
 
 
 class Shared(Struct, frozen=True, kw_only=True):
@@ -126,18 +120,18 @@ def shared_of(settings: Settings) -> Shared:
 class SparqlServices:
     """Queries and updates over the states of the robot's resources, in a separate process."""
 
-    def __init__(self, services: Services, factory: ResourceFactory, scene: Scene, shared: Shared) -> None:
-        session, space, settings = services.session, services.session.space, services.session.settings
+    def __init__(self, services: Services, scene: Scene, shared: Shared) -> None:
+        session, space, settings = services.session, services.space, services.settings
         self._services = services
         self.process = shared.process
-        self.graphs = RobotGraphs(factory)
+        self.graphs = RobotGraphs(services)
         """Source of the dataset."""
         record_graphs = RecordGraphs(services.documents.records, space.base, services.queries.description, OTHER_ROUTES)
         self.materializer = shared.make_materializer(
             self.process, self.graphs, record_graphs, ReceiptGraphs(services.receipts, space)
         )
         self._analyser = Analyser(space.base, space.types, reach=ServiceAllowlist(frozenset(settings.allow_service)))
-        self.queries = QueryService(
+        self.queries = services.sparql = QueryService(
             self.process,
             self.materializer,
             self._analyser,
@@ -148,19 +142,9 @@ class SparqlServices:
             scene.frames.settle,
         )
 
-    def updates(self, at: Callable[[str], Resource], keyed_lock: KeyedLock) -> UpdateService:
-        """Return the runner of updates on the resources that `at` finds by path below the base."""
-        services = self._services
-        return UpdateService(
-            services.session,
-            services.affordances,
-            services.documents,
-            UpdateEvaluator(self.queries, self._analyser),
-            self._analyser,
-            QueryBounds(size=services.session.settings.body_limit),
-            at,
-            keyed_lock,
-        )
+    def updates(self, keyed_lock: KeyedLock) -> UpdateService:
+        """Return the runner of updates."""
+        return UpdateService(self._services, self._analyser, keyed_lock)
 
 
 def _limits(settings: Settings) -> Limits:
@@ -177,33 +161,27 @@ def create_app(adapter: Adapter, settings: Settings, shared: Shared | None = Non
     """Return the ASGI app for this adapter; its lifespan opens and closes the adapter, raising the errors of `open`."""
     shared = shared or shared_of(settings)
     services = Services(adapter, settings, shared.stop)
-    session, space = services.session, services.session.space
-    factory = ResourceFactory(services)
+    session, space = services.session, services.space
     scene, watchdog = Scene(session), shared.watchdog
-    sparql = SparqlServices(services, factory, scene, shared)
+    sparql = SparqlServices(services, scene, shared)
     large = LargeDocuments(services.documents.workers)
     pages = PageRenderer(session, services.software_stop, large, services.receipts, shared.keys, shared.sections)
     names = origin_policy(settings.base_url, settings.host, settings.port, settings.cors_origins)
     broadcasters = Broadcasters(session.changes, settings.client_streams, shared.readers)
     keyed_lock = KeyedLock(settings.call_deadline)
-    router = Router(
-        factory, sparql.queries, pages, lambda at: shared.make_updates(sparql.updates(at, keyed_lock=keyed_lock))
-    )
+    router = Router(services, pages, lambda: shared.make_updates(sparql.updates(keyed_lock)))
     mirror = create_mirror(session, services.instance_id, sparql.process, sparql.materializer, router.route_names)
-    notifications = Notifications(
-        space, services.instance_id, Channels(services.instance_id), broadcasters, names, router.resolve
-    )
+    notifications = Notifications(services, broadcasters, names, router.resolve)
     router.add(notification_routes(notifications, router.routes[".well-known"]))
-    goals = GoalTargets(session, factory.topic, partial(factory.named, ActionResource))
     views: dict[str, Callable[[], PlotResource | SpaceResource]] = {
-        "plot": partial(PlotResource, session, services.affordances, factory.history, broadcasters),
-        "space": partial(SpaceResource, session, scene, factory.history, broadcasters, goals),
+        "plot": partial(PlotResource, services, broadcasters),
+        "space": partial(SpaceResource, services, scene, broadcasters, GoalTargets(services)),
     }
     changing: dict[str, Callable[[], Resource]] = {
-        "status": partial(StatusResource, session, services.problems, watchdog),
+        "status": partial(StatusResource, services, watchdog),
         **({} if mirror is None else {"mirror": partial(ReplicationResource, space, mirror)}),
     }
-    frames = partial(FramesResource, space, session.adapter, scene)
+    frames = partial(FramesResource, services, scene)
     own: dict[str, Callable[[], Resource]] = {**views, **changing, "frames": frames}
     router.add({name: single_route(make) for name, make in own.items()})
     fixed = (router.endpoint, router.graphs, router.search, *(make() for make in views.values()))
@@ -213,33 +191,19 @@ def create_app(adapter: Adapter, settings: Settings, shared: Shared | None = Non
     if authenticator is not None:
         authenticator.changed.watch(broadcasters.wake_all)
         router.add({"acl": single_route(partial(AclResource, space, authenticator))})
-    triggers = RecordingTriggers(session, services.affordances, services.mappings, router.at, authenticator)
-    router.add({"bags": partial(bag_route, factory.bags, triggers=triggers, queries=sparql.queries)})
-    near = partial(near_urls, space, session.adapter, services.affordances)
-    dispatcher = Dispatcher(services.instance_id, session, pages, broadcasters, keyed_lock, large, near)
+    triggers = RecordingTriggers(services, authenticator)
+    router.add({"bags": partial(bag_route, services, triggers=triggers)})
+    dispatcher = Dispatcher(services, pages, broadcasters, keyed_lock, large)
     clients = shared.clients
     admission = Admission(clients, f"{space.path}stop".encode("ascii"))
     mcp = McpService(space, settings)
     health, ready = HealthResource(space), ReadinessResource(session, lambda: sparql.process.is_running)
     router.add({"healthz": single_route(lambda: health), "readyz": single_route(lambda: ready)})
     timings = RequestTimings(space.path, lambda: router.route_names | {"mcp"})
-    sources = MetricSources(
-        session,
-        services.holds,
-        services.faults,
-        services.recordings.history,
-        services.problems,
-        sparql.process,
-        sparql.queries.timings,
-        timings,
-        watchdog,
-        clients,
-        broadcasters,
-    )
-    router.add({"metrics": single_route(partial(MetricsResource, space, sources))})
-    handler = middleware(
-        space, services.receipts, router, dispatcher, pages, names, admission, authenticator, mcp, shared.turns
-    )
+    sources = MetricSources(services, sparql.process, timings, watchdog, clients, broadcasters)
+    router.add({"metrics": single_route(partial(MetricsResource, sources))})
+    parts = Parts(services, router, sparql, authenticator)
+    handler = middleware(parts, dispatcher, pages, names, admission, mcp, shared.turns)
     tracing = tracing_of(os.environ)
     if tracing is not None:
         handler = Traced(handler, tracing, timings)
@@ -248,15 +212,10 @@ def create_app(adapter: Adapter, settings: Settings, shared: Shared | None = Non
     http = HttpApplication(handler, clients, settings, link, monitor, (health, ready))
     mcp.connect(http)
     foxglove = FoxgloveService(session, broadcasters, authenticator, LocalTransport(http), services.instance_id)
-    parts = Parts(services, factory, router, sparql, authenticator)
     return Application(
         parts,
-        session,
-        services.holds,
-        clients,
+        sources,
         admission,
-        broadcasters,
-        router.route_names,
         mcp,
         http,
         WebSockets(names, admission, notifications, {foxglove.path: foxglove.receiver}),
@@ -270,11 +229,10 @@ def create_app(adapter: Adapter, settings: Settings, shared: Shared | None = Non
                 mcp.close,
                 *(() if mirror is None else (mirror.close,)),
                 large.close,
-                scene.close,
+                scene.frames.stop,
                 *(() if tracing is None else (tracing.close,)),
             ],
         ),
-        sources,
     )
 
 
@@ -287,10 +245,10 @@ def background_jobs(
 ) -> Sequence[Job]:
     """Return the jobs that run in the background from start to end."""
     return [
-        sparql.queries.keep_materialized,
+        sparql.materializer.stored.run,
         partial(asyncio.to_thread, prepare_pages),
         partial(log_mapping_warnings, services.affordances, services.mappings),
-        partial(triggers.resume, services.recordings),
+        triggers.resume,
         InterruptedHolds(services.session, services.holds, services.receipts.add).run,
         *(() if mirror is None else (mirror.run,)),
         *(() if authenticator is None else (authenticator.watch_file,)),
@@ -302,8 +260,7 @@ def create_authenticator(services: Services, channels: Channels, shared: Shared)
     session = services.session
     if session.settings.auth is None:
         return None
-    about = AboutResources(session, services.holds, services.faults, services.recordings, services.receipts, channels)
-    types = partial(types_at, session, services.affordances)
+    about, types = AboutResources(services, channels), partial(types_at, services)
     return Authenticator(session.settings.auth, session.space, types, about, shared.root, shared.make_permissions)
 
 
@@ -316,18 +273,16 @@ def client_limiter(settings: Settings) -> ClientLimiter:
 
 
 def middleware(
-    space: Space,
-    receipts: Journal,
-    router: Router,
+    parts: Parts,
     dispatcher: Dispatcher,
     pages: PageRenderer,
     names: OriginPolicy,
     admission: Admission,
-    authenticator: Authenticator | None,
     mcp: McpService,
     turns: RequestScheduler,
 ) -> Handler:
     """Return the middleware stack, built from the innermost to the outermost."""
+    space, router, authenticator = parts.services.space, parts.router, parts.authenticator
     stop = f"{space.path}stop".encode("ascii")
     handler: Handler = Dispatch(router.resolve, dispatcher)
     if authenticator is None:
@@ -343,7 +298,7 @@ def middleware(
     handler = Scheduling(handler, stop, turns)
     handler = TrustedHosts(handler, names)
     handler = ErrorResponses(handler, admission, pages, space)
-    handler = Audit(handler, receipts, space)
+    handler = Audit(handler, parts.services.receipts, space)
     if authenticator is not None:
         handler = AccessHeaders(handler, authenticator, space)
     return CrossOriginHeaders(handler, names)
@@ -353,7 +308,6 @@ class Parts(Struct, frozen=True):
     """The parts of an application that others use: a server of several robots."""
 
     services: Services
-    factory: ResourceFactory
     router: Router
     sparql: SparqlServices
     authenticator: Authenticator | None
@@ -365,26 +319,20 @@ class Application:
     def __init__(
         self,
         parts: Parts,
-        session: Session,
-        holds: Holds,
-        clients: ClientLimiter,
+        metric_sources: MetricSources,
         admission: Admission,
-        broadcasters: Broadcasters,
-        rooms: frozenset[str],
         mcp: McpService,
         http: ASGIApp,
         websockets: ASGIApp,
         lifespan: ASGIApp,
-        metric_sources: MetricSources,
     ) -> None:
         self.parts = parts
-        self.session = session
+        self.session = parts.services.session
         self.metric_sources = metric_sources
-        self._holds = holds
-        self.clients = clients
+        self.clients = metric_sources.clients
         self.is_urgent = admission.is_urgent
-        self.broadcasters = broadcasters
-        self.rooms = rooms
+        self.broadcasters = metric_sources.broadcasters
+        self.rooms = parts.router.route_names
         """First segments of all paths."""
         self.mcp = mcp
         self._parts = {"http": http, "websocket": websockets, "lifespan": lifespan}
@@ -397,7 +345,7 @@ class Application:
 
         Call this when the server is to stop, before it waits for requests.
         """
-        self._holds.close("rosld ended")
+        self.parts.services.holds.close("rosld ended")
         self.mcp.end()
         self.broadcasters.close()
 

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
 from msgspec import Struct
@@ -71,7 +72,8 @@ class Authenticator:
         self.changed = Signal()
         """Signal of possibly changed rights."""
         self._verifier = TokenVerifier()
-        self._judges: dict[Agent, Permissions] = {}
+        self.permissions = lru_cache(maxsize=_MAX_AGENTS)(self._permissions)
+        """Returns the current permissions of an agent."""
 
     @property
     def anonymous(self) -> AuthContext:
@@ -96,16 +98,9 @@ class Authenticator:
             raise invalid_token("Unknown token.")
         return self._auth_context(self._agent_of(claims), lambda: self._agent_of(claims), claims.expires)
 
-    def permissions(self, agent: Agent) -> Permissions:
-        """Return the current permissions of an agent."""
-        found = self._judges.get(agent)
-        if found is None:
-            if len(self._judges) >= _MAX_AGENTS:
-                self._judges.clear()
-            rights = self.config.policy.rights_of(agent)
-            found = self._make_permissions(agent, rights, self._space, self._types, self._about)
-            self._judges[agent] = found
-        return found
+    def _permissions(self, agent: Agent) -> Permissions:
+        rights = self.config.policy.rights_of(agent)
+        return self._make_permissions(agent, rights, self._space, self._types, self._about)
 
     def current_permissions(self, agent: Agent) -> Permissions | None:
         """Return the current permissions of an agent that was authenticated before, or None if it no longer is."""
@@ -150,7 +145,7 @@ class Authenticator:
 
     def _replace(self, access: AuthConfig) -> None:
         self.config = access
-        self._judges.clear()
+        self.permissions.cache_clear()
         self.changed.emit()
 
     def _auth_context(self, agent: Agent, now: Callable[[], Agent | None], until: float | None) -> AuthContext:

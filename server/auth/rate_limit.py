@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import lru_cache, partial
 from ipaddress import IPv6Address, ip_address
 
 from msgspec import Struct
@@ -91,10 +92,9 @@ class ClientLimiter:
 
     def __init__(self, limits: ClientLimits, *, loopback: bool, clock: Callable[[], float] = time.monotonic) -> None:
         self._limits = limits
-        self._loopback = loopback
         self._clock = clock
         self._known: dict[str, Client] = {}
-        self._names: dict[str, str | None] = {}
+        self._address = lru_cache(maxsize=MAX_CLIENTS)(partial(client_name, loopback=loopback))
 
     def acquire(self, agent: Agent, address: str | None) -> Client | None:
         """Count a request; return the argument of `release` after the response. Raises RateLimitExceeded."""
@@ -162,14 +162,6 @@ class ClientLimiter:
                 self._known = {each: one for each, one in self._known.items() if not one.is_idle(now)}
             client = self._known[name] = Client(self._limits.rate)
         return client
-
-    def _address(self, address: str | None) -> str | None:
-        """Return the name of an unauthenticated client, None if it is unlimited."""
-        if address not in self._names:
-            if len(self._names) >= MAX_CLIENTS:
-                self._names.clear()
-            self._names[address or ""] = client_name(address, loopback=self._loopback)
-        return self._names[address or ""]
 
 
 def client_name(address: str | None, *, loopback: bool) -> str | None:

@@ -44,16 +44,12 @@ class PendingChanges:
         self.overflowed = False
         self._entries: dict[str, Entry] = {}
         self._size = 0
-        self._since: float | None = None
+        self.since: float | None = None
+        """A lower bound of the time of the oldest waiting change; None if none waits."""
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
         return len(self._entries)
-
-    @property
-    def since(self) -> float | None:
-        """A lower bound of the time of the oldest waiting change; None if none waits."""
-        return self._since
 
     def add(self, graphs: Iterable[str], edits: Sequence[Edit] = ()) -> None:
         """Add replaced graphs, then edits."""
@@ -63,8 +59,8 @@ class PendingChanges:
             for edit in edits:
                 before = self._entries.get(edit.graph, ())
                 self._put(edit.graph, None if before is None else (*before, edit))
-            if self._entries and self._since is None:
-                self._since = time.monotonic()
+            if self._entries and self.since is None:
+                self.since = time.monotonic()
             if len(self._entries) > self.limit:
                 self._forget()
                 self.overflowed = True
@@ -81,19 +77,19 @@ class PendingChanges:
             self.limit = self._spare + len(graphs)
             for graph in graphs:
                 self._put(graph, None)
-            if self._entries and self._since is None:
-                self._since = time.monotonic()
+            if self._entries and self.since is None:
+                self.since = time.monotonic()
 
     def take(self, limit: int) -> PendingBatch | None:
         """Remove and return the first waiting entries; None if nothing waits."""
         with self._lock:
-            if not self._entries or self._since is None:
+            if not self._entries or self.since is None:
                 return None
-            batch = PendingBatch({graph: self._entries[graph] for graph in islice(self._entries, limit)}, self._since)
+            batch = PendingBatch({graph: self._entries[graph] for graph in islice(self._entries, limit)}, self.since)
             for graph in batch.entries:
                 self._size -= _size(self._entries.pop(graph))
             if not self._entries:
-                self._since = None
+                self.since = None
             return batch
 
     def requeue(self, batch: PendingBatch) -> None:
@@ -108,7 +104,7 @@ class PendingChanges:
             for graph, entry in later.items():
                 before = self._entries.get(graph, ())
                 self._put(graph, None if before is None or entry is None else before + entry)
-            self._since = batch.since if self._since is None else min(self._since, batch.since)
+            self.since = batch.since if self.since is None else min(self.since, batch.since)
 
     def _put(self, graph: str, entry: Entry) -> None:
         before = self._entries.get(graph, ())
@@ -119,7 +115,7 @@ class PendingChanges:
         self._entries[graph] = entry
 
     def _forget(self) -> None:
-        self._entries, self._size, self._since = {}, 0, None
+        self._entries, self._size, self.since = {}, 0, None
 
 
 def _size(entry: Entry) -> int:

@@ -28,7 +28,7 @@ from rosld.ontology.triples import date_time_literal as instant
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.dataset.base import Edit
 from rosld.server.dataset.endpoint_client import StoreError, StoreRefused
-from rosld.server.dataset.pending_changes import INITIAL_LIMIT, PendingBatch, PendingChanges, ReplicaState
+from rosld.server.dataset.pending_changes import PendingBatch, PendingChanges, ReplicaState
 from rosld.server.dataset.remote_store import RemoteStore, split_parts
 
 _log = logging.getLogger("rosld.store")
@@ -141,9 +141,6 @@ class Mirror:
         *,
         interval: float,
         run_name: str,
-        first_pause: float = _FIRST_PAUSE,
-        max_pending: int = INITIAL_LIMIT,
-        renewal_seconds: float = _AGAIN,
     ) -> None:
         self._source = source
         self._target = target
@@ -151,9 +148,7 @@ class Mirror:
         self._refresh = refresh
         self._interval = interval
         self._run_name = run_name
-        self._first_pause = first_pause
-        self._renewal_seconds = renewal_seconds
-        self._pending = PendingChanges(max_pending)
+        self._pending = PendingChanges()
         self._replica = ReplicaState()
         self._refused: dict[str, float] = {}
         self._sending_since: float | None = None
@@ -194,12 +189,12 @@ class Mirror:
                 more = await asyncio.shield(self._round)
             except StoreError as error:
                 self._note_failure(error)
-                await asyncio.sleep(pause_after(self._failures, self._first_pause))
+                await asyncio.sleep(pause_after(self._failures, _FIRST_PAUSE))
                 continue
             except Exception as error:
                 _log.exception("telling %s failed", self._target.url)
                 self._note_failure(StoreError(f"{type(error).__name__}: {error}."))
-                await asyncio.sleep(pause_after(self._failures, self._first_pause))
+                await asyncio.sleep(pause_after(self._failures, _FIRST_PAUSE))
                 continue
             self._note_success()
             if not more:
@@ -277,7 +272,7 @@ class Mirror:
         if self._whole and self._is_heartbeat_current():
             self._confirmed = True
             self._verified_connections = self._target.connections
-        elif self._confirmed or not self._whole or time.monotonic() > self._renewed + self._renewal_seconds:
+        elif self._confirmed or not self._whole or time.monotonic() > self._renewed + _AGAIN:
             self._restart()
         # else it lacks a heartbeat sent just now: sending everything again at once would not help
 

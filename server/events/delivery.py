@@ -5,24 +5,20 @@ from __future__ import annotations
 import asyncio
 import time
 import uuid
-from collections.abc import Awaitable, Callable
-from typing import TypeAlias
 
 import orjson
-from starlette.responses import Response
 from starlette.types import Message, Receive, Scope, Send
 
 from rosld.ontology.notifications import ACTIVITY_CONTEXT, CONTEXT, Activity, channel_type, with_context
 from rosld.ontology.serialize import serialize
 from rosld.ontology.syntax import Syntax
 from rosld.server.events.broadcaster import Broadcaster, Broadcasters, Observation, Waiter
+from rosld.server.events.event_stream import KEEP_ALIVE_SECONDS, EndlessResponse, Headers, SendChunk
 from rosld.server.events.notification_channels import Channel, Channels
 from rosld.server.http.origin import OriginPolicy, check_host
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 
-Sending: TypeAlias = Callable[[bytes], Awaitable[None]]
-KEEP_ALIVE_SECONDS = 15.0
 _RDF = {"text/turtle": Syntax.TURTLE, "application/n-triples": Syntax.N_TRIPLES}
 
 
@@ -34,8 +30,8 @@ class Delivery:
         channels: Channels,
         broadcasters: Broadcasters,
         channel: Channel,
-        send: Sending,
-        idle: Sending | None,
+        send: SendChunk,
+        idle: SendChunk | None,
     ) -> None:
         self._channels = channels
         self._broadcasters = broadcasters
@@ -136,35 +132,21 @@ def channel_headers(channel: Channel) -> list[tuple[bytes, bytes]]:
     ]
 
 
-class ChannelStream(Response):
+class ChannelStream(EndlessResponse):
     """Response with the notifications of a channel, until its reader disconnects, it ends, or the server ends."""
 
-    def __init__(
-        self, channels: Channels, broadcasters: Broadcasters, channel: Channel, headers: list[tuple[bytes, bytes]]
-    ) -> None:
-        self.status_code = 200
-        self.body = b""
-        self.background = None
-        self.raw_headers = [*channel_headers(channel), *headers]
+    def __init__(self, channels: Channels, broadcasters: Broadcasters, channel: Channel, headers: Headers) -> None:
+        super().__init__(broadcasters, [*channel_headers(channel), *headers])
         self._channels = channels
-        self._broadcasters = broadcasters
         self._channel = channel
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the response."""
-
-        async def send_chunk(chunk: bytes) -> None:
-            await send({"type": "http.response.body", "body": chunk, "more_body": True})
-
+    async def run(self, send_chunk: SendChunk, receive: Receive) -> None:
         async def send_notification(chunk: bytes) -> None:
             await send_chunk(chunk.rstrip(b"\n") + b"\n")
 
-        await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
         await send_chunk(b"")
         delivery = Delivery(self._channels, self._broadcasters, self._channel, send_notification, send_chunk)
-        with self._broadcasters.count_reader(scope):
-            await self._broadcasters.run_for_client(delivery.run(), receive, self._channel.seconds_left)
-        await send({"type": "http.response.body", "body": b"", "more_body": False})
+        await self._broadcasters.run_for_client(delivery.run(), receive, self._channel.seconds_left)
 
 
 NORMAL, GOING_AWAY, TOO_BIG = 1000, 1001, 1009

@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from rosld.adapters.base import Watch
 from rosld.adapters.model import RosError
-from rosld.server.events.broadcaster import Broadcasters, Waiter
+from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventWriter, SendChunk, event_frame
 from rosld.server.robot.live_topics import LiveTopics
 from rosld.server.robot.scene import Drawings, DrawnSample, LiveFrames
@@ -76,34 +76,17 @@ class SpaceStream(EndlessResponse):
         self._fixed = fixed
 
     async def write(self, send_chunk: SendChunk) -> None:
-        writer, waiter = EventWriter(send_chunk), _Pulse()
+        writer, woken = EventWriter(send_chunk), asyncio.Event()
         await writer.open()
         with contextlib.ExitStack() as stack:
-            view = _View(self._source, self._fixed, waiter.wake, stack)
+            view = _View(self._source, self._fixed, woken.set, stack)
             while self._source.is_valid():
                 found = await view.take()
                 await (writer.send(event_frame(orjson.dumps(found))) if found else writer.keep_alive())
                 await asyncio.sleep(PERIOD)
-                await waiter.wait(_LONGEST)
-
-
-class _Pulse:
-    """An event that stays set until the next wait."""
-
-    def __init__(self) -> None:
-        self._waiter = Waiter()
-        self._has_woken = False
-
-    def wake(self) -> None:
-        self._has_woken = True
-        self._waiter.wake()
-
-    async def wait(self, seconds: float) -> None:
-        """Wait up to `seconds` for a wake-up since the last wait."""
-        if not self._has_woken:
-            with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
-                await asyncio.wait_for(self._waiter.sleep(), seconds)
-        self._has_woken = False
+                with contextlib.suppress(asyncio.TimeoutError, TimeoutError):
+                    await asyncio.wait_for(woken.wait(), _LONGEST)
+                woken.clear()
 
 
 class _View:

@@ -435,11 +435,6 @@ class History:
         """Whether the messages of a topic are recorded."""
         return any(fnmatchcase(topic, glob) for glob in self._globs)
 
-    @property
-    def queued_bytes(self) -> int:
-        """Bytes of the messages that wait to be recorded."""
-        return self._live.queued_bytes
-
     def dropped(self) -> Mapping[str, int]:
         """Return the numbers of lost messages by topic."""
         counts = self._live.dropped()

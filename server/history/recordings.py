@@ -13,7 +13,6 @@ from collections.abc import (
     AsyncIterator,
     Awaitable,
     Callable,
-    Collection,
     Hashable,
     Iterable,
     Iterator,
@@ -152,16 +151,18 @@ class Recordings:
         """
         self._changes = 0
         self._adapter = adapter
-        self._live = LiveRecorder(adapter, learn)
-        self.history = History(adapter, self._live, settings, definition_of)
+        self.live = LiveRecorder(adapter, learn)
+        self.history = History(adapter, self.live, settings, definition_of)
         self._definition_of = definition_of
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
-        self._running: dict[str, RunningRecording] = {}
+        self.running: dict[str, RunningRecording] = {}
+        """The recordings in progress, by name."""
         notes = RecordingNotes(None if settings.data is None else settings.data / FOLDER)
         self._armed = ArmedRecordings(notes, self.begin, self.can_be_named)
-        self._interruptions = Interruptions(notes)
+        self.interruptions = Interruptions(notes)
         self._opened: dict[str, tuple[Adapter, Recording]] = {}
-        self._unreadable: dict[str, UnreadableFile] = {}
+        self.unreadable: dict[str, UnreadableFile] = {}
+        """The files that cannot be opened, by recording name."""
         self._receiving: set[str] = set()
         self._checkers = WorkerPool(_MAX_CHECKED, memory=_CHECK_BYTES, subject="recording")
         self._settings = settings
@@ -181,13 +182,9 @@ class Recordings:
     @property
     def revision(self) -> Hashable:
         """Value that changes with the set of recordings, and every few seconds while something is recorded."""
-        is_recording = self.history.is_enabled or bool(self._running)
+        is_recording = self.history.is_enabled or bool(self.running)
         moment = int(time.monotonic() / _REVISION_SECONDS) if is_recording else 0
         return self._changes, self._armed.revision, moment, self.catalogue.revision
-
-    def recorded_topics(self) -> Collection[str]:
-        """Return the topics that are recorded now, by the history or for a client."""
-        return self._live.topics()
 
     @property
     def finished(self) -> Mapping[str, Recording]:
@@ -217,23 +214,9 @@ class Recordings:
         return self.readable.get(name)
 
     @property
-    def unreadable(self) -> Mapping[str, UnreadableFile]:
-        """The files that cannot be opened, by recording name."""
-        return self._unreadable
-
-    @property
-    def running(self) -> Mapping[str, RunningRecording]:
-        """The recordings in progress, by name."""
-        return self._running
-
-    @property
     def armed(self) -> Mapping[str, ArmedRecording]:
         """The recordings that wait for triggers, by name."""
         return self._armed.all
-
-    def interruption(self, name: str) -> str | None:
-        """Return why a recording ended early, as a sentence, or None if it is complete."""
-        return self._interruptions.reason(name)
 
     async def start(self) -> None:
         """Start the history, and open the stored recordings. Unreadable ones are logged and reserve their names."""
@@ -251,12 +234,12 @@ class Recordings:
     async def _open_stored(self, folder: Path) -> None:
         await asyncio.to_thread(remove_drafts, folder)
         for name in active_recordings(folder):
-            await self._interruptions.add(name, KILLED)
+            await self.interruptions.add(name, KILLED)
         await asyncio.to_thread(complete_active, folder)
         for path in await asyncio.to_thread(lambda: sorted(folder.iterdir())):
             if path.suffix in SUFFIXES.values():
                 await self._open_or_keep(path.stem, path)
-        self._interruptions.load({*self._opened, *self._unreadable})
+        self.interruptions.load({*self._opened, *self.unreadable})
 
     def resume(self, occurrences: Occurrences) -> None:
         """Wait for the triggers of the orders stored before the restart."""
@@ -264,7 +247,7 @@ class Recordings:
 
     def begin(self, order: RecordingOrder, may_record: MayRecord) -> RunningRecording:
         """Start a recording of the topics that may be recorded. Raises RecordingRefused, and OSError for the disk."""
-        if len(self._running) >= _MAX_RUNNING:
+        if len(self.running) >= _MAX_RUNNING:
             raise RecordingRefused(f"{_MAX_RUNNING} recordings are already running: end one first", is_conflict=True)
         name = self._free_name(order.name)
         record_step(f"record {', '.join(order.topics)} as {name}"[:_LONGEST_STEP])
@@ -272,13 +255,13 @@ class Recordings:
         encoding = self._adapter.capabilities.encoding
         since = self._since(order.before)
         writer = RecordingWriter(self._path(name, SUFFIX), encoding, self._definition_of, require_room, since)
-        self._running[name] = recording = RunningRecording(name, order, writer, self._live.dropped())
+        self.running[name] = recording = RunningRecording(name, order, writer, self.live.dropped())
 
         def selects(topic: str) -> bool:
             return any(fnmatchcase(topic, glob) for glob in order.topics) and may_record(topic)
 
         copy = (lambda: self.history.copy_to(writer, selects, since)) if order.before > 0 else None
-        self._live.add(writer, selects, copy)
+        self.live.add(writer, selects, copy)
         if order.duration is not None:
             recording.ends_at = loop_time() + order.duration
             recording.timer = asyncio.get_running_loop().call_later(order.duration, self._end_soon, recording)
@@ -302,7 +285,7 @@ class Recordings:
 
     async def end(self, name: str) -> None:
         """End a recording, which can then be read. Does nothing if it does not exist."""
-        recording = self._running.get(name)
+        recording = self.running.get(name)
         if recording is not None:
             record_step(f"end the recording {name}")
             end_dry_run()
@@ -344,7 +327,7 @@ class Recordings:
             raise RecordingRefused("Too many recordings are being stored: try again later", is_conflict=True)
         record_step(f"cut {recording.name} as {', '.join(names)}"[:_LONGEST_STEP])
         end_dry_run()
-        encoding, stored = self.encoding(recording), list[str]()
+        encoding, stored = recording.encoding, list[str]()
         self._receiving.update(names)
         try:
             for each, span in zip(names, spans, strict=True):
@@ -367,11 +350,11 @@ class Recordings:
         if await self.disarm(name):
             return True
         await self.end(name)
-        file = self._unreadable.pop(name, None)
+        file = self.unreadable.pop(name, None)
         if file is not None:
             self._changes += 1
             await asyncio.to_thread(file.path.unlink, True)
-            await self._interruptions.remove(name)
+            await self.interruptions.remove(name)
             return True
         found = self._opened.pop(name, None)
         if found is None:
@@ -381,16 +364,8 @@ class Recordings:
         self.history.digests.forget(found[1].path)
         self.catalogue.forget(found[1].path)
         await asyncio.to_thread(found[1].path.unlink, True)
-        await self._interruptions.remove(name)
+        await self.interruptions.remove(name)
         return True
-
-    def refresh(self) -> None:
-        """Update the recorded topics, after a change of the graph."""
-        self._live.refresh()
-
-    def encoding(self, recording: Recording) -> Encoding:
-        """Return the encoding of a recording's messages."""
-        return recording.encoding
 
     async def annotate(self, row: Row, tags: Iterable[str], events: Iterable[Event]) -> None:
         """Replace the tags and the events of a recording. Raises sqlite3.Error."""
@@ -410,22 +385,22 @@ class Recordings:
 
     def dropped(self, recording: RunningRecording) -> Mapping[str, int]:
         """Return the numbers of messages lost since a recording began, by topic."""
-        return self._live.dropped() - Counter(recording.dropped_before)
+        return self.live.dropped() - Counter(recording.dropped_before)
 
     def silent(self, recording: RunningRecording) -> Sequence[str]:
         """Return the topics and globs that have no message yet in a recording in progress."""
-        return self._live.silent(recording.writer, recording.order.topics, recording.writer.counts)
+        return self.live.silent(recording.writer, recording.order.topics, recording.writer.counts)
 
     async def stop(self) -> None:
         """End all recordings in progress, and close the files."""
         await self._armed.stop()
         await self._checkers.close()
         await self.history.exports.close()
-        for name, recording in list(self._running.items()):
+        for name, recording in list(self.running.items()):
             if recording.ending is None:
-                await self._interruptions.add(name, STOPPED)
+                await self.interruptions.add(name, STOPPED)
             await self.end(name)
-        await self._live.stop()
+        await self.live.stop()
         self.history.close()
         if "indexer" in vars(self):
             await self.indexer.stop()
@@ -452,12 +427,12 @@ class Recordings:
 
     async def _end(self, recording: RunningRecording) -> None:
         recording.writer.silent = self.silent(recording)
-        await self._live.remove(recording.writer)
+        await self.live.remove(recording.writer)
         if recording.writer.problem is not None:
-            await self._interruptions.add(recording.name, recording.writer.problem)
+            await self.interruptions.add(recording.name, recording.writer.problem)
         if recording.writer.path.exists():
             await self._open_or_keep(recording.name, recording.writer.path)
-        del self._running[recording.name]
+        del self.running[recording.name]
         self._changes += 1
 
     async def _open_or_keep(self, name: str, path: Path) -> None:
@@ -471,13 +446,13 @@ class Recordings:
         except RecordingRefused as error:
             log.warning("%s", error)
             if name not in self._opened:
-                self._unreadable[name] = UnreadableFile(path, str(error))
+                self.unreadable[name] = UnreadableFile(path, str(error))
 
     async def _open(self, name: str, path: Path) -> None:
         adapter, recording = await self._opened_adapter(name, path)
         self._opened[name] = adapter, recording
         self._add_to_catalogue(recording)
-        self._unreadable.pop(name, None)
+        self.unreadable.pop(name, None)
         self._changes += 1
 
     def _add_to_catalogue(self, recording: Recording) -> None:
@@ -528,8 +503,8 @@ class Recordings:
                 f"{name[:100]!r} is not a valid recording name: use at most 100 letters, digits, dots, dashes and "
                 "underscores"
             )
-        if name in self._unreadable:
-            file = self._unreadable[name]
+        if name in self.unreadable:
+            file = self.unreadable[name]
             raise RecordingRefused(
                 f"The file {file.path.name} already exists and cannot be opened: DELETE it, or choose another name",
                 is_conflict=True,
@@ -541,7 +516,7 @@ class Recordings:
 
     def _is_used(self, name: str) -> bool:
         owners = (
-            *(self._running, self.armed, self._opened, self._unreadable, self._receiving),
+            *(self.running, self.armed, self._opened, self.unreadable, self._receiving),
             self._adapter.recordings,
         )
         return name == HISTORY or any(name in each for each in owners)

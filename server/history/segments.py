@@ -49,7 +49,8 @@ class Segments:
         self.latched = latched
         self._index: ChunkIndex | None = None
         self._files: dict[int, SegmentFile] = {}
-        self._rows: list[SegmentRow] = []
+        self.rows: list[SegmentRow] = []
+        """The segments, oldest first (thread-safe)."""
         self._channels: Mapping[int, Mapping[int, Channel]] = {}
         """Channels of the finished segment that was read last."""
 
@@ -60,24 +61,19 @@ class Segments:
         return self._index
 
     @property
-    def rows(self) -> list[SegmentRow]:
-        """The segments, oldest first (thread-safe)."""
-        return self._rows
-
-    @property
     def first(self) -> int | None:
         """Number of the oldest stored message, or None if there is no segment."""
-        return self._rows[0].first if self._rows else None
+        return self.rows[0].first if self.rows else None
 
     @property
     def start_ns(self) -> int:
         """Time of receipt of the oldest stored message in ns, or 0."""
-        return next((row.start_ns for row in self._rows if row.start_ns), 0)
+        return next((row.start_ns for row in self.rows if row.start_ns), 0)
 
     @property
     def end_ns(self) -> int:
         """Time of receipt of the newest stored message in ns, or 0."""
-        return max((row.end_ns for row in self._rows), default=0)
+        return max((row.end_ns for row in self.rows), default=0)
 
     @property
     def size(self) -> int:
@@ -103,7 +99,7 @@ class Segments:
         for missing in indexed.values():
             self._index.remove_segment(missing.id)
         self.refresh()
-        return self._rows[-1].next if self._rows else 0
+        return self.rows[-1].next if self.rows else 0
 
     def begin(self, first: int) -> tuple[int, SegmentFile]:
         """Begin a segment with this first number; return its id and file. Raises OSError, sqlite3.Error."""
@@ -123,14 +119,14 @@ class Segments:
 
     def refresh(self) -> None:
         """Read the segments from the index again."""
-        self._rows = self.index.segments()
+        self.rows = self.index.segments()
 
     def remove_oldest(self, now_ns: int) -> Counter[str]:
         """Remove whole segments beyond the limits, but never the last; return the numbers of lost messages by topic."""
         removed: Counter[str] = Counter()
         horizon = now_ns - int(self.limits.seconds * 1e9)
         excess = self.size - self.limits.size
-        for row in self._rows[:-1]:
+        for row in self.rows[:-1]:
             if not row.finished or (excess <= 0 and row.end_ns >= horizon):
                 break
             excess -= self._files[row.id].size
@@ -153,7 +149,7 @@ class Segments:
     def channels_of(self, segment: int) -> Mapping[int, Channel]:
         """Return the indexed channels of a segment by number."""
         channels = self._channels.get(segment)
-        is_finished = any(row.id == segment and row.finished for row in self._rows)
+        is_finished = any(row.id == segment and row.finished for row in self.rows)
         if channels is None or not is_finished:
             channels = self.index.channels(segment)
             if is_finished:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -199,26 +199,6 @@ def _add_field(fields: dict[str, pa.Field], field: pa.Field) -> str:
         name += "_"
     fields.setdefault(name, field.with_name(name))
     return name
-
-
-def write_parquet(recording: Recording, topic: str, target: BinaryIO, rows: Rows = ALL) -> tuple[int, int]:
-    """Write messages of a topic as a Parquet file, and return the numbers of written and unreadable messages.
-
-    `target` is an open binary file. Equal messages give equal bytes with the same pyarrow. Needs little memory. Raises
-    NoTable, NoPyarrow, RosError and OSError.
-    """
-    table = TopicTable(recording, topic)
-    count = 0
-
-    def counted() -> Iterator[pa.Table]:
-        nonlocal count
-        for part in table.parts(rows):
-            count += len(part)
-            yield part
-
-    for piece in pieces("parquet", (table.schema, counted()), table.footer):
-        target.write(piece)
-    return count, table.unreadable
 
 
 def pieces(format: str, table: TableParts, footer: Callable[[], Mapping[str, str]] = dict) -> Iterator[bytes]:

@@ -240,8 +240,8 @@ class LiveRecorder:
 
     def __init__(self, adapter: Adapter, learn: Callable[[TypeRef], Awaitable[object]]) -> None:
         self._adapter = adapter
-        self._recorder = Recorder()
-        self._feed = LiveFeed(adapter, self._recorder, self._sinks_of, learn)
+        self.recorder = Recorder()
+        self.feed = LiveFeed(adapter, self.recorder, self._sinks_of, learn)
         self._selectors: dict[Sink, Callable[[str], bool]] = {}
         self._running = False
 
@@ -254,26 +254,26 @@ class LiveRecorder:
         topics. For all other topics the sink receives the earlier latched messages.
         """
         self._selectors[sink] = selects
-        self._feed.assign()
-        latched = self._feed.latched.messages(selects)
+        self.feed.assign()
+        latched = self.feed.latched.messages(selects)
 
         def start() -> None:
-            self._recorder.add_sink(sink)
+            self.recorder.add_sink(sink)
             copied = () if begin is None else begin()
             for topic, sample in latched:
                 if topic not in copied:
                     sink.add(topic, sample)
 
-        self._recorder.run(start)
+        self.recorder.run(start)
         if not self._running:
             self._running = True
-            self._recorder.start()
-            self._feed.start()
+            self.recorder.start()
+            self.feed.start()
 
     def latched(self, sink: Sink) -> list[tuple[str, Sample]]:
         """Return the latched messages of a sink's topics, in the order of receipt (thread-safe)."""
         selects = self._selectors.get(sink)
-        return [] if selects is None else self._feed.latched.messages(selects)
+        return [] if selects is None else self.feed.latched.messages(selects)
 
     def silent(self, sink: Sink, globs: Sequence[str], recorded: Collection[str]) -> Sequence[str]:
         """Return the topics and globs of a sink that are not in `recorded`."""
@@ -288,46 +288,33 @@ class LiveRecorder:
         if self._selectors.pop(sink, None) is None:
             return
         # In this order: messages received so far still belong to the sink, later ones do not.
-        self._feed.take()
-        self._feed.assign()
+        self.feed.take()
+        self.feed.assign()
         loop, done = asyncio.get_running_loop(), asyncio.Event()
 
         def close() -> None:
-            self._recorder.remove_sink(sink)
+            self.recorder.remove_sink(sink)
             try:
                 sink.close()
             finally:
                 loop.call_soon_threadsafe(done.set)
 
-        self._recorder.run(close)
+        self.recorder.run(close)
         await done.wait()
 
     def dropped(self) -> Counter[str]:
         """Return the numbers of lost messages by topic."""
         counts: Counter[str] = Counter()
-        for each in (self._recorder.dropped, self._feed.dropped):
+        for each in (self.recorder.dropped, self.feed.dropped):
             counts.update(dict(each))
         return counts
-
-    @property
-    def queued_bytes(self) -> int:
-        """Bytes of the messages that wait to be written."""
-        return self._recorder.queued_bytes
-
-    def topics(self) -> Collection[str]:
-        """Return the topics that are recorded now."""
-        return self._feed.topics()
-
-    def refresh(self) -> None:
-        """Update the recorded topics, after a change of the graph."""
-        self._feed.refresh()
 
     async def stop(self) -> None:
         """Record pending messages, and close all sinks. Idempotent."""
         if self._running:
             self._running = False
-            await self._feed.stop()
-            await asyncio.to_thread(self._recorder.stop)
+            await self.feed.stop()
+            await asyncio.to_thread(self.recorder.stop)
 
     def _sinks_of(self, topic: str) -> tuple[Sink, ...]:
         return tuple(sink for sink, selects in self._selectors.items() if selects(topic))

@@ -21,22 +21,14 @@ class Mappings:
     """
 
     def __init__(self, initial: Iterable[MappingDocument] = ()) -> None:
-        self._documents: Mapping[str, MappingDocument] = MappingProxyType({})
-        self._mapping_set = MappingSet()
+        self.documents: Mapping[str, MappingDocument] = MappingProxyType({})
+        """The documents by URL, in the order in which they came into force."""
+        self.mapping_set = MappingSet()
+        """The joint content of all documents."""
         self.given = tuple(initial)
         self.lock = asyncio.Lock()
         for document in self.given:
             self.replace(document)
-
-    @property
-    def documents(self) -> Mapping[str, MappingDocument]:
-        """Return the documents by URL, in the order in which they came into force."""
-        return self._documents
-
-    @property
-    def mapping_set(self) -> MappingSet:
-        """Return the joint content of all documents."""
-        return self._mapping_set
 
     def replace(self, document: MappingDocument) -> None:
         """Put a document into force, replacing the one with the same URL.
@@ -44,21 +36,21 @@ class Mappings:
         Raises InvalidMapping, and changes nothing, if another document defines the same path or condition.
         """
         self.check(document)
-        self._become({**self._documents, document.url: document})
+        self._become({**self.documents, document.url: document})
 
     def check(self, document: MappingDocument) -> None:
         """Raise InvalidMapping if `replace` would."""
-        _check(document, [each for url, each in self._documents.items() if url != document.url])
+        _check(document, [each for url, each in self.documents.items() if url != document.url])
 
     def remove(self, url: str) -> None:
         """Remove the document with this URL, if it exists."""
-        if url in self._documents:
-            self._become({each: document for each, document in self._documents.items() if each != url})
+        if url in self.documents:
+            self._become({each: document for each, document in self.documents.items() if each != url})
 
     def _become(self, documents: Mapping[str, MappingDocument]) -> None:
         resources = {one.path: one for document in documents.values() for one in document.resources}
-        mapping_set = MappingSet(self._mapping_set.revision + 1, MappingProxyType(resources))
-        self._documents, self._mapping_set = MappingProxyType(documents), mapping_set
+        mapping_set = MappingSet(self.mapping_set.revision + 1, MappingProxyType(resources))
+        self.documents, self.mapping_set = MappingProxyType(documents), mapping_set
 
 
 def _check(document: MappingDocument, others: Iterable[MappingDocument]) -> None:

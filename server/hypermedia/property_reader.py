@@ -12,9 +12,7 @@ from weakref import WeakValueDictionary
 
 from msgspec import Struct
 
-from rosld.adapters.base import Adapter
 from rosld.adapters.model import MessageSchema, names
-from rosld.ontology.urls import Space
 from rosld.server.http.problem import one_line
 from rosld.server.hypermedia.catalogue import Getter, GoalSource, ParameterSource, Property, TopicSource, source_url
 from rosld.server.hypermedia.source_reader import (
@@ -28,9 +26,7 @@ from rosld.server.hypermedia.source_reader import (
     timeout_message,
 )
 from rosld.server.hypermedia.value import Reading
-from rosld.server.robot.goals import Goals
-from rosld.server.robot.live_topics import LiveTopics
-from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.session import Session
 from rosld.server.robot.topic_view import TopicView
 from rosld.server.runtime.tasks import end_tasks
 
@@ -189,27 +185,17 @@ class PropertyReader:
     """Reader of one robot's properties.
 
     The value of a topic is valid until the next message, that of an action until the next update of its goal; that of a
-    getter or a parameter, or a failure, for `freshness` seconds. A call has `patience` seconds, even if its callers
-    stop waiting, and is shared by all of them.
+    getter or a parameter, or a failure, for `freshness` seconds. A call has `call_deadline` seconds, even if its
+    callers stop waiting, and is shared by all of them.
     """
 
-    def __init__(
-        self,
-        adapter: Adapter,
-        topics: LiveTopics,
-        goals: Goals,
-        schemas: Schemas,
-        space: Space,
-        *,
-        freshness: float,
-        patience: float,
-    ) -> None:
-        self._topics = topics
-        self._goals = goals
-        self._schemas = schemas
-        self._space = space
-        self._freshness = freshness
-        self._sources = SourceReader(adapter, topics, schemas, patience)
+    def __init__(self, session: Session) -> None:
+        self._topics = session.topics
+        self._goals = session.goals
+        self._schemas = session.schemas
+        self._space = session.space
+        freshness = self._freshness = session.settings.freshness
+        self._sources = SourceReader(session)
         self._entries: dict[str, _Kept] = {}
         self._silent: set[str] = set()
         self._turns = count(1)

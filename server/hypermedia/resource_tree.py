@@ -26,6 +26,7 @@ from rosld.server.hypermedia.mappings import (
     members_of,
     write_conditions_of,
 )
+from rosld.server.runtime.version_cache import VersionCache
 
 _P = TypeVar("_P")
 _MAX_AFFECTED = 10_000
@@ -190,7 +191,7 @@ class ResourceTree:
         self._complexes: dict[str, ComplexPlan | None] = {}
         self._properties: dict[str, PropertyPlan | None] = {}
         self._actions: dict[str, ActionPlan | None] = {}
-        self._affected: dict[tuple[Kind, str], frozenset[str]] = {}
+        self._affected = VersionCache[frozenset[str]](_MAX_AFFECTED)
 
     @property
     def paths(self) -> Iterable[str]:
@@ -259,12 +260,7 @@ class ResourceTree:
         These are the properties of its complex resources, of every resource with a condition about one of them, and the
         subjects of their conditions: a write that depends on a state is likely to change it.
         """
-        found = self._affected.get((kind, name))
-        if found is None:
-            if len(self._affected) >= _MAX_AFFECTED:
-                self._affected.clear()
-            found = self._affected[(kind, name)] = self._find_affected(kind, name)
-        return found
+        return self._affected.get_or_make((kind, name), None, lambda: self._find_affected(kind, name))
 
     def _find_affected(self, kind: Kind, name: str) -> frozenset[str]:
         ways = {Kind.TOPIC: self.catalogue.by_topic, Kind.SERVICE: self.catalogue.by_service}

@@ -8,14 +8,12 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from rosld.adapters.base import Adapter
 from rosld.adapters.model import Message, MessageSchema, ParameterValue, Refused, RosError, Sample, TimedOut
 from rosld.ontology.parameters import parameter_json
 from rosld.server.hypermedia.catalogue import IDLE, Getter, GoalPart, GoalSource
 from rosld.server.hypermedia.value import MessageValue, StoredValue, Value, refusal_text
 from rosld.server.robot.goal_store import Goal
-from rosld.server.robot.live_topics import LiveTopics
-from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.session import Session
 from rosld.server.robot.topic_view import TopicView
 
 _log = logging.getLogger("rosld.hypermedia")
@@ -93,11 +91,11 @@ def goal_value(source: GoalSource, goal: Goal | None, origin: str) -> ReadResult
 class SourceReader:
     """Reader of the sources of one robot. Its methods do not raise: a failure is a result that names the source."""
 
-    def __init__(self, adapter: Adapter, topics: LiveTopics, schemas: Schemas, patience: float) -> None:
-        self._adapter = adapter
-        self._topics = topics
-        self._schemas = schemas
-        self._patience = patience
+    def __init__(self, session: Session) -> None:
+        self._adapter = session.adapter.inner  # reads are no steps of a write, and pass a stop
+        self._topics = session.topics
+        self._schemas = session.schemas
+        self._patience = session.settings.call_deadline
 
     async def read_topic(self, topic: str) -> TopicLook:
         """Return the result of reading a topic, after a short wait for its first message."""
@@ -110,7 +108,7 @@ class SourceReader:
             return TopicLook(view, None, self._failure(topic, error)[0])
 
     async def call_getter(self, getter: Getter, origin: str) -> ReadResult:
-        """Return the result of calling a getter, within `patience` seconds."""
+        """Return the result of calling a getter, within `call_deadline` seconds."""
         response = getter.schema.response
         try:
             message = await self._answer(getter)
@@ -131,7 +129,7 @@ class SourceReader:
         return schema.response.codec.decode(await asyncio.wait_for(pending, self._patience), encoding)
 
     async def read_parameters(self, names: Sequence[str]) -> Mapping[str, ReadResult]:
-        """Return the values of parameters, fetched together within `patience` seconds."""
+        """Return the values of parameters, fetched together within `call_deadline` seconds."""
         deadline = asyncio.get_running_loop().time() + self._patience
         try:
             pending = self._adapter.get_parameters(names, deadline=deadline)

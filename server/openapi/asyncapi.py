@@ -22,10 +22,11 @@ from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, TEXT, JsonSche
 from rosld.server.openapi.description import SECURITY_SCHEMES, chosen, permitted_paths, references
 from rosld.server.openapi.openapi_resource import OpenApiResource
 from rosld.server.openapi.path_collector import DescribedPath
+from rosld.server.resources.base import SessionResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.resource import Resource
 from rosld.server.rest.responses import bytes_response, resource_headers
+from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
 MEDIA_TYPES = ("application/json", "application/vnd.aai.asyncapi+json")
 _ABOUT = (
@@ -40,17 +41,18 @@ _STREAM = "/channels/StreamingHTTPChannel2023/{token}/messages"
 _MAX_CACHED = 8
 
 
-class AsyncApiResource(Resource):
+class AsyncApiResource(SessionResource):
     """The description, created once for each state of that of OpenAPI and each set of permissions."""
 
     kind = "Description"
     links = OpenApiResource.links
     item = PathItem("The topics and values as channels (AsyncAPI)", MEDIA_TYPES, OBJECT, (), streams=False)
+    path = "asyncapi.json"
 
     def __init__(self, openapi: OpenApiResource) -> None:
-        super().__init__(openapi.space, f"{openapi.space.base}asyncapi.json")
+        super().__init__(openapi.services)
         self._openapi = openapi
-        self._cache: dict[str, tuple[object, bytes]] = {}
+        self._cache = VersionCache[bytes](_MAX_CACHED)
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         media_type = choose_offer(exchange.accept, MEDIA_TYPES)
@@ -58,13 +60,14 @@ class AsyncApiResource(Resource):
             raise Problem(406, f"None of {exchange.accept!r} is available; choose from {', '.join(MEDIA_TYPES)}.")
         described = await self._openapi.describe(hidden=False)
         permissions = exchange.permissions
-        known = self._cache.get(permissions.rights_key)
-        if known is None or known[0] is not described:
+        key, version = permissions.rights_key, IdentityKey(described)
+        data = self._cache.find(key, version)
+        if data is None:
             paths: Iterable[DescribedPath] = described.paths
             if not permissions.is_unrestricted:
                 may = partial(self._openapi.may, permissions)
                 paths = await asyncio.to_thread(lambda: [*permitted_paths(described.paths, may, permissions.may_read)])
-            session = self._openapi.session
+            session = self.session
             topics: dict[str, Topic] = {}
             if session.adapter.capabilities.system == "ROS 2":
                 start = len(self.space.base) - 1
@@ -72,11 +75,9 @@ class AsyncApiResource(Resource):
             writer = _Writer(f"rosld: {session.name}", self.space.base, session.graph.own_node, topics)
             is_secured = exchange.auth is not UNRESTRICTED
             data = await asyncio.to_thread(writer.document, paths, described.schemas, is_secured=is_secured)
-            if len(self._cache) >= _MAX_CACHED:
-                self._cache.clear()
-            known = self._cache[permissions.rights_key] = (described, data)
-        etag = ETag(f"{self._openapi.instance_id}-{digest(known[1])}", media_type.partition("/")[2].replace(".", "-"))
-        return bytes_response(exchange, known[1], media_type, etag, resource_headers(self).items())
+            self._cache.put(key, version, data)
+        etag = ETag(f"{self.services.instance_id}-{digest(data)}", media_type.partition("/")[2].replace(".", "-"))
+        return bytes_response(exchange, data, media_type, etag, resource_headers(self).items())
 
 
 class _Writer:

@@ -14,27 +14,22 @@ from rosld.adapters.model import Graph, RosError, TypeRef
 from rosld.server.auth import enforcement
 from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.permissions import Permissions
-from rosld.server.history.recordings import Recordings
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.fields import Link, render_links
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.json_schema import OBJECT, JsonSchema, MessageSchemas
-from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.openapi.description import add_security, description, description_parts, permitted_paths
 from rosld.server.openapi.path_collector import DescribedPath, PathCollector
-from rosld.server.policies.stored_queries import StoredQueries
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.namespaces import LISTING_PARAMETERS, listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PART_QUERY, PathItem, parse_part
-from rosld.server.rest.resource import LDP, RESOURCE, Resource
+from rosld.server.rest.resource import LDP, RESOURCE
 from rosld.server.rest.responses import bytes_response, resource_headers
-from rosld.server.rest.state import State
 from rosld.server.robot.schemas import Schemas
-from rosld.server.robot.session import Session, used_types
-from rosld.server.runtime.offload import WorkerPool
-from rosld.server.runtime.version_cache import IdentityKey
+from rosld.server.robot.session import used_types
+from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 
 _ABOUT = (
     "A robot as Linked Data. Start at `/` and follow links. `Allow` lists the methods that a resource supports now, "
@@ -71,7 +66,7 @@ class Described(Struct, frozen=True, eq=False):
     schemas: Mapping[str, JsonSchema]
 
 
-class OpenApiResource(Resource):
+class OpenApiResource(SessionResource):
     """The description, created once for each state of the graph, the known types and the mappings in force."""
 
     kind = "Description"
@@ -79,29 +74,14 @@ class OpenApiResource(Resource):
     only: Mapping[str, str] | None = None
     """The described paths, each with the path of an example; None for all."""
 
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        workers: WorkerPool,
-        queries: StoredQueries,
-        mappings: Mappings,
-        recordings: Recordings,
-        instance_id: str,
-        resolve: Callable[[str], Resource],
-    ) -> None:
-        super().__init__(session.space, f"{session.space.base}openapi.json")
-        self.session = session
-        self.affordances = affordances
-        self.workers = workers
-        self.queries = queries
-        self.mappings = mappings
-        self.recordings = recordings
-        self.instance_id = instance_id
-        self._resolve = resolve
+    path = "openapi.json"
+
+    def __init__(self, services: Services) -> None:
+        super().__init__(services)
+        self.workers = services.documents.workers
         self._kept: dict[bool, Described] = {}
-        self._of_agents: dict[tuple[bool, str, str], tuple[Described, bytes]] = {}
-        self._part_sets: dict[tuple[str, str, str], tuple[bytes, ...]] = {}
+        self._of_agents = VersionCache[bytes](_MAX_VARIANTS)
+        self._part_sets = VersionCache[tuple[bytes, ...]](_MAX_VARIANTS)
         self._making = asyncio.Lock()
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -124,31 +104,25 @@ class OpenApiResource(Resource):
             parts = await self._parts(data, url, part.below)
             data = part.choose(parts)
             headers["link"] = render_links((*self.links, *part.links(url, len(parts))))
-        etag = ETag(f"{self.instance_id}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
+        etag = ETag(f"{self.services.instance_id}-{_digest(data)}", media_type.partition("/")[2].replace(".", "-"))
         return bytes_response(exchange, data, media_type, etag, headers.items())
 
     async def _parts(self, data: bytes, url: str, below: str) -> tuple[bytes, ...]:
         """Return the parts of a description, cached because clients usually request several of them."""
-        key = (_digest(data), url, below)
-        found = self._part_sets.get(key)
+        key, version = (url, below), _digest(data)
+        found = self._part_sets.find(key, version)
         if found is None:
             work = partial(description_parts, data, url, below)
             found = await (self.workers.run(work) if len(data) > _LARGE else asyncio.to_thread(work))
-            if len(self._part_sets) >= _MAX_VARIANTS:
-                self._part_sets.pop(next(iter(self._part_sets)))
-            self._part_sets[key] = found
-        return found
+        return self._part_sets.put(key, version, found)
 
     async def _for_agent(self, kept: Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
         """Return the description for an agent, cached until it changes."""
-        key = (hidden, permissions.rights_key, public.rights_key)
-        known = self._of_agents.get(key)
-        if known is None or known[0] is not kept:
-            if len(self._of_agents) >= _MAX_VARIANTS:
-                self._of_agents.clear()
-            made = await asyncio.to_thread(self._made_for, kept, hidden, permissions, public)
-            known = self._of_agents[key] = (kept, made)
-        return known[1]
+        key, version = (hidden, permissions.rights_key, public.rights_key), IdentityKey(kept)
+        found = self._of_agents.find(key, version)
+        if found is None:
+            found = await asyncio.to_thread(self._made_for, kept, hidden, permissions, public)
+        return self._of_agents.put(key, version, found)
 
     def _made_for(self, kept: Described, hidden: bool, permissions: Permissions, public: Permissions) -> bytes:
         """Return the description for an agent, rewritten so that not even numbers in names reveal hidden resources."""
@@ -168,7 +142,7 @@ class OpenApiResource(Resource):
         if permissions.is_unrestricted or "{" in path or place is None:
             return permissions.may_template(method, url)
         try:
-            return method in enforcement.allowed_methods(permissions, place, self._resolve(path))
+            return method in enforcement.allowed_methods(permissions, place, self.services.find(path))
         except Problem:
             return False
 
@@ -187,14 +161,14 @@ class OpenApiResource(Resource):
         return (
             IdentityKey(graph),
             self.session.schemas.count,
-            IdentityKey(self.mappings.mapping_set),
-            self.queries.version,
+            IdentityKey(self.services.mappings.mapping_set),
+            self.services.queries.version,
         )
 
     async def _made(self, hidden: bool) -> Described:
         """Return a new description: collected on the event loop and written on a thread, as a large one takes long."""
         await _learn_types(self.session.schemas, self.session.graph)
-        tree = await self.affordances.tree()
+        tree = await self.services.affordances.tree()
         # Read the graph only now: it may have changed during the wait for types, and the tree is of a later one.
         graph, capabilities = self.session.graph, self.session.adapter.capabilities
         version = self._version(graph)
@@ -203,10 +177,10 @@ class OpenApiResource(Resource):
         collector = PathCollector(
             self.space,
             listed_graph(graph, capabilities) if hides else graph,
-            self.queries,
-            self.recordings,
+            self.services.queries,
+            self.services.recordings,
             tree,
-            self._resolve,
+            self.services.find,
             schemas,
             hidden=not hides,
         )

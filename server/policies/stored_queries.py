@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
-from typing import Generic, TypeVar
+from collections.abc import Iterator, Mapping
 
 from pyoxigraph import NamedNode, Triple
 
@@ -15,6 +13,7 @@ from rosld.ontology.urls import Space, decode_segment
 from rosld.ontology.vocab import dcterms, rdf, ros
 from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
+from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.sparql.stored_query import StoredQuery, outline, read_stored_query, shipped_queries
 from rosld.server.sparql.syntax.lexer import DEFAULT_BOUNDS
 from rosld.server.storage.record import Blob, Model, Record, RecordChange
@@ -23,7 +22,6 @@ from rosld.server.storage.sqlite import Records
 ROUTE = "queries/"
 _CACHE_SIZE = 256
 """Maximum number of cached texts."""
-_T = TypeVar("_T")
 
 
 class StoredQueries:
@@ -37,8 +35,8 @@ class StoredQueries:
         """Lock held while a write is validated and applied."""
         self._records = records
         self._space = space
-        self._outlines: _BlobCache[StoredQuery] = _BlobCache(_CACHE_SIZE)
-        self._checked: _BlobCache[StoredQuery | str] = _BlobCache(_CACHE_SIZE)
+        self._outlines = VersionCache[StoredQuery](_CACHE_SIZE)
+        self._checked = VersionCache["StoredQuery | str"](_CACHE_SIZE)
 
     def on_record_change(self, change: RecordChange) -> None:
         """Update the version after a change of a record."""
@@ -70,7 +68,7 @@ class StoredQueries:
     def outline(self, record: Record) -> StoredQuery:
         """Return the outline of a stored query; the purpose of an invalid one is the reason (thread-safe)."""
         assert record.blob is not None
-        return self._outlines.get(record.blob, lambda: self._outline(record))
+        return self._outlines.get_or_make(record.blob.id, None, lambda: self._outline(record))
 
     def description(self, record: Record) -> list[Triple]:
         """Return the RDF in the text of a stored query; none for other records (thread-safe)."""
@@ -81,9 +79,10 @@ class StoredQueries:
     async def executable(self, record: Record) -> StoredQuery:
         """Return a stored query that can be run. Raises a 409 Problem with the reason if it is (no longer) valid."""
         assert record.blob is not None
-        found = self._checked.find(record.blob)
+        id = record.blob.id
+        found = self._checked.find(id, None)
         if found is None:
-            found = await asyncio.to_thread(self._checked.get, record.blob, lambda: self._parse_record(record))
+            found = self._checked.put(id, None, await asyncio.to_thread(self._parse_record, record))
         if isinstance(found, str):
             url = self._space.base + record.path
             raise Problem(409, f"The content of {url} is not a valid stored query: {found}. PUT a valid one.")
@@ -141,23 +140,3 @@ def query_triples(url: str, query: StoredQuery) -> list[Triple]:
 def name_of(path: str) -> str:
     """Return the name of the query with this path."""
     return decode_segment(path.removeprefix(ROUTE))
-
-
-class _BlobCache(Generic[_T]):
-    """Cache of the parsed contents of the last few blobs, which are immutable. Thread-safe."""
-
-    def __init__(self, limit: int) -> None:
-        self._limit = limit
-        self._contents: OrderedDict[str, _T] = OrderedDict()
-
-    def find(self, blob: Blob) -> _T | None:
-        return self._contents.get(blob.id)
-
-    def get(self, blob: Blob, make: Callable[[], _T]) -> _T:
-        """Return the outline, cached or made now."""
-        found = self._contents.get(blob.id)
-        if found is None:
-            found = self._contents[blob.id] = make()
-            while len(self._contents) > self._limit:
-                self._contents.popitem(last=False)
-        return found

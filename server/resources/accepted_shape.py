@@ -20,6 +20,7 @@ from rosld.server.hypermedia.catalogue import ParameterSource, Property, Setter,
 from rosld.server.hypermedia.property_writer import current_writer
 from rosld.server.hypermedia.resource_tree import PropertyPlan
 from rosld.server.hypermedia.value import layouts, scalar_field, select_fields
+from rosld.server.resources.base import SessionResource
 from rosld.server.resources.limit_checks import LimitChecks, require_no_octets
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
@@ -193,11 +194,15 @@ def _of_one_field(demand: Demand, schema: MessageSchema, name: str) -> Demand:
 WRITES = frozenset({"PUT", "POST", "PATCH", "DELETE"})
 
 
-class CommandResource(Resource):
+class CommandResource(SessionResource):
     """Base class of resources whose writes command the robot; none is offered while the robot is stopped."""
 
     links_offer = True
-    session: Session
+
+    @property
+    def limit_checks(self) -> LimitChecks:
+        """Checks of writes against the limits in force."""
+        return self.services.limit_checks
 
     @property
     def withheld(self) -> frozenset[str]:

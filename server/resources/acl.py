@@ -16,15 +16,12 @@ from rosld.server.auth.authenticator import Authenticator
 from rosld.server.auth.config import MODES
 from rosld.server.auth.rules import ACL, ANONYMOUS, AUTHENTICATED, UNTYPED, Agent, Policy, Rule, Types
 from rosld.server.events.notification_channels import Channels
-from rosld.server.history.recordings import Recordings
 from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.catalogue import GoalSource, ParameterSource, TopicSource
-from rosld.server.receipts.journal import Journal, NoSuchReceipt
+from rosld.server.receipts.journal import NoSuchReceipt
+from rosld.server.resources.base import Services
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
-from rosld.server.robot.faults import Faults
-from rosld.server.robot.hold_store import Holds
-from rosld.server.robot.session import Session
 
 _CLASSES = {ANONYMOUS.name: foaf.Agent, AUTHENTICATED: acl.AuthenticatedAgent}
 _MODES = {mode: term for term, mode in MODES.items()}
@@ -85,16 +82,12 @@ class AboutResources(Struct, frozen=True):
     A removed resource has no subjects, because its absence reveals nothing. Thread-safe.
     """
 
-    session: Session
-    holds: Holds
-    faults: Faults
-    recordings: Recordings
-    receipts: Journal
+    services: Services
     channels: Channels
 
     def __call__(self, location: Location) -> Sequence[str] | None:
         """Return the URLs of the subjects of the resource at a location."""
-        space, session = self.session.space, self.session
+        space, session = self.services.space, self.services.session
         match location.kind, location.segments:
             case "calls", (id,):
                 name = session.calls.subject_of(id)
@@ -103,10 +96,10 @@ class AboutResources(Struct, frozen=True):
                 name = session.goals.subject_of(id)
                 return name if name is None else (space.action(name),) if name else ()
             case "holds", (id,):
-                name = self.holds.topic_of(id)
+                name = self.services.holds.topic_of(id)
                 return name if name is None else (space.topic(name),) if name else ()
             case "faults", (id,):
-                return self.faults.about(id, space)
+                return self.services.faults.about(id, space)
             case "activity", (id,):
                 return self._of_receipt(id)
             case "channels", (_, token, *_):
@@ -120,17 +113,17 @@ class AboutResources(Struct, frozen=True):
 
     def _of_receipt(self, id: str) -> Sequence[str] | None:
         try:
-            return self.receipts.find(id).touched
+            return self.services.receipts.find(id).touched
         except NoSuchReceipt:
             return None
 
     def _of_file(self, space: Space, name: str) -> Sequence[str]:
         """Return the recording and all of its topics, because the file contains their messages."""
-        recording = self.recordings.find(name)
+        recording = self.services.recordings.find(name)
         return () if recording is None else (space.bag(name), *map(space.topic, recording.topics))
 
     def _of_message(self, space: Space, name: str, segment: str) -> Sequence[str] | None:
-        recording = self.recordings.find(name)
+        recording = self.services.recordings.find(name)
         if recording is None or not (segment.isascii() and segment.isdigit()):
             return None
         index = int(segment)
@@ -144,18 +137,18 @@ _KINDS: Mapping[type, Kind] = {TopicSource: Kind.TOPIC, GoalSource: Kind.ACTION}
 """Kinds of sources and targets of values; all others are services."""
 
 
-def types_at(session: Session, affordances: AffordanceService[State], location: Location) -> Types:
+def types_at(services: Services, location: Location) -> Types:
     """Return the names of the types of the resource at a location; none if it is missing or has no type."""
     if not location.segments:
         return UNTYPED
     try:
-        return frozenset(ref.name for ref in _refs(session, affordances, location))
+        return frozenset(ref.name for ref in _refs(services, location))
     except ValueError:  # not a valid ROS name
         return UNTYPED
 
 
-def _refs(session: Session, affordances: AffordanceService[State], location: Location) -> Iterable[TypeRef]:
-    graph = session.graph
+def _refs(services: Services, location: Location) -> Iterable[TypeRef]:
+    session, graph = services.session, services.session.graph
     match location.kind:
         case "topics":
             return types_of(graph, Kind.TOPIC, location.name)
@@ -170,7 +163,7 @@ def _refs(session: Session, affordances: AffordanceService[State], location: Loc
             goal = next((goal.action for goal in session.goals.all() if goal.id == location.segments[0]), None)
             return () if goal is None else _of_action(graph, goal)
         case "resources" if not location.is_container:
-            return _of_member(graph, affordances, location.name)
+            return _of_member(graph, services.affordances, location.name)
     return ()
 
 

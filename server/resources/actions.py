@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable, Sequence
+from operator import attrgetter
 
 import orjson
 from starlette.responses import Response
@@ -33,8 +34,9 @@ from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas, json_object, nullable
+from rosld.server.resources.base import READ_ONLY
 from rosld.server.resources.limit_checks import STRICTNESS
-from rosld.server.resources.named_resource import READ_ONLY, KeptResource
+from rosld.server.resources.named_resource import KeptResource
 from rosld.server.resources.services import InvocableResource, idempotency_key, sender_of
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem, WriteMethod
@@ -48,7 +50,7 @@ from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import resources_only_reason
 from rosld.server.runtime.dry_run import DryRunEnded, expect_status
 from rosld.server.runtime.tasks import loop_time
-from rosld.server.runtime.version_cache import IdentityKey, VersionCache
+from rosld.server.runtime.version_cache import IdentityKey
 
 GOAL_ENDS = (
     "201 with the goal's URL (Location). Wait there by ?until=status = 'succeeded'&timeout=60: 409 if it ended "
@@ -128,7 +130,7 @@ class ActionResource(InvocableResource[Action, ActionSchema]):
         problem = _failure(self.space, self.name, sending)
         if problem is not None or sending.goal is None:
             raise problem or Problem(502, f"{self.name} did not accept the goal.")
-        resource = GoalResource(self.session, self.states, sending.goal.id)
+        resource = GoalResource(self.services, sending.goal.id)
         return CreatedAnswer(resource.url, resource, resource.state_of(sending.goal))
 
     async def cancel_goals(self, *, others: bool = False) -> Response:
@@ -153,14 +155,9 @@ class GoalResource(KeptResource[Goal]):
     """One goal of an action."""
 
     kind = shape = "Goal"
-
-    def __init__(self, session: Session, states: VersionCache[State], id: str) -> None:
-        super().__init__(session, states, session.space.goal(id), id)
-        with contextlib.suppress(LookupError):
-            self.title = self.find().action
-
-    def find(self) -> Goal:
-        return self.session.goals.find(self.id)
+    url_of = Space.goal
+    store_of = attrgetter("session.goals")
+    title_of = attrgetter("action")
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         cancel = WriteMethod("Cancels an active goal (202), forgets an ended one (204).", done=(202, 204))
@@ -173,7 +170,7 @@ class GoalResource(KeptResource[Goal]):
 
     def methods(self) -> frozenset[str]:
         try:
-            goal = self.find()
+            goal: Goal = self.store.find(self.id)
         except LookupError:
             return READ
         return READ | {"DELETE"} if self._is_open(goal) and goal.status is not GoalStatus.CANCELING else READ

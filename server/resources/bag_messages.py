@@ -32,7 +32,8 @@ from rosld.server.resources.bag_selection import (
     selection_of,
     topics_of,
 )
-from rosld.server.resources.bags import BagBase, Bags
+from rosld.server.resources.bags import BagBase
+from rosld.server.resources.base import Services
 from rosld.server.resources.memento import read_time
 from rosld.server.resources.messages import (
     cloud_is_preferred,
@@ -68,8 +69,8 @@ class BagMessages(BagBase):
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     number: int | None = None
 
-    def __init__(self, bags: Bags, recording: Recording) -> None:
-        super().__init__(bags, bags.session.space.bag_messages(recording.name))
+    def __init__(self, services: Services, recording: Recording) -> None:
+        super().__init__(services, services.space.bag_messages(recording.name))
         self.recording = recording
         about = f"The messages of {self.recording.name}"
         self.item = PathItem(about, TABLE_READS, query=(TABLE_FORMAT, _PAGE, *PARAMETERS))
@@ -94,7 +95,7 @@ class BagMessages(BagBase):
         """Return the page selected by `?page=` or a filter. Raises a 404 Problem if there is none."""
         wanted = exchange.query.get("page")
         if wanted is None:
-            return selection_of(self.bags, self.recording, exchange) or self
+            return selection_of(self.services, self.recording, exchange) or self
         first, last = _pages(self.recording)
         if not (wanted.isascii() and wanted.isdigit()) or int(wanted) > last:
             raise Problem(404, f"?page={wanted}: the pages of {self.recording.name} are {first} to {last}.")
@@ -109,8 +110,8 @@ class BagMessage(BagBase):
     kind = "Recorded message"
     shape = "Record"
 
-    def __init__(self, bags: Bags, recording: Recording, index: int) -> None:
-        super().__init__(bags, bags.session.space.bag_message(recording.name, index))
+    def __init__(self, services: Services, recording: Recording, index: int) -> None:
+        super().__init__(services, services.space.bag_message(recording.name, index))
         self.recording = recording
         self.index = index
         self.title = f"{recording.name}, message {index}"
@@ -155,19 +156,19 @@ class BagMessage(BagBase):
         """Return the bytes of one field (`?field=PATH`), or the message's picture, points or GeoJSON if preferred."""
         if cloud_is_preferred(exchange, is_cloud=False):
             sample = (await self.message()).sample
-            return await cloud_response(self, self.session.schemas, self.bags.pictures, self.url, sample, exchange)
+            return await cloud_response(self, self.session.schemas, self.services.pictures, self.url, sample, exchange)
         if geojson_is_preferred(exchange):
             sample = (await self.message()).sample
             if is_on_earth(sample.schema.name):
                 return await geojson_response(
-                    self, self.session.schemas, sample, exchange, self.bags.pictures.instance_id
+                    self, self.session.schemas, sample, exchange, self.services.pictures.instance_id
                 )
         wanted = explicit_picture_type(exchange)
         if wanted is not None:
             message = await self.message()
             require_picture(message.topic, (message.sample.schema,))
             return await picture_response(
-                self, self.session.schemas, self.bags.pictures, self.url, message.sample, exchange, wanted
+                self, self.session.schemas, self.services.pictures, self.url, message.sample, exchange, wanted
             )
         if "field" not in exchange.query:
             return None
@@ -189,12 +190,12 @@ class BagMoment(BagSelection):
     kind = "Moment of a recording"
 
     def __init__(
-        self, bags: Bags, recording: Recording, at_ns: int, topics: Sequence[str], query: str, detail: Detail
+        self, services: Services, recording: Recording, at_ns: int, topics: Sequence[str], query: str, detail: Detail
     ) -> None:
         self._at_ns = at_ns
         self._topics = topics
-        self._own = bags.session.space.bag_moment(recording.name) + (f"?{query}" if query else "")
-        super().__init__(bags, recording, MessageFilter(), 0, query, detail)
+        self._own = services.space.bag_moment(recording.name) + (f"?{query}" if query else "")
+        super().__init__(services, recording, MessageFilter(), 0, query, detail)
         self.title = f"{recording.name} at {date_time(0, at_ns)}"
         self.item = PathItem(f"{self.recording.name} at one moment", query=(FORMAT, _TIME, _TOPIC))
 
@@ -209,7 +210,7 @@ class BagMoment(BagSelection):
         at_ns = read_time(given["time"], time.time_ns()) if "time" in given else self.recording.end_ns
         names = topics_of(self.recording, given["topic"]) if "topic" in given else self.recording.topics.keys()
         text = "&".join(f"{name}={quote(value, safe='/:.-*')}" for name, value in given.items())
-        return BagMoment(self.bags, self.recording, at_ns, sorted(names), text, detail_of(exchange))
+        return BagMoment(self.services, self.recording, at_ns, sorted(names), text, detail_of(exchange))
 
     def navigation_links(self) -> tuple[SequenceLink, ...]:
         return ()
@@ -237,6 +238,6 @@ class BagMoment(BagSelection):
         return orjson.dumps({"time": date_time(0, self._at_ns), "messages": messages})
 
 
-def bag_moment(bags: Bags, recording: Recording) -> BagMoment:
+def bag_moment(services: Services, recording: Recording) -> BagMoment:
     """Return the moment of a recording's end, whose variants are other moments."""
-    return BagMoment(bags, recording, recording.end_ns, sorted(recording.topics), "", Detail.RDF)
+    return BagMoment(services, recording, recording.end_ns, sorted(recording.topics), "", Detail.RDF)

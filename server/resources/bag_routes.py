@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from io import FileIO
 from pathlib import Path
+from typing import ClassVar
 
 from msgspec.structs import replace
 from starlette.responses import Response
@@ -20,13 +21,14 @@ from rosld.server.history.cut import CutRefused, selected
 from rosld.server.history.recording_orders import RecordingOrder, RecordingRefused
 from rosld.server.history.recordings import Recordings
 from rosld.server.html.forms import Form
-from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.resources.bag_listing import FILTERS, ListedBags
 from rosld.server.resources.bag_messages import BagMessage, BagMessages, bag_moment
-from rosld.server.resources.bags import ArmedBag, BagBase, BagResource, Bags, LostBag, RunningBag
+from rosld.server.resources.bags import ArmedBag, BagBase, BagResource, LostBag, RunningBag
+from rosld.server.resources.base import Services
 from rosld.server.resources.event_stream import EventStreamResource, event_stream_page
 from rosld.server.resources.ldp.bodies import single_chunk
 from rosld.server.resources.past_messages import may_read_recording
@@ -55,7 +57,6 @@ from rosld.server.rest.resource import (
 from rosld.server.rest.responses import UNKNOWN, cancel_on_disconnect, file_response, file_stream, resource_headers
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.sparql.query_service import QueryService
 
 _EXPORTED = tuple(each.media_type for each in EXPORT_FORMATS.values())
 _FORMAT = QueryParameter(
@@ -71,8 +72,8 @@ class BagFile(BagBase):
     kind = "File of a recording"
     links = (RESOURCE,)
 
-    def __init__(self, bags: Bags, recording: Recording) -> None:
-        super().__init__(bags, f"{bags.session.space.bag(recording.name)}file")
+    def __init__(self, services: Services, recording: Recording) -> None:
+        super().__init__(services, f"{services.space.bag(recording.name)}file")
         self.recording = recording
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
@@ -91,8 +92,7 @@ class BagFile(BagBase):
         wanted = self._wanted(exchange)
         etag = ETag(digest(f"{found.st_size} {found.st_mtime_ns}".encode()), "bin" if wanted is None else wanted.name)
         headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
-        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
-        if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+        if exchange.is_not_modified(etag):
             return Response(status_code=304, headers={**headers, "etag": str(etag)})
         if wanted is not None:
             return await self._export(exchange, wanted, {**headers, "etag": str(etag)})
@@ -113,7 +113,7 @@ class BagFile(BagBase):
 
     @property
     def _encoding(self) -> Encoding:
-        return self.recordings.encoding(self.recording)
+        return self.recording.encoding
 
     def _wanted(self, exchange: Exchange) -> ExportFormat | None:
         """Return the requested format to convert to, or None for the original file. Raises a 406 Problem."""
@@ -167,8 +167,8 @@ class BagUpload(BagBase):
     kind = "Recording to upload"
     takes_forms = False
 
-    def __init__(self, bags: Bags, name: str) -> None:
-        super().__init__(bags, bags.session.space.url("bags", (name,)))
+    def __init__(self, services: Services, name: str) -> None:
+        super().__init__(services, services.space.url("bags", (name,)))
         self.name = name
 
     def methods(self) -> frozenset[str]:
@@ -211,7 +211,7 @@ class BagUpload(BagBase):
             raise Problem(status, f"{error}.") from error
         except OSError as error:
             raise Problem(507, f"The recording cannot be stored: {error.strerror or error}.") from error
-        resource = BagResource(self.bags, self.recordings.readable[self.name])
+        resource = BagResource(self.services, self.recordings.readable[self.name])
         return CreatedAnswer(resource.url, resource, await resource.state())
 
 
@@ -220,8 +220,8 @@ class UnreadableBag(BagBase):
 
     kind = "File that cannot be opened"
 
-    def __init__(self, bags: Bags, name: str) -> None:
-        super().__init__(bags, bags.session.space.bag(name))
+    def __init__(self, services: Services, name: str) -> None:
+        super().__init__(services, services.space.bag(name))
         self.name = name
         self.item = PathItem(f"The file {self.name}, which cannot be opened")
 
@@ -253,16 +253,13 @@ class BagContainer(ListedBags):
     constraint = "recording"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"POST": MEDIA_TYPES}
-
+    writes: ClassVar[frozenset[str]] = frozenset({"POST"})
     is_cacheable = True
 
-    def __init__(
-        self, bags: Bags, triggers: RecordingTriggers | None = None, queries: QueryService | None = None
-    ) -> None:
-        """`triggers` follows the triggers of recordings, `queries` finds events; without these, they are refused."""
-        super().__init__(bags, bags.session.space.container("bags"))
+    def __init__(self, services: Services, triggers: RecordingTriggers | None = None) -> None:
+        """`triggers` follows the triggers of recordings; without it, they are refused."""
+        super().__init__(services, services.space.container("bags"))
         self._triggers = triggers
-        self._queries = queries
 
     async def forms(self) -> Sequence[Form]:
         if "POST" not in self.methods():
@@ -270,9 +267,6 @@ class BagContainer(ListedBags):
         space = self.space
         only_cuts = not can_record(self.session.settings, self.session.adapter.capabilities)
         return (recording_form({name: space.topic(name) for name in self.session.graph.topics}, only_cuts=only_cuts),)
-
-    def methods(self) -> frozenset[str]:
-        return READ if self.session.settings.read_only else READ | {"POST"}
 
     def deny_reason(self, method: str) -> str:
         if method == "POST":
@@ -327,12 +321,12 @@ class BagContainer(ListedBags):
             raise RecordingRefused("this server has nothing live to record: use `of` to cut a recording")
         if order.trigger is None:
             may_record = partial(may_read_topic, self.space, exchange.permissions)
-            return RunningBag(self.bags, self.recordings.begin(order, may_record))
+            return RunningBag(self.services, self.recordings.begin(order, may_record))
         if self._triggers is None:
             raise RecordingRefused("triggers are not available on this server")
         await self._triggers.follow(order, exchange.permissions)
         armed = await self.recordings.arm(order, exchange.agent, self._triggers.occurrences)
-        return ArmedBag(self.bags, armed)
+        return ArmedBag(self.services, armed)
 
     async def _cut(self, order: CutOrder, exchange: Exchange) -> BagResource:
         """Cut a recording that the agent may read, and return the first cut.
@@ -343,45 +337,39 @@ class BagContainer(ListedBags):
         if recording is None or not may_read_recording(space, permissions, recording):
             raise Problem(422, f"There is no recording {order.of[:100]} to cut.")
         selects, may_record = selected(order.selection.topics), partial(may_read_topic, space, permissions)
-        spans = await spans_of(order, recording, asking(self._queries, permissions), may_record)
+        spans = await spans_of(order, recording, asking(self.services.sparql, permissions), may_record)
         cuts = self.recordings.cut(
             recording, order.selection.name, lambda topic: selects(topic) and may_record(topic), spans
         )
         names = await asyncio.shield(asyncio.ensure_future(cuts))
-        return BagResource(self.bags, self.recordings.finished[names[0]])
+        return BagResource(self.services, self.recordings.finished[names[0]])
 
 
-def bag_route(
-    bags: Bags,
-    location: Location,
-    *,
-    triggers: RecordingTriggers | None = None,
-    queries: QueryService | None = None,
-) -> Resource:
+def bag_route(services: Services, location: Location, *, triggers: RecordingTriggers | None = None) -> Resource:
     """Return the resource at `/bags/` or below. Raises a 404 Problem, or 308 if only the slash differs."""
-    space, recordings = bags.session.space, bags.recordings
+    space, recordings = services.space, services.recordings
     match location.segments, location.is_container:
         case (), True:
-            return BagContainer(bags, triggers, queries)
+            return BagContainer(services, triggers)
         case (name,), False:
-            return BagUpload(bags, name)
+            return BagUpload(services, name)
         case (name,), True:
-            return _bag(bags, name)
+            return _bag(services, name)
         case (name, "file"), False:
-            return BagFile(bags, _recording(recordings, name))
+            return BagFile(services, _recording(recordings, name))
         case (name, "at"), False:
-            return bag_moment(bags, _recording(recordings, name))
+            return bag_moment(services, _recording(recordings, name))
         case (name, "ldes"), False:
-            return EventStreamResource(bags, _recording(recordings, name))
+            return EventStreamResource(services, _recording(recordings, name))
         case (name, "ldes"), True:  # target of the breadcrumb on pages of the stream
             raise permanent_redirect(space.bag_stream(name))
         case (name, "ldes", page), False:
-            return event_stream_page(bags, _recording(recordings, name), page)
+            return event_stream_page(services, _recording(recordings, name), page)
         case (name, "messages"), True:
-            return BagMessages(bags, _recording(recordings, name))
+            return BagMessages(services, _recording(recordings, name))
         case (name, "messages", index), False:
             recording = _recording(recordings, name)
-            return BagMessage(bags, recording, _message_index(recording, index))
+            return BagMessage(services, recording, _message_index(recording, index))
         case (), False:
             raise permanent_redirect(space.container("bags"))
         case (name, "messages"), False:
@@ -389,18 +377,18 @@ def bag_route(
     raise Problem(404, "There is no such resource: /bags/NAME/ has only messages/, ldes, at and file.")
 
 
-def _bag(bags: Bags, name: str) -> Resource:
+def _bag(services: Services, name: str) -> Resource:
     """Return the recording of a name, in any state. Raises a 404 Problem if there is none."""
-    recordings = bags.recordings
+    recordings = services.recordings
     if name in recordings.armed:
-        return ArmedBag(bags, recordings.armed[name])
+        return ArmedBag(services, recordings.armed[name])
     if name in recordings.unreadable:
-        return UnreadableBag(bags, name)
+        return UnreadableBag(services, name)
     row = recordings.catalogue.find(name)
     if row is not None and not row.is_readable and name not in recordings.readable:
-        return LostBag(bags, row)
+        return LostBag(services, row)
     running = recordings.running.get(name)
-    return BagResource(bags, _recording(recordings, name)) if running is None else RunningBag(bags, running)
+    return BagResource(services, _recording(recordings, name)) if running is None else RunningBag(services, running)
 
 
 def _message_index(recording: Recording, segment: str) -> int:

@@ -28,7 +28,8 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.resources.bags import BagBase, Bags
+from rosld.server.resources.bags import BagBase
+from rosld.server.resources.base import Services
 from rosld.server.resources.memento import read_time
 from rosld.server.resources.messages import DecodedSample, decode, lift_sample
 from rosld.server.resources.tables import BagTable, wanted_table
@@ -110,12 +111,12 @@ class BagSelection(BagBase):
     kind = "Messages"
 
     def __init__(
-        self, bags: Bags, recording: Recording, wanted: MessageFilter, limit: int, query: str, detail: Detail
+        self, services: Services, recording: Recording, wanted: MessageFilter, limit: int, query: str, detail: Detail
     ) -> None:
-        self._base = bags.session.space.bag_messages(recording.name)
+        self._base = services.space.bag_messages(recording.name)
         self._query = query
         self.start = wanted.start
-        super().__init__(bags, self._page_url(self.start))
+        super().__init__(services, self._page_url(self.start))
         self.title = f"Messages of {recording.name}"
         self.recording = recording
         self.wanted = wanted
@@ -210,7 +211,7 @@ class BagSelection(BagBase):
         }
 
 
-def selection_of(bags: Bags, recording: Recording, exchange: Exchange) -> BagSelection | BagTable | None:
+def selection_of(services: Services, recording: Recording, exchange: Exchange) -> BagSelection | BagTable | None:
     """Return the requested page or table, or None without a topic, time or number in the query. Raises Problems."""
     query = exchange.query
     given = {name: query[name] for name in _NAMES if name in query}
@@ -230,9 +231,9 @@ def selection_of(bags: Bags, recording: Recording, exchange: Exchange) -> BagSel
     if start and start < recording.first:
         raise Problem(410, f"?start={start}: the oldest messages were removed, the first is {recording.first}.")
     if table is not None:
-        return BagTable(bags, recording, wanted, limit, _query(given), table)
+        return BagTable(services, recording, wanted, limit, _query(given), table)
     text = _query({name: value for name, value in given.items() if name != "start"})
-    return BagSelection(bags, recording, wanted, limit, text, detail_of(exchange))
+    return BagSelection(services, recording, wanted, limit, text, detail_of(exchange))
 
 
 def _query(given: Mapping[str, str]) -> str:

@@ -8,6 +8,7 @@ import math
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import ClassVar
 from urllib.parse import quote
 
 import orjson
@@ -37,8 +38,8 @@ from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import JsonSchema, MessageSchemas, json_object
 from rosld.server.patches.single_change import PATCHES, SingleChange
-from rosld.server.pictures.picture_cache import PictureCache
 from rosld.server.resources.annotations import ANNOTATIONS, Annotations, annotations_form, patch_of_form, read_patch
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS
 from rosld.server.rest.path_item import FORMAT, PathItem, WriteMethod
@@ -46,31 +47,17 @@ from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, READ, RESOUR
 from rosld.server.rest.responses import bytes_response
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import call_every, loop_time
-from rosld.server.runtime.version_cache import VersionCache
 
 
-class Bags(Struct, frozen=True):
-    """The recordings and the services for reading and describing them."""
-
-    session: Session
-    states: VersionCache[State]
-    recordings: Recordings
-    pictures: PictureCache
-
-
-class BagBase(Resource):
+class BagBase(SessionResource):
     """Base class of recordings and their parts."""
 
     is_cacheable = False
 
-    def __init__(self, bags: Bags, url: str) -> None:
-        super().__init__(bags.session.space, url)
-        self.bags = bags
-        self.session = bags.session
-        self.states = bags.states
-        self.recordings = bags.recordings
+    def __init__(self, services: Services, url: str) -> None:
+        super().__init__(services, url)
+        self.recordings = services.recordings
 
 
 class UnfinishedView(Struct, frozen=True):
@@ -102,7 +89,7 @@ def describe_bag(space: Space, recordings: Recordings, recording: Recording) -> 
     size: int | None = None
     with contextlib.suppress(OSError):
         size = recording.path.stat().st_size if recording.path.is_file() else None
-    why = recordings.interruption(recording.name)
+    why = recordings.interruptions.reason(recording.name)
     digest, status = history.digests.peek(recording.path), None if why is None else "interrupted"
     view = BagView(recording, digest, size=size, problem=why, status=status)
     if row is not None:
@@ -181,8 +168,8 @@ class BagResource(BagBase):
     accepts: Mapping[str, Sequence[str]] = {"PATCH": PATCHES}
     in_turn = frozenset({"PATCH"})
 
-    def __init__(self, bags: Bags, recording: Recording) -> None:
-        super().__init__(bags, bags.session.space.bag(recording.name))
+    def __init__(self, services: Services, recording: Recording) -> None:
+        super().__init__(services, services.space.bag(recording.name))
         self.recording = recording
         writes = {"PATCH": WriteMethod("Replaces its tags and events", sends=ANNOTATIONS)}
         self.item = PathItem(f"The recording {self.recording.name}", query=(_FORMAT,), writes=writes)
@@ -246,7 +233,7 @@ class BagResource(BagBase):
         is_history = recording is history.recording
         digest = None if is_history else history.digests.get(recording.path)
         trouble = (history.problem, sum(history.dropped().values())) if is_history else None
-        why, row = self.recordings.interruption(recording.name), self.row
+        why, row = self.recordings.interruptions.reason(recording.name), self.row
         noted = None if row is None else row.version
         version = recording.first, recording.count, recording.start_ns, trouble, digest, why, noted
         # not a partial, which another process would be asked to evaluate
@@ -313,8 +300,8 @@ class LostBag(BagBase):
     shape = "Bag"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, bags: Bags, row: Row) -> None:
-        super().__init__(bags, bags.session.space.bag(row.name))
+    def __init__(self, services: Services, row: Row) -> None:
+        super().__init__(services, services.space.bag(row.name))
         self.row = row
         self.item = PathItem(f"The recording {row.name}, which cannot be read")
 
@@ -348,13 +335,11 @@ class UnfinishedBag(BagBase):
     shape = "Bag"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
     accepts: Mapping[str, Sequence[str]] = {"PATCH": PATCHES}
+    writes: ClassVar[frozenset[str]] = frozenset({"PATCH", "DELETE"})
 
-    def __init__(self, bags: Bags, name: str) -> None:
-        super().__init__(bags, bags.session.space.bag(name))
+    def __init__(self, services: Services, name: str) -> None:
+        super().__init__(services, services.space.bag(name))
         self.name = name
-
-    def methods(self) -> frozenset[str]:
-        return READ if self.session.settings.read_only else READ | {"PATCH", "DELETE"}
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         ends: JsonSchema = json_object({"status": {"const": "ended"}})
@@ -366,15 +351,15 @@ class RunningBag(UnfinishedBag):
 
     kind = "Running recording"
 
-    def __init__(self, bags: Bags, one: RunningRecording) -> None:
-        super().__init__(bags, one.name)
+    def __init__(self, services: Services, one: RunningRecording) -> None:
+        super().__init__(services, one.name)
         self.one = one
 
     @property
     def _finished(self) -> Resource | None:
         """The readable recording once it has ended, so that clients that follow it see the end; else None."""
         recording = self.recordings.readable.get(self.one.name)
-        return None if recording is None else BagResource(self.bags, recording)
+        return None if recording is None else BagResource(self.services, recording)
 
     async def state(self) -> State:
         if self._finished is not None:
@@ -440,8 +425,8 @@ class ArmedBag(UnfinishedBag):
 
     kind = "Recording that waits for its trigger"
 
-    def __init__(self, bags: Bags, one: ArmedRecording) -> None:
-        super().__init__(bags, one.name)
+    def __init__(self, services: Services, one: ArmedRecording) -> None:
+        super().__init__(services, one.name)
         self.one = one
 
     async def state(self) -> State:

@@ -6,37 +6,32 @@ from collections.abc import Callable
 from functools import partial
 
 from rosld.adapters.base import Watch
-from rosld.ontology.describe_body import NAME, Source, body_document, body_sources, body_url
+from rosld.ontology.describe_body import NAME, Source, body_document, body_sources
 from rosld.server.auth.errors import not_found
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
+from rosld.server.resources.base import SessionResource
 from rosld.server.resources.messages import decode
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import combine_watches, loop_time
-from rosld.server.runtime.version_cache import VersionCache
 
 _LONG = 64 * 1024
 """Minimum number of characters of descriptions that are read in a thread: some 10 ms."""
 
 
-class BodyResource(Resource):
+class BodyResource(SessionResource):
     """The body of the robot, visible to agents who may read all of its descriptions."""
 
     kind = "Body"
     shape = "Body"
     title = "Body"
+    path = "body"
     item = PathItem("The links, joints and sensors of the robot, from its description (URDF)")
     links = (RESOURCE, RDF_SOURCE)
     is_found_by_state = True
-
-    def __init__(self, session: Session, states: VersionCache[State]) -> None:
-        super().__init__(session.space, body_url(session.space))
-        self.session = session
-        self.states = states
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         if not all(exchange.permissions.may_read(each.url(self.space)) for each in body_sources(self.session.graph)):

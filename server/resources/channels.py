@@ -24,7 +24,7 @@ from rosld.ontology.notifications import (
     description_members,
     with_context,
 )
-from rosld.ontology.urls import Location, Space, locate
+from rosld.ontology.urls import Location, locate
 from rosld.server.auth import enforcement
 from rosld.server.auth.authenticator import AuthContext
 from rosld.server.auth.redaction import redact_problem
@@ -39,6 +39,7 @@ from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.origin import OriginPolicy, normalize_authority
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import OBJECT, TEXT, URI, JsonSchema, MessageSchemas, json_object
+from rosld.server.resources.base import Services
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, OFFERS
 from rosld.server.rest.path_item import PathItem, WriteMethod
@@ -77,16 +78,14 @@ class Notifications:
 
     def __init__(
         self,
-        space: Space,
-        instance_id: str,
-        channels: Channels,
+        services: Services,
         broadcasters: Broadcasters,
         site: OriginPolicy,
         resolve: Resolve,
     ) -> None:
-        self.space = space
-        self.instance_id = instance_id
-        self.channels = channels
+        space = self.space = services.space
+        self.instance_id = services.instance_id
+        self.channels = Channels(services.instance_id)
         self.broadcasters = broadcasters
         self._site = site
         self._resolve = resolve

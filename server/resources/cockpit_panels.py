@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from itertools import islice
 from urllib.parse import parse_qsl
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from rosld.adapters.base import Watch
@@ -18,7 +16,6 @@ from rosld.ontology.cockpit import Cockpit, Panel, PanelKind
 from rosld.ontology.urls import Location
 from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.redaction import redact_problem
-from rosld.server.history.history import History
 from rosld.server.html.cockpit import (
     MAX_STREAM,
     DriveContent,
@@ -41,11 +38,9 @@ from rosld.server.html.offer import forms_of
 from rosld.server.html.page import PageResults
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import AffordanceService
-from rosld.server.policies.stored_queries import StoredQueries
+from rosld.server.resources.base import Services
 from rosld.server.resources.diagnostics import DiagnosticsResource
 from rosld.server.resources.faults import lasting_states
-from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.messages import decode
 from rosld.server.resources.plot import NumberFinder
 from rosld.server.resources.space import SpaceResource
@@ -54,12 +49,8 @@ from rosld.server.resources.topics import TopicResource
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.robot.faults import Faults
-from rosld.server.robot.session import Session
-from rosld.server.robot.software_stop import SoftwareStop
 from rosld.server.runtime.tasks import call_every, combine_watches
 from rosld.server.sparql.protocol import QueryRequest
-from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.stored_query import OTHER_SETTINGS, StoredQuery, bind_parameters
 
 _PATIENCE = 4.0
@@ -68,9 +59,8 @@ _LOOK_SECONDS = 2.0
 """Seconds between polls of values without change notifications."""
 _ROWS = 50
 _TABLE_SECONDS = 10.0
-"""Seconds that results of a query are cached."""
+"""Seconds that results of a query are cached at most."""
 _QUERY_SECONDS = 3.0
-_MAX_TABLES = 64
 _COMMANDED = frozenset({"services", "actions", "resources", "topics", "parameters", "goals", "holds", "stop"})
 """Kinds of URLs that panels may send to: those that reach the robot."""
 
@@ -79,47 +69,12 @@ class PanelHidden(Exception):
     """Raised when the agent may not read the content of a panel or use its controls."""
 
 
-class QueryTables:
-    """Cache of query results with a time limit."""
-
-    def __init__(self) -> None:
-        self._found: OrderedDict[tuple[str, str], tuple[float, PageResults]] = OrderedDict()
-
-    def find(self, key: tuple[str, str]) -> PageResults | None:
-        """Return the results under a key, or None if they are missing or too old."""
-        found = self._found.get(key)
-        return None if found is None or time.monotonic() - found[0] > _TABLE_SECONDS else found[1]
-
-    def put(self, key: tuple[str, str], results: PageResults) -> PageResults:
-        """Store results and return them."""
-        self._found.pop(key, None)
-        self._found[key] = (time.monotonic(), results)
-        if len(self._found) > _MAX_TABLES:
-            self._found.popitem(last=False)
-        return results
-
-
-class CockpitSources(Struct, frozen=True):
-    """Sources of the panels of cockpits. `at` finds the resource at a path."""
-
-    session: Session
-    affordances: AffordanceService[State]
-    documents: Documents
-    queries: StoredQueries
-    history: History
-    faults: Faults
-    software_stop: SoftwareStop
-    service: QueryService
-    at: Callable[[str], Resource]
-    tables: QueryTables
-
-
 class PanelReader:
     """Reader of panels for one agent."""
 
-    def __init__(self, sources: CockpitSources, permissions: Permissions) -> None:
-        self._sources = sources
-        self._session = sources.session
+    def __init__(self, services: Services, permissions: Permissions) -> None:
+        self._services = services
+        self._session = services.session
         self._permissions = permissions
 
     async def read(self, cockpit: Cockpit) -> tuple[tuple[FilledPanel, ...], int]:
@@ -130,7 +85,7 @@ class PanelReader:
 
     async def watch(self, cockpit: Cockpit, wake: Callable[[], None]) -> Watch:
         """Call `wake` whenever a value may have changed; values without notifications are polled."""
-        watches = [self._sources.software_stop.changes.watch(wake), call_every(_LOOK_SECONDS, wake)]
+        watches = [self._services.software_stop.changes.watch(wake), call_every(_LOOK_SECONDS, wake)]
         kinds = (PanelKind.VALUE, PanelKind.BUTTON)
         for url in {url for each in cockpit.panels if each.kind in kinds for url in each.shows}:
             try:
@@ -192,7 +147,7 @@ class PanelReader:
         """Return the resource at a URL of this robot. Raises Problems."""
         path = url.removeprefix(self._session.space.base).partition("#")[0].partition("?")[0]
         try:
-            return self._sources.at(f"/{path}")
+            return self._services.find(f"/{path}")
         except ValueError as error:
             raise Problem(404, f"There is nothing at /{path}: {error}.") from error
 
@@ -227,9 +182,9 @@ class PanelReader:
         resource = await self._resource(url)
         state = await self._state(resource)
         if isinstance(resource, DiagnosticsResource):
-            return StatesContent(tuple(resource.states)), state.tag
+            return StatesContent(tuple(resource.part_states)), state.tag
         if url == self._session.space.container("faults"):
-            found = lasting_states(self._sources.faults, self._permissions.may_read, self._session.space)
+            found = lasting_states(self._services.faults, self._permissions.may_read, self._session.space)
             return StatesContent(found) if found else WordsContent("Nothing is wrong."), state.tag
         return ValueContent(state.document, state.view), state.tag
 
@@ -237,7 +192,7 @@ class PanelReader:
         references = list(dict.fromkeys(self._references(panel)))[:MAX_STREAM]
         if not references:
             raise Problem(422, "Choose the numbers to draw with ros:fieldPath.")
-        finder = NumberFinder(self._session, self._sources.affordances, self._sources.history, self._permissions)
+        finder = NumberFinder(self._services, self._permissions)
         numbers = [await finder.describe(await finder.locate(each)) for each in references]
         return PlotContent(tuple(numbers), tuple(references)), repr(numbers)
 
@@ -329,9 +284,9 @@ class PanelReader:
     # Tables
 
     async def _table(self, url: str) -> tuple[PanelContent, str]:
-        key = (url, self._permissions.rights_key + self._permissions.cache_key)
-        tables = self._sources.tables
-        results = tables.find(key) or tables.put(key, await self._results(url))
+        key = url, self._permissions.rights_key, self._permissions.cache_key
+        tables, version = self._services.query_tables, time.monotonic() // _TABLE_SECONDS
+        results = tables.find(key, version) or tables.put(key, version, await self._results(url))
         fingerprint = f"{results.variables}{results.rows}{results.boolean}{results.note}"
         return TableContent(results), digest(fingerprint.encode("utf-8", "replace"))
 
@@ -342,15 +297,15 @@ class PanelReader:
         given = {name: value for name, value in pairs if name not in OTHER_SETTINGS}
         text = bind_parameters(query, given, self._session.space.base)
         request = QueryRequest(text, timeout=_QUERY_SECONDS)
-        results = await page_results(self._sources.service, request, None, self._permissions)
+        results = await page_results(self._services.sparql, request, None, self._permissions)
         return replace(results, rows=list(islice(results.rows, _ROWS + 1)), limit=_ROWS)
 
     async def _query(self, url: str) -> StoredQuery:
         space = self._session.space
-        queries, location = self._sources.queries, space.location(url)
+        queries, location = self._services.queries, space.location(url)
         if location is None or location.kind != "queries" or len(location.segments) != 1 or location.is_container:
             raise Problem(422, f"{url} is not a stored query.")
-        record = self._sources.documents.records.get(url[len(space.base) :].partition("#")[0].partition("?")[0])
+        record = self._services.documents.records.get(url[len(space.base) :].partition("#")[0].partition("?")[0])
         if record is not None and record.blob is not None:
             return await queries.executable(record)
         shipped = queries.shipped.get(location.segments[0])

@@ -27,7 +27,8 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.policies.stored_cockpits import DEFAULT, ROUTE, cockpit_titles
-from rosld.server.resources.cockpit_panels import CockpitSources, PanelReader
+from rosld.server.resources.base import Services
+from rosld.server.resources.cockpit_panels import PanelReader
 from rosld.server.resources.default_cockpit import default_cockpit
 from rosld.server.resources.ldp.base import Documents, conflict_problem, write_together
 from rosld.server.resources.ldp.containers import ContainerResource, creation_writes
@@ -87,10 +88,10 @@ class _CockpitBase(Resource):
     _reader: PanelReader | None = None
     """The reader of the panels of a page, or None for the document."""
 
-    def __init__(self, sources: CockpitSources, url: str) -> None:
-        super().__init__(sources.session.space, url)
-        self.documents = sources.documents
-        self._sources = sources
+    def __init__(self, services: Services, url: str) -> None:
+        super().__init__(services.space, url)
+        self.documents = services.documents
+        self._services = services
 
     async def cockpit(self) -> Cockpit:
         """Return the current cockpit."""
@@ -108,7 +109,7 @@ class _CockpitBase(Resource):
         """Return the page if requested, else the document."""
         if self._reader is not None or not wants_page(exchange):
             return self
-        reader = PanelReader(self._sources, exchange.permissions)
+        reader = PanelReader(self._services, exchange.permissions)
         return self.variant(_permissions=exchange.permissions, _reader=reader)
 
     async def state(self) -> State:
@@ -149,7 +150,7 @@ class _CockpitBase(Resource):
                 copy_form(site, self.url),
                 delete if site.may("DELETE", self.url) else None,
                 tuple(notices),
-                _suggestions(self._sources, site) if edit is not None else (),
+                _suggestions(self._services, site) if edit is not None else (),
             )
         )
 
@@ -160,9 +161,9 @@ class _CockpitBase(Resource):
 class CockpitResource(_CockpitBase, RdfSourceResource):
     """A cockpit stored by a client."""
 
-    def __init__(self, sources: CockpitSources, path: str) -> None:
-        RdfSourceResource.__init__(self, sources.documents, path)
-        self._sources = sources
+    def __init__(self, services: Services, path: str) -> None:
+        RdfSourceResource.__init__(self, services.documents, path)
+        self._services = services
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the requested former version, or the page, or the document."""
@@ -213,15 +214,15 @@ def _triples(url: str, cockpit: Cockpit) -> list[Triple]:
         raise Problem(422, f"What a panel shows must be an IRI or a path below the base: {error}.") from error
 
 
-def _suggestions(sources: CockpitSources, site: Site) -> tuple[str, ...]:
+def _suggestions(services: Services, site: Site) -> tuple[str, ...]:
     """Return the paths that a panel may show, relative to the base."""
-    session = sources.session
+    session = services.session
     space, graph = session.space, listed_graph(session.graph, session.adapter.capabilities)
     urls = (
         *map(space.topic, graph.topics),
         f"{space.base}diagnostics",
         space.stop,
-        *map(space.query, sources.queries.shipped),
+        *map(space.query, services.queries.shipped),
         *map(space.service, graph.services),
     )
     return tuple(each.removeprefix(space.base) for each in urls if site.may("GET", each))[:_MAX_SUGGESTIONS]
@@ -237,8 +238,8 @@ class DefaultCockpit(_CockpitBase):
     item = PathItem("The cockpit that is generated from what the robot has", query=(FORMAT,))
     links = (RESOURCE, RDF_SOURCE_LINK)
 
-    def __init__(self, sources: CockpitSources) -> None:
-        super().__init__(sources, sources.session.space.cockpit(DEFAULT))
+    def __init__(self, services: Services) -> None:
+        super().__init__(services, services.space.cockpit(DEFAULT))
 
     @property
     def conforms_to(self) -> Sequence[str]:
@@ -254,9 +255,7 @@ class DefaultCockpit(_CockpitBase):
         return self.shown(exchange)
 
     async def cockpit(self) -> Cockpit:
-        sources = self._sources
-        can_stop = sources.software_stop.unusable_reason is None
-        return await default_cockpit(sources.session, sources.affordances, can_stop=can_stop)
+        return await default_cockpit(self._services)
 
     async def document_state(self) -> State:
         cockpit = await self.cockpit()
@@ -276,9 +275,9 @@ class CockpitContainer(ContainerResource):
     item = PathItem("The cockpits", query=(FORMAT, PAGE))
     takes_forms = True
 
-    def __init__(self, sources: CockpitSources) -> None:
-        super().__init__(sources.documents, ROUTE)
-        self._sources = sources
+    def __init__(self, services: Services) -> None:
+        super().__init__(services.documents, ROUTE)
+        self._services = services
 
     def is_taken(self, name: str) -> bool:
         return name == DEFAULT or super().is_taken(name)
@@ -315,14 +314,14 @@ class CockpitContainer(ContainerResource):
         except Conflict as error:
             raise conflict_problem(documents.space, error) from error
         assert record is not None
-        made = CockpitResource(self._sources, path)
+        made = CockpitResource(self._services, path)
         return CreatedAnswer(made.url, made, state_of(documents, record))
 
     async def _source(self, url: str, permissions: Permissions) -> Cockpit:
         """Return the cockpit at a URL, with the panels that the agent may read. Raises a 404 Problem."""
         space = self.space
         if url == space.cockpit(DEFAULT) and permissions.may_read(url):
-            found = await DefaultCockpit(self._sources).cockpit()
+            found = await DefaultCockpit(self._services).cockpit()
         else:
             record = self.documents.records.get(url[len(space.base) :]) if url.startswith(self.url) else None
             if record is None or record.model is not Model.RDF_SOURCE or not permissions.may_read(url):
@@ -332,14 +331,14 @@ class CockpitContainer(ContainerResource):
         return replace(found, panels=tuple(panels))
 
 
-def cockpit_route(sources: CockpitSources, location: Location) -> Resource:
+def cockpit_route(services: Services, location: Location) -> Resource:
     """Return the resource at `/cockpit/` or below."""
     if location.segments == (DEFAULT,) and not location.is_container:
-        return DefaultCockpit(sources)
-    found = stored_route(sources.documents, location)
+        return DefaultCockpit(services)
+    found = stored_route(services.documents, location)
     match found:
         case ContainerResource() if found.path == ROUTE:
-            return CockpitContainer(sources)
+            return CockpitContainer(services)
         case RdfSourceResource() if type(found) is RdfSourceResource:
-            return CockpitResource(sources, found.path)
+            return CockpitResource(services, found.path)
     return found

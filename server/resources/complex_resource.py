@@ -212,8 +212,8 @@ class ComplexResource(TimeGate):
         if not wants_thing(exchange):
             return None
         _, plan = await self._plan()  # it describes all affordances, even while the resource does not exist
-        data = self.things.of_complex(plan)
-        return self.things.response(exchange, self.url, f"{self.url}?format={TD}", data)
+        data = self.services.things.of_complex(plan)
+        return self.services.things.response(exchange, self.url, f"{self.url}?format={TD}", data)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         tree = await self.affordances.tree()

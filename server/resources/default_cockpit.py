@@ -9,13 +9,11 @@ from rosld.adapters.model import Graph, Topic
 from rosld.ontology.cockpit import Cockpit, GridArea, Panel, PanelKind
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.urls import Space
-from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.resource_tree import ResourceTree
+from rosld.server.resources.base import Services
 from rosld.server.resources.namespaces import listed_graph
-from rosld.server.rest.state import State
 from rosld.server.robot.diagnostic_states import DIAGNOSTIC_ARRAY
-from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import RESERVED
 from rosld.server.space.drawing import can_place
 
@@ -52,10 +50,11 @@ _NUMBERS = frozenset(
 _SIMPLE = _NUMBERS | {"std_msgs/msg/String", "std_msgs/msg/Bool"}
 
 
-async def default_cockpit(session: Session, affordances: AffordanceService[State], *, can_stop: bool) -> Cockpit:
+async def default_cockpit(services: Services) -> Cockpit:
     """Return panels for the current robot."""
+    session, affordances = services.session, services.affordances
     space, is_read_only = session.space, session.settings.read_only
-    graph = session.graph
+    graph, can_stop = session.graph, services.software_stop.unusable_reason is None
     listed = listed_graph(graph, session.adapter.capabilities)
     topics = [each for each in listed.topics.values() if each.type is not None and each.name not in RESERVED]
     topics.sort(key=lambda each: (each.name.count("/"), len(each.name), each.name))

@@ -15,7 +15,6 @@ from rosld.adapters.model import Graph, MessageSchema, RosError, TypeRef
 from rosld.ontology.describe_views import PartState, diagnostics_document
 from rosld.ontology.literals import date_time
 from rosld.server.auth.permissions import Permissions
-from rosld.server.history.history import History
 from rosld.server.html.forms import Form
 from rosld.server.html.page import Csrf, DiagnosticsPage, Notice
 from rosld.server.html.render import render_diagnostics
@@ -23,6 +22,7 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, json_array, json_object
+from rosld.server.resources.base import SessionResource
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.messages import decode
 from rosld.server.rest.exchange import Exchange
@@ -34,13 +34,11 @@ from rosld.server.robot.diagnostic_states import (
     DiagnosticState,
     Level,
     LevelChange,
-    LevelTimes,
     changes_of,
     read_states,
     state_at,
     worst_first,
 )
-from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import call_every, combine_watches
 
 _LOOK_SECONDS = 2.0
@@ -58,24 +56,19 @@ _CHANGE: JsonSchema = json_object({"time": TEXT, "level": TEXT, "message": TEXT}
 _PLAIN: JsonSchema = json_object({"states": json_array(_STATE)}, {"changes": json_array(_CHANGE)})
 
 
-class DiagnosticsResource(Resource):
+class DiagnosticsResource(SessionResource):
     """The states of all reporting parts, or of those with one name, with the permissions of one agent."""
 
     kind = "Diagnostics"
     shape = "Source"
     title = "Diagnostics"
+    path = "diagnostics"
     item = PathItem("What the parts of the robot report", plain=_PLAIN, query=(_NAME, FORMAT))
     links = (RESOURCE, RDF_SOURCE)
 
     name = ""
-
-    def __init__(self, session: Session, history: History, level_times: LevelTimes) -> None:
-        super().__init__(session.space, f"{session.space.base}diagnostics")
-        self.session = session
-        self.history = history
-        self.level_times = level_times
-        self.states: Sequence[DiagnosticState] = ()
-        self._changes: Sequence[LevelChange] = ()
+    part_states: Sequence[DiagnosticState] = ()
+    _changes: Sequence[LevelChange] = ()
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the requested part, as the agent may see it."""
@@ -103,13 +96,13 @@ class DiagnosticsResource(Resource):
     async def state(self) -> State:
         graph = self.session.graph
         found = [state for topic in self._topics(graph) for state in await self._read(topic)]
-        self.states = worst_first(found)
+        self.part_states = worst_first(found)
         if self.name:
-            self.states = [each for each in self.states if each.name == self.name]
-            if not self.states:
+            self.part_states = [each for each in self.part_states if each.name == self.name]
+            if not self.part_states:
                 raise Problem(404, f"No part called {self.name[:80]!r} has reported diagnostics.")
-            self._changes = await self._past(graph, self.states[0].topic)
-        states = [_part(each, self.space.topic(each.topic)) for each in self.states]
+            self._changes = await self._past(graph, self.part_states[0].topic)
+        states = [_part(each, self.space.topic(each.topic)) for each in self.part_states]
         plain = _plain(states, self._changes)
         return State(partial(diagnostics_document, self.url, states, self.space.types), lambda: plain, digest(plain))
 
@@ -123,11 +116,11 @@ class DiagnosticsResource(Resource):
         now = max(view.times.values(), default=0) if self.session.adapter.recordings else time.time_ns()
         period = 1.0 / view.rate if view.rate else 0.0
         states = read_states(topic, decoded.message, view.times, view.newest.received_ns)
-        return [self.level_times.note(state_at(each, now, period), now) for each in states]
+        return [self.services.level_times.note(state_at(each, now, period), now) for each in states]
 
     async def _past(self, graph: Graph, topic: str) -> Sequence[LevelChange]:
         """Return the recorded states of a part in the last hour, if any."""
-        if not is_recorded(self.history, topic):
+        if not is_recorded(self.services.history, topic):
             return ()
         try:
             schemas = {ref: await self.session.schemas.message(ref) for ref in graph.topics[topic].types}
@@ -136,7 +129,7 @@ class DiagnosticsResource(Resource):
             return ()
 
     def _read_past(self, topic: str, schemas: Mapping[TypeRef, MessageSchema]) -> Sequence[LevelChange]:
-        recording = self.history.recording
+        recording = self.services.history.recording
         wanted = MessageFilter(frozenset({topic}), time.time_ns() - _PAST_NS)
         past: list[tuple[int, DiagnosticState]] = []
         for message in recording.select(wanted, _MAX_MESSAGES).messages:
@@ -147,13 +140,13 @@ class DiagnosticsResource(Resource):
         return changes_of(past)[:_MAX_CHANGES]
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
-        topics = {each.topic for each in self.states}
+        topics = {each.topic for each in self.part_states}
         return render_diagnostics(
             DiagnosticsPage(
                 site,
                 self.url,
                 self.name,
-                tuple(self.states),
+                tuple(self.part_states),
                 tuple(self._changes),
                 tuple(self.space.topic(each) for each in sorted(topics or self._topics(self.session.graph))),
                 tuple(notices),

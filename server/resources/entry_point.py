@@ -16,17 +16,17 @@ from rosld.ontology.document import Document
 from rosld.ontology.triples import RDF_SOURCE, date_time_literal, double, text, triples_about
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros
-from rosld.server.history.recordings import Recordings
 from rosld.server.html.forms import Form
 from rosld.server.html.frame import ASSETS
 from rosld.server.html.page import Csrf, EntryCount, EntryPage, Notice, NoticeLevel
 from rosld.server.html.render import render_entry
 from rosld.server.html.site import Site
-from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import OBJECT, TEXT, JsonSchema, json_array, json_object, nullable
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
@@ -35,9 +35,7 @@ from rosld.server.rest.resource import RDF_SOURCE as RDF_SOURCE_LINK
 from rosld.server.rest.responses import bytes_response, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.robot.diagnostic_states import has_diagnostics
-from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import RESERVED
-from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.runtime.watchdog import Pauses, Watchdog
 from rosld.server.space.drawing import can_place
 
@@ -54,7 +52,7 @@ def _count_readable(names: Collection[str], url: Callable[[str], str], site: Sit
     return sum(site.may("GET", url(name)) for name in names) if site.is_restricted else len(names)
 
 
-class EntryResource(Resource):
+class EntryResource(SessionResource):
     """The entry point, which links to everything else."""
 
     kind = "Robot"
@@ -62,25 +60,13 @@ class EntryResource(Resource):
     item = PathItem("The robot, with links to everything")
     links_offer = True
 
-    def __init__(
-        self,
-        session: Session,
-        states: VersionCache[State],
-        recordings: Recordings,
-        problems: Callable[[], ServerProblems],
-    ) -> None:
-        super().__init__(session.space, session.space.base)
-        self.session = session
-        self.states = states
-        self.recordings = recordings
-        self.problems = problems
-        described = Link(
-            f"{session.space.base}openapi.json", "service-desc", type="application/openapi+json"
-        )  # RFC 8631
-        channels = Link(f"{session.space.base}asyncapi.json", "service-desc", type="application/vnd.aai.asyncapi+json")
-        search = Link(f"{session.space.base}find", "search")  # of the IANA registry: what is found by words
-        guide = Link(f"{session.space.base}llms.txt", "help", type="text/plain")  # of the IANA registry
-        dataset = Link(f"{session.space.base}.well-known/void", "describedby")
+    def __init__(self, services: Services) -> None:
+        super().__init__(services)
+        described = Link(f"{self.url}openapi.json", "service-desc", type="application/openapi+json")  # RFC 8631
+        channels = Link(f"{self.url}asyncapi.json", "service-desc", type="application/vnd.aai.asyncapi+json")
+        search = Link(f"{self.url}find", "search")  # of the IANA registry: what is found by words
+        guide = Link(f"{self.url}llms.txt", "help", type="text/plain")  # of the IANA registry
+        dataset = Link(f"{self.url}.well-known/void", "describedby")
         self.links = (RESOURCE, RDF_SOURCE_LINK, BASIC_CONTAINER, described, channels, search, guide, dataset)
 
     def page(self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]) -> bytes:
@@ -92,7 +78,7 @@ class EntryResource(Resource):
             "actions": _count_readable(graph.actions, space.action, site),
             "nodes": _count_readable(graph.nodes, space.node, site),
             "parameters": _count_readable(graph.parameters, space.parameter, site),
-            "bags": _count_readable(self.recordings.readable, space.bag, site),
+            "bags": _count_readable(self.services.recordings.readable, space.bag, site),
         }
         goals = ("goals",) if graph.actions else ()
         counts = [
@@ -114,7 +100,7 @@ class EntryResource(Resource):
             *(EntryCount(SECTIONS[each], None, space.container(each)) for each in routes),
         ]
         shown = tuple(each for each in counts if site.may("GET", each.url))
-        problems = self.problems()
+        problems = self.services.problems()
         troubles = [Notice(problem, NoticeLevel.ERROR) for problem in problems.storage]
         if problems.interrupted_holds and site.may("GET", space.container("holds")):
             words = f"rosld was killed while topics were held: see {space.container('holds')} for the outcome."
@@ -129,7 +115,7 @@ class EntryResource(Resource):
         return self.space.topic(topics[0].name) if topics else None
 
     async def state(self) -> State:
-        capabilities, problems = self.session.adapter.capabilities, self.problems()
+        capabilities, problems = self.session.adapter.capabilities, self.services.problems()
         graph, system = listed_graph(self.session.graph, capabilities), capabilities.system
         return self.states.get_or_make(
             self.url,
@@ -219,7 +205,7 @@ _STATUS = json_object(
 )
 
 
-class StatusResource(Resource):
+class StatusResource(SessionResource):
     """The pauses of the event loop, the state of the robot's graph, and the problems of storage."""
 
     kind = "Server status"
@@ -229,14 +215,14 @@ class StatusResource(Resource):
         plain=_STATUS,
     )
 
-    def __init__(self, session: Session, problems: Callable[[], ServerProblems], watchdog: Watchdog) -> None:
-        super().__init__(session.space, session.space.base + ROUTE)
-        self.session = session
-        self._problems = problems
+    path = ROUTE
+
+    def __init__(self, services: Services, watchdog: Watchdog) -> None:
+        super().__init__(services)
         self._watchdog = watchdog
 
     async def state(self) -> State:
-        pauses, problems, graph = self._watchdog.pauses, self._problems(), self.session.graph
+        pauses, problems, graph = self._watchdog.pauses, self.services.problems(), self.session.graph
         return State(
             lambda: status_document(self.space, pauses, graph, problems), lambda: _plain(pauses, graph, problems)
         )
@@ -313,8 +299,7 @@ class FileResource(Resource):
             "cache-control": f"max-age={_DAY}",
             "x-content-type-options": "nosniff",
         }
-        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
-        if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+        if exchange.is_not_modified(etag):
             return Response(status_code=304, headers=headers)
         return Response(self._data, media_type=self._media_type, headers=headers)
 

@@ -20,7 +20,8 @@ from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import PROFILE_QUERY, VARY_PROFILE, choose_profile
 from rosld.server.http.problem import Problem
 from rosld.server.resources.bag_selection import DecodedRecord, decode_records, record_document
-from rosld.server.resources.bags import BagBase, Bags
+from rosld.server.resources.bags import BagBase
+from rosld.server.resources.base import Services
 from rosld.server.resources.messages import lift_sample
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
@@ -85,8 +86,8 @@ class EventStreamResource(BagBase):
     _profile = StreamProfile.RECORD
     _suffix = ""
 
-    def __init__(self, bags: Bags, recording: Recording, page: PageNumber | None = None) -> None:
-        super().__init__(bags, _url(bags.session.space, recording, page))
+    def __init__(self, services: Services, recording: Recording, page: PageNumber | None = None) -> None:
+        super().__init__(services, _url(services.space, recording, page))
         self.recording = recording
         self._page = page
         self.shape = "EventStream" if page is None else "StreamPage"
@@ -180,13 +181,11 @@ class EventStreamResource(BagBase):
         return Document(document.url, (*own, *lifted))
 
 
-def event_stream_page(bags: Bags, recording: Recording, name: str) -> EventStreamResource:
+def event_stream_page(services: Services, recording: Recording, name: str) -> EventStreamResource:
     """Return the page of this name. Raises 404 and 410 Problems."""
     identity, *numbers = name.split("-")
     if not _NAME.fullmatch(name):
-        raise Problem(
-            404, f"{name[:60]} is not a page of the stream: {_url(bags.session.space, recording)} links to them."
-        )
+        raise Problem(404, f"{name[:60]} is not a page of the stream: {_url(services.space, recording)} links to them.")
     if identity != recording.identity:
         raise Problem(410, f"This was a page of an earlier recording named {recording.name}, which was deleted.")
     page = PageNumber(*map(int, numbers))
@@ -195,7 +194,7 @@ def event_stream_page(bags: Bags, recording: Recording, name: str) -> EventStrea
         raise Problem(404, f"{recording.name} has no messages from {page.start} on: {beyond} is the next.")
     if page.end <= recording.first:
         raise Problem(410, f"The messages of this page were removed: the oldest is {recording.first}.")
-    return EventStreamResource(bags, recording, page)
+    return EventStreamResource(services, recording, page)
 
 
 def _url(space: Space, recording: Recording, page: PageNumber | None = None) -> str:

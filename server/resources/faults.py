@@ -3,35 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from operator import attrgetter
+from typing import ClassVar
 
 import orjson
 from pyoxigraph import NamedNode
 from starlette.responses import Response
 
-from rosld.adapters.base import Watch
 from rosld.ontology.describe_faults import FAULT, Fault, FaultState, Severity, fault_document, recording_url, source_url
 from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
-from rosld.server.history.history import History
 from rosld.server.html.forms import ChoiceForm, DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, json_object, nullable
 from rosld.server.patches.single_change import PATCHES, SingleChange
+from rosld.server.resources.base import Services
 from rosld.server.resources.listings import ListedMember, ListingResource, time_cell
 from rosld.server.resources.named_resource import KeptResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
 from rosld.server.rest.path_item import PathItem, WriteMethod
-from rosld.server.rest.resource import READ, Answer
+from rosld.server.rest.resource import Answer
 from rosld.server.rest.responses import offer_url
 from rosld.server.rest.state import State
 from rosld.server.robot.diagnostic_states import DiagnosticState, Level
 from rosld.server.robot.faults import Faults
-from rosld.server.robot.session import Session
-from rosld.server.runtime.version_cache import IdentityKey, VersionCache
+from rosld.server.runtime.version_cache import IdentityKey
 
 _LEVELS = {Severity.WARNING: Level.WARN, Severity.ERROR: Level.ERROR, Severity.FATAL: Level.ERROR}
 _REQUEST = {"state": FaultState.ACKNOWLEDGED.value}
@@ -56,6 +55,10 @@ class FaultResource(KeptResource[Fault]):
     """One fault of the robot."""
 
     kind = shape = "Fault"
+    url_of = Space.fault
+    store_of = attrgetter("faults")
+    title_of = attrgetter("key.label")
+    writes: ClassVar[frozenset[str]] = frozenset({"PATCH", "DELETE"})
     accepts: Mapping[str, Sequence[str]] = {"PATCH": (JSON, *PATCHES)}
     item = PathItem(
         "A fault of the robot",
@@ -66,23 +69,8 @@ class FaultResource(KeptResource[Fault]):
         },
     )
 
-    def __init__(
-        self, session: Session, states: VersionCache[State], faults: Faults, history: History, id: str
-    ) -> None:
-        super().__init__(session, states, session.space.fault(id), id)
-        self.faults = faults
-        self.history = history
-        with suppress(LookupError):
-            self.title = self.find().key.label
-
-    def find(self) -> Fault:
-        return self.faults.find(self.id)
-
     def gone_words(self, error: LookupError) -> str:
         return "was deleted, or replaced by later ones"
-
-    def methods(self) -> frozenset[str]:
-        return READ if self.session.settings.read_only else READ | {"PATCH", "DELETE"}
 
     async def state(self) -> State:
         fault = self.require()
@@ -90,12 +78,9 @@ class FaultResource(KeptResource[Fault]):
             self.url, IdentityKey(fault), lambda: State(lambda: self.document(fault), lambda: self._plain(fault))
         )
 
-    async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.faults.changes.watch(wake, lambda about: about == self.id)
-
     def document(self, fault: Fault) -> Document:
         """Return the RDF of this version of the fault."""
-        is_changeable, is_recorded = "PATCH" in self.methods(), self.history.is_enabled
+        is_changeable, is_recorded = "PATCH" in self.methods(), self.services.history.is_enabled
         return fault_document(fault, self.space, is_recorded=is_recorded, is_changeable=is_changeable)
 
     def _plain(self, fault: Fault) -> bytes:
@@ -116,7 +101,7 @@ class FaultResource(KeptResource[Fault]):
             "healed": None if fault.healed_ns is None else date_time(0, fault.healed_ns),
             "topic": None if key.topic is None else space.topic(key.topic),
             "activity": None if fault.activity is None else space.url(fault.activity[0], fault.activity[1:]),
-            "recording": recording_url(fault, space) if self.history.is_enabled else None,
+            "recording": recording_url(fault, space) if self.services.history.is_enabled else None,
         }
         return orjson.dumps(members)
 
@@ -134,19 +119,20 @@ class FaultResource(KeptResource[Fault]):
         _ACKNOWLEDGE.require(await exchange.body(), exchange.media_type, self.url, self.document(fault).triples)
         if self.require().is_healed:
             raise Problem(409, f"The fault {self.id} has healed already and needs no acknowledgement.")
-        self.faults.acknowledge(self.id)
+        self.services.faults.acknowledge(self.id)
         return Response(status_code=204)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """Forget the fault: 204. Raises a 409 Problem if it is active."""
         if self.require().state is FaultState.ACTIVE:
             raise Problem(409, f"The fault {self.id} is active: acknowledge it first.")
-        self.faults.delete(self.id)
+        self.services.faults.delete(self.id)
         return Response(status_code=204)
 
 
-def faults_listing(space: Space, faults: Faults, states: VersionCache[State]) -> ListingResource:
+def faults_listing(services: Services) -> ListingResource:
     """`/faults/`: the faults that are kept, those that last first."""
+    space, faults = services.space, services.faults
 
     def listed(fault: Fault) -> ListedMember:
         url, state = space.fault(fault.id), fault.state
@@ -156,7 +142,7 @@ def faults_listing(space: Space, faults: Faults, states: VersionCache[State]) ->
 
     columns = ("state", "severity", "words", "count", "last")
     return ListingResource(
-        space, states, "faults", "The faults of the robot", columns, lambda: map(listed, faults.all()), faults.changes
+        services, "faults", "The faults of the robot", columns, lambda: map(listed, faults.all()), faults.changes
     )
 
 

@@ -37,17 +37,17 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.affordance_service import AffordanceService
-from rosld.server.hypermedia.brief_value import LatestValue, LatestValues, brief_json
+from rosld.server.hypermedia.brief_value import LatestValue, brief_json
 from rosld.server.hypermedia.catalogue import ParameterSource, Property, TopicSource
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.json_schema import NUMBER, TEXT, URI, Json, JsonSchema, json_array, json_object
-from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.resource_tree import ResourceTree, path_of, segments_of
 from rosld.server.hypermedia.type_inference import is_light
 from rosld.server.hypermedia.value import Reading
 from rosld.server.policies import stored_cockpits
 from rosld.server.policies.stored_mappings import ROUTE
 from rosld.server.policies.stored_queries import StoredQueries
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.namespaces import listed_graph, namespaces, things_of, thumbnail
 from rosld.server.rest.exchange import Exchange
@@ -55,8 +55,6 @@ from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.responses import offer_url
 from rosld.server.rest.state import State
-from rosld.server.robot.audited_adapter import AuditedAdapter
-from rosld.server.robot.faults import Faults
 from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import loop_time
 from rosld.server.runtime.version_cache import IdentityKey
@@ -130,19 +128,10 @@ class _Index(Struct, frozen=True, eq=False):
 class Finder:
     """The search of one robot."""
 
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        documents: Documents,
-        queries: StoredQueries,
-        faults: Faults,
-    ) -> None:
-        self._session = session
-        self._affordances = affordances
-        self._documents = documents
-        self._queries = queries
-        self._faults = faults
+    def __init__(self, services: Services) -> None:
+        self._services = services
+        self._session = services.session
+        self._documents = services.documents
         self._of_robot: _Index | None = None
         self._of_kept: _Index | None = None
         self._making = asyncio.Lock()
@@ -153,7 +142,7 @@ class Finder:
             self._of_robot = await self._robot_index(self._of_robot)
             self._of_kept = await self._kept_index(self._of_kept)
         may_read: Callable[[str], bool] | None = None if permissions.is_unrestricted else permissions.may_read
-        faults = [_fault_entry(self._session.space, each) for each in self._faults.all()]
+        faults = [_fault_entry(self._session.space, each) for each in self._services.faults.all()]
         indexes = (self._of_robot.index, self._of_kept.index, SearchIndex(Catalog(faults), by_meaning=False))
         found = [each.find(query, limit, may_read) for each in indexes]
         complete = [each for each in found if each.hits and each.is_complete]
@@ -165,7 +154,7 @@ class Finder:
         )
 
     async def _robot_index(self, known: _Index | None) -> _Index:
-        tree = await self._affordances.tree()
+        tree = await self._services.affordances.tree()
         graph = listed_graph(self._session.graph, self._session.adapter.capabilities)
         version = (IdentityKey(graph), IdentityKey(tree), self._session.schemas.count)
         if known is not None and known.version == version:
@@ -178,7 +167,7 @@ class Finder:
         version = self._documents.records.version
         if known is not None and known.version == version:
             return known
-        entries = await kept_entries(self._documents, self._queries)
+        entries = await kept_entries(self._documents, self._services.queries)
         return _Index(version, SearchIndex(Catalog(entries), by_meaning=False))
 
 
@@ -207,16 +196,17 @@ _route_names: IdentityCache[Mapping[str, object], NearNames] = IdentityCache(_ne
 _tree_names: IdentityCache[ResourceTree, NearNames] = IdentityCache(_near_in_tree, 2)
 
 
-def near_urls(space: Space, adapter: AuditedAdapter, affordances: AffordanceService[State], url: str) -> Sequence[str]:
+def near_urls(services: Services, url: str) -> Sequence[str]:
     """Return URLs with existing names similar to the missing one in `url`, most similar first.
 
     Empty if `url` has no name, or if its name exists and the resource is absent for another reason.
     """
+    space, adapter = services.space, services.session.adapter
     place = space.location(url)
     if place is None or not place.segments:
         return ()
     if place.kind == "resources":
-        return _near_resources(space, affordances, place)
+        return _near_resources(space, services.affordances, place)
     return _near_names(space, adapter.graph, adapter.capabilities, place) if place.kind in _IN_GRAPH else ()
 
 
@@ -309,7 +299,7 @@ class SearchEngine(Protocol):
         ...
 
 
-class FindResource(Resource):
+class FindResource(SessionResource):
     """The search, or what one search found for one agent."""
 
     kind = title = "Search"
@@ -318,25 +308,15 @@ class FindResource(Resource):
     _text = ""
     _subscribes = False
     links = (RESOURCE, RDF_SOURCE)
+    path = "find"
+    _results: Sequence[SearchResult] = ()
+    _about: Mapping[str, str] = {}
+    _pictures: Mapping[str, Thumbnail] = {}
+    _found = SearchResults((), 0)
 
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        latest_values: LatestValues,
-        property_reader: PropertyReader,
-        finder: SearchEngine,
-    ) -> None:
-        super().__init__(session.space, f"{session.space.base}find")
-        self.session = session
-        self.affordances = affordances
-        self.latest_values = latest_values
-        self.property_reader = property_reader
+    def __init__(self, services: Services, finder: SearchEngine) -> None:
+        super().__init__(services)
         self.finder = finder
-        self._results: Sequence[SearchResult] = ()
-        self._about: Mapping[str, str] = {}
-        self._pictures: Mapping[str, Thumbnail] = {}
-        self._found = SearchResults((), 0)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the search for `?q=` with the agent's permissions. Raises a 400 Problem for too many words."""
@@ -396,11 +376,11 @@ class FindResource(Resource):
         found = dict[str, LatestValue]()
         if self._subscribes:
             await self._subscribe([entry.name for entry in entries if entry.kind is EntryKind.TOPIC])
-        tree = await self.affordances.tree()
+        tree = await self.services.affordances.tree()
         stored: dict[str, Property] = {}
         for entry in entries:
             if entry.kind is EntryKind.TOPIC:
-                latest = self.latest_values.of_topic(entry.name)
+                latest = self.services.latest_values.of_topic(entry.name)
                 if latest is not None:
                     found[entry.url] = latest
             elif entry.kind is EntryKind.PARAMETER:
@@ -410,9 +390,9 @@ class FindResource(Resource):
             elif entry.kind is EntryKind.RESOURCE:
                 plan = tree.property(entry.name)
                 if plan is not None and not any(isinstance(one, TopicSource) for one in plan.source.readers):
-                    found |= _read(entry.url, self.property_reader.cached(plan.source))
+                    found |= _read(entry.url, self.services.property_reader.cached(plan.source))
         deadline = loop_time() + _PARAMETER_SECONDS
-        readings = await self.property_reader.read([*stored.values()], deadline=deadline) if stored else {}
+        readings = await self.services.property_reader.read([*stored.values()], deadline=deadline) if stored else {}
         for url, own in stored.items():
             found |= _read(url, readings[own.name])
         return found

@@ -10,7 +10,6 @@ import orjson
 from rosld.adapters.base import Watch
 from rosld.ontology.describe_views import Frame, frames_document
 from rosld.ontology.literals import date_time
-from rosld.ontology.urls import Space
 from rosld.server.auth.errors import not_found
 from rosld.server.html.forms import Form
 from rosld.server.html.page import Csrf, FramesPage, Notice
@@ -27,11 +26,11 @@ from rosld.server.hypermedia.json_schema import (
     json_object,
     nullable,
 )
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
-from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.scene import Scene
 from rosld.server.runtime.tasks import call_every
 from rosld.server.space.drawing import pose_json
@@ -58,7 +57,7 @@ _PLAIN: JsonSchema = json_object(
 )
 
 
-class FramesResource(Resource):
+class FramesResource(SessionResource):
     """The frames of the robot, as one agent may see them."""
 
     kind = "Frames"
@@ -67,11 +66,12 @@ class FramesResource(Resource):
     item = PathItem("The frames of the robot, each with its parent", plain=_PLAIN)
     links = (RESOURCE, RDF_SOURCE)
 
-    def __init__(self, space: Space, adapter: AuditedAdapter, scene: Scene) -> None:
-        super().__init__(space, space.frames)
-        self.adapter = adapter
+    path = "frames"
+    _nodes: Sequence[FrameNode] = ()
+
+    def __init__(self, services: Services, scene: Scene) -> None:
+        super().__init__(services)
         self.scene = scene
-        self._nodes: Sequence[FrameNode] = ()
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """The frames as the agent may see them. Raises a Problem where it may not see the transforms."""
@@ -85,7 +85,7 @@ class FramesResource(Resource):
 
     async def state(self) -> State:
         buffer = await self.scene.frames.look()
-        self._nodes = frame_tree(buffer, self.adapter.age_ns)
+        self._nodes = frame_tree(buffer, self.session.adapter.age_ns)
         frames = [self._frame(each) for each in self._nodes]
         plain = orjson.dumps(
             {"frames": [_frame_json(each, frame) for each, frame in zip(self._nodes, frames, strict=True)]}

@@ -23,6 +23,7 @@ from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import BOOLEAN, NUMBER, TEXT, URI, JsonSchema, json_array, json_object
+from rosld.server.resources.base import SessionResource
 from rosld.server.resources.namespaces import listed_graph
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
@@ -31,7 +32,6 @@ from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.responses import bytes_response, resource_headers
 from rosld.server.rest.state import State
 from rosld.server.robot.diagnostic_states import STALE_SECONDS
-from rosld.server.robot.session import Session
 from rosld.server.robot.topic_view import EMPTY_VIEW, TopicView
 from rosld.server.robot.velocity import OCCASIONAL_TYPES
 from rosld.server.runtime.tasks import call_every
@@ -64,21 +64,17 @@ _PLAIN: JsonSchema = json_object(
 )
 
 
-class GraphResource(Resource):
+class GraphResource(SessionResource):
     """A drawing of the computation graph or a part of it, with the permissions of one agent."""
 
     kind = "Computation graph"
     shape = "Source"
     title = "Graph"
+    path = "graph"
     item = PathItem("Who talks to whom", (*OFFERS, *_DRAWINGS.values()), plain=_PLAIN, query=_PARAMETERS)
     links = (RESOURCE, RDF_SOURCE)
 
     _selection = Selection()
-
-    def __init__(self, session: Session, instance_id: str) -> None:
-        super().__init__(session.space, f"{session.space.base}graph")
-        self.session = session
-        self.instance_id = instance_id
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the part selected by the query, with the agent's permissions. Raises a 400 Problem."""
@@ -155,7 +151,7 @@ class GraphResource(Resource):
         else:
             text = svg.write_dot(diagram)
         data, name = text.encode("utf-8", "replace"), "svg" if media_type == svg.MEDIA_TYPE else "dot"
-        etag = ETag(f"{self.instance_id}-{digest(data)}", name)
+        etag = ETag(f"{self.services.instance_id}-{digest(data)}", name)
         return bytes_response(exchange, data, f"{media_type}; charset=utf-8", etag, headers.items())
 
     def _svg(self, diagram: Diagram, href: Callable[[str], str | None], *, alone: bool) -> str:

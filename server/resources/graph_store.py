@@ -19,13 +19,13 @@ from starlette.types import Scope
 from rosld.ontology.body import parse_dataset
 from rosld.ontology.document import Document
 from rosld.ontology.triples import labelled, text, triples_about
-from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcterms, rdf, rdfs, sd
 from rosld.server.auth import enforcement
 from rosld.server.http.body import MULTIPART
 from rosld.server.http.fields import to_uri
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, MessageSchemas
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.ldp.base import StoredResource
 from rosld.server.resources.ldp.containers import ContainerResource
 from rosld.server.resources.ldp.routes import AbsentResource
@@ -36,11 +36,9 @@ from rosld.server.rest.formats import FORMATS, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import ANY_TYPE, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.state import State
-from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
 from rosld.server.sparql import results
 from rosld.server.sparql.protocol import QueryRequest, requested_timeout
-from rosld.server.sparql.query_service import QueryService
 from rosld.server.sparql.update.base import UpdateRunner
 from rosld.server.sparql.update.copying import unmanaged_triples
 from rosld.server.sparql.update.operations import ChangeData, GraphVerb, ManageGraph, Operation
@@ -109,7 +107,11 @@ _ALL = QueryParameter("all", "Instead of `graph`: all graphs with their names, a
 _GRAPH_FORMAT = replace(FORMAT, schema={"type": "string", "enum": [*{**FORMATS, **available_formats("CONSTRUCT")}]})
 
 
-class GraphStore(Resource):
+def _methods(settings: Settings) -> frozenset[str]:
+    return READ if settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
+
+
+class GraphStore(SessionResource):
     """The graph store, whose only state is that of its graphs."""
 
     kind = "Graph store"
@@ -122,21 +124,14 @@ class GraphStore(Resource):
         "PATCH": (SPARQL_UPDATE, N3_PATCH),
     }
 
-    def __init__(
-        self,
-        space: Space,
-        settings: Settings,
-        states: VersionCache[State],
-        service: QueryService,
-        resolve: Callable[[Scope], Resource],
-        updates: UpdateRunner | None = None,
-    ) -> None:
-        super().__init__(space, f"{space.base}graphs")
-        self._settings = settings
-        self._states = states
+    path = "graphs"
+
+    def __init__(self, services: Services, resolve: Callable[[Scope], Resource], updates: UpdateRunner | None) -> None:
+        super().__init__(services)
+        self._settings = services.settings
         self._resolve = resolve
-        self._default = DefaultGraphResource(space, f"{self.url}?default", service, self.methods())
-        self._all = DatasetResource(space, f"{self.url}?all", service, updates)
+        self._default = DefaultGraphResource(services, f"{self.url}?default")
+        self._all = DatasetResource(services, f"{self.url}?all", updates)
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         of_a_graph = (_GRAPH, _DEFAULT, _ALL)
@@ -152,10 +147,10 @@ class GraphStore(Resource):
         )
 
     def methods(self) -> frozenset[str]:
-        return READ if self._settings.read_only else READ | {"PUT", "POST", "PATCH", "DELETE"}
+        return _methods(self._settings)
 
     async def state(self) -> State:
-        return self._states.get_or_make(self.url, 0, lambda: State(self.document))
+        return self.states.get_or_make(self.url, 0, lambda: State(self.document))
 
     def document(self) -> Document:
         """Return the description of the graph store."""
@@ -266,16 +261,12 @@ async def _prepare(exchange: Exchange, resource: Resource) -> None:
         )
 
 
-class _Whole(Resource):
+class _Whole(SessionResource):
     """All graphs, read by a query."""
 
     links = ()
     form: str
     request: QueryRequest
-
-    def __init__(self, space: Space, url: str, service: QueryService) -> None:
-        super().__init__(space, url)
-        self._service = service
 
     async def custom_get(self, exchange: Exchange) -> Response:
         accept = accept_of(exchange, available_formats(self.form))
@@ -283,7 +274,7 @@ class _Whole(Resource):
             content_type = results.content_type(results.choose_media_type(self.form, accept))
             return Response(headers={"Content-Type": content_type, "Vary": "Accept", "Cache-Control": "no-cache"})
         request = replace(self.request, timeout=requested_timeout(exchange.query.items()))
-        return await answer_query(self._service, request, accept, permissions=exchange.permissions)
+        return await answer_query(self.services.sparql, request, accept, permissions=exchange.permissions)
 
 
 class DefaultGraphResource(_Whole):
@@ -293,12 +284,8 @@ class DefaultGraphResource(_Whole):
     form = "CONSTRUCT"
     request = QueryRequest("CONSTRUCT { ?s ?p ?o } WHERE { ?s ?p ?o }")
 
-    def __init__(self, space: Space, url: str, service: QueryService, methods: frozenset[str]) -> None:
-        super().__init__(space, url, service)
-        self._methods = methods
-
     def methods(self) -> frozenset[str]:
-        return self._methods
+        return _methods(self.services.settings)
 
 
 class DatasetResource(_Whole):
@@ -310,8 +297,8 @@ class DatasetResource(_Whole):
     accepts: Mapping[str, Sequence[str]] = {"PUT": DATASET_BODIES, "POST": DATASET_BODIES}
     takes_forms = False
 
-    def __init__(self, space: Space, url: str, service: QueryService, updates: UpdateRunner | None) -> None:
-        super().__init__(space, url, service)
+    def __init__(self, services: Services, url: str, updates: UpdateRunner | None) -> None:
+        super().__init__(services, url)
         self._updates = updates
 
     def methods(self) -> frozenset[str]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import socket
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import cast
+from collections.abc import Iterator, Mapping, Sequence
+from operator import attrgetter
+from typing import ClassVar, cast
 from urllib.parse import urljoin, urlsplit
 
 import orjson
@@ -14,7 +15,6 @@ from msgspec.structs import replace
 from pyoxigraph import NamedNode
 from starlette.responses import Response
 
-from rosld.adapters.base import Watch
 from rosld.adapters.model import Message, MessageSchema, RosError
 from rosld.ontology.body import index_triples, parse_json
 from rosld.ontology.describe_holds import (
@@ -40,22 +40,23 @@ from rosld.server.http.fields import parse_decimal
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, json_object, nullable
 from rosld.server.patches.patch import merge_patch
-from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
-from rosld.server.resources.named_resource import READ_ONLY, KeptResource
+from rosld.server.resources.base import READ_ONLY, Services
+from rosld.server.resources.limit_checks import STRICTNESS
+from rosld.server.resources.named_resource import KeptResource
 from rosld.server.resources.publisher import PublishingResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter, WriteMethod
-from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Find, Resource
+from rosld.server.rest.resource import Answer, CreatedAnswer, Find, Resource
 from rosld.server.rest.responses import offer_url
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.robot.hold_store import HeldMessage, Hold, Holds, held_message, new_hold
+from rosld.server.robot.hold_store import HeldMessage, Hold, held_message, new_hold
 from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import passes_stop, zero_message
 from rosld.server.robot.write_policy import PublishLimiter
 from rosld.server.runtime.dry_run import expect_status
-from rosld.server.runtime.version_cache import IdentityKey, VersionCache
+from rosld.server.runtime.version_cache import IdentityKey
 from rosld.shapes.value import Bounds, MessageShape
 
 ZERO, NONE = "zero", "none"
@@ -63,7 +64,7 @@ _FORM_TIME = 5.0
 """Default duration in seconds of a hold started with a form."""
 
 
-async def create_hold(exchange: Exchange, topic: PublishingResource, holds: Holds, find: Find) -> Answer:
+async def create_hold(exchange: Exchange, topic: PublishingResource) -> Answer:
     """Carry out a POST to a topic and return the created hold. Raises Problems and LoweringError."""
     session, name = topic.session, topic.name
     rate, (lease, is_timed) = _rate(exchange, session.limiter), _lease(exchange, session) or (LEASE, False)
@@ -73,14 +74,12 @@ async def create_hold(exchange: Exchange, topic: PublishingResource, holds: Hold
     schema, message = await topic.read_message(exchange)
     await topic.require_within_limits(schema, message)
     held = _command(session, name, schema, message, restamp=False)
-    then, then_requested = await _then(
-        exchange.query.get("then"), topic, held, _readable(session.space, find, exchange)
-    )
+    then, then_requested = await _then(exchange.query.get("then"), topic, held, _readable(topic.services, exchange))
     exchange.audit.add_step(f"hold {name} at {rate:g} Hz, unrenewed for {lease:g} s", topic.url)
-    begun = await holds.start(
+    begun = await topic.services.holds.start(
         new_hold(name, exchange.agent, rate, lease, held, then, then_requested, is_timed=is_timed)
     )
-    resource = HoldResource(session, topic.limit_checks, topic.states, holds, begun.id, find)
+    resource = HoldResource(topic.services, begun.id)
     return CreatedAnswer(resource.url, resource, resource.state_of(begun))
 
 
@@ -140,24 +139,10 @@ class HoldResource(KeptResource[Hold]):
     """One hold of a topic."""
 
     kind = shape = "Hold"
+    url_of = Space.hold
+    store_of = attrgetter("holds")
+    writes: ClassVar[frozenset[str]] = frozenset({"PATCH", "DELETE"})
     accepts: Mapping[str, Sequence[str]] = {"PATCH": (JSON, MERGE_PATCH, *RDF_BODIES)}
-
-    def __init__(
-        self,
-        session: Session,
-        limit_checks: LimitChecks,
-        states: VersionCache[State],
-        holds: Holds,
-        id: str,
-        find: Find,
-    ) -> None:
-        super().__init__(session, states, session.space.hold(id), id)
-        self.limit_checks = limit_checks
-        self.holds = holds
-        self._find = find
-
-    def find(self) -> Hold:
-        return self.holds.find(self.id)
 
     def gone_words(self, error: LookupError) -> str:
         return f"has ended: {error}"
@@ -178,14 +163,8 @@ class HoldResource(KeptResource[Hold]):
             writes={"PATCH": renew, "DELETE": end},
         )
 
-    def methods(self) -> frozenset[str]:
-        return READ if self.session.settings.read_only else READ | {"PATCH", "DELETE"}
-
     async def state(self) -> State:
         return self.state_of(self.require())
-
-    async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.holds.changes.watch(wake, lambda about: about == self.id)
 
     def state_of(self, hold: Hold) -> State:
         """Return the state of this version of the hold."""
@@ -255,7 +234,7 @@ class HoldResource(KeptResource[Hold]):
     @contextlib.contextmanager
     def _keep(self, exchange: Exchange, lease: float) -> Iterator[float]:
         _notice_silence(exchange, lease)
-        with self.holds.keep_alive(self.id):
+        with self.services.holds.keep_alive(self.id):
             yield lease / 2
 
     async def patch(self, exchange: Exchange) -> Answer:
@@ -265,12 +244,12 @@ class HoldResource(KeptResource[Hold]):
         """
         hold = self.require()
         require_holder(exchange, hold)
-        topic = PublishingResource(self.session, self.limit_checks, self.states, hold.topic)
+        topic = PublishingResource(self.services, hold.topic)
         new_held = await self._changed_message(exchange, topic, hold)
         then, then_requested = hold.release_message, hold.release_requested
         if "then" in exchange.query or (new_held is not hold.message and then_requested == ZERO):
             words = exchange.query.get("then", then_requested)
-            then, then_requested = await _then(words, topic, new_held, _readable(self.space, self._find, exchange))
+            then, then_requested = await _then(words, topic, new_held, _readable(self.services, exchange))
         lease, is_timed = _lease(exchange, self.session) or (hold.lease, hold.is_timed)
         changed = replace(
             self.require(),
@@ -286,7 +265,7 @@ class HoldResource(KeptResource[Hold]):
         what = f"hold {hold.topic} at {changed.rate:g} Hz, unrenewed for {changed.lease:g} s"
         exchange.audit.add_step(what, self.space.topic(hold.topic))
         expect_status(204)
-        self.holds.renew(self.id, changed)
+        self.services.holds.renew(self.id, changed)
         return Response(status_code=204)
 
     async def _changed_message(self, exchange: Exchange, topic: PublishingResource, hold: Hold) -> HeldMessage:
@@ -312,7 +291,7 @@ class HoldResource(KeptResource[Hold]):
         require_holder(exchange, self.require())
         topic = self.require().topic
         exchange.audit.add_step(f"end the hold of {topic}", self.space.topic(topic))
-        ended = self.holds.end(self.id, f"{exchange.agent.name} ended it")
+        ended = self.services.holds.end(self.id, f"{exchange.agent.name} ended it")
         if ended is not None:
             await ended
         return Response(status_code=204)
@@ -362,15 +341,13 @@ def _number(exchange: Exchange, name: str, limit: float, words: str) -> float | 
     return value
 
 
-def _readable(space: Space, find: Find, exchange: Exchange) -> Find:
+def _readable(services: Services, exchange: Exchange) -> Find:
     """Return a finder of resources that hides those that the agent may not read."""
-    if exchange.permissions.is_unrestricted:
-        return find
 
     def found(path: str) -> Resource:
-        if not exchange.permissions.may_read(space.base + path.lstrip("/")):
+        if not exchange.permissions.may_read(services.space.base + path.lstrip("/")):
             raise not_found()
-        return find(path)
+        return services.find(path)
 
     return found
 

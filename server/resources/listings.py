@@ -20,14 +20,14 @@ from rosld.ontology.document import Document
 from rosld.ontology.literals import date_time
 from rosld.ontology.triples import date_time_literal
 from rosld.ontology.urls import Space
-from rosld.server.auth.permissions import Permissions
 from rosld.server.events import query_params
 from rosld.server.html.page import Cell, MemberColumns
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING
-from rosld.server.receipts.journal import Journal, JournalEntry, NoSuchReceipt
+from rosld.server.receipts.journal import JournalEntry, NoSuchReceipt
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.paging import (
@@ -43,13 +43,10 @@ from rosld.server.rest.paging import (
 from rosld.server.rest.path_item import PathItem
 from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.state import State
-from rosld.server.robot.calls import Call, Calls, CallState
+from rosld.server.robot.calls import Call, CallState
 from rosld.server.robot.goal_store import Goal
-from rosld.server.robot.goals import Goals
-from rosld.server.robot.hold_store import Hold, Holds, InterruptedHold
+from rosld.server.robot.hold_store import Hold, InterruptedHold
 from rosld.server.runtime.tasks import Signal
-from rosld.server.runtime.version_cache import VersionCache
-from rosld.server.settings import Settings
 from rosld.server.sparql.receipt_graphs import TITLE
 
 _OUTCOMES = {CallState.UNKNOWN: "outcome unknown", CallState.NOT_SENT: "not sent"}
@@ -67,7 +64,7 @@ class ListedMember(Struct, frozen=True):
     is_failed: bool = False
 
 
-class ListingResource(Resource):
+class ListingResource(SessionResource):
     """`/NAME/`: a container of current members, newest first; `changes` announces changes of members."""
 
     shape = "Container"
@@ -76,18 +73,15 @@ class ListingResource(Resource):
 
     def __init__(
         self,
-        space: Space,
-        states: VersionCache[State],
+        services: Services,
         name: str,
         summary: str,
         columns: tuple[str, ...],
         members: Callable[[], Iterable[ListedMember]],
         changes: Signal,
     ) -> None:
-        super().__init__(space, space.container(name))
-        self.kind = name.capitalize()
-        self.title = self.kind
-        self._states = states
+        super().__init__(services, services.space.container(name))
+        self.kind = self.title = name.capitalize()
         self._columns = columns
         self.members = members
         self._changes = changes
@@ -97,7 +91,7 @@ class ListingResource(Resource):
         """Return the state, which changes with that of each member because the page shows it."""
         members = tuple(self.members())
         token = digest(repr(members).encode("utf-8", "replace"))
-        return self._states.get_or_make(self.url, token, lambda: State(lambda: self._document(members), token=token))
+        return self.states.get_or_make(self.url, token, lambda: State(lambda: self._document(members), token=token))
 
     def outline(self) -> tuple[Hashable, Callable[[], Document]]:
         """Return a token that changes with the description, and a function for the description."""
@@ -123,8 +117,9 @@ class ListingResource(Resource):
         return self._changes.watch(wake)
 
 
-def calls_listing(space: Space, calls: Calls, states: VersionCache[State]) -> ListingResource:
+def calls_listing(services: Services) -> ListingResource:
     """`/calls/`: the retained calls made through rosld."""
+    space, calls = services.space, services.session.calls
 
     def listed(call: Call) -> ListedMember:
         outcome = _OUTCOMES.get(call.state, call.state.value.lower())
@@ -137,18 +132,13 @@ def calls_listing(space: Space, calls: Calls, states: VersionCache[State]) -> Li
 
     columns = ("outcome", "called", "answered", "words")
     return ListingResource(
-        space,
-        states,
-        "calls",
-        "The stored calls",
-        columns,
-        lambda: map(listed, reversed(calls.all())),
-        calls.changes,
+        services, "calls", "The stored calls", columns, lambda: map(listed, reversed(calls.all())), calls.changes
     )
 
 
-def goals_listing(space: Space, goals: Goals, states: VersionCache[State]) -> ListingResource:
+def goals_listing(services: Services) -> ListingResource:
     """`/goals/`: the known goals of rosld and of other clients."""
+    space, goals = services.space, services.session.goals
 
     def listed(goal: Goal) -> ListedMember:
         cells = (goal.status.value, time_cell(goal.created_ns), time_cell(goal.ended_ns), goal.words or "")
@@ -159,18 +149,13 @@ def goals_listing(space: Space, goals: Goals, states: VersionCache[State]) -> Li
 
     columns = ("status", "sent", "ended", "words")
     return ListingResource(
-        space,
-        states,
-        "goals",
-        "The stored goals",
-        columns,
-        lambda: map(listed, reversed(goals.all())),
-        goals.changes,
+        services, "goals", "The stored goals", columns, lambda: map(listed, reversed(goals.all())), goals.changes
     )
 
 
-def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> ListingResource:
+def holds_listing(services: Services) -> ListingResource:
     """`/holds/`: the current holds, and the outcome of holds of a rosld process that was killed."""
+    space, holds = services.space, services.holds
 
     def member(view: HoldOutline, cells: tuple[Cell, ...]) -> ListedMember:
         url = space.hold(view.id)
@@ -189,15 +174,11 @@ def holds_listing(space: Space, states: VersionCache[State], holds: Holds) -> Li
         return member(view, cells)
 
     columns = ("holder", "rate", "since", "trouble")
-    return ListingResource(
-        space,
-        states,
-        "holds",
-        "The holds of topics",
-        columns,
-        lambda: (*map(listed, reversed(holds.all())), *map(interrupted, holds.interrupted.values())),
-        holds.changes,
-    )
+
+    def members() -> Iterable[ListedMember]:
+        return (*map(listed, reversed(holds.all())), *map(interrupted, holds.interrupted.values()))
+
+    return ListingResource(services, "holds", "The holds of topics", columns, members, holds.changes)
 
 
 def time_cell(nanoseconds: int | None) -> Cell:
@@ -209,7 +190,7 @@ _NEWEST = 10**15
 """Minuend for page keys, which ascend: the key of a receipt is this minus its number, so the newest comes first."""
 
 
-class ActivityResource(Resource):
+class ActivityResource(SessionResource):
     """The receipt of one write. It never changes."""
 
     kind = "Activity"
@@ -217,58 +198,48 @@ class ActivityResource(Resource):
     shape = "Write"
     item = PathItem("The receipt of a write", plain=ANYTHING)
 
-    def __init__(
-        self, space: Space, settings: Settings, states: VersionCache[State], receipts: Journal, id: str
-    ) -> None:
-        super().__init__(space, space.activity(id))
-        self.title = id
-        self.settings = settings
-        self.states = states
-        self.receipts = receipts
-        self.id = id
+    def __init__(self, services: Services, id: str) -> None:
+        super().__init__(services, services.space.activity(id))
+        self.id = self.title = id
 
     async def state(self) -> State:
         try:
-            entry = self.receipts.find(self.id)
+            entry = self.services.receipts.find(self.id)
         except NoSuchReceipt as error:
-            limit = self.settings.receipts_kept
+            limit = self.session.settings.receipts_kept
             sentence = f"There is no receipt {self.id}: it never existed, or is older than the {limit} stored ones."
             raise Problem(404, sentence) from error
         return self.states.get_or_make(self.url, entry.number, lambda: _receipt_state(self.space, entry))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.receipts.changes.watch(wake)
+        return self.services.receipts.changes.watch(wake)
 
 
-class ActivityContainer(PagedContainer):
+class ActivityContainer(PagedContainer, SessionResource):
     """`/activity/`: the stored receipts; paged if there are many."""
 
     kind = "Activity"
     shape = "Container"
     title = TITLE
     item = PathItem("The receipts of writes, the newest first", plain=ANYTHING, is_paged=True)
-
-    def __init__(self, space: Space, states: VersionCache[State], receipts: Journal) -> None:
-        super().__init__(space, space.container("activity"))
-        self.states = states
-        self.receipts = receipts
+    path = "activity/"
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the page `?page=`, or the newest receipt for a stream; redirect to the first of many pages (303)."""
         if exchange.method not in ("GET", "HEAD"):
             return self
         if query_params.stream_is_preferred(exchange.accept, OFFERS):
-            return NewestReceipt(self.space, self.receipts, exchange.permissions)
+            return NewestReceipt(self.services).variant(_permissions=exchange.permissions)
         token = exchange.query.get("page")
         if token is not None:
             return self.variant(_place=parse_position(token))
-        require_page(exchange, self.url, len(self.receipts))
+        require_page(exchange, self.url, len(self.services.receipts))
         return self
 
     async def state(self) -> State:
-        version = self.receipts.version
+        version = self.services.receipts.version
         if self._place is None:
-            entries = list(self.receipts.newest_first())
+            entries = list(self.services.receipts.newest_first())
             return self.states.get_or_make(self.url, version, lambda: State(lambda: self._document(entries)))
         page, entries = self._page(self._place)
 
@@ -285,7 +256,7 @@ class ActivityContainer(PagedContainer):
 
     def _page(self, place: PagePosition) -> tuple[LdpPage, list[JournalEntry]]:
         """Return a page and its receipts."""
-        entries = list(self.receipts.newest_first())
+        entries = list(self.services.receipts.newest_first())
         keys = [_NEWEST - entry.number for entry in entries]
         after = place.after if isinstance(place.after, int) else 0
         start = next((at for at, key in enumerate(keys) if key > after), len(keys))
@@ -301,7 +272,7 @@ class ActivityContainer(PagedContainer):
     def listing(self) -> MemberColumns:
         """Return the columns: action, time, agent and outcome."""
         space = self.space
-        receipts = self.receipts
+        receipts = self.services.receipts
         entries = islice(receipts.newest_first(), 1000) if self._place is None else self._page(self._place)[1]
         by_url = {space.activity(entry.id): entry.receipt for entry in entries}
         return MemberColumns(
@@ -313,10 +284,10 @@ class ActivityContainer(PagedContainer):
         )
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.receipts.changes.watch(wake)
+        return self.services.receipts.changes.watch(wake)
 
 
-class NewestReceipt(Resource):
+class NewestReceipt(SessionResource):
     """`/activity/` as a stream: each new write whose receipt the agent may read.
 
     Writes that occur faster than the client reads are omitted.
@@ -325,21 +296,17 @@ class NewestReceipt(Resource):
     kind = "Activity"
     shape = "Write"
     links: tuple[Link, ...] = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
-
-    def __init__(self, space: Space, receipts: Journal, permissions: Permissions) -> None:
-        super().__init__(space, space.container("activity"))
-        self.receipts = receipts
-        self._permissions = permissions
+    path = "activity/"
 
     async def state(self) -> State:
-        entries, may_read = self.receipts.newest_first(), self._permissions.may_read
+        entries, may_read = self.services.receipts.newest_first(), self._permissions.may_read
         entry = next((each for each in entries if may_read(self.space.activity(each.id))), None)
         if entry is None:
             return State(lambda: container_document(self.url, (), TITLE), lambda: b"null", "nothing")
         return _receipt_state(self.space, entry)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.receipts.changes.watch(wake)
+        return self.services.receipts.changes.watch(wake)
 
 
 def _receipt_state(space: Space, entry: JournalEntry) -> State:

@@ -24,22 +24,19 @@ from rosld.server.history.history import History
 from rosld.server.http.fields import Link, render_links
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import AffordanceService, Snapshot
+from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Getter, ParameterSource, Property, TopicSource, source_url
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.source_reader import decode_value
 from rosld.server.hypermedia.value import Reading
 from rosld.server.resources.accepted_shape import CommandResource
-from rosld.server.resources.limit_checks import LimitChecks
-from rosld.server.resources.things import ThingDescriptions
+from rosld.server.resources.base import Services
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.path_item import QueryParameter
 from rosld.server.rest.resource import Motion, Resource
 from rosld.server.rest.responses import resource_headers
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
-from rosld.server.runtime.version_cache import VersionCache
 
 LINK_FORMAT = "application/link-format"
 VARY = "Accept, Accept-Datetime"
@@ -309,10 +306,10 @@ _NOT_KEPT = "Nothing is recorded: rosld serve --history records topics."
 class PastReadings:
     """Readings of properties at a time in the past."""
 
-    def __init__(self, session: Session, affordances: AffordanceService[State], history: History, at_ns: int) -> None:
-        self._session = session
-        self._affordances = affordances
-        self._history = history
+    def __init__(self, services: Services, at_ns: int) -> None:
+        self._session = services.session
+        self._affordances = services.affordances
+        self._history = services.history
         self._at_ns = at_ns
 
     async def snapshot(self, properties: Sequence[Property]) -> Snapshot:
@@ -340,25 +337,12 @@ class PastReadings:
 class TimeGate(CommandResource):
     """Base class of properties and complex resources, which have mementos and a TimeGate (RFC 7089)."""
 
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        limit_checks: LimitChecks,
-        things: ThingDescriptions,
-        states: VersionCache[State],
-        history: History,
-        name: str,
-    ) -> None:
-        super().__init__(session.space, url_of(name, session.space))
+    def __init__(self, services: Services, name: str) -> None:
+        super().__init__(services, url_of(name, services.space))
         self.name = name
         self.title = name if name != "/" else "Resources"
-        self.session = session
-        self.affordances = affordances
-        self.limit_checks = limit_checks
-        self.things = things
-        self.states = states
-        self.history = history
+        self.affordances = services.affordances
+        history = self.history = services.history
         self.links = (*self._own_links(), *(timegate_links(self.url) if history.is_enabled else ()))
         self._headers = {"vary": VARY} if history.is_enabled else {}
         """Headers of the current state, which prevent its reuse by caches for past times."""
@@ -393,7 +377,7 @@ class TimeGate(CommandResource):
 
     async def _state_at(self, at_ns: int) -> State:
         """Return a past state, with the headers of a memento if it can no longer change."""
-        state = await self.past_state(PastReadings(self.session, self.affordances, self.history, at_ns))
+        state = await self.past_state(PastReadings(self.services, at_ns))
         is_settled = at_ns < time.time_ns() - SETTLED_NS
         headers = {"memento-datetime": memento_datetime(at_ns)} if is_settled else {}
         return replace(

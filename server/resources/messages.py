@@ -19,7 +19,7 @@ from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.literals import date_time
 from rosld.ontology.observations import Observer, Role
 from rosld.ontology.urls import Space
-from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.pictures.picture_cache import (
@@ -38,7 +38,7 @@ from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import FORMATS, OFFERS
 from rosld.server.rest.path_item import BYTES, QueryParameter
 from rosld.server.rest.resource import Motion, Resource
-from rosld.server.rest.responses import RawResponse, bytes_response, resource_headers
+from rosld.server.rest.responses import bytes_response, resource_headers
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.session import Session
 from rosld.server.space.point_cloud import DEFAULT_POINTS, MAX_POINTS, POINT_CLOUD, draw_cloud
@@ -162,14 +162,8 @@ async def picture_response(
     schema = await _schema(schemas, sample)
     etag = ETag(f"{pictures.instance_id}-{sample_identity(sample)}", _variant(form))
     fixed_headers = {**resource_headers(resource), "x-content-type-options": "nosniff"}
-    if check_preconditions(
-        "GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")
-    ):
-        fields = {**fixed_headers, "etag": str(etag), "vary": "Accept", "cache-control": "no-cache"}
-        return RawResponse(
-            304, b"", [(key.encode("latin-1"), value.encode("latin-1")) for key, value in fields.items()]
-        )
-    data = await _draw(pictures, name, schema, sample, form)
+    is_known = exchange.is_not_modified(etag)
+    data = b"" if is_known else await _draw(pictures, name, schema, sample, form)
     return bytes_response(exchange, data, media_type, etag, fixed_headers.items())
 
 

@@ -101,7 +101,7 @@ def _load(sources: MetricSources) -> Iterator[Metric]:
     words = "Longest pause of the event loop in the last minute."
     yield _gauge("event_loop_longest_pause_seconds", words, watchdog.pauses.recent)
     words = "Time from the start of a SPARQL query to its result, or the beginning of a long one, by outcome."
-    yield _by_operation("query_duration_seconds", words, ("outcome",), sources.query_timings)
+    yield _by_operation("query_duration_seconds", words, ("outcome",), sources.services.sparql.timings)
     yield _gauge("queries_running", "SPARQL queries and updates in progress.", process.running)
     yield _gauge("queries_queued", "SPARQL queries and updates that wait for a worker.", process.waiting)
     yield _gauge("query_process_up", "Whether the query process runs.", process.is_running)
@@ -116,7 +116,7 @@ def _by_operation(name: str, words: str, labels: Sequence[str], timings: Timings
 
 
 def _robot(sources: MetricSources, permissions: Permissions) -> Iterator[Metric]:
-    session = sources.session
+    session = sources.services.session
     graph, space = session.graph, session.space
     yield _gauge("robot_up", "Whether the robot can be reached.", isinstance(graph.state, Live))
     yield _gauge("robot_stopped", "Whether the robot is stopped by POST /stop.", session.is_stopped)
@@ -127,11 +127,11 @@ def _robot(sources: MetricSources, permissions: Permissions) -> Iterator[Metric]
     ):
         count = sum(permissions.may_read(url(name)) for name in names)
         yield _gauge(f"robot_{kind}", f"{kind.capitalize()} of the robot.", count)
-    holds = sum(permissions.may_read(space.hold(hold.id)) for hold in sources.holds.all())
+    holds = sum(permissions.may_read(space.hold(hold.id)) for hold in sources.services.holds.all())
     yield _gauge("holds", "Topics that agents hold.", holds)
     faults = Counter(
         (fault.severity.value,)
-        for fault in sources.faults.all()
+        for fault in sources.services.faults.all()
         if not fault.is_healed and permissions.may_read(space.fault(fault.id))
     )
     counts = {("warning",): 0, ("error",): 0, ("fatal",): 0, **faults}
@@ -139,12 +139,12 @@ def _robot(sources: MetricSources, permissions: Permissions) -> Iterator[Metric]
     yield _labelled(family, counts.items())
     words = "Time of each command to the robot, by kind and outcome: ok, refused, timeout, failed, cancelled."
     yield _by_operation("command_duration_seconds", words, ("command", "outcome"), session.adapter.timings)
-    problems = len(sources.problems().storage)
+    problems = len(sources.services.problems().storage)
     yield _gauge("storage_problems", "Problems of the storage; /status describes them.", problems)
 
 
 def _topics(sources: MetricSources, permissions: Permissions) -> Iterator[Metric]:
-    session, limit = sources.session, sources.session.settings.metrics_topics
+    session, limit = sources.services.session, sources.services.session.settings.metrics_topics
     topics = [each for each in sorted(session.topics.subscribed()) if permissions.may_read_topic(each)]
     rate = GaugeMetricFamily("rosld_topic_rate_hertz", "Rate of a subscribed topic.", labels=("topic",))
     words = "Time since the last message of a subscribed topic."
@@ -156,7 +156,8 @@ def _topics(sources: MetricSources, permissions: Permissions) -> Iterator[Metric
         age.add_metric((topic,), session.adapter.age_ns(view.newest) / 1e9)
         if view.rate is not None:
             rate.add_metric((topic,), view.rate)
-    dropped = {topic: count for topic, count in sources.history.dropped().items() if permissions.may_read_topic(topic)}
+    dropped = sources.services.history.dropped()
+    dropped = {topic: count for topic, count in dropped.items() if permissions.may_read_topic(topic)}
     words = "Messages of a topic that could not be recorded."
     lost = CounterMetricFamily("rosld_topic_dropped_messages", words, labels=("topic",))
     yield rate
@@ -168,10 +169,14 @@ def _topics(sources: MetricSources, permissions: Permissions) -> Iterator[Metric
 
 
 def _history(sources: MetricSources) -> Iterator[Metric]:
-    history = sources.history
+    history = sources.services.history
     yield _gauge("history_enabled", "Whether the history is recorded.", history.is_enabled and history.problem is None)
     yield _gauge("history_size_bytes", "Size of the files of the history.", history.writer.segments.size)
     yield _counter("history_messages", "Messages that were recorded in the history.", history.writer.next)
     words = "Messages that could not be recorded, in the history or in other recordings."
     yield _counter("history_dropped_messages", words, sum(history.dropped().values()))
-    yield _gauge("history_queued_bytes", "Messages that wait to be recorded.", history.queued_bytes)
+    yield _gauge(
+        "history_queued_bytes",
+        "Messages that wait to be recorded.",
+        sources.services.recordings.live.recorder.queued_bytes,
+    )

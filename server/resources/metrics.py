@@ -9,23 +9,18 @@ from types import ModuleType
 from msgspec import Struct
 from starlette.responses import Response
 
-from rosld.ontology.describe_graph import ServerProblems
-from rosld.ontology.urls import Space
 from rosld.server.auth.rate_limit import ClientLimiter
 from rosld.server.events.broadcaster import Broadcasters
-from rosld.server.history.history import History
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import OBJECT
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.path_item import PathItem
-from rosld.server.rest.resource import LDP, RESOURCE, Resource
+from rosld.server.rest.resource import LDP, RESOURCE
 from rosld.server.rest.responses import resource_headers
-from rosld.server.robot.faults import Faults
-from rosld.server.robot.hold_store import Holds
-from rosld.server.robot.session import Session
-from rosld.server.runtime.timings import RequestTimings, Timings
+from rosld.server.runtime.timings import RequestTimings
 from rosld.server.runtime.watchdog import Watchdog
 from rosld.server.sparql.process.client import QueryProcess
 
@@ -35,13 +30,8 @@ MEDIA_TYPES = ("text/plain", "application/openmetrics-text")
 class MetricSources(Struct):
     """The parts of one server whose metrics are read. `connections` returns the number of open ones."""
 
-    session: Session
-    holds: Holds
-    faults: Faults
-    history: History
-    problems: Callable[[], ServerProblems]
+    services: Services
     process: QueryProcess
-    query_timings: Timings
     requests: RequestTimings
     watchdog: Watchdog
     clients: ClientLimiter
@@ -49,15 +39,17 @@ class MetricSources(Struct):
     connections: Callable[[], int] = int
 
 
-class MetricsResource(Resource):
+class MetricsResource(SessionResource):
     """The metrics of a server; topics, holds and faults that the agent may not read are not counted."""
 
     kind = "Metrics"
     item = PathItem("Metrics of the server and the robot, for Prometheus", MEDIA_TYPES, OBJECT, (), streams=False)
     links = (RESOURCE, Link(f"{LDP}NonRDFSource", "type"))
 
-    def __init__(self, space: Space, sources: MetricSources) -> None:
-        super().__init__(space, f"{space.base}metrics")
+    path = "metrics"
+
+    def __init__(self, sources: MetricSources) -> None:
+        super().__init__(sources.services)
         self._sources = sources
 
     async def custom_get(self, exchange: Exchange) -> Response | None:

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import ClassVar, Generic, TypeVar
+from contextlib import suppress
+from operator import attrgetter
+from typing import Any, ClassVar, Generic, TypeVar
 
+from rosld.adapters.base import Watch
 from rosld.adapters.model import Graph, Kind, Operation, Ref
 from rosld.ontology.urls import Space
 from rosld.server.http.problem import Problem
 from rosld.server.resources.accepted_shape import CommandResource
-from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.base import READ_ONLY, Services, SessionResource
 from rosld.server.resources.namespaces import redirect_to_namespace
-from rosld.server.rest.resource import Resource
-from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
+from rosld.server.robot.hold_store import Holds
+from rosld.server.robot.limited_store import LimitedStore
 from rosld.server.robot.write_policy import resources_only_reason
-from rosld.server.runtime.version_cache import VersionCache
 
-READ_ONLY = "This server is read-only."
 T = TypeVar("T")
 
 
@@ -27,11 +27,8 @@ class NamedResource(CommandResource, Generic[T]):
     ros_kind: Kind
     url_of: ClassVar[Callable[[Space, str], str]]
 
-    def __init__(self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
-        super().__init__(session.space, type(self).url_of(session.space, name))
-        self.session = session
-        self.limit_checks = limit_checks
-        self.states = states
+    def __init__(self, services: Services, name: str) -> None:
+        super().__init__(services, type(self).url_of(services.space, name))
         self.name = self.title = name
         self._route = f"{self.ros_kind.value}s"
 
@@ -75,26 +72,30 @@ class NamedResource(CommandResource, Generic[T]):
         return self.closed_reason is None and operation in self.session.adapter.allows(Ref(self.ros_kind, self.name))
 
 
-class KeptResource(Resource, Generic[T]):
-    """Base class of calls, goals and holds: `find` raises KeyError for unknown ones, LookupError for removed ones."""
+class KeptResource(SessionResource, Generic[T]):
+    """Base class of calls, goals, holds and faults, which are in a store of the services."""
 
     links_offer = True
+    url_of: ClassVar[Callable[[Space, str], str]]
+    store_of: ClassVar[Callable[[Services], LimitedStore[Any] | Holds]]
+    title_of: ClassVar[Callable[[Any], str]] = attrgetter("id")
 
-    def __init__(self, session: Session, states: VersionCache[State], url: str, id: str) -> None:
-        super().__init__(session.space, url)
-        self.session = session
-        self.states = states
+    def __init__(self, services: Services, id: str) -> None:
+        super().__init__(services, type(self).url_of(services.space, id))
+        self.store = type(self).store_of(services)
         self.id = self.title = id
+        with suppress(LookupError):
+            self.title = type(self).title_of(self.store.find(id))
 
-    def find(self) -> T:
-        """Return the current state of the call, goal or hold. Raises LookupError."""
-        raise NotImplementedError
+    async def watch(self, wake: Callable[[], None]) -> Watch:
+        return self.store.changes.watch(wake, lambda about: about == self.id)
 
     def require(self) -> T:
         """Return the current state of the call, goal or hold. Raises a 404 or 410 Problem."""
         what = f"{self.kind.lower()} {self.id}"
         try:
-            return self.find()
+            found: T = self.store.find(self.id)
+            return found
         except KeyError as error:
             raise Problem(404, f"There is no {what}.") from error
         except LookupError as error:
@@ -107,7 +108,7 @@ class KeptResource(Resource, Generic[T]):
     @property
     def is_absent(self) -> bool:
         try:
-            self.find()
+            self.store.find(self.id)
         except LookupError:
             return True
         return False

@@ -22,8 +22,9 @@ from rosld.server.html.page import Cell, MemberColumns, Thumbnail
 from rosld.server.html.values import brief_text
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.brief_value import LatestValue, LatestValues
+from rosld.server.hypermedia.brief_value import LatestValue
 from rosld.server.pictures.picture_cache import OCCUPANCY_GRID
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.paging import (
     LdpPage,
@@ -37,8 +38,6 @@ from rosld.server.rest.paging import (
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import Resource, permanent_redirect
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
-from rosld.server.runtime.version_cache import VersionCache
 
 _THUMBNAIL_WIDTH = 192
 """Width in pixels; thumbnails are drawn half as wide, for high-density screens."""
@@ -242,10 +241,9 @@ def redirect_to_namespace(space: Space, graph: Graph, route: str, name: str) -> 
     return permanent_redirect(space.container(route, path))
 
 
-class NamespaceBase(PagedContainer):
+class NamespaceBase(PagedContainer, SessionResource):
     """Base class of the containers of one kind of names, with or without hidden members."""
 
-    session: Session
     links_offer = True
     route: str
     namespace: tuple[str, ...]
@@ -287,19 +285,10 @@ class NamespaceContainer(NamespaceBase):
     is_found_by_state = True
     shape = "Container"
 
-    def __init__(
-        self,
-        session: Session,
-        states: VersionCache[State],
-        latest_values: LatestValues,
-        route: str,
-        namespace: tuple[str, ...],
-    ) -> None:
-        super().__init__(session.space, session.space.container(route, namespace))
+    def __init__(self, services: Services, route: str, namespace: tuple[str, ...]) -> None:
+        super().__init__(services, services.space.container(route, namespace))
         self.title = names.join(namespace) if namespace else route.capitalize()
-        self.session = session
-        self.states = states
-        self.latest_values = latest_values
+        self.latest_values = services.latest_values
         self.route = route
         self.namespace = namespace
         self.item = PathItem(self.route.capitalize(), query=LISTING_PARAMETERS, is_paged=True)

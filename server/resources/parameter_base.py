@@ -18,7 +18,7 @@ from rosld.server.auth.redaction import redact_tree
 from rosld.server.html.page import MemberColumns
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.base import Services
 from rosld.server.resources.named_resource import NamedResource
 from rosld.server.resources.namespaces import ListedNamespace, NamespaceBase, count_members, is_of_hidden, with_hidden
 from rosld.server.rest.exchange import Exchange
@@ -26,10 +26,8 @@ from rosld.server.rest.paging import MAX_PAGE_SIZE, LdpPage, PagePosition, page_
 from rosld.server.rest.resource import Answer, ShownAnswer
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import has_other_values
-from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import parameter_denied_reason, resources_only_reason
 from rosld.server.runtime.tasks import call_every, combine_watches, loop_time
-from rosld.server.runtime.version_cache import VersionCache
 
 
 def omit_parameters(name: str, tree: dict[str, ParameterValue], omitted: Container[str]) -> dict[str, ParameterValue]:
@@ -206,11 +204,9 @@ class ParameterContainer(NamespaceBase, ParameterBase):
     kind = "Parameters"
     route = "parameters"
 
-    def __init__(
-        self, session: Session, limit_checks: LimitChecks, states: VersionCache[State], namespace: tuple[str, ...]
-    ) -> None:
-        ParameterBase.__init__(self, session, limit_checks, states, names.join(namespace))
-        self.url = session.space.container("parameters", namespace)
+    def __init__(self, services: Services, namespace: tuple[str, ...]) -> None:
+        ParameterBase.__init__(self, services, names.join(namespace))
+        self.url = services.space.container("parameters", namespace)
         self.namespace = namespace
 
     async def state(self) -> State:

@@ -166,7 +166,7 @@ class ParameterResource(ParameterBase):
         if before is not None:
             return await self._answer({self.name: value})
         if isinstance(value, dict):
-            tree = ParameterTree(self.session, self.limit_checks, self.states, names.segments(self.name))
+            tree = ParameterTree(self.services, names.segments(self.name))
             return CreatedAnswer(tree.url, tree, await tree.state())
         return CreatedAnswer(self.url, self, self.state_of(value))
 
@@ -299,9 +299,7 @@ class ParameterTree(ParameterContainer):
         """
         if self.namespace and await self._value() is None:
             raise Problem(404, f"There is no tree of parameters {self.name}.")
-        member = ParameterResource(
-            self.session, self.limit_checks, self.states, await self._free_name(exchange.header("slug"))
-        )
+        member = ParameterResource(self.services, await self._free_name(exchange.header("slug")))
         return await member.put(exchange)
 
     async def _free_name(self, slug: str | None) -> str:

@@ -27,7 +27,6 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventWriter, SendChunk, event_frame
 from rosld.server.events.query_params import EVENT_STREAM, stream_is_preferred
-from rosld.server.history.history import History
 from rosld.server.history.topic_feed import MAX_BYTES, TopicFeed
 from rosld.server.html.forms import Form
 from rosld.server.html.graphics import plot_query
@@ -36,9 +35,9 @@ from rosld.server.html.render import render_plot
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.catalogue import TopicSource
 from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, json_array, json_object
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.memento import is_recorded
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
@@ -46,7 +45,6 @@ from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
 from rosld.server.rest.resource import RDF_SOURCE, RESOURCE, Resource
 from rosld.server.rest.responses import RawResponse
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
 
 PERIOD = 0.1
 """Seconds between two events."""
@@ -211,12 +209,10 @@ class NumberReference(NamedTuple):
 class NumberFinder:
     """Finder of the numbers of a robot that an agent may see."""
 
-    def __init__(
-        self, session: Session, affordances: AffordanceService[State], history: History, permissions: Permissions
-    ) -> None:
-        self._session = session
-        self._affordances = affordances
-        self._history = history
+    def __init__(self, services: Services, permissions: Permissions) -> None:
+        self._session = services.session
+        self._affordances = services.affordances
+        self._history = services.history
         self._permissions = permissions
 
     async def locate(self, reference: str) -> NumberReference:
@@ -291,7 +287,7 @@ _PLAIN: JsonSchema = json_object(
 )
 
 
-class PlotResource(Resource):
+class PlotResource(SessionResource):
     """The plot of the selected numbers, or a form to select them."""
 
     kind = "Plot"
@@ -301,15 +297,12 @@ class PlotResource(Resource):
     is_cacheable = False
     references: tuple[str, ...] = ()
 
-    def __init__(
-        self, session: Session, affordances: AffordanceService[State], history: History, broadcasters: Broadcasters
-    ) -> None:
-        super().__init__(session.space, f"{session.space.base}plot")
-        self.session = session
-        self.affordances = affordances
-        self.history = history
+    path = "plot"
+    _numbers: Sequence[PlottedNumber] = ()
+
+    def __init__(self, services: Services, broadcasters: Broadcasters) -> None:
+        super().__init__(services)
         self._broadcasters = broadcasters
-        self._numbers: Sequence[PlottedNumber] = ()
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the plot of the numbers named by `y`, with the agent's permissions. Raises Problems."""
@@ -326,7 +319,7 @@ class PlotResource(Resource):
         return plot_document(self.url, ())
 
     async def state(self) -> State:
-        finder = NumberFinder(self.session, self.affordances, self.history, self._permissions)
+        finder = NumberFinder(self.services, self._permissions)
         numbers = self._numbers = [await finder.describe(await finder.locate(each)) for each in self.references]
         plain = orjson.dumps({"y": [number_json(each) for each in numbers]})
         return State(partial(plot_document, self.url, numbers), lambda: plain, digest(plain))
@@ -340,7 +333,7 @@ class PlotResource(Resource):
             return None
         if not self.references:
             raise Problem(400, "Choose the numbers with ?y=, such as y=topics/odom%23twist.twist.linear.x.")
-        finder = NumberFinder(self.session, self.affordances, self.history, self._permissions)
+        finder = NumberFinder(self.services, self._permissions)
         fields: dict[str, list[tuple[int, str]]] = {}
         for place, reference in enumerate(self.references):
             number = await finder.locate(reference)

@@ -425,7 +425,7 @@ class MemberResource(TimeGate):
             return await self._send_goal(exchange, tree, plan)
         if not isinstance(plan.schema, ServiceSchema):
             raise Problem(409, f"{self.name} cannot be invoked: the type of the service is not known.")
-        service = ServiceResource(self.session, self.limit_checks, self.states, plan.service)
+        service = ServiceResource(self.services, plan.service)
         request = await service.read_message(exchange, self.url, plan.schema)
         async with self.affordances.lock(tree, self.name):
             require_offered(self.affordances, plan, await read_fresh_state(self.affordances, tree, plan.reads))
@@ -438,7 +438,7 @@ class MemberResource(TimeGate):
 
     async def _send_goal(self, exchange: Exchange, tree: ResourceTree, plan: ActionPlan) -> Answer:
         """Send a goal to the ROS action of the mapping and return the created goal."""
-        action = ActionResource(self.session, self.limit_checks, self.states, plan.service)
+        action = ActionResource(self.services, plan.service)
         schema = await action.schema()
         goal = await action.read_message(exchange, self.url, schema)
         async with self.affordances.lock(tree, self.name):
@@ -454,17 +454,13 @@ class MemberResource(TimeGate):
         plan = tree.action(self.name)
         if plan is None:
             raise self._missing(tree)
-        return await ActionResource(self.session, self.limit_checks, self.states, plan.service).cancel_goals(
-            others=exchange.query_flag("others")
-        )
+        return await ActionResource(self.services, plan.service).cancel_goals(others=exchange.query_flag("others"))
 
     async def _after(self, path: str, outcome: CallOutcome) -> ShownAnswer:
         """Return the complex resource after an action, or the nearest existing ancestor if the action removed it."""
         call = Link(self.space.call(outcome.call.id), ros.Call.value)
         while True:
-            resource = ComplexResource(
-                self.session, self.affordances, self.limit_checks, self.things, self.states, self.history, path
-            )
+            resource = ComplexResource(self.services, path)
             try:
                 return ShownAnswer(resource, await resource.state(), (call,))
             except Problem as problem:

@@ -31,11 +31,12 @@ from rosld.server.html.page import (
 )
 from rosld.server.html.render import render_query
 from rosld.server.http.body import parse_content_length
-from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, JsonSchema, MessageSchemas
 from rosld.server.policies.stored_queries import ROUTE, StoredQueries, query_triples
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
@@ -62,8 +63,7 @@ from rosld.server.rest.path_item import FORMAT, PAGE, PathItem, QueryParameter
 from rosld.server.rest.resource import READ, Resource
 from rosld.server.rest.responses import RawResponse, resource_headers
 from rosld.server.rest.state import State
-from rosld.server.runtime.version_cache import IdentityKey, VersionCache
-from rosld.server.settings import Settings
+from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.sparql import disconnect
 from rosld.server.sparql.protocol import QUERY_MEDIA_TYPE, QueryRequest, requested_partial, requested_timeout
 from rosld.server.sparql.query_service import QueryService
@@ -147,8 +147,7 @@ class QueryRunner(Struct, frozen=True):
             found = digest(bytes(answer.body))
             etag = ETag(found, "results") if state is None else ETag(state, f"results-{found}")
             answer.headers["etag"] = str(etag)
-            if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
-            if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+            if exchange.is_not_modified(etag):
                 headers = {**resource_headers(resource), "etag": str(etag), "vary": "Accept"}
                 return Response(status_code=304, headers=headers)
         return answer
@@ -198,19 +197,15 @@ class QueryRunner(Struct, frozen=True):
         return Response(render_query(page), status, headers, "text/html; charset=utf-8")
 
 
-class ShippedQueryResource(Resource):
+class ShippedQueryResource(SessionResource):
     """A query shipped with rosld: its results in every format, its RDF description and its text."""
 
     kind = "Stored query"
     is_cacheable = False
 
-    def __init__(
-        self, space: Space, settings: Settings, states: VersionCache[State], query: StoredQuery, runner: QueryRunner
-    ) -> None:
-        super().__init__(space, space.query(query.name))
+    def __init__(self, services: Services, query: StoredQuery, runner: QueryRunner) -> None:
+        super().__init__(services, services.space.query(query.name))
         self.title = query.name
-        self.settings = settings
-        self.states = states
         self._query = query
         self._runner = runner
 
@@ -218,7 +213,7 @@ class ShippedQueryResource(Resource):
         return _query_item(self._query.purpose, self._query.parameters)
 
     def deny_reason(self, method: str) -> str:
-        if self.settings.read_only:
+        if self.services.settings.read_only:
             return "This server is read-only."
         container = self.space.container("queries")
         return (
@@ -447,8 +442,9 @@ async def _require_size(exchange: Exchange) -> None:
             pass
 
 
-def query_route(documents: Documents, queries: StoredQueries, runner: QueryRunner, location: Location) -> Resource:
+def query_route(services: Services, runner: QueryRunner, location: Location) -> Resource:
     """Return the resource at `/queries/` or below."""
+    documents, queries = services.documents, services.queries
     found = stored_route(documents, location)
     match found:
         case StoredFile():
@@ -460,6 +456,6 @@ def query_route(documents: Documents, queries: StoredQueries, runner: QueryRunne
         case AbsentResource():
             query = queries.shipped.get(location.segments[0]) if len(location.segments) == 1 else None
             if query is not None and not location.is_container:
-                return ShippedQueryResource(documents.space, documents.settings, documents.states, query, runner)
+                return ShippedQueryResource(services, query, runner)
             return AbsentQueryResource(documents, found.path)
     return found

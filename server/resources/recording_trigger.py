@@ -17,31 +17,29 @@ from rosld.server.events.broadcaster import LOOK_AGAIN_SECONDS, Broadcaster, Wai
 from rosld.server.events.long_poll import Until
 from rosld.server.history.armed_recordings import ArmedRecording, MayRecord
 from rosld.server.history.recording_orders import RecordingOrder, order_to_json
-from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.mapping import Condition
 from rosld.server.hypermedia.mappings import Mappings
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.recording_order import order_of
 from rosld.server.rest.resource import Find, Resource
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import call_every
 from rosld.server.settings import Settings
 
 NOTHING_IS_RECORDED = "This server is read-only, or serves a recording: it makes no recordings."
 
 
-class MappedCondition(Resource):
+class MappedCondition(SessionResource):
     """A condition of a mapping as a resource; its plain JSON is true or false."""
 
     kind = "Condition"
 
-    def __init__(self, space: Space, affordances: AffordanceService[State], condition: Condition) -> None:
-        super().__init__(space, condition.iri)
-        self._affordances = affordances
+    def __init__(self, services: Services, condition: Condition) -> None:
+        super().__init__(services, condition.iri)
+        self._affordances = services.affordances
         self.condition = condition
 
     async def state(self) -> State:
@@ -73,26 +71,18 @@ class FollowedCondition:
 class RecordingTriggers:
     """Follower of triggers; checks the agent's permissions when a recording is ordered, resumed and triggered.
 
-    `find` returns the resource at a path below the base. Without an `authenticator`, every agent may do everything.
+    Without an `authenticator`, every agent may do everything.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        mappings: Mappings,
-        find: Find,
-        authenticator: Authenticator | None = None,
-    ) -> None:
-        self._session = session
-        self._affordances = affordances
-        self._mappings = mappings
-        self._find = find
+    def __init__(self, services: Services, authenticator: Authenticator | None) -> None:
+        self._services = services
+        self._session = services.session
+        self._mappings = services.mappings
         self._authenticator = authenticator
 
-    async def resume(self, recordings: Recordings) -> None:
+    async def resume(self) -> None:
         """Wait again for the triggers of orders from before a restart."""
-        recordings.resume(self.occurrences)
+        self._services.recordings.resume(self.occurrences)
 
     async def follow(self, order: RecordingOrder, permissions: Permissions) -> FollowedCondition:
         """Return the condition of an order. Raises 403, 422 Problems if these permissions are insufficient."""
@@ -100,10 +90,10 @@ class RecordingTriggers:
         assert trigger is not None, "an armed recording has a trigger"
         try:
             if trigger.resource is None:
-                resource = _mapped_condition(space, self._affordances, self._mappings, trigger.condition, permissions)
+                resource = _mapped_condition(self._services, trigger.condition, permissions)
                 followed = FollowedCondition(resource, "value = true", permissions)
             else:
-                found = _resource(space, trigger.resource, self._find, permissions)
+                found = _resource(space, trigger.resource, self._services.find, permissions)
                 followed = FollowedCondition(found, trigger.condition, permissions)
             await followed.resource.prepare()
             followed.until.holds(await followed.resource.state())
@@ -257,13 +247,11 @@ def _resource(space: Space, url: str, find: Find, permissions: Permissions) -> R
         raise Problem(422, words, extra=problem.quoted_members, about=problem.about) from problem
 
 
-def _mapped_condition(
-    space: Space, affordances: AffordanceService[State], mappings: Mappings, iri: str, permissions: Permissions
-) -> MappedCondition:
-    condition = _condition(mappings, iri)
-    if not permissions.may_read(url_of(condition.about, space)):
+def _mapped_condition(services: Services, iri: str, permissions: Permissions) -> MappedCondition:
+    condition = _condition(services.mappings, iri)
+    if not permissions.may_read(url_of(condition.about, services.space)):
         raise Problem(403, f"You may not read {condition.about}, so you may not wait for it.")
-    return MappedCondition(space, affordances, condition)
+    return MappedCondition(services, condition)
 
 
 def _condition(mappings: Mappings, iri: str) -> Condition:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from contextlib import suppress
-from typing import Generic, TypeVar
+from operator import attrgetter
+from typing import ClassVar, Generic, TypeVar
 
 import orjson
 from starlette.responses import Response
 
-from rosld.adapters.base import Watch
 from rosld.adapters.model import (
     Action,
     ActionSchema,
@@ -48,9 +47,8 @@ from rosld.server.rest.responses import offer_url
 from rosld.server.rest.ros_problems import problem_of
 from rosld.server.rest.state import EndedState, State
 from rosld.server.robot.calls import Call, CallOutcome, CallState
-from rosld.server.robot.session import Session
 from rosld.server.runtime.tasks import loop_time
-from rosld.server.runtime.version_cache import IdentityKey, VersionCache
+from rosld.server.runtime.version_cache import IdentityKey
 
 _CALL: JsonSchema = json_object(
     optional={
@@ -199,7 +197,7 @@ class ServiceResource(InvocableResource[Service, ServiceSchema]):
         problem = call_problem(self.space, outcome)
         if problem is not None:
             raise problem
-        resource = CallResource(self.session, self.states, outcome.call.id)
+        resource = CallResource(self.services, outcome.call.id)
         return CreatedAnswer(resource.url, resource, resource.response_state_of(outcome.call))
 
     async def call(self, exchange: Exchange, schema: ServiceSchema, request: Message) -> CallOutcome:
@@ -213,25 +211,15 @@ class CallResource(KeptResource[Call]):
     """One call of a service."""
 
     kind = shape = "Call"
+    url_of = Space.call
+    store_of = attrgetter("session.calls")
+    title_of = attrgetter("service")
+    writes: ClassVar[frozenset[str]] = frozenset({"DELETE"})
     item = PathItem("A call of a service", plain=_CALL, writes={"DELETE": WriteMethod(done=(204,))})
-
-    def __init__(self, session: Session, states: VersionCache[State], id: str) -> None:
-        super().__init__(session, states, session.space.call(id), id)
-        with suppress(LookupError):
-            self.title = self.find().service
-
-    def find(self) -> Call:
-        return self.session.calls.find(self.id)
-
-    def methods(self) -> frozenset[str]:
-        return READ if self.session.settings.read_only else READ | {"DELETE"}
 
     async def state(self) -> State:
         call = self.require()
         return self.states.get_or_make(self.url, IdentityKey(call), lambda: self.state_of(call))
-
-    async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.session.calls.changes.watch(wake, lambda about: about == self.id)
 
     def state_of(self, call: Call) -> State:
         """Return the state of this version of the call."""

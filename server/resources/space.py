@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from functools import partial
 
 import orjson
@@ -22,7 +22,6 @@ from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.event_stream import HEADERS
 from rosld.server.events.query_params import EVENT_STREAM, stream_is_preferred
 from rosld.server.events.space_stream import ShownTopic, SpaceSource, SpaceStream, place_drawing
-from rosld.server.history.history import History
 from rosld.server.html.forms import Form
 from rosld.server.html.graphics import VIEW_3D, space_query
 from rosld.server.html.page import Csrf, Notice, NoticeLevel, SpacePage, SpaceTopic
@@ -32,8 +31,11 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import BOOLEAN, NUMBER, TEXT, URI, JsonSchema, json_array, json_object
 from rosld.server.pictures.picture_cache import OCCUPANCY_GRID
+from rosld.server.resources.actions import ActionResource
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.memento import is_recorded
 from rosld.server.resources.namespaces import listed_graph
+from rosld.server.resources.topics import TopicResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import OFFERS
 from rosld.server.rest.path_item import FORMAT, PathItem, QueryParameter
@@ -42,7 +44,6 @@ from rosld.server.rest.resource import RESOURCE, Resource
 from rosld.server.rest.responses import RawResponse
 from rosld.server.rest.state import State
 from rosld.server.robot.scene import Scene
-from rosld.server.robot.session import Session
 from rosld.server.robot.velocity import subscribers_of
 from rosld.server.space.drawing import PLACED_TYPES, can_place, kind_label, pose_json
 from rosld.server.space.point_cloud import POINT_CLOUD
@@ -68,12 +69,11 @@ class GoalTarget(Struct, frozen=True):
 
 
 class GoalTargets:
-    """The targets that an agent may send poses to now; `topic` and `action` return the resources of names."""
+    """The targets that an agent may send poses to now."""
 
-    def __init__(self, session: Session, topic: Callable[[str], Resource], action: Callable[[str], Resource]) -> None:
-        self._session = session
-        self._topic = topic
-        self._action = action
+    def __init__(self, services: Services) -> None:
+        self._services = services
+        self._session = services.session
         self._found: tuple[Graph, Sequence[GoalTarget]] | None = None
 
     @property
@@ -90,7 +90,7 @@ class GoalTargets:
         return found[:_MAX_TARGETS]
 
     def _is_open(self, target: GoalTarget) -> bool:
-        resource = (self._action if target.method == "POST" else self._topic)(target.name)
+        resource = (ActionResource if target.method == "POST" else TopicResource)(self._services, target.name)
         return target.method in resource.methods() - resource.withheld
 
     async def _targets(self, graph: Graph) -> AsyncIterator[GoalTarget]:
@@ -166,7 +166,7 @@ _PLAIN: JsonSchema = json_object(
 )
 
 
-class SpaceResource(Resource):
+class SpaceResource(SessionResource):
     """A view of the requested topics, or of all drawable ones, with the permissions of one agent."""
 
     kind = "View of space"
@@ -179,18 +179,16 @@ class SpaceResource(Resource):
     references: tuple[str, ...] = ()
     is_3d = False
 
-    def __init__(
-        self, session: Session, scene: Scene, history: History, broadcasters: Broadcasters, goals: GoalTargets
-    ) -> None:
-        super().__init__(session.space, f"{session.space.base}space")
-        self.session = session
+    path = "space"
+    _topics: Sequence[SpaceTopic] = ()
+    _frames: Sequence[str] = ()
+    _fixed = ""
+
+    def __init__(self, services: Services, scene: Scene, broadcasters: Broadcasters, goals: GoalTargets) -> None:
+        super().__init__(services)
         self.scene = scene
-        self.history = history
         self._broadcasters = broadcasters
         self._goals = goals
-        self._topics: Sequence[SpaceTopic] = ()
-        self._frames: Sequence[str] = ()
-        self._fixed = ""
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         """Return the view selected by `frame` and `show`, with the agent's permissions. Raises Problems."""
@@ -360,7 +358,7 @@ class SpaceResource(Resource):
         type_name = topic.type.name if topic is not None and topic.type is not None else ""
         href = space.path + url.removeprefix(space.base)
         picture = f"{href}?format=png&width={_GRID_WIDTH}" if type_name == OCCUPANCY_GRID else ""
-        has_history = type_name == _ODOMETRY and is_recorded(self.history, name)
+        has_history = type_name == _ODOMETRY and is_recorded(self.services.history, name)
         history = f"{href}?series=pose.pose.position." if has_history else ""
         cloud = f"{href}?format=ply" if type_name == POINT_CLOUD else ""
         return ShownTopic(name.encode("utf-8", "replace").decode(), _kind(graph, name), href, picture, history, cloud)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
 
 from msgspec.structs import replace
 from pyoxigraph import NamedNode, Triple
@@ -10,7 +10,6 @@ from starlette.responses import Response, StreamingResponse
 
 from rosld.ontology.document import Document
 from rosld.ontology.triples import statements, text, triples_about
-from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, rdfs, ros, sd
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.history.tables import TableParts
@@ -30,6 +29,7 @@ from rosld.server.hypermedia.json_schema import (
     json_array,
     json_object,
 )
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.ldp.bodies import single_chunk
 from rosld.server.resources.tables import table_response
 from rosld.server.rest.exchange import Exchange
@@ -40,8 +40,6 @@ from rosld.server.rest.resource import READ, Answer, Resource
 from rosld.server.rest.responses import RawResponse
 from rosld.server.rest.state import State
 from rosld.server.runtime.process_memory import PROCESS_MEMORY
-from rosld.server.runtime.version_cache import VersionCache
-from rosld.server.settings import Settings
 from rosld.server.sparql import disconnect
 from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.math_functions import AGGREGATES
@@ -268,9 +266,11 @@ _OF_UPDATES = (
     QueryParameter("using-named-graph-uri", "The named graphs of an update.", _GRAPHS),
 )
 _NO_QUERY = QueryRequest("")
+_EXAMPLES = 100
+"""Stored queries that the page of the endpoint lists: those that come with rosld first."""
 
 
-class SparqlResource(Resource):
+class SparqlResource(SessionResource):
     """The endpoint."""
 
     kind = "SPARQL"
@@ -279,23 +279,13 @@ class SparqlResource(Resource):
     has_own_formats = True
     passes_unknown_parameters = frozenset({"GET", "HEAD"})  # clients send parameters of other endpoints
 
-    def __init__(
-        self,
-        space: Space,
-        settings: Settings,
-        states: VersionCache[State],
-        service: QueryService,
-        pages: PageRenderer,
-        examples: Callable[[], Sequence[StoredQueryLink]],
-        updates: UpdateRunner | None = None,
-    ) -> None:
-        super().__init__(space, f"{space.base}sparql")
-        self.settings = settings
-        self.states = states
-        self._service = service
+    path = "sparql"
+
+    def __init__(self, services: Services, pages: PageRenderer, updates: UpdateRunner | None) -> None:
+        super().__init__(services)
+        self._service = services.sparql
         self._pages = pages
-        self._examples = examples
-        self._updates = None if settings.read_only else updates
+        self._updates = updates
         accepted = (QUERY_MEDIA_TYPE, FORM) if self._updates is None else (QUERY_MEDIA_TYPE, UPDATE_MEDIA_TYPE, FORM)
         self.accepts: Mapping[str, Sequence[str]] = {"POST": accepted}
 
@@ -339,11 +329,11 @@ class SparqlResource(Resource):
 
     def _mirror(self) -> NamedNode | None:
         """Return the URL of the state of replication to another store, or None without one (`--store`)."""
-        return NamedNode(f"{self.space.base}mirror") if self.settings.store_endpoints else None
+        return NamedNode(f"{self.space.base}mirror") if self.services.settings.store_endpoints else None
 
     def _languages(self, service: NamedNode) -> Iterable[Triple]:
         languages = [sd.SPARQL11Query] if self._updates is None else [sd.SPARQL11Query, sd.SPARQL11Update]
-        inputs = () if self.settings.read_only else _formats(RDF_BODIES)
+        inputs = () if self.services.settings.read_only else _formats(RDF_BODIES)
         return triples_about(
             service,
             (rdf.type, sd.Service),
@@ -360,7 +350,7 @@ class SparqlResource(Resource):
         return self
 
     def _no_updates(self) -> Problem:
-        if self.settings.read_only:
+        if self.services.settings.read_only:
             return Problem(403, "This server is read-only: it accepts queries, but no updates.")
         accepted = ", ".join(self.accepts["POST"])
         return Problem(415, "Only queries are accepted here, not updates.", headers={"Accept-Post": accepted})
@@ -409,7 +399,9 @@ class SparqlResource(Resource):
         problem: Problem | None = None,
     ) -> Response:
         notices = () if problem is None else (Notice(problem.detail, NoticeLevel.ERROR),)
-        examples = tuple(each for each in self._examples() if permissions.may_read(each.url))
+        found = self.services.queries.all(limit=_EXAMPLES)
+        links = (StoredQueryLink(url, query.name, query.purpose, query.text) for url, query in found)
+        examples = tuple(each for each in links if permissions.may_read(each.url))
         page = SparqlPage(self._pages.site_for(permissions), request.text, examples, results, notices, request.partial)
         status, also = (200, {}) if problem is None else (problem.status, problem.headers)
         policy = {"content-security-policy": QUERY_EDITOR_POLICY}

@@ -12,7 +12,6 @@ from rosld.ontology.body import parse_json
 from rosld.ontology.describe_holds import CONFIRM, StepView, StopView, stop_document
 from rosld.ontology.document import Document
 from rosld.ontology.triples import date_time_literal
-from rosld.ontology.urls import Space
 from rosld.ontology.vocab import ros
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.auth.rules import ANONYMOUS
@@ -20,13 +19,12 @@ from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.hypermedia.json_schema import BOOLEAN, TEXT, JsonSchema, MessageSchemas, json_array, nullable
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON
 from rosld.server.rest.path_item import PathItem, QueryParameter, WriteMethod
-from rosld.server.rest.resource import READ, Answer, Resource, ShownAnswer
+from rosld.server.rest.resource import READ, Answer, ShownAnswer
 from rosld.server.rest.state import State
-from rosld.server.robot.software_stop import SoftwareStop
-from rosld.server.runtime.version_cache import VersionCache
 
 _MAX_REASON = 500
 """Maximum number of characters of a reason."""
@@ -39,20 +37,18 @@ _ABOUT = (
 _CONFIRM = QueryParameter("confirm", CONFIRM)
 
 
-class StopResource(Resource):
+class StopResource(SessionResource):
     """The stop of the whole robot."""
 
-    kind = "Stop"
-    shape = "Stop"
-    title = "Stop"
+    kind = shape = title = "Stop"
+    path = "stop"
     links_offer = True
     accepts: Mapping[str, Sequence[str]] = {"POST": (JSON,)}
     passes_unknown_parameters = frozenset({"POST"})  # a typing error must not prevent a stop
 
-    def __init__(self, space: Space, states: VersionCache[State], software_stop: SoftwareStop) -> None:
-        super().__init__(space, space.stop)
-        self.states = states
-        self.software_stop = software_stop
+    def __init__(self, services: Services) -> None:
+        super().__init__(services)
+        self.software_stop = services.software_stop
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
         count: JsonSchema = {"type": "integer", "minimum": 0}

@@ -20,10 +20,11 @@ from rosld.server.history.tables import (
     pieces,
     require_pyarrow,
 )
-from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
-from rosld.server.resources.bags import BagBase, Bags
+from rosld.server.resources.bags import BagBase
+from rosld.server.resources.base import Services
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import CSV, FORMATS, OFFERS, TABLES
 from rosld.server.rest.path_item import FORMAT
@@ -112,9 +113,9 @@ class BagTable(BagBase):
     links = (RESOURCE,)
 
     def __init__(
-        self, bags: Bags, recording: Recording, wanted: MessageFilter, most: int, query: str, format: str
+        self, services: Services, recording: Recording, wanted: MessageFilter, most: int, query: str, format: str
     ) -> None:
-        super().__init__(bags, f"{bags.session.space.bag_messages(recording.name)}?{query}")
+        super().__init__(services, f"{services.space.bag_messages(recording.name)}?{query}")
         self.recording = recording
         self.wanted = wanted
         self.most = most
@@ -129,8 +130,7 @@ class BagTable(BagBase):
         rows = Rows(wanted.start, wanted.end, wanted.from_ns, wanted.to_ns, self.most)
         version = recording.identity, recording.first, recording.count, topic, rows, permissions.rights_key
         etag = ETag(digest(repr(version).encode()), self.format)
-        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
-        if check_preconditions("GET", etag, if_match=if_match, if_none_match=if_none_match):
+        if exchange.is_not_modified(etag):
             return Response(status_code=304, headers={"etag": str(etag), "vary": "Accept"})
         tables: list[TopicTable] = []
 

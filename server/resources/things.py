@@ -122,7 +122,7 @@ class ThingDescriptions:
     ) -> None:
         """`instance_id` is part of the entity tags and differs between runs of the server."""
         self._session = session
-        self._affordances = affordances
+        self.affordances = affordances
         self._software_stop = software_stop
         self._instance_id = instance_id
 
@@ -199,7 +199,7 @@ class ThingDescriptions:
         )
 
     def _of_members(self, plan: ComplexPlan) -> tuple[Sequence[PropertyAffordance], Sequence[ActionAffordance]]:
-        offers = self._affordances
+        offers = self.affordances
         properties = tuple(offers.member_affordance(one, write=True) for one in plan.members)
         return properties, tuple(map(offers.action_affordance, plan.actions))
 
@@ -207,7 +207,7 @@ class ThingDescriptions:
         """Yield the actions that no complex resource lists because a mapping omits them."""
         for name in sorted(tree.actions):
             plan = tree.action(name)
-            if plan is not None and (affordance := self._affordances.action_affordance(plan)).url not in listed:
+            if plan is not None and (affordance := self.affordances.action_affordance(plan)).url not in listed:
                 yield replace(affordance, name=name[1:])
 
     def _by_themselves(self, tree: ResourceTree, plan: ComplexPlan) -> Iterator[PropertyAffordance]:
@@ -215,7 +215,7 @@ class ThingDescriptions:
         for name in (member.url_name for member in plan.members if member.url_name is not None):
             own = tree.property(name)
             if own is not None:
-                yield replace(self._affordances.member_affordance(own.member, write=True), name=name[1:])
+                yield replace(self.affordances.member_affordance(own.member, write=True), name=name[1:])
 
 
 def _choose_syntax(exchange: Exchange) -> str:
@@ -232,12 +232,11 @@ class RobotThing(Resource):
     )
     links = (RESOURCE,)
 
-    def __init__(self, space: Space, affordances: AffordanceService[State], things: ThingDescriptions) -> None:
+    def __init__(self, space: Space, things: ThingDescriptions) -> None:
         super().__init__(space, f"{space.base}.well-known/wot")
-        self.affordances = affordances
         self.things = things
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        tree = await self.affordances.tree()
+        tree = await self.things.affordances.tree()
         description = self.things.of_robot(tree, exchange.permissions)
         return self.things.response(exchange, self.url, self.url, description)

@@ -32,10 +32,10 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import digest, require_if_match
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, OBJECT, MessageSchemas, message_schema, nullable, patch_schema
-from rosld.server.pictures.picture_cache import PictureCache, can_draw
+from rosld.server.pictures.picture_cache import can_draw
 from rosld.server.resources.accepted_shape import message_shape, shape_query
 from rosld.server.resources.holds import create_hold, hold_form, hold_parameters, hold_schema
-from rosld.server.resources.limit_checks import STRICTNESS, LimitChecks
+from rosld.server.resources.limit_checks import STRICTNESS
 from rosld.server.resources.memento import (
     SETTLED_NS,
     TIMEMAP,
@@ -81,14 +81,12 @@ from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDA
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Motion, Plan, Resource, RobotWrite
 from rosld.server.rest.state import MessageState, State
-from rosld.server.robot.hold_store import Holds
 from rosld.server.robot.publication import publish
-from rosld.server.robot.session import Session
 from rosld.server.robot.topic_view import TopicView
 from rosld.server.robot.velocity import is_velocity_topic
 from rosld.server.robot.write_policy import RESERVED, denied_reason
 from rosld.server.runtime.tasks import combine_watches
-from rosld.server.runtime.version_cache import IdentityKey, VersionCache
+from rosld.server.runtime.version_cache import IdentityKey
 
 _LEGAL = re.compile(r"(/[A-Za-z][A-Za-z0-9_]*)+")
 """Pattern of topic names that are valid in both ROS 1 and ROS 2."""
@@ -104,24 +102,12 @@ class TopicResource(PublishingResource):
         "POST": (*RDF_BODIES, JSON),
     }
 
-    def __init__(
-        self,
-        session: Session,
-        limit_checks: LimitChecks,
-        states: VersionCache[State],
-        history: History,
-        holds: Holds,
-        pictures: PictureCache,
-        name: str,
-        find: Callable[[str], Resource],
-    ) -> None:
-        """`find` returns the resource at a path below the base."""
-        super().__init__(session, limit_checks, states, name)
-        self._find = find
-        self.history = history
-        self.holds = holds
-        self.pictures = pictures
-        self._allowed: tuple[Graph, frozenset[str], str | None] | None = None
+    _allowed: tuple[Graph, frozenset[str], str | None] | None = None
+
+    @property
+    def history(self) -> History:
+        """The continuous recording of topics."""
+        return self.services.history
 
     async def prepare(self) -> None:
         """Add links to the TimeGate and the TimeMap if the topic is recorded."""
@@ -249,7 +235,7 @@ class TopicResource(PublishingResource):
         """Return the state with these values, without waiting if the types of the messages are cached."""
         graph = self.session.graph
         topic = graph.topics.get(self.name) or Topic(self.name)
-        hold = self.holds.find_by_topic(self.name)
+        hold = self.services.holds.find_by_topic(self.name)
         version = (
             *(IdentityKey(topic), IdentityKey(view), graph.simulated_time, hold and hold.id, self.is_holdable),
             is_recorded(self.history, self.name),
@@ -274,7 +260,7 @@ class TopicResource(PublishingResource):
         return replace(page, summary=words)
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        holds = self.holds.changes.watch(wake, lambda about: about == self.name)
+        holds = self.services.holds.changes.watch(wake, lambda about: about == self.name)
         return combine_watches(
             await self.session.topics.watch(self.name, wake), self.session.changes.watch(wake), holds
         )
@@ -289,7 +275,7 @@ class TopicResource(PublishingResource):
                 raise Problem(406, f"The messages of {self.name} cannot be read: {newest.reason}.")
             return lifter(newest.schema, self.session.lifting).json(newest.message, self.url)
 
-        hold, can = self.holds.find_by_topic(self.name), self.is_holdable
+        hold, can = self.services.holds.find_by_topic(self.name), self.is_holdable
         of_body = sources_of_topic(topic, self.session.graph)
         key = f"{topic!r}{view.version_key()}{hold and hold.id}{can}{[one.reason for one in decoded]}{of_body or ''}"
         token = digest(key.encode("utf-8", "replace"))
@@ -458,7 +444,7 @@ class TopicResource(PublishingResource):
             require_cloud(self.name, types)
         elif wanted is not None:
             require_picture(self.name, types)
-        schemas, pictures, name = self.session.schemas, self.pictures, self.name
+        schemas, pictures, name = self.session.schemas, self.services.pictures, self.name
         newest = recorded or (await self.session.topics.read(name, wait_for_publisher=True)).newest
         if is_geojson and newest is not None:
             return await geojson_response(resource, schemas, newest, exchange, pictures.instance_id)
@@ -495,7 +481,7 @@ class TopicResource(PublishingResource):
 
         Answers 201 with the hold.
         """
-        return await create_hold(exchange, self, self.holds, self._find)
+        return await create_hold(exchange, self)
 
     async def patch(self, exchange: Exchange) -> Answer:
         """Publish the latest message with the changes of a patch. Raises a 428 Problem without If-Match."""

@@ -22,6 +22,7 @@ from rosld.server.http.conditional import digest
 from rosld.server.http.problem import Problem
 from rosld.server.policies import active_limits
 from rosld.server.resources.accepted_shape import datatypes_of_limits, load_limited_types
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.bodies import require_small
 from rosld.server.resources.ldp.containers import ContainerResource
@@ -34,9 +35,8 @@ from rosld.server.rest.resource import BASIC_CONTAINER, RDF_SOURCE, RESOURCE, Re
 from rosld.server.rest.state import State
 from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.schemas import Schemas
-from rosld.server.robot.session import Session, used_types
-from rosld.server.runtime.version_cache import IdentityKey, VersionCache
-from rosld.server.settings import Settings
+from rosld.server.robot.session import used_types
+from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.storage.record import Put, Record
 from rosld.server.storage.record_documents import record_document
 from rosld.shapes.message import SHACL_SHACL, shape_document
@@ -57,7 +57,7 @@ SHAPES_GRAPHS = tuple(_SUMMARIES)
 """The shapes graphs below `/shapes/` that are not about one type, nor stored by clients."""
 
 
-class TypeResource(Resource):
+class TypeResource(SessionResource):
     """One message, service or action type; `?hash=` selects one of several definitions."""
 
     kind = "Type"
@@ -65,10 +65,8 @@ class TypeResource(Resource):
     shape = "Type"
     item = PathItem("One of the types", query=(FORMAT, _HASH))
 
-    def __init__(self, session: Session, states: VersionCache[State], name: str) -> None:
-        super().__init__(session.space, session.space.type(name))
-        self.session = session
-        self.states = states
+    def __init__(self, services: Services, name: str) -> None:
+        super().__init__(services, services.space.type(name))
         self.ref = TypeRef(name)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
@@ -86,7 +84,7 @@ class TypeResource(Resource):
         )
 
 
-class ShapeResource(Resource):
+class ShapeResource(SessionResource):
     """The SHACL shape of one type."""
 
     kind = "Shape"
@@ -94,41 +92,36 @@ class ShapeResource(Resource):
     is_found_by_state = True
     item = PathItem("One of the shapes")
 
-    def __init__(self, space: Space, schemas: Schemas, states: VersionCache[State], name: str) -> None:
-        super().__init__(space, space.shape(name))
-        self.schemas = schemas
-        self.states = states
+    def __init__(self, services: Services, name: str) -> None:
+        super().__init__(services, services.space.shape(name))
         self.name = name
 
     async def state(self) -> State:
-        schema = await schema_of(self.schemas, TypeRef(self.name))
+        schema = await schema_of(self.session.schemas, TypeRef(self.name))
         return self.states.get_or_make(
             self.url, IdentityKey(schema), lambda: State(lambda: shape_document(schema, self.space))
         )
 
 
-class ShapesGraphResource(Resource):
+class ShapesGraphResource(SessionResource):
     """`/shapes/data`, `/shapes/documents`, `/shapes/limits`, ...: a fixed shapes graph."""
 
     kind = "Shape"
     shape = SHACL_SHACL
     is_found_by_state = True
 
-    def __init__(self, limit_checks: LimitChecks, states: VersionCache[State], name: str) -> None:
-        space = limit_checks.session.space
-        super().__init__(space, space.shape(name))
-        self.limit_checks = limit_checks
-        self.states = states
+    def __init__(self, services: Services, name: str) -> None:
+        super().__init__(services, services.space.shape(name))
         self.title = name
         self.item = PathItem(_SUMMARIES[self.title])
 
     def deny_reason(self, method: str) -> str:
-        return _deny_reason(self.space, self.limit_checks.session.settings, self.url, method)
+        return _deny_reason(self.services, self.url, method)
 
     async def state(self) -> State:
         if self.title == LIMITS:
-            await load_limited_types(self.limit_checks)
-        key, describe = shapes_graph(self.limit_checks, self.title)
+            await load_limited_types(self.services.limit_checks)
+        key, describe = shapes_graph(self.services.limit_checks, self.title)
         return self.states.get_or_make(self.url, key, lambda: State(describe))
 
 
@@ -141,31 +134,27 @@ def shapes_graph(limit_checks: LimitChecks, name: str) -> tuple[object, Callable
     return (IdentityKey(limit_checks.limits), datatypes), lambda: Document(url, (*graph, *datatypes))
 
 
-class TypeContainer(Resource):
+class TypeContainer(SessionResource):
     """`/types/` and `/shapes/`, their packages and kinds."""
 
     kind = "Types"
     shape = "Container"
     links = (RESOURCE, RDF_SOURCE, BASIC_CONTAINER)
 
-    def __init__(self, session: Session, states: VersionCache[State], route: str, namespace: tuple[str, ...]) -> None:
-        super().__init__(session.space, session.space.container(route, namespace))
-        self.adapter = session.adapter
-        self.schemas = session.schemas
-        self.states = states
+    def __init__(self, services: Services, route: str, namespace: tuple[str, ...]) -> None:
+        super().__init__(services, services.space.container(route, namespace))
         self.route = route
         self.namespace = namespace
-
         of = ("", " of a package", " of a kind")[min(len(namespace), 2)]
         self.item = PathItem(f"{route.capitalize()}{of}")
 
     def _nested(self) -> tuple[str, ...]:
         """Return the names of types that only occur within others, whose pages link to their containers."""
-        known = (schema for schema in self.schemas.all() if isinstance(schema, MessageSchema))
+        known = (schema for schema in self.session.schemas.all() if isinstance(schema, MessageSchema))
         return child_names(sorted({name for schema in known for name in schema.types}), self.route, self.namespace)
 
     async def state(self) -> State:
-        listed = sorted({ref.name for ref in known_types(self.adapter)})
+        listed = sorted({ref.name for ref in known_types(self.session.adapter)})
         below = child_names(listed, self.route, self.namespace) or self._nested()
         if self.namespace and not below:
             raise Problem(404, f"No type of {'/'.join(self.namespace)} is known.")
@@ -202,43 +191,37 @@ def child_names(listed: Sequence[str], route: str, namespace: tuple[str, ...]) -
     return (*below, *SHAPES_GRAPHS) if route == "shapes" and not namespace else below
 
 
-def type_route(session: Session, states: VersionCache[State], location: Location) -> Resource:
+def type_route(services: Services, location: Location) -> Resource:
     """Return the resource at `/types/` or below."""
     if location.is_container or len(location.segments) < 3:
-        return _container(session, states, "types", location)
-    return TypeResource(session, states, "/".join(location.segments))
+        return _container(services, "types", location)
+    return TypeResource(services, "/".join(location.segments))
 
 
-def shape_route(limit_checks: LimitChecks, documents: Documents, location: Location) -> Resource:
+def shape_route(services: Services, location: Location) -> Resource:
     """Return the resource at `/shapes/` or below: shapes of types, and stored limits."""
-    session = limit_checks.session
     if location.is_container and not location.segments:
-        return LimitsContainer(session.adapter, documents, active_limits.ROUTE)
-    if len(location.segments) == 1:
+        return LimitsContainer(services)
+    if len(location.segments) == 1 and not location.is_container:
         name = location.segments[0]
-        if name in SHAPES_GRAPHS and not location.is_container:
-            return ShapesGraphResource(limit_checks, documents.states, name)
-        if not location.is_container and name in _packages(session.adapter):
-            return PackageRedirect(session.space, session.settings, name)
-        if not location.is_container:
-            return stored_route(documents, location)
+        if name in SHAPES_GRAPHS:
+            return ShapesGraphResource(services, name)
+        if name in _packages(services.session.adapter):
+            return PackageRedirect(services, services.space.shape(name))
+        return stored_route(services.documents, location)
     if location.is_container or len(location.segments) < 3:
-        return _container(session, documents.states, "shapes", location)
-    return ShapeResource(session.space, session.schemas, documents.states, "/".join(location.segments))
+        return _container(services, "shapes", location)
+    return ShapeResource(services, "/".join(location.segments))
 
 
-class PackageRedirect(Resource):
+class PackageRedirect(SessionResource):
     """`/shapes/PKG`: redirect to the shapes of a package, at the URL with a final slash."""
 
     kind = "Shape"
     is_cacheable = False
 
-    def __init__(self, space: Space, settings: Settings, name: str) -> None:
-        super().__init__(space, space.shape(name))
-        self.settings = settings
-
     def deny_reason(self, method: str) -> str:
-        return _deny_reason(self.space, self.settings, self.url, method)
+        return _deny_reason(self.services, self.url, method)
 
     async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method in ("GET", "HEAD"):
@@ -251,9 +234,9 @@ class LimitsContainer(ContainerResource):
 
     item = PathItem("Shapes", query=(FORMAT, PAGE))
 
-    def __init__(self, adapter: AuditedAdapter, documents: Documents, path: str) -> None:
-        super().__init__(documents, path)
-        self.adapter = adapter
+    def __init__(self, services: Services) -> None:
+        super().__init__(services.documents, active_limits.ROUTE)
+        self.adapter = services.session.adapter
 
     def is_taken(self, name: str) -> bool:
         return name in SHAPES_GRAPHS or name in _packages(self.adapter) or super().is_taken(name)
@@ -309,29 +292,28 @@ def _packages(adapter: AuditedAdapter) -> set[str]:
     return {ref.name.partition("/")[0] for ref in known_types(adapter)}
 
 
-def _deny_reason(space: Space, settings: Settings, url: str, method: str) -> str:
-    if settings.read_only:
+def _deny_reason(services: Services, url: str, method: str) -> str:
+    if services.settings.read_only:
         return "This server is read-only."
-    route = space.container("shapes")
+    route = services.space.container("shapes")
     return f"{url} is built in and does not support {method}: store limits at {route}NAME, under another name."
 
 
-def _container(session: Session, states: VersionCache[State], route: str, location: Location) -> Resource:
+def _container(services: Services, route: str, location: Location) -> Resource:
     if not location.is_container:
-        raise permanent_redirect(session.space.container(route, location.segments))
-    return TypeContainer(session, states, route, location.segments)
+        raise permanent_redirect(services.space.container(route, location.segments))
+    return TypeContainer(services, route, location.segments)
 
 
-class OntologyResource(Resource):
+class OntologyResource(SessionResource):
     """A module of the ontology."""
 
     kind = "Ontology"
     shape = "Ontology"
 
-    def __init__(self, space: Space, states: VersionCache[State], name: str = CORE) -> None:
-        super().__init__(space, module_url(name, space.base))
+    def __init__(self, services: Services, name: str = CORE) -> None:
+        super().__init__(services, module_url(name, services.space.base))
         self.title = "Ontology" if name == CORE else f"Ontology: {name}"
-        self.states = states
         self.name = name
         self.item = PathItem(
             "The core of the ontology" if self.name == CORE else f"A module of the ontology: {self.name}"
@@ -345,15 +327,13 @@ class OntologyResource(Resource):
         return Document(self.url, served_triples(self.name))
 
 
-def ontology_route(space: Space, states: VersionCache[State], location: Location) -> Resource:
+def ontology_route(services: Services, location: Location) -> Resource:
     """Return the module of the vocabulary at `/ontology` or below. Raises a 404 Problem if there is none."""
     if location.is_container:
-        raise permanent_redirect(space.url("ontology", location.segments))
+        raise permanent_redirect(services.space.url("ontology", location.segments))
     name = "/".join(location.segments)
     if name == CORE:
-        raise permanent_redirect(module_url(CORE, space.base))
-    if not name:
-        return OntologyResource(space, states)
-    if name in MODULES:
-        return OntologyResource(space, states, name)
+        raise permanent_redirect(module_url(CORE, services.space.base))
+    if not name or name in MODULES:
+        return OntologyResource(services, name or CORE)
     raise Problem(404, f"The ontology has no {name}: its modules are {', '.join(MODULES)}.")

@@ -17,6 +17,7 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.auth.rate_limit import Client
 from rosld.server.auth.rules import Agent
 from rosld.server.http.body import TIMEOUT, codec_for, read_body, read_chunks, to_utf8
+from rosld.server.http.conditional import ETag, check_preconditions
 from rosld.server.http.negotiation import MediaType, Preferences, parse_media_type, parse_prefer
 from rosld.server.http.problem import Problem
 from rosld.server.http.request_id import request_id
@@ -66,6 +67,11 @@ class Exchange:
     def request_id(self) -> str:
         """Identifier of the request, for its response and the log."""
         return request_id(self.headers)
+
+    def is_not_modified(self, current: ETag | None) -> bool:
+        """Whether a read is answered with 304, as its preconditions say. Raises a 412 Problem if they fail."""
+        if_match, if_none_match = self.header("if-match"), self.header("if-none-match")
+        return check_preconditions(self.method, current, if_match=if_match, if_none_match=if_none_match)
 
     def header(self, name: str) -> str | None:
         """Return the value of a header field (name in lower case), None if it is missing."""

@@ -13,7 +13,7 @@ from urllib.parse import quote
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from rosld.server.http.conditional import ETag, Span, check_preconditions, frame_parts, select_ranges
+from rosld.server.http.conditional import ETag, Span, frame_parts, select_ranges
 from rosld.server.http.fields import Link, quote_string, render_links, require_field_value
 from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
@@ -47,9 +47,7 @@ def bytes_response(
     """
     fixed_headers = {"etag": str(etag), "vary": "Accept", "cache-control": "no-cache", **dict(more)}
     headers = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in fixed_headers.items()]
-    if check_preconditions(
-        "GET", etag, if_match=exchange.header("if-match"), if_none_match=exchange.header("if-none-match")
-    ):
+    if exchange.is_not_modified(etag):
         return RawResponse(304, b"", headers)
     content = [(b"content-type", media_type.encode("latin-1")), (b"content-length", b"%d" % len(data))]
     return RawResponse(200, data, [*content, *headers])

@@ -23,24 +23,12 @@ from rosld.server.robot.topic_view import (
     decoder_of,
 )
 from rosld.server.runtime.tasks import call_on_close, combine_watches, end_tasks, loop_time
+from rosld.server.settings import Settings
 
 _SWEEP = 0.5
 """Seconds between sweeps, which fold new messages and close idle subscriptions."""
 _MEASURE = 2.5
 """Seconds between reads of all topics, which measure the rates of topics that no client reads."""
-
-
-class LiveSettings(Struct, frozen=True):
-    """Settings of subscriptions.
-
-    `first_value`: seconds to wait for the first message of a published topic. `idle`: seconds that a subscription stays
-    open after the last read; `budget`: maximum number of subscriptions; `eager`: globs of topics always subscribed to.
-    """
-
-    first_value: float = 1.0
-    idle: float = 60.0
-    budget: int = 2000
-    eager: tuple[str, ...] = ()
 
 
 class _LiveTopic(Struct):
@@ -74,7 +62,7 @@ class LiveTopics:
     A topic that is not in the graph has no values, even if messages were received before.
     """
 
-    def __init__(self, adapter: Adapter, schemas: Schemas, settings: LiveSettings) -> None:
+    def __init__(self, adapter: Adapter, schemas: Schemas, settings: Settings) -> None:
         self.recorded: Callable[[], Collection[str]] = tuple
         """Function that returns the recorded topics; these stay subscribed to, so that values and rates are at hand."""
         self._adapter = adapter
@@ -158,7 +146,7 @@ class LiveTopics:
         is_new = wait_for_publisher and not live.insisted
         live.insisted |= wait_for_publisher
         if not view.samples and (is_new or not set(publishers) <= set(live.awaited)):
-            await self._wait(live, self._settings.first_value)
+            await self._wait(live, self._settings.first_value_wait)
             await self._load_types(live)
             view = self._refresh(live)
             live.awaited = () if view.samples else publishers
@@ -178,7 +166,7 @@ class LiveTopics:
     async def subscribe_eager(self, graph: Graph) -> None:
         """Subscribe to the topics of this graph that match the eager globs."""
         for topic in graph.topics:
-            if topic not in self._live and any(fnmatchcase(topic, glob) for glob in self._settings.eager):
+            if topic not in self._live and any(fnmatchcase(topic, glob) for glob in self._settings.subscribe):
                 (await self._open(topic)).eager = True
 
     def _publishers(self, topic: str) -> tuple[Endpoint, ...]:
@@ -257,7 +245,7 @@ class LiveTopics:
 
     def _keep_within_budget(self) -> None:
         """Close idle subscriptions to make room for a new one."""
-        over = len(self._live) + 1 - self._settings.budget
+        over = len(self._live) + 1 - self._settings.subscription_budget
         if over > 0:
             idlest = sorted((live.read_at, topic) for topic, live in self._live.items() if not live.is_exempt)
             for _, topic in idlest[:over]:
@@ -274,7 +262,7 @@ class LiveTopics:
             await asyncio.sleep(_SWEEP)
             await self._follow_recorded()
             now = loop_time()
-            horizon = now - self._settings.idle
+            horizon = now - self._settings.idle_time
             if measures := now - measured >= _MEASURE:
                 measured = now
             for topic, live in list(self._live.items()):

@@ -197,7 +197,3 @@ class Scene:
             session.adapter, session.schemas, idle=settings.idle_time, first_value=settings.first_value_wait
         )
         self.drawings = Drawings(session.topics, session.schemas)
-
-    async def close(self) -> None:
-        """Stop following the frames. Idempotent."""
-        await self.frames.stop()

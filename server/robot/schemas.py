@@ -6,13 +6,14 @@ from rosld.adapters.base import Adapter
 from rosld.adapters.model import ActionSchema, MessageSchema, Schema, ServiceSchema, TypeRef, UnknownType
 from rosld.server.runtime.tasks import loop_time
 
+_PATIENCE = 5.0
+
 
 class Schemas:
     """The schemas of one adapter, cached by name and hash; a reference without a hash is always resolved again."""
 
-    def __init__(self, adapter: Adapter, timeout: float = 5.0) -> None:
+    def __init__(self, adapter: Adapter) -> None:
         self._adapter = adapter
-        self._patience = timeout
         self._known: dict[TypeRef, Schema] = {}
         self._named: dict[str, Schema] = {}
 
@@ -57,7 +58,7 @@ class Schemas:
         """Return the schema of a type. Raises UnknownType, and Unreachable or TimedOut if the robot must be queried."""
         if (known := self._known.get(ref)) is not None:
             return known
-        deadline = loop_time() + self._patience
+        deadline = loop_time() + _PATIENCE
         schema = await self._adapter.schema(ref, deadline=deadline)
         self._known[schema.ref] = self._named[schema.ref.name] = schema
         if ref.hash is not None:

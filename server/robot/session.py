@@ -21,7 +21,7 @@ from rosld.server.robot.audited_adapter import AuditedAdapter
 from rosld.server.robot.calls import Calls
 from rosld.server.robot.goals import Goals
 from rosld.server.robot.interlock import WriteInterlock
-from rosld.server.robot.live_topics import LiveSettings, LiveTopics
+from rosld.server.robot.live_topics import LiveTopics
 from rosld.server.robot.schemas import Schemas
 from rosld.server.robot.write_policy import PublishLimiter
 from rosld.server.runtime.dry_run import is_dry_run
@@ -96,10 +96,7 @@ class Session:
         self.interlock = WriteInterlock()
         self.adapter = AuditedAdapter(adapter, self.interlock, self.space)
         self.schemas = Schemas(adapter)
-        live = LiveSettings(
-            settings.first_value_wait, settings.idle_time, settings.subscription_budget, tuple(settings.subscribe)
-        )
-        self.topics = LiveTopics(self.adapter, self.schemas, live)
+        self.topics = LiveTopics(self.adapter, self.schemas, settings)
         self.calls = Calls(
             self.adapter,
             lambda service: self.announce_write(Kind.SERVICE, service),

@@ -25,6 +25,7 @@ from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import BOOLEAN, TEXT, URI, JsonSchema, json_array, json_object, nullable
 from rosld.server.openapi.openapi_resource import OpenApiResource
 from rosld.server.resources.entry_point import GuideResource
+from rosld.server.resources.faults import faults_listing
 from rosld.server.resources.find import FindResource
 from rosld.server.resources.listings import ListedMember, ListingResource
 from rosld.server.resources.stop import StopResource
@@ -66,10 +67,7 @@ def routes(robots: Robots, parts: Parts) -> Mapping[str, Route]:
     openapi = router.at("/openapi.json")
     assert isinstance(openapi, OpenApiResource)
     openapi.only = _DESCRIBED
-    factory = parts.factory
-    find = FindResource(
-        services.session, services.affordances, factory.latest_values, services.property_reader, FindInAll(robots)
-    )
+    find = FindResource(services, FindInAll(robots))
 
     def entry() -> Resource:
         raise Problem(307, f"The robots are at {space.container('robots')}", title="Moved", headers=_see(space))
@@ -91,7 +89,7 @@ def routes(robots: Robots, parts: Parts) -> Mapping[str, Route]:
         columns = ("state", "severity", "words", "count", "last")
         title = "The faults of all robots"
         members = partial(_faults, robots)
-        return ListingResource(space, services.states, "faults", title, columns, members, robots.changes)
+        return ListingResource(services, "faults", title, columns, members, robots.changes)
 
     return {
         **{name: route for name, route in router.routes.items() if name in _KEPT or "." in name},
@@ -100,7 +98,7 @@ def routes(robots: Robots, parts: Parts) -> Mapping[str, Route]:
         "cockpit": lambda location: entry(),
         "faults": faults,
         "find": single_route(lambda: find),
-        "stop": single_route(partial(StopAllResource, space, services.states, services.software_stop)),
+        "stop": single_route(partial(StopAllResource, services)),
         "llms.txt": single_route(partial(RobotsGuide, space, services.session.name)),
     }
 
@@ -113,7 +111,7 @@ def _faults(robots: Robots) -> Iterable[ListedMember]:
     """Yield the faults of all robots, labelled with the names of their robots."""
     for robot in robots:
         if robot.app is not None:
-            for each in robot.app.parts.factory.faults().members():
+            for each in faults_listing(robot.app.parts.services).members():
                 yield replace(each, name=f"{robot.name}: {each.name}")
 
 
@@ -184,9 +182,7 @@ class RobotsResource(ListingResource):
 
     def __init__(self, robots: Robots, parts: Parts) -> None:
         columns = ("state", "source", "faults", "cockpit", "stop")
-        super().__init__(
-            robots.space, parts.services.states, "robots", "The robots", columns, self._listed, robots.changes
-        )
+        super().__init__(parts.services, "robots", "The robots", columns, self._listed, robots.changes)
         self._robots = robots
         base = robots.space.base
         self.links = (

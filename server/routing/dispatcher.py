@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable
+from functools import partial
 
 from starlette.responses import Response
 
@@ -14,8 +15,10 @@ from rosld.server.auth import enforcement
 from rosld.server.auth.errors import invalid_token
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Broadcasters
-from rosld.server.http.conditional import ETag, check_preconditions
+from rosld.server.http.conditional import ETag
 from rosld.server.http.problem import Problem
+from rosld.server.resources.base import Services
+from rosld.server.resources.find import near_urls
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import HTML, JSON, OFFERS
 from rosld.server.rest.large import LargeDocuments
@@ -24,7 +27,6 @@ from rosld.server.rest.path_item import DRY_RUN
 from rosld.server.rest.resource import Answer, CreatedAnswer, Motion, Resource, ShownAnswer
 from rosld.server.rest.responses import RawResponse, rendered, resource_headers
 from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
 from rosld.server.routing.observation import Observation
 from rosld.server.routing.offers import Offers, wants_offer
 from rosld.server.routing.representations import CONTENT_FIELDS, Representations, is_not_modified, negotiate
@@ -45,30 +47,25 @@ from rosld.server.runtime.tasks import KeyedLock
 
 
 class Dispatcher:
-    """Dispatcher of requests to the methods of resources.
-
-    `instance_id` identifies this run of the server in ETags; `near` returns the URLs similar to one without a resource.
-    """
+    """Dispatcher of requests to the methods of resources."""
 
     def __init__(
         self,
-        instance_id: str,
-        session: Session,
+        services: Services,
         pages: PageRenderer,
         broadcasters: Broadcasters,
         keyed_lock: KeyedLock,
         large: LargeDocuments,
-        near: Callable[[str], Sequence[str]],
     ) -> None:
-        self._representations = Representations(instance_id, pages, large)
+        session = self._session = services.session
+        self._representations = Representations(services.instance_id, pages, large)
         self._observation = Observation(self._representations, broadcasters, pages)
         self._write_answers = WriteAnswers(self._representations)
-        self._session = session
         self._offers = Offers(session)
         self._known_parameters = KnownParameters(session.lifting)
         self._pages = pages
         self._keyed_lock = keyed_lock
-        self._near = near
+        self._near = partial(near_urls, services)
 
     def answer(self, exchange: Exchange, resource: Resource) -> Awaitable[Response]:
         """Return the response to a request on a resource, with its type links (LDP 4.2.1.4). Raises Problems.
@@ -191,7 +188,6 @@ class Dispatcher:
 
     async def _check_preconditions(self, exchange: Exchange, resource: Resource) -> None:
         """Raise a 412 Problem if If-Match or If-None-Match of a write fail now (RFC 9110 13.1)."""
-        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
         try:
             state: State | None = await resource.state()
         except Problem as problem:
@@ -199,7 +195,7 @@ class Dispatcher:
                 raise
             state = None
         current = None if state is None else ETag(self._representations.name(state), "any")
-        check_preconditions(exchange.method, current, if_match=if_match, if_none_match=if_none_match)
+        exchange.is_not_modified(current)
 
 
 def options(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:

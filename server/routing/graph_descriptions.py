@@ -27,16 +27,24 @@ from rosld.ontology.serialize import serialize, serialize_without_observations
 from rosld.ontology.syntax import Syntax
 from rosld.ontology.urls import Space
 from rosld.server.resources import types
-from rosld.server.resources.actions import ActionResource
+from rosld.server.resources.actions import ActionResource, GoalResource
 from rosld.server.resources.bags import bag_urls, describe_armed, describe_bag, describe_row, describe_running
+from rosld.server.resources.base import Services
 from rosld.server.resources.complex_resource import ComplexResource
-from rosld.server.resources.namespaces import listed_graph, namespaces
+from rosld.server.resources.datasets import DatasetResource
+from rosld.server.resources.faults import FaultResource, faults_listing
+from rosld.server.resources.graph import GraphResource
+from rosld.server.resources.holds import HoldResource
+from rosld.server.resources.listings import calls_listing, goals_listing, holds_listing
+from rosld.server.resources.namespaces import NamespaceContainer, listed_graph, namespaces
 from rosld.server.resources.nodes import NodeResource
 from rosld.server.resources.parameters import ParameterTree
 from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.queries import queries_document, shipped_document
+from rosld.server.resources.services import CallResource
+from rosld.server.resources.stop import StopResource
+from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import SHAPES_GRAPHS, OntologyResource, child_names, known_types, shapes_graph
-from rosld.server.routing.router import ResourceFactory
 from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.sparql.materializer import GraphEntry
 from rosld.shapes.message import shape_document
@@ -49,10 +57,9 @@ LISTED_ROUTES = ("nodes", "topics", "services", "actions")
 class GraphDescriptions:
     """Descriptions of one robot's resources, without values of topics, parameters and resources."""
 
-    def __init__(self, factory: ResourceFactory) -> None:
-        self._factory = factory
-        self._services = factory.services
-        self._session = factory.session
+    def __init__(self, services: Services) -> None:
+        self._services = services
+        self._session = services.session
         self._fixed: Mapping[str, Callable[[], Document]] = {}
         self._entries: tuple[Hashable, Mapping[str, GraphEntry]] = (None, {})
 
@@ -100,26 +107,26 @@ class GraphDescriptions:
         yield _graph_entry(space.base, (graph.revision, problems, session.name), entry)
         simulated = graph.simulated_time
         for name, known in node_views(graph).items():
-            view = self._factory.named(NodeResource, name).with_offers(known)
+            view = NodeResource(services, name).with_offers(known)
             describe = partial(node_document, view, space, simulated_time=simulated)
             yield _graph_entry(space.node(name), (view, simulated), describe)
         for topic in graph.topics.values():
             hold = services.holds.find_by_topic(topic.name)
             held = None if hold is None else hold.id
-            can, schema = self._factory.topic(topic.name).is_holdable, session.schemas.find_message(topic.type)
+            can, schema = TopicResource(services, topic.name).is_holdable, session.schemas.find_message(topic.type)
             describe = partial(topic_document, topic, space, graph, holdable=can, hold=held, schema=schema)
             token = (topic, held, can, sources_of_topic(topic, graph), schema is not None)
             yield _graph_entry(space.topic(topic.name), token, describe)
         for service in graph.services.values():
             yield _graph_entry(space.service(service.name), service, partial(service_document, service, space, graph))
         for name, action in graph.actions.items():
-            one = self._factory.named(ActionResource, name)
+            one = ActionResource(services, name)
             goals = tuple(goal.id for goal in session.goals.of_action(name))
             yield _graph_entry(one.url, (action, goals, one.takes_goals), one.document)
         for parameter in graph.parameters.values():
             url = space.parameter(parameter.name)
             yield _graph_entry(url, parameter, partial(parameter_description, parameter, space))
-        graph_resource = self._factory.graph()
+        graph_resource = GraphResource(services)
         yield _graph_entry(graph_resource.url, (IdentityKey(graph), problems), graph_resource.document)
         yield from self._containers(graph)
         yield from self._types()
@@ -128,17 +135,17 @@ class GraphDescriptions:
         yield from self._activities()
         for iri, fixed in self._fixed.items():
             yield _graph_entry(iri, 0, fixed)
-        for module in (OntologyResource(space, self._factory.states, name) for name in MODULES):
+        for module in (OntologyResource(services, name) for name in MODULES):
             yield _graph_entry(module.url, 0, module.document)
 
     def _containers(self, graph: Graph) -> Iterator[GraphEntry]:
         space = self._session.space
         for path in namespaces(graph, "parameters"):
-            tree = self._factory.parameter_tree(path)
+            tree = ParameterTree(self._services, path)
             yield _graph_entry(tree.url, IdentityKey(graph.parameters), partial(_of_itself, tree))
         for route in LISTED_ROUTES:
             for path in namespaces(graph, route):
-                listing = self._factory.namespace(route, path)
+                listing = NamespaceContainer(self._services, route, path)
                 yield _graph_entry(listing.url, *listing.outline())
         yield _graph_entry(
             space.container("queries"),
@@ -162,7 +169,7 @@ class GraphDescriptions:
         shapes = types.shapes_document(self._session.adapter, self._services.documents)
         yield _graph_entry(shapes.url, IdentityKey(shapes), lambda: shapes)
         for name in SHAPES_GRAPHS:
-            yield _graph_entry(space.shape(name), *shapes_graph(self._factory.limit_checks, name))
+            yield _graph_entry(space.shape(name), *shapes_graph(self._services.limit_checks, name))
         variants = known_types(self._session.adapter)
         for schema in self._session.schemas.all():
             yield from self._type(schema, variants)
@@ -178,14 +185,14 @@ class GraphDescriptions:
         space, recordings = self._session.space, self._services.recordings
         urls = bag_urls(space, recordings)
         yield _container(space.container("bags"), urls, "Recordings")
-        dataset = self._factory.dataset()
+        dataset = DatasetResource(self._services)
         yield _graph_entry(dataset.url, *dataset.outline())
         if recordings.history.is_enabled:
             past = recordings.history.recording
             size = past.first, past.count, recordings.history.problem
             yield _graph_entry(space.bag(past.name), size, partial(describe_bag, space, recordings, past))
         for row in recordings.catalogue.rows():
-            token = row.version, recordings.history.digests.peek(row.path), recordings.interruption(row.name)
+            token = row.version, recordings.history.digests.peek(row.path), recordings.interruptions.reason(row.name)
             yield _graph_entry(space.bag(row.name), token, partial(describe_row, space, recordings, row.name))
         for armed in recordings.armed.values():
             waits = armed.count, armed.suspended, armed.problem
@@ -200,8 +207,10 @@ class GraphDescriptions:
         if tree is None:
             return
         simulated = self._session.graph.simulated_time
-        members = map(self._factory.member, {*tree.properties, *tree.actions})
-        below: Iterable[ComplexResource | MemberResource] = chain(map(self._factory.complex, tree.paths), members)
+        members = map(partial(MemberResource, self._services), {*tree.properties, *tree.actions})
+        below: Iterable[ComplexResource | MemberResource] = chain(
+            map(partial(ComplexResource, self._services), tree.paths), members
+        )
         for resource in below:
             state = resource.outline(tree)
             if state is not None:
@@ -211,22 +220,21 @@ class GraphDescriptions:
         """Yield calls, goals, holds, faults and the stop, and the containers of the first four."""
         services = self._services
         calls, goals, holds = self._session.calls.all(), self._session.goals.all(), services.holds.all()
-        factory = self._factory
-        for listing in (factory.calls(), factory.goals(), factory.holds(), factory.faults()):
+        for listing in (each(services) for each in (calls_listing, goals_listing, holds_listing, faults_listing)):
             yield _graph_entry(listing.url, *listing.outline())
         for call in calls:
-            of_call = self._factory.call(call.id)
+            of_call = CallResource(services, call.id)
             yield _graph_entry(of_call.url, (call.id, call.state), partial(of_call.document, call))
         for hold in holds:
-            of_hold = self._factory.hold(hold.id)
+            of_hold = HoldResource(services, hold.id)
             yield _graph_entry(of_hold.url, IdentityKey(hold), partial(of_hold.document, hold))
         for fault in services.faults.all():
-            of_fault = factory.fault(fault.id)
+            of_fault = FaultResource(services, fault.id)
             yield _graph_entry(of_fault.url, IdentityKey(fault), partial(of_fault.document, fault))
-        stop, software_stop = self._factory.stop(), self._services.software_stop
+        stop, software_stop = StopResource(services), services.software_stop
         yield _graph_entry(stop.url, (software_stop.revision, software_stop.steps), stop.document)
         for goal in goals:
-            of_goal = self._factory.goal(goal.id)
+            of_goal = GoalResource(services, goal.id)
             yield _graph_entry(of_goal.url, IdentityKey(goal), partial(of_goal.document, goal))
 
 

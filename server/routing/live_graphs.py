@@ -29,17 +29,19 @@ from rosld.server.hypermedia.resource_tree import ComplexPlan, MemberPlan, Resou
 from rosld.server.hypermedia.type_inference import is_bulky
 from rosld.server.policies import active_limits, stored_queries
 from rosld.server.resources.bag_messages import BagMessage
+from rosld.server.resources.base import Services
+from rosld.server.resources.body import BodyResource
 from rosld.server.resources.complex_resource import ComplexResource
 from rosld.server.resources.namespaces import NamespaceContainer, namespaces
 from rosld.server.resources.parameters import ParameterResource, ParameterTree
+from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.topics import TopicResource
 from rosld.server.resources.types import TypeResource
 from rosld.server.rest.resource import Resource
 from rosld.server.rest.state import State
 from rosld.server.routing.graph_descriptions import GraphDescriptions, document_ntriples
-from rosld.server.routing.router import ResourceFactory
 from rosld.server.runtime.tasks import loop_time
-from rosld.server.runtime.version_cache import IdentityKey
+from rosld.server.runtime.version_cache import IdentityKey, VersionCache
 from rosld.server.sparql.materializer import GraphEntry, LiveDocument, LiveGraphs
 from rosld.server.sparql.needs import Constants, Needs, StatedTerms
 from rosld.shapes.value import MessageShape
@@ -94,13 +96,12 @@ class _Candidate(NamedTuple):
 class RobotGraphs:
     """The graphs of one robot: the `GraphSource` of its SPARQL endpoint."""
 
-    def __init__(self, factory: ResourceFactory) -> None:
-        self._factory = factory
-        self._affordances = factory.services.affordances
-        self._recordings = factory.services.recordings
-        self._session = factory.session
-        self._descriptions = GraphDescriptions(factory)
-        self._cached: dict[Needs, tuple[Hashable, Sequence[LiveDocument]]] = {}
+    def __init__(self, services: Services) -> None:
+        self._services = services
+        self._affordances = services.affordances
+        self._session = services.session
+        self._descriptions = GraphDescriptions(services)
+        self._cached = VersionCache[Sequence[LiveDocument]](_MAX_CACHED)
         self._changing: Sequence[Resource] = ()
         self._observed_until = 0.0
 
@@ -136,7 +137,7 @@ class RobotGraphs:
 
     async def _read_type(self, name: str) -> None:
         try:
-            await TypeResource(self._session, self._factory.states, name).state()
+            await TypeResource(self._services, name).state()
         except (Problem, RosError):  # the query finds nothing there, as a GET does
             pass
 
@@ -149,13 +150,9 @@ class RobotGraphs:
         tree = self._affordances.cached_tree() or self._affordances.last_tree
         graph = self._session.graph
         version = (IdentityKey(graph), self._session.schemas.count, IdentityKey(tree))
-        known = self._cached.get(needs)
-        if known is None or known[0] != version:
-            if len(self._cached) >= _MAX_CACHED:
-                self._cached.clear()
-            known = self._cached[needs] = (version, list(self._documents(graph, tree, needs)))
+        known = self._cached.get_or_make(needs, version, lambda: list(self._documents(graph, tree, needs)))
         changing = (LiveDocument(one.url, one) for one in self._changing if needs.may_match(one.url, _ANYTHING))
-        found = [*known[1], *changing, *self._recorded_messages(needs)]
+        found = [*known, *changing, *self._recorded_messages(needs)]
         if rated := list(self._rates(needs)):
             read = {one.url for one in found}
             found += [one for one in rated if one.url not in read]
@@ -185,7 +182,7 @@ class RobotGraphs:
         names = [one.source.name for one, _ in matched if is_named or not _is_bulky(one.source)]
         if matched:
             is_named |= any(by_term.may_match(url, terms) for _, terms in matched)
-            yield LiveDocument(url, self._factory.complex(plan.path), is_named, members=frozenset(names))
+            yield LiveDocument(url, ComplexResource(self._services, plan.path), is_named, members=frozenset(names))
 
     def _topics(self, graph: Graph, needs: Needs) -> Iterator[LiveDocument]:
         space = self._session.space
@@ -197,37 +194,39 @@ class RobotGraphs:
             if observed or needs.may_match(url, terms):
                 is_named = url in needs.documents or by_type.may_match(url, terms)
                 subscribes = is_named or not bulky
-                yield LiveDocument(url, self._factory.topic(topic.name), is_named, subscribes, observed=observed)
+                found = TopicResource(self._services, topic.name)
+                yield LiveDocument(url, found, is_named, subscribes, observed=observed)
 
     def _is_observed(self, topic: Topic, graph: Graph) -> bool:
         return role_of(topic, graph, self._session.schemas.find_message(topic.type)) is not None
 
     def _parameters(self, graph: Graph) -> Iterator[_Candidate]:
-        space, factory = self._session.space, self._factory
+        space, services = self._session.space, self._services
         for name in graph.parameters:
-            yield _Candidate(space.parameter(name), _PARAMETER, partial(factory.named, ParameterResource, name))
+            yield _Candidate(space.parameter(name), _PARAMETER, partial(ParameterResource, services, name))
         for path in namespaces(graph, "parameters"):
-            yield _Candidate(space.container("parameters", path), _PARAMETER, partial(factory.parameter_tree, path))
+            yield _Candidate(space.container("parameters", path), _PARAMETER, partial(ParameterTree, services, path))
 
     def _listings(self, graph: Graph) -> Iterator[_Candidate]:
         for path in namespaces(graph, "topics"):
             url = self._session.space.container("topics", path)
-            yield _Candidate(url, _BRIEF, partial(self._factory.namespace, "topics", path))
+            yield _Candidate(url, _BRIEF, partial(NamespaceContainer, self._services, "topics", path))
 
     def _bodies(self, graph: Graph) -> Iterator[_Candidate]:
         if describe_body.body_sources(graph):
-            yield _Candidate(describe_body.body_url(self._session.space), _BODY, self._factory.body, own=_BODY_ALONE)
+            url = describe_body.body_url(self._session.space)
+            yield _Candidate(url, _BODY, partial(BodyResource, self._services), own=_BODY_ALONE)
 
     def _below(self, tree: ResourceTree | None) -> Iterator[_Candidate]:
         """Yield the resources below `/resources/`, except actions that are always offered."""
-        space, factory = self._session.space, self._factory
+        space, services = self._session.space, self._services
         if tree is None:
             return
         for path in tree.paths:
             plan = tree.complex(path)
             if plan is not None and plan.is_conditional:
                 by_name = any(map(_is_bulky, plan.reads))
-                yield _Candidate(url_of(path, space), _ANYTHING, partial(factory.complex, path), by_name)
+                yield _Candidate(url_of(path, space), _ANYTHING, partial(ComplexResource, services, path), by_name)
         for name in (*tree.properties, *tree.actions):
             found, action = tree.property(name), tree.action(name)
             if found is not None:
@@ -237,7 +236,7 @@ class RobotGraphs:
             else:
                 continue
             bulky = found is not None and any(map(_is_bulky, found.reads))
-            yield _Candidate(url_of(name, space), terms, partial(factory.member, name), bulky)
+            yield _Candidate(url_of(name, space), terms, partial(MemberResource, services, name), bulky)
 
     def _terms_of_topic(self, topic: Topic) -> tuple[StatedTerms, bool]:
         """Return the terms of a topic's values, and whether its messages are pictures, point clouds or the like."""
@@ -258,16 +257,16 @@ class RobotGraphs:
             return
         for name in self._session.topics.subscribed():
             if needs.may_match(url := self._session.space.topic(name), _RATE):
-                yield LiveDocument(url, self._factory.topic(name), is_named=True, subscribes=False)
+                yield LiveDocument(url, TopicResource(self._services, name), is_named=True, subscribes=False)
 
     def _recorded_messages(self, needs: Needs) -> Iterator[LiveDocument]:
         """Yield the recorded messages that a query names: all others are selected by `ros:past`."""
         for url in needs.documents:
             match self._session.space.location(url):
                 case Location("bags", (bag, "messages", index), False) if index.isdecimal():
-                    recording = self._recordings.readable.get(bag)
+                    recording = self._services.recordings.readable.get(bag)
                     if recording is not None and recording.first <= int(index) < recording.first + recording.count:
-                        yield LiveDocument(url, BagMessage(self._factory.bags, recording, int(index)), is_named=True)
+                        yield LiveDocument(url, BagMessage(self._services, recording, int(index)), is_named=True)
 
     # --- reading
 

@@ -11,7 +11,7 @@ from rosld.ontology.serialize import serialize
 from rosld.ontology.syntax import CannotCarry, Syntax
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html.page import Notice
-from rosld.server.http.conditional import ETag, check_preconditions, digest
+from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.fields import to_uri
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
@@ -173,12 +173,10 @@ def event_media_type(exchange: Exchange) -> str:
 
 def is_not_modified(exchange: Exchange, rendering: Rendering) -> bool:
     """Whether GET or HEAD is answered with 304. Raises a 412 Problem if If-Match fails (RFC 9110 13.2.2)."""
-    if_none_match = exchange.header("if-none-match")
-    if_match = exchange.header("if-match")
-    if if_none_match is None and if_match is None:
+    if not exchange.is_conditional:
         return False
     state, _, variant = rendering.etag.strip('"').rpartition(".")
-    return check_preconditions(exchange.method, ETag(state, variant), if_match=if_match, if_none_match=if_none_match)
+    return exchange.is_not_modified(ETag(state, variant))
 
 
 def encode_headers(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:

@@ -12,32 +12,32 @@ T = TypeVar("T")
 
 
 class VersionCache(Struct, Generic[T]):
-    """Values by URL, each for one version of its sources; the oldest are removed first."""
+    """Values by key (usually a URL), each for one version of its sources; the oldest are removed first."""
 
     limit: int = 4096
-    _entries: dict[str, tuple[Hashable, T]] = field(default_factory=dict)
+    _entries: dict[Hashable, tuple[Hashable, T]] = field(default_factory=dict)
 
-    def find(self, url: str, version: Hashable) -> T | None:
-        """Return the cached value of a URL if it has this version, else None."""
-        entry = self._entries.get(url)
+    def find(self, key: Hashable, version: Hashable) -> T | None:
+        """Return the cached value of a key if it has this version, else None."""
+        entry = self._entries.get(key)
         return entry[1] if entry is not None and entry[0] == version else None
 
-    def put(self, url: str, version: Hashable, value: T) -> T:
+    def put(self, key: Hashable, version: Hashable, value: T) -> T:
         """Cache a value and return it."""
-        self._entries.pop(url, None)
-        self._entries[url] = (version, value)
+        self._entries.pop(key, None)
+        self._entries[key] = (version, value)
         if len(self._entries) > self.limit:
-            self._entries.pop(next(iter(self._entries)))
+            self._entries.pop(next(iter(self._entries)), None)
         return value
 
     def clear(self) -> None:
         """Remove all values."""
         self._entries.clear()
 
-    def get_or_make(self, url: str, version: Hashable, make: Callable[[], T]) -> T:
-        """Return the cached value of a URL at this version, or create it."""
-        found = self.find(url, version)
-        return found if found is not None else self.put(url, version, make())
+    def get_or_make(self, key: Hashable, version: Hashable, make: Callable[[], T]) -> T:
+        """Return the cached value of a key at this version, or create it."""
+        found = self.find(key, version)
+        return found if found is not None else self.put(key, version, make())
 
 
 class IdentityKey:

@@ -121,10 +121,6 @@ class QueryService:
         self._reader = ThreadPoolExecutor(1, "sparql-reader")
         self._long = 0
 
-    async def keep_materialized(self) -> None:
-        """Load changes into the dataset in the background until cancelled, to shorten the wait of queries."""
-        await self._materializer.stored.run()
-
     async def answer(
         self,
         request: QueryRequest,

@@ -256,11 +256,10 @@ _EACH = 1024
 class RecordCache:
     """Cache of records by path, which returns the same object until it is dropped or evicted."""
 
-    __slots__ = ("_limit", "_records", "_weight")
+    __slots__ = ("_records", "_weight")
 
-    def __init__(self, limit: int = MAX_WEIGHT) -> None:
+    def __init__(self) -> None:
         self._records: OrderedDict[str, Record] = OrderedDict()
-        self._limit = limit
         self._weight = 0
 
     def get(self, path: str) -> Record | None:
@@ -280,7 +279,7 @@ class RecordCache:
         self.drop(record.path)
         self._records[record.path] = record
         self._weight += _EACH + len(record.triples)
-        while self._weight > self._limit:
+        while self._weight > MAX_WEIGHT:
             self._weight -= _EACH + len(self._records.popitem(last=False)[1].triples)
 
     def drop(self, path: str) -> None:

@@ -119,7 +119,8 @@ class Records:
         except BaseException:
             connection.close()
             raise
-        self._version = self._writer.table.version
+        self.version = self._writer.table.version
+        """Version of the last change; a change that also changes a container's list increases it twice."""
 
     def _keep_in(self, folder: Path) -> None:
         blobs = Blobs(folder / BLOBS, durable=True)
@@ -136,11 +137,6 @@ class Records:
     def identity(self) -> str:
         """Random identifier of these records, created with them: versions are comparable only within one identity."""
         return self._reader.identity
-
-    @property
-    def version(self) -> int:
-        """Version of the last change; a change that also changes a container's list increases it twice."""
-        return self._version
 
     @property
     def failure(self) -> str | None:
@@ -247,7 +243,7 @@ class Records:
         if isinstance(write, Put) and record is not None:
             self._cache.put(record)
             self._differences.add(write, record)
-            self._version = record.version
+            self.version = record.version
             self._wake([RecordChange(record.path, record.version, False)])
         return record
 
@@ -267,7 +263,7 @@ class Records:
             raise
         if foreign:
             self._notice()
-        self._version = max(self._version, self._writer.table.version)
+        self.version = max(self.version, self._writer.table.version)
         for batch, outcome in zip(batches, outcomes, strict=True):
             if isinstance(outcome, Effects):
                 self._received.keep(outcome.unused)
@@ -373,8 +369,8 @@ class Records:
     def _notice(self) -> None:
         """Clear the cache and report the changes that another process made."""
         self.clear_cache()
-        while changed := self._reader.changes_since(self._version, _CHANGES):
-            self._version = changed[-1].version
+        while changed := self._reader.changes_since(self.version, _CHANGES):
+            self.version = changed[-1].version
             self._wake(changed)
 
     async def close(self) -> None:

@@ -16,7 +16,7 @@ from rosld.ontology.body import parse_json
 from rosld.server.dataset.base import TripleChanges
 from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.body import MULTIPART, codec_for, to_utf8
-from rosld.server.http.conditional import ETag, check_preconditions
+from rosld.server.http.conditional import ETag
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import parse_media_type
 from rosld.server.http.problem import Problem
@@ -329,9 +329,8 @@ class StoredFile(StoredResource):
         """Return the response with the file's bytes. Raises FileNotFoundError if it was removed."""
         assert record.blob is not None
         etag = ETag(f"{self.documents.records.identity}-{record.version}", "bin")
-        if_match, if_none_match = exchange.header("if-match"), exchange.header("if-none-match")
         headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
-        if check_preconditions(exchange.method, etag, if_match=if_match, if_none_match=if_none_match):
+        if exchange.is_not_modified(etag):
             return Response(status_code=304, headers={**headers, "etag": str(etag)})
         return await file_response(
             self.documents.records.file(record.blob),

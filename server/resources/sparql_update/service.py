@@ -17,10 +17,10 @@ from rosld.server.auth.errors import forbidden
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset.base import TripleChanges
 from rosld.server.http.problem import Problem
-from rosld.server.hypermedia.affordance_service import AffordanceService
 from rosld.server.receipts.audit import record_step
+from rosld.server.resources.base import Services
 from rosld.server.resources.complex_resource import ComplexResource
-from rosld.server.resources.ldp.base import Documents, StoredResource, conflict_problem, write_together
+from rosld.server.resources.ldp.base import StoredResource, conflict_problem, write_together
 from rosld.server.resources.property_action import MemberResource
 from rosld.server.resources.sparql_update.report import (
     Outcome,
@@ -33,8 +33,6 @@ from rosld.server.resources.sparql_update.report import (
 )
 from rosld.server.resources.sparql_update.sources import load_documents, read_graphs
 from rosld.server.rest.resource import READ, Plan, Resource, RobotWrite, StorageWrite
-from rosld.server.rest.state import State
-from rosld.server.robot.session import Session
 from rosld.server.runtime.dry_run import DryRunEnded
 from rosld.server.runtime.tasks import KeyedLock
 from rosld.server.sparql.analysis import Analyser
@@ -137,28 +135,19 @@ class PlannedGraph(NamedTuple):
 
 
 class UpdateService:
-    """Executor of updates, for use on one loop. `at` finds the resource at a path below the base."""
+    """Executor of updates, for use on one loop."""
 
-    def __init__(
-        self,
-        session: Session,
-        affordances: AffordanceService[State],
-        documents: Documents,
-        evaluator: UpdateEvaluator,
-        analyser: Analyser,
-        bounds: QueryBounds,
-        at: Callable[[str], Resource],
-        keyed_lock: KeyedLock,
-    ) -> None:
-        self._session = session
-        self._affordances = affordances
-        self._documents = documents
-        self._evaluator = evaluator
+    def __init__(self, services: Services, analyser: Analyser, keyed_lock: KeyedLock) -> None:
+        session = self._session = services.session
+        self._affordances = services.affordances
+        self._documents = services.documents
+        self._evaluator = UpdateEvaluator(services.sparql, analyser)
         self._default = session.space.base + session.settings.default_document
+        bounds = QueryBounds(size=session.settings.body_limit)
         self._read_operations = partial(
             read_update, prefixes=analyser.prefixes, base=analyser.base, bounds=bounds, default=self._default
         )
-        self._at = at
+        self._at = services.find
         self._keyed_lock = keyed_lock
         self._update_lock = KeyedLock(_PATIENCE)
 

@@ -18,7 +18,7 @@ from rosld.ontology.fields import field_at
 from rosld.server.history import table_files, tables
 from rosld.server.history.message_columns import DURATION, TIME
 from rosld.server.history.table_files import csv_pieces
-from rosld.server.history.tables import NoTable, Rows, TopicTable, write_parquet
+from rosld.server.history.tables import NoTable, Rows, TopicTable, pieces
 from tests.server.history.test_columns import LIBRARIES, TYPES, made
 
 START = 1_700_000_000_000_000_123
@@ -106,6 +106,15 @@ def whole(recording: Any, rows: Rows = Rows()) -> pa.Table:  # noqa: B008
     return pa.concat_tables([table.schema.empty_table(), *table.parts(rows)])
 
 
+def parquet_bytes(recording: Any, rows: Rows = Rows()) -> bytes:  # noqa: B008
+    table = TopicTable(recording, "/a b")
+    return b"".join(pieces("parquet", (table.schema, table.parts(rows)), table.footer))
+
+
+def parquet_file(recording: Any, rows: Rows = Rows()) -> parquet.ParquetFile:  # noqa: B008
+    return parquet.ParquetFile(io.BytesIO(parquet_bytes(recording, rows)))
+
+
 def plain(value: Any) -> Any:
     """Return a value of a message as Arrow's Python values are."""
     if hasattr(value, "__msgtype__"):
@@ -186,9 +195,7 @@ def test_texts_that_are_not_utf_8_have_replacement_characters() -> None:
 def test_what_cannot_be_decoded_is_left_out_and_counted() -> None:
     schema, samples = of_type("string text\nint32 number", [{"text": "a", "number": place} for place in range(30)])
     samples[3] = samples[3]._replace(data=samples[3].data[:-6])
-    target = io.BytesIO()
-    assert write_parquet(Recorded(samples, [schema]), "/a b", target) == (29, 1)
-    file = parquet.ParquetFile(target)
+    file = parquet_file(Recorded(samples, [schema]))
     assert file.metadata.metadata[b"unreadable"] == b"1"
     assert file.read()["number"].to_pylist() == [each for each in range(30) if each != 3]
     with pytest.raises(NoTable, match="cannot be read"):
@@ -226,13 +233,10 @@ def test_equal_messages_give_equal_files_in_row_groups(monkeypatch: pytest.Monke
     schema, samples = of_type("float64 x", [{"x": place / 8} for place in range(100)])
     recording = Recorded(samples, [schema], page=10)
     monkeypatch.setattr(table_files, "_GROUP_ROWS", 30)
-    files = []
-    for _ in range(2):
-        files.append(io.BytesIO())
-        write_parquet(recording, "/a b", files[-1], Rows(start=5, end=95, to_ns=START + 90 * 1_000_001))
-    assert files[0].getvalue() == files[1].getvalue()
-    assert write_parquet(recording, "/a b", io.BytesIO(), Rows(start=500)) == (0, 0)
-    read = parquet.ParquetFile(files[0])
+    rows = Rows(start=5, end=95, to_ns=START + 90 * 1_000_001)
+    assert parquet_bytes(recording, rows) == parquet_bytes(recording, rows)
+    assert len(parquet_file(recording, Rows(start=500)).read()) == 0
+    read = parquet_file(recording, rows)
     assert [read.metadata.row_group(place).num_rows for place in range(read.num_row_groups)] == [30, 30, 26]
     assert read.read()["x"].to_pylist() == [place / 8 for place in range(5, 91)]
 

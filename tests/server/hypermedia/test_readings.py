@@ -21,9 +21,8 @@ from rosld.server.hypermedia.catalogue import Getter, Property
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.type_inference import value_fields
 from rosld.server.hypermedia.value import Reading, plain_json
-from rosld.server.robot.goals import Goals
-from rosld.server.robot.live_topics import LiveSettings, LiveTopics
-from rosld.server.robot.schemas import Schemas
+from rosld.server.robot.session import Session
+from rosld.server.settings import Settings
 from rosld.shapes.value import OpenShape
 
 SPACE = Space("http://127.0.0.1:8080/")
@@ -85,11 +84,10 @@ class Bench:
 
     def __init__(self) -> None:
         self.fake = Fake()
-        adapter = cast(Adapter, self.fake)
-        schemas = Schemas(adapter)
-        self.topics = LiveTopics(adapter, schemas, LiveSettings(first_value=0.0))
-        goals = Goals(adapter, lambda _: None, limit=10, age=60.0, idle=10.0)
-        self.readings = PropertyReader(adapter, self.topics, goals, schemas, SPACE, freshness=60.0, patience=10.0)
+        settings = Settings(first_value_wait=0.0, freshness=60.0, call_deadline=10.0)
+        session = Session(cast(Adapter, self.fake), settings)
+        self.topics = session.topics
+        self.readings = PropertyReader(session)
         self.property = Property("/robot/x", OpenShape(), (Getter("/robot/get_x", GET, value_fields(GET)),))
 
     async def read(self, *, refresh: bool = False) -> Reading:

@@ -1,15 +1,21 @@
-"""The services of one run of the server, composed once from the adapter and the settings."""
+"""Services of one robot, composed once from the adapter and the settings, and the base class of its resources."""
 
 from __future__ import annotations
 
 import secrets
 from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import ClassVar
 
 from rosld.adapters.base import Adapter
 from rosld.adapters.model import RosError
 from rosld.ontology.describe_graph import ServerProblems
+from rosld.ontology.urls import Space
+from rosld.server.history.history import History
 from rosld.server.history.recordings import Recordings
+from rosld.server.html.page import PageResults
 from rosld.server.hypermedia.affordance_service import AffordanceService
+from rosld.server.hypermedia.brief_value import LatestValues
 from rosld.server.hypermedia.mappings import Mappings
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.pictures.picture_cache import PictureCache
@@ -25,7 +31,11 @@ from rosld.server.resources.ldp.base import (
     QueryValidator,
     Validator,
 )
+from rosld.server.resources.limit_checks import LimitChecks
+from rosld.server.resources.things import ThingDescriptions
+from rosld.server.rest.resource import READ, Find, Resource
 from rosld.server.rest.state import State
+from rosld.server.robot.diagnostic_states import LevelTimes
 from rosld.server.robot.fault_follower import FaultFollower
 from rosld.server.robot.faults import Faults
 from rosld.server.robot.hold_store import Holds
@@ -35,15 +45,22 @@ from rosld.server.runtime.offload import WorkerPool
 from rosld.server.runtime.tasks import Signal
 from rosld.server.runtime.version_cache import VersionCache
 from rosld.server.settings import Settings
+from rosld.server.sparql.query_service import QueryService
 from rosld.server.storage.record import RecordChange
 from rosld.server.storage.sqlite import Records, open_records
 
+READ_ONLY = "This server is read-only."
 _ROUTES = (ROUTE, stored_queries.ROUTE, active_limits.ROUTE, stored_cockpits.ROUTE)
 """Containers of stored documents that affect the server."""
 
 
 class Services:
-    """All services of one robot. Each resource receives only those that it needs."""
+    """All services of one robot, which its resources share."""
+
+    find: Find
+    """Finds the resource at a path below the base; set by the router."""
+    sparql: QueryService
+    """Queries, which read resources; set by the application."""
 
     def __init__(self, adapter: Adapter, settings: Settings, software_stop: SoftwareStop | None = None) -> None:
         self.session = Session(adapter, settings)
@@ -61,15 +78,7 @@ class Services:
         )
         self.queries = stored_queries.StoredQueries(records, space)
         self.mappings = Mappings(initial_mappings(settings, adapter, space))
-        self.property_reader = PropertyReader(
-            adapter,
-            session.topics,
-            session.goals,
-            session.schemas,
-            space,
-            freshness=settings.freshness,
-            patience=settings.call_deadline,
-        )
+        self.property_reader = PropertyReader(session)
         self.affordances: AffordanceService[State] = AffordanceService(
             session, self.mappings, self.property_reader, states, lambda: self.active_limits.current
         )
@@ -90,6 +99,46 @@ class Services:
             session, self.holds, lambda: self.mappings.mapping_set.stop_commands(), self._is_at_rest
         )
         self.pictures = PictureCache(self.instance_id)
+
+    @property
+    def space(self) -> Space:
+        """URLs of the robot."""
+        return self.session.space
+
+    @property
+    def settings(self) -> Settings:
+        """Settings of the server."""
+        return self.session.settings
+
+    @property
+    def history(self) -> History:
+        """The continuous recording of topics."""
+        return self.recordings.history
+
+    @cached_property
+    def limit_checks(self) -> LimitChecks:
+        """Checks of writes against the limits in force."""
+        return LimitChecks(self.session, self.affordances, self.active_limits)
+
+    @cached_property
+    def things(self) -> ThingDescriptions:
+        """Generator of Thing Descriptions."""
+        return ThingDescriptions(self.session, self.affordances, self.software_stop, self.instance_id)
+
+    @cached_property
+    def level_times(self) -> LevelTimes:
+        """Times since when parts have reported their levels."""
+        return LevelTimes()
+
+    @cached_property
+    def query_tables(self) -> VersionCache[PageResults]:
+        """Results of the queries in cockpits."""
+        return VersionCache(64)
+
+    @cached_property
+    def latest_values(self) -> LatestValues:
+        """Short forms of the latest values of topics."""
+        return LatestValues(self.session.topics, self.session.schemas)
 
     @property
     def states(self) -> VersionCache[State]:
@@ -136,8 +185,8 @@ class Services:
         self.documents.records.watch(self._on_record_changes)
         self.receipts.start()
         await self.recordings.start()
-        self.session.changes.watch(self.recordings.refresh)
-        self.session.topics.recorded = self.recordings.recorded_topics
+        self.session.changes.watch(self.recordings.live.feed.refresh)
+        self.session.topics.recorded = self.recordings.live.feed.topics
         self.active_limits.load_stored(self.documents.records)
         await load_stored_mappings(self.mappings, self.documents.records, self.session.settings, self.session.space)
         self.session.follow()
@@ -162,3 +211,21 @@ class Services:
         for each in changes:
             self.queries.on_record_change(each)
             self.documents.changes.emit(each.path)
+
+
+class SessionResource(Resource):
+    """Base class of resources of one robot."""
+
+    path = ""
+    """Path below the base, if the class has only one resource."""
+    writes: ClassVar[frozenset[str]] = frozenset()
+    """Methods in addition to those that read, unless the server is read-only."""
+
+    def __init__(self, services: Services, url: str | None = None) -> None:
+        super().__init__(services.space, services.space.base + self.path if url is None else url)
+        self.services = services
+        self.session = services.session
+        self.states = services.states
+
+    def methods(self) -> frozenset[str]:
+        return READ if self.services.settings.read_only else READ | self.writes

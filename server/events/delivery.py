@@ -7,13 +7,14 @@ import time
 import uuid
 
 import orjson
+from msgspec import Struct
 from starlette.types import Message, Receive, Scope, Send
 
 from rosld.ontology.notifications import ACTIVITY_CONTEXT, CONTEXT, Activity, channel_type, with_context
 from rosld.ontology.serialize import serialize
 from rosld.ontology.syntax import Syntax
 from rosld.server.events.broadcaster import Broadcaster, Broadcasters, Observation, Waiter
-from rosld.server.events.event_stream import KEEP_ALIVE_SECONDS, EndlessResponse, Headers, SendChunk
+from rosld.server.events.event_stream import KEEP_ALIVE_SECONDS, EndlessResponse, Headers, SendChunk, endless_headers
 from rosld.server.events.notification_channels import Channel, Channels
 from rosld.server.http.origin import OriginPolicy, check_host
 from rosld.server.http.problem import Problem
@@ -22,28 +23,20 @@ from rosld.server.http.problem_details import render
 _RDF = {"text/turtle": Syntax.TURTLE, "application/n-triples": Syntax.N_TRIPLES}
 
 
-class Delivery:
+class Delivery(Struct, eq=False):
     """Sender of a channel's notifications by `send`; calls `idle` after each period without one."""
 
-    def __init__(
-        self,
-        channels: Channels,
-        broadcasters: Broadcasters,
-        channel: Channel,
-        send: SendChunk,
-        idle: SendChunk | None,
-    ) -> None:
-        self._channels = channels
-        self._broadcasters = broadcasters
-        self._channel = channel
-        self._send = send
-        self._idle = idle
+    channels: Channels
+    broadcasters: Broadcasters
+    channel: Channel
+    send: SendChunk
+    idle: SendChunk | None
 
     async def run(self) -> None:
         """Deliver until the topic is removed permanently, or this is cancelled."""
-        with self._channels.attach_receiver(self._channel):
-            await self._pause(self._channel.seconds_to_start)
-            with self._broadcasters.subscribe(self._channel.resource) as broadcaster:
+        with self.channels.attach_receiver(self.channel):
+            await self._pause(self.channel.seconds_to_start)
+            with self.broadcasters.subscribe(self.channel.resource) as broadcaster:
                 await self._follow(broadcaster)
 
     async def _follow(self, broadcaster: Broadcaster) -> None:
@@ -55,30 +48,30 @@ class Delivery:
                 if broadcaster.version == version:
                     await self._keep_alive()
                     continue
-            await self._pause(self._channel.due - time.monotonic())
+            await self._pause(self.channel.due - time.monotonic())
             version = broadcaster.version
             observation = broadcaster.current() or await broadcaster.observe()
-            may_read = self._channel.auth.is_valid()
+            may_read = self.channel.auth.is_valid()
             if may_read:
                 await self._notify(observation)
             if observation.is_final or not may_read:
-                self._channels.close(self._channel)
+                self.channels.close(self.channel)
                 return
 
     async def _notify(self, observation: Observation) -> None:
-        channel = self._channel
-        news, receiver_state = self._channels.next_notification(channel, observation)
+        channel = self.channel
+        news, receiver_state = self.channels.next_notification(channel, observation)
         if news is None:
             channel.last_sent = receiver_state
             return
         chunk = notification(observation, news, channel.terms.accept)
         channel.due = time.monotonic() + channel.terms.interval
-        await self._send(chunk)
+        await self.send(chunk)
         channel.last_sent = receiver_state
 
     async def _wait(self, broadcaster: Broadcaster, waiter: Waiter, version: int) -> None:
         """Wait until the topic may have changed, or the keep-alive time has passed."""
-        if self._idle is None:
+        if self.idle is None:
             await broadcaster.wait(waiter, version)
             return
         timer = asyncio.get_running_loop().call_later(KEEP_ALIVE_SECONDS, waiter.wake)
@@ -96,8 +89,8 @@ class Delivery:
                 await self._keep_alive()
 
     async def _keep_alive(self) -> None:
-        if self._idle is not None:
-            await self._idle(b"\n")
+        if self.idle is not None:
+            await self.idle(b"\n")
 
 
 def notification(observation: Observation, activity: Activity, media_type: str) -> bytes:
@@ -121,15 +114,11 @@ LINES = "application/x-ndjson"
 """Media type of JSON-LD notifications, one per line; Turtle and N-Triples notifications form one document."""
 
 
-def channel_headers(channel: Channel) -> list[tuple[bytes, bytes]]:
+def channel_headers(channel: Channel) -> Headers:
     """Return the headers of the response."""
     accept = channel.terms.accept
     kind = LINES if accept.endswith("json") else f"{accept}; charset=utf-8" if accept.startswith("text/") else accept
-    return [
-        (b"content-type", kind.encode("ascii")),
-        (b"cache-control", b"no-store"),
-        (b"x-accel-buffering", b"no"),
-    ]
+    return endless_headers(kind)
 
 
 class ChannelStream(EndlessResponse):

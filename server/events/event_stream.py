@@ -64,6 +64,12 @@ class EndlessResponse(Response):
         raise NotImplementedError
 
 
+def endless_headers(media_type: str) -> Headers:
+    """Return the headers of an endless response, which neither caches nor proxies may hold back."""
+    media = (b"content-type", media_type.encode("ascii"))
+    return [media, (b"cache-control", b"no-store"), (b"x-accel-buffering", b"no")]
+
+
 KEEP_ALIVE_COMMENT = b":\n\n"
 """Comment that keeps proxies from closing an idle stream (WHATWG HTML 9.2.7)."""
 
@@ -139,12 +145,7 @@ After `gone` the stream continues, and reports when the resource exists again, b
 EventSource that reconnects to a 404 gives up for ever. Permanent removal (410) ends the stream. `until` is the last
 event of a stream with a condition: whether it is true for the last state, or the time is over.
 """
-HEADERS: Headers = [
-    (b"content-type", f"{query_params.EVENT_STREAM}; charset=utf-8".encode("ascii")),
-    (b"cache-control", b"no-store"),
-    (b"x-accel-buffering", b"no"),
-    (b"vary", b"Accept"),
-]
+HEADERS: Headers = [*endless_headers(f"{query_params.EVENT_STREAM}; charset=utf-8"), (b"vary", b"Accept")]
 
 
 def _always() -> bool:

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Awaitable, Callable, Mapping
 from urllib.parse import quote
 
+from msgspec import Struct
 from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -132,32 +133,25 @@ class Dispatch:
         return self._dispatcher.answer(exchange, self._resolve(exchange.request.scope))
 
 
-class WebSockets:
+class WebSockets(Struct, eq=False):
     """The ASGI application of WebSockets: those of channels, and `others`, which return a receiver, by path."""
 
-    def __init__(
-        self,
-        site: OriginPolicy,
-        admission: Admission,
-        notifications: Notifications,
-        others: Mapping[bytes, Callable[[Scope], Awaitable[ASGIApp]]],
-    ) -> None:
-        self._site = site
-        self._admission = admission
-        self._notifications = notifications
-        self._others = others
+    site: OriginPolicy
+    admission: Admission
+    notifications: Notifications
+    others: Mapping[bytes, Callable[[Scope], Awaitable[ASGIApp]]]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a WebSocket, or refuse its handshake with a problem."""
         client = scope["client"]
-        if not self._admission.admit_websocket(client[0] if client else None):
+        if not self.admission.admit_websocket(client[0] if client else None):
             await asyncio.sleep(RETRY_SECONDS)
             await reject_handshake(scope, send, Problem(429, "You opened too many WebSockets per second: slow down."))
             return
         try:
-            check_request(self._site, scope)
-            other = self._others.get(scope["raw_path"])
-            receiver = await other(scope) if other is not None else self._notifications.websocket_receiver(scope)
+            check_request(self.site, scope)
+            other = self.others.get(scope["raw_path"])
+            receiver = await other(scope) if other is not None else self.notifications.websocket_receiver(scope)
         except Problem as problem:
             await reject_handshake(scope, send, problem)
             return

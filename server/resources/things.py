@@ -7,6 +7,7 @@ from typing import TypeAlias
 from urllib.parse import urljoin
 
 import orjson
+from msgspec import Struct
 from msgspec.structs import replace
 from starlette.responses import Response
 
@@ -114,17 +115,14 @@ def wants_thing(exchange: Exchange) -> bool:
     return accept is not None and MEDIA_TYPE in accept and choose_offer(accept, _OFFERS) == MEDIA_TYPE
 
 
-class ThingDescriptions:
+class ThingDescriptions(Struct, eq=False):
     """Generator of the Thing Descriptions of complex resources and of the whole robot, and of responses with them."""
 
-    def __init__(
-        self, session: Session, affordances: AffordanceService[State], software_stop: SoftwareStop, instance_id: str
-    ) -> None:
-        """`instance_id` is part of the entity tags and differs between runs of the server."""
-        self._session = session
-        self.affordances = affordances
-        self._software_stop = software_stop
-        self._instance_id = instance_id
+    session: Session
+    affordances: AffordanceService[State]
+    software_stop: SoftwareStop
+    instance_id: str
+    """Part of the entity tags, which differs between runs of the server."""
 
     def response(self, exchange: Exchange, url: str, own: str, data: bytes) -> Response:
         """Return the response with a Thing Description, or a part of it, redacted, in the requested syntax.
@@ -134,12 +132,12 @@ class ThingDescriptions:
         if exchange.auth is not UNRESTRICTED:
             scheme = (exchange.header("authorization") or "").partition(" ")[0]
             data = redact_thing_description(data, exchange.permissions, scheme)
-        part = parse_part(exchange.query, self._session.space.base)
+        part = parse_part(exchange.query, self.session.space.base)
         if part is None:
             data = add_part_link(data, own)
         else:
-            data = part.choose(thing_parts(data, self._session.space.base, own, part.below))
-        tag, media_type = f"{self._instance_id}-{digest(data)}", _choose_syntax(exchange)
+            data = part.choose(thing_parts(data, self.session.space.base, own, part.below))
+        tag, media_type = f"{self.instance_id}-{digest(data)}", _choose_syntax(exchange)
         if media_type == MEDIA_TYPE:
             return bytes_response(exchange, data, MEDIA_TYPE, ETag(tag, FORMAT))
         written = serialize(thing_document(data, url), media_type)
@@ -148,7 +146,7 @@ class ThingDescriptions:
     def of_complex(self, plan: ComplexPlan) -> bytes:
         """Return the Thing Description of a complex resource: everything it can ever offer."""
         properties, actions = self._of_members(plan)
-        space = self._session.space
+        space = self.session.space
         up = () if plan.parent is None else (ThingLink("collection", url_of(plan.parent, space)),)
         down = tuple(ThingLink("item", url_of(child.path, space)) for child in plan.children)
         related = tuple(ThingLink(link.relation.value, url_of(link.target, space)) for link in plan.links)
@@ -160,8 +158,8 @@ class ThingDescriptions:
             actions,
             links=(*related, *up, *down),
             whole=bool(properties),
-            stop=space.stop if self._software_stop.is_usable else None,
-            lifting=self._session.lifting,
+            stop=space.stop if self.software_stop.is_usable else None,
+            lifting=self.session.lifting,
         )
 
     def of_robot(self, tree: ResourceTree, permissions: Permissions = ALLOW_ALL) -> bytes:
@@ -177,25 +175,25 @@ class ThingDescriptions:
             plan = tree.complex(path)
             assert plan is not None
             own, acts = self._of_members(plan)
-            if permissions.may_read(url_of(path, self._session.space)):
+            if permissions.may_read(url_of(path, self.session.space)):
                 properties += (replace(one, name=path[1:] + one.name) for one in own)
             else:
                 properties += self._by_themselves(tree, plan)
             actions += (replace(one, name=path[1:] + one.name) for one in acts)
             if own or acts:
-                links.append(ThingLink("item", url_of(path, self._session.space)))
+                links.append(ThingLink("item", url_of(path, self.session.space)))
         actions += self._unlisted_actions(tree, {one.url for one in actions})
-        system = self._session.adapter.capabilities.system
+        system = self.session.adapter.capabilities.system
         return thing_description(
-            self._session.name,
-            self._session.space.base,
+            self.session.name,
+            self.session.space.base,
             properties,
             actions,
             links=links,
             description=system,
-            stop=self._session.space.stop if self._software_stop.is_usable else None,
-            diagnostics=f"{self._session.space.base}diagnostics" if has_diagnostics(self._session.graph) else None,
-            lifting=self._session.lifting,
+            stop=self.session.space.stop if self.software_stop.is_usable else None,
+            diagnostics=f"{self.session.space.base}diagnostics" if has_diagnostics(self.session.graph) else None,
+            lifting=self.session.lifting,
         )
 
     def _of_members(self, plan: ComplexPlan) -> tuple[Sequence[PropertyAffordance], Sequence[ActionAffordance]]:

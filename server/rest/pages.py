@@ -7,8 +7,10 @@ import json
 from collections.abc import Hashable, Mapping, Sequence
 from datetime import datetime, timezone
 from functools import partial
+from typing import ClassVar
 from urllib.parse import parse_qsl, urlsplit
 
+from msgspec import Struct
 from msgspec.structs import replace
 from starlette.responses import Response
 
@@ -48,32 +50,23 @@ _SHORT_PAGE = 300
 """Maximum number of triples of a page rendered on the loop: some 8 ms."""
 
 
-class PageRenderer:
+class PageRenderer(Struct, eq=False):
     """Renderer of the pages of one robot's resources."""
 
-    headers: Mapping[str, str] = {name.lower(): value for name, value in HEADERS.items()}
+    headers: ClassVar[Mapping[str, str]] = {name.lower(): value for name, value in HEADERS.items()}
 
-    def __init__(
-        self,
-        session: Session,
-        stops: SoftwareStop,
-        large: LargeDocuments,
-        receipts: Journal,
-        keys: FormKey,
-        sections: tuple[str, ...] = (*SECTIONS, "bags"),
-    ) -> None:
-        """Initialize; `sections` are the containers in the navigation."""
-        self._session = session
-        self._receipts = receipts
-        self._stops = stops
-        self._keys = keys
-        self._sections = sections
-        self._large = large
+    session: Session
+    stops: SoftwareStop
+    large: LargeDocuments
+    receipts: Journal
+    keys: FormKey
+    sections: tuple[str, ...] = (*SECTIONS, "bags")
+    """Containers in the navigation."""
 
     @property
     def space(self) -> Space:
         """URLs of this server."""
-        return self._session.space
+        return self.session.space
 
     @property
     def site(self) -> Site:
@@ -82,7 +75,7 @@ class PageRenderer:
 
     def site_for(self, permissions: Permissions) -> Site:
         """Return the values that every page shows to an agent with these permissions."""
-        session, stop_state = self._session, self._stops.stop_state
+        session, stop_state = self.session, self.stops.stop_state
         state = session.graph.state
         stale = f"since {_moment(state.since_ns)}: {state.why}" if isinstance(state, Stale) else None
         return Site(
@@ -91,7 +84,7 @@ class PageRenderer:
             session.adapter.capabilities.system,
             stale,
             session.settings.read_only,
-            self._sections,
+            self.sections,
             session.space.types,
             stop_token=self._stop_token(permissions),
             stopped="" if stop_state is None or not permissions.may_read(session.space.stop) else stop_state.words,
@@ -105,20 +98,20 @@ class PageRenderer:
 
     def _stop_warning(self, permissions: Permissions) -> str:
         """Return why the stopped robot may still move; empty if nothing indicates it, or the reader may not know."""
-        may_read = permissions.may_read(self._session.space.stop)
-        return (self._stops.warning or "") if self._stops.stop_state is not None and may_read else ""
+        may_read = permissions.may_read(self.session.space.stop)
+        return (self.stops.warning or "") if self.stops.stop_state is not None and may_read else ""
 
     def _stop_token(self, permissions: Permissions) -> str:
         """Return the token of the stop form; empty if the reader may not stop the robot."""
-        session = self._session
-        usable = self._stops.is_usable and permissions.may("POST", session.space.stop)
-        return self._keys.token(_token_subject(session.space.stop, permissions)) if usable else ""
+        session = self.session
+        usable = self.stops.is_usable and permissions.may("POST", session.space.stop)
+        return self.keys.token(_token_subject(session.space.stop, permissions)) if usable else ""
 
     @property
     def version(self) -> Hashable:
         """The version of the values that every page shows, for caches of pages."""
-        stop_state = self._stops.stop_state
-        return None if stop_state is None else (stop_state, self._stops.warning)
+        stop_state = self.stops.stop_state
+        return None if stop_state is None else (stop_state, self.stops.warning)
 
     async def page(
         self, resource: Resource, state: State, notices: Sequence[Notice] = (), permissions: Permissions = ALLOW_ALL
@@ -136,7 +129,7 @@ class PageRenderer:
     ) -> bytes:
         """Return a page with these forms; a large state is shown as an excerpt, with a notice."""
         if state.is_large:
-            excerpt = await self._large.excerpt(state)
+            excerpt = await self.large.excerpt(state)
             state = excerpt_state(state, excerpt)
             shown = len(excerpt.document.triples)
             if shown < excerpt.total:
@@ -180,7 +173,7 @@ class PageRenderer:
         """
         pairs = await self._pairs(exchange)
         token, method, typed = split_hidden(pairs)
-        self._keys.require(token, _token_subject(resource.url, exchange.permissions))
+        self.keys.require(token, _token_subject(resource.url, exchange.permissions))
         forms = await resource.forms()
         form = next((form for form in forms if form.method == method and not form.action), None)
         if form is None:
@@ -232,7 +225,7 @@ class PageRenderer:
     def receipt_notices(self, id: str, permissions: Permissions) -> Sequence[Notice]:
         """Return notices about the outcome of a write by its receipt, if the reader may see it."""
         try:
-            receipt = self._receipts.find(id).receipt
+            receipt = self.receipts.find(id).receipt
         except NoSuchReceipt:
             return ()
         agent, url = permissions.agent, self.space.activity(id)
@@ -246,7 +239,7 @@ class PageRenderer:
 
         None if the request does not state it.
         """
-        space = self._session.space
+        space = self.session.space
         try:
             path = urlsplit(exchange.header("referer") or "").path
         except ValueError:
@@ -263,7 +256,7 @@ class PageRenderer:
 
     def _csrf(self, resource: Resource, permissions: Permissions) -> Csrf:
         """Return the tokens for the forms of a page, each for a URL and the agent that reads the page."""
-        return lambda action: self._keys.token(_token_subject(action or resource.url, permissions))
+        return lambda action: self.keys.token(_token_subject(action or resource.url, permissions))
 
 
 def _token_subject(url: str, permissions: Permissions) -> str:

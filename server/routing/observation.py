@@ -17,7 +17,15 @@ from rosld.server.auth.errors import invalid_token
 from rosld.server.auth.redaction import redact_problem
 from rosld.server.events import query_params
 from rosld.server.events.broadcaster import Broadcasters, Waiter
-from rosld.server.events.event_stream import HEADERS, EndlessResponse, EventStream, SendChunk, StreamEnd, StreamFormat
+from rosld.server.events.event_stream import (
+    HEADERS,
+    EndlessResponse,
+    EventStream,
+    SendChunk,
+    StreamEnd,
+    StreamFormat,
+    endless_headers,
+)
 from rosld.server.events.long_poll import Until, wait_for_state
 from rosld.server.http.problem import Problem
 from rosld.server.rest.exchange import Exchange
@@ -68,14 +76,8 @@ class MotionStream(EndlessResponse):
         headers: list[tuple[bytes, bytes]],
         is_valid: Callable[[], bool],
     ) -> None:
-        own = [
-            (b"content-type", MEDIA_TYPE.encode("ascii")),
-            (b"cache-control", b"no-store"),
-            (b"x-accel-buffering", b"no"),
-            (b"x-content-type-options", b"nosniff"),
-            (b"vary", b"Accept"),
-        ]
-        super().__init__(broadcasters, [*own, *headers])
+        own = [(b"x-content-type-options", b"nosniff"), (b"vary", b"Accept")]
+        super().__init__(broadcasters, [*endless_headers(MEDIA_TYPE), *own, *headers])
         self._motion = motion
         self._pace = Pace(rate)
         self._is_valid = is_valid

@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import TypeAlias
 
+from msgspec import Struct
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rosld.server.runtime.tasks import end_tasks
@@ -16,50 +17,41 @@ from rosld.server.sparql.process.client import QueryProcess
 Job: TypeAlias = Callable[[], Awaitable[None]]
 
 
-class Lifespan:
+class Lifespan(Struct, eq=False):
     """Start of the query process, the robot and background jobs, and their end in reverse order.
 
     `start` opens the robot, and `stop` releases it. `watchdog` is None if another application starts it.
     `background` jobs run until the end; then `closings` are called.
     """
 
-    def __init__(
-        self,
-        start: Job,
-        stop: Job,
-        process: QueryProcess,
-        watchdog: Watchdog | None,
-        background: Sequence[Job],
-        closings: Sequence[Job],
-    ) -> None:
-        self._start = start
-        self._stop = stop
-        self._process = process
-        self._watchdog = watchdog
-        self._background = background
-        self._closings = closings
+    start: Job
+    stop: Job
+    process: QueryProcess
+    watchdog: Watchdog | None
+    background: Sequence[Job]
+    closings: Sequence[Job]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Start, and stop on request. Raises what opening the robot raises."""
         await receive()
-        await self._process.start()
+        await self.process.start()
         try:
-            await self._start()
+            await self.start()
         except BaseException:
-            await self._process.close()
+            await self.process.close()
             raise
-        if self._watchdog is not None:
-            self._watchdog.start()
-        background = [asyncio.ensure_future(run()) for run in self._background]
+        if self.watchdog is not None:
+            self.watchdog.start()
+        background = [asyncio.ensure_future(run()) for run in self.background]
         await send({"type": "lifespan.startup.complete"})
         await receive()
-        if self._watchdog is not None:
-            self._watchdog.stop()
+        if self.watchdog is not None:
+            self.watchdog.stop()
         await end_tasks(background)
-        for close in self._closings:
+        for close in self.closings:
             await close()
-        await self._process.close()
-        await self._stop()
+        await self.process.close()
+        await self.stop()
         await send({"type": "lifespan.shutdown.complete"})
 
 

@@ -23,11 +23,11 @@ from rosbags.interfaces import (
     QosTime,
 )
 
-from rosld.adapters.base import AdapterOptions, NullSink, Recording
+from rosld.adapters.base import AdapterOptions, Recording
 from rosld.adapters.model import Encoding, Sample, TypeRef, UnknownType
 from rosld.adapters.model.schema import latched_depth
-from rosld.adapters.registry import adapter_for
 from rosld.server.history.history_writer import require_room
+from rosld.server.history.uploads import opened_recording
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.offload import WorkerPool
 from rosld.server.settings import Settings
@@ -135,21 +135,11 @@ def export(source: Path, target: Path, format: ExportFormat, options: AdapterOpt
     Raises CannotExport, OSError for the disk, and RosError if the recording cannot be read.
     """
     try:
-        asyncio.run(_export(source, target, format, options))
+        with opened_recording(source, options, _OPEN_SECONDS) as recording:
+            require_encoding(recording.name, recording.encoding, format)
+            (write_bag if format == BAG else write_rosbag2)(recording, target)
     except (rosbag1.WriterError, rosbag2.WriterError, UnicodeError, struct.error) as error:
         raise CannotExport(f"{source.name} cannot be written as {format.about}: {error}") from error
-
-
-async def _export(source: Path, target: Path, format: ExportFormat, options: AdapterOptions) -> None:
-    adapter = adapter_for(f"recording:{source}", options)
-    await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + _OPEN_SECONDS)
-    try:
-        (recording,) = adapter.recordings.values()
-        require_encoding(recording.name, adapter.capabilities.encoding, format)
-        write = write_bag if format == BAG else write_rosbag2
-        write(recording, target)
-    finally:
-        await adapter.close()
 
 
 def write_bag(recording: Recording, target: Path) -> None:

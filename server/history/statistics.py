@@ -6,7 +6,6 @@ again, so they are never synced.
 
 from __future__ import annotations
 
-import asyncio
 import os
 import sqlite3
 import threading
@@ -20,12 +19,12 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from rosld.adapters.base import AdapterOptions, MessageFilter, NullSink, RecordedMessage, Recording
+from rosld.adapters.base import AdapterOptions, MessageFilter, RecordedMessage, Recording
 from rosld.adapters.model import MessageSchema, RosError, TypeRef
-from rosld.adapters.registry import adapter_for
 from rosld.ontology.fields import field_at
 from rosld.server.history.history import HistoryRecording
 from rosld.server.history.message_block import MessageBlock, columns_of, number_paths
+from rosld.server.history.uploads import opened_recording
 
 _OPEN_SECONDS = 60.0
 BLOCK = 1000
@@ -206,18 +205,9 @@ def index_file(path: Path, options: AdapterOptions, topics: Sequence[str]) -> di
     """
     with suppress(OSError):
         os.nice(19 - os.nice(0))
-
-    async def index() -> dict[str, ByType]:
-        adapter = adapter_for(f"recording:{path}", options)
-        try:
-            await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + _OPEN_SECONDS)
-            [recording] = adapter.recordings.values()
-            schema_of = partial(schema_in, recording)
-            return {topic: statistics_of(recording, topic, schema_of, lambda _: None) for topic in topics}
-        finally:
-            await adapter.close()
-
-    return asyncio.run(index())
+    with opened_recording(path, options, _OPEN_SECONDS) as recording:
+        schema_of = partial(schema_in, recording)
+        return {topic: statistics_of(recording, topic, schema_of, lambda _: None) for topic in topics}
 
 
 def schema_in(recording: Recording, ref: TypeRef) -> MessageSchema | None:

@@ -6,10 +6,11 @@ import asyncio
 import re
 import shutil
 import sys
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from rosld.adapters.base import AdapterOptions, NullSink
+from rosld.adapters.base import AdapterOptions, NullSink, Recording
 from rosld.adapters.model.mcap import MAGIC
 from rosld.adapters.registry import adapter_for
 from rosld.server.history.history_writer import require_room
@@ -54,17 +55,23 @@ async def receive_file(folder: Path, name: str, chunks: AsyncIterator[bytes], li
         raise
 
 
+@contextmanager
+def opened_recording(path: Path, options: AdapterOptions, seconds: float) -> Iterator[Recording]:
+    """Open the recording at a path within these seconds, for work outside the event loop. Raises RosError."""
+    adapter, loop = adapter_for(f"recording:{path}", options), asyncio.new_event_loop()
+    try:
+        loop.run_until_complete(adapter.open(NullSink(), deadline=loop.time() + seconds))
+        (recording,) = adapter.recordings.values()
+        yield recording
+    finally:
+        loop.run_until_complete(adapter.close())
+        loop.close()
+
+
 def check_recording(path: Path, index_limit: int) -> None:
     """Check that an untrusted file can be opened; run in a worker process. Raises RosError."""
-
-    async def check() -> None:
-        adapter = adapter_for(f"recording:{path}", AdapterOptions(recording_index_limit=index_limit))
-        try:
-            await adapter.open(NullSink(), deadline=asyncio.get_running_loop().time() + _CHECK_SECONDS)
-        finally:
-            await adapter.close()
-
-    asyncio.run(check())
+    with opened_recording(path, AdapterOptions(recording_index_limit=index_limit), _CHECK_SECONDS):
+        pass
 
 
 def check_seconds(path: Path) -> float:

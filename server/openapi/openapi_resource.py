@@ -175,12 +175,9 @@ class OpenApiResource(SessionResource):
         hides = capabilities.hidden_names and not hidden
         schemas = MessageSchemas(self.session.schemas.find_similar, self.session.lifting)
         collector = PathCollector(
-            self.space,
+            self.services,
             listed_graph(graph, capabilities) if hides else graph,
-            self.services.queries,
-            self.services.recordings,
             tree,
-            self.services.find,
             schemas,
             hidden=not hides,
         )

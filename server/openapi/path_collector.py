@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from itertools import chain, islice
 
@@ -12,13 +12,11 @@ from msgspec.structs import replace
 from rosld.adapters.model import Graph, names
 from rosld.ontology.describe_body import body_sources
 from rosld.ontology.notifications import CHANNEL_TYPES
-from rosld.ontology.urls import Space
-from rosld.server.history.recordings import Recordings
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.conditions import url_of
 from rosld.server.hypermedia.json_schema import MessageSchemas
 from rosld.server.hypermedia.resource_tree import ResourceTree
-from rosld.server.policies.stored_queries import StoredQueries
+from rosld.server.resources.base import Services
 from rosld.server.resources.channels import ChannelResource, ChannelSourceResource
 from rosld.server.resources.namespaces import namespaces
 from rosld.server.resources.types import SHAPES_GRAPHS
@@ -80,17 +78,14 @@ _NAME = "A name, as in the URL: its parts are separated by slashes."
 
 
 class PathCollector(Struct, frozen=True):
-    """Collector of the paths. `resolve` returns the resource at a path without waiting.
+    """Collector of the paths.
 
     `graph` is the computation graph; `hidden`: whether to include hidden names of resources.
     """
 
-    space: Space
+    services: Services
     graph: Graph
-    queries: StoredQueries
-    recordings: Recordings
     tree: ResourceTree
-    resolve: Callable[[str], Resource]
     schemas: MessageSchemas
     hidden: bool
 
@@ -138,12 +133,12 @@ class PathCollector(Struct, frozen=True):
 
     def _path(self, path: str) -> DescribedPath:
         """Return a path described by its resource."""
-        resource = self.resolve(path)
+        resource = self.services.find(path)
         return self._describe(path, resource, resource.path_item(self.schemas))
 
     def _template(self, template: str, example: str, *, item: PathItem | None = None, **segments: str) -> DescribedPath:
         """Return a template described by the resource at an example path."""
-        resource = self.resolve(example)
+        resource = self.services.find(example)
         found = self._describe(template, resource, item or resource.path_item(self.schemas))
         return replace(found, segments=segments)
 
@@ -159,12 +154,12 @@ class PathCollector(Struct, frozen=True):
         return _TAGS.get(path) or path.partition("/")[0]
 
     def _of(self, url: str) -> str:
-        return url[len(self.space.base) - 1 :]
+        return url[len(self.services.space.base) - 1 :]
 
     # The computation graph
 
     def _graph(self) -> Iterator[DescribedPath]:
-        graph, space = self.graph, self.space
+        graph, space = self.graph, self.services.space
         for route in ("nodes", "topics", "services", "actions"):
             for namespace in namespaces(graph, route):
                 yield self._path(self._of(space.container(route, namespace)))
@@ -186,14 +181,14 @@ class PathCollector(Struct, frozen=True):
         yield self._template("/activity/{id}", "/activity/any", id="As in the URL of the receipt.")
 
     def _parameters(self) -> Iterator[DescribedPath]:
-        graph, space = self.graph, self.space
+        graph, space = self.graph, self.services.space
         trees = dict.fromkeys([(), *namespaces(graph, "parameters")])
         for namespace in islice((each for each in trees if "" not in each), MAX_SINGLE):
             yield self._path(self._of(space.container("parameters", namespace)))
         for name in islice((each for each in graph.parameters if "" not in names.segments(each)), MAX_SINGLE):
             yield self._path(self._of(space.parameter(name)))
         summary = "A parameter that can be created" + ("" if len(graph.parameters) <= MAX_SINGLE else _OR_ANOTHER)
-        item = self.resolve("/parameters/new").path_item(self.schemas)
+        item = self.services.find("/parameters/new").path_item(self.schemas)
         item = replace(item, summary=summary)
         yield self._template("/parameters/{name}", "/parameters/new", item=item, name=_NAME)
 
@@ -208,7 +203,7 @@ class PathCollector(Struct, frozen=True):
 
     def _resource_paths(self) -> Iterator[str]:
         """Yield the complex resources, each followed by its properties and actions, then the other actions."""
-        space = self.space
+        space = self.services.space
         unlisted = set(self.tree.actions)
         for path in self.tree.paths:
             plan = self.tree.complex(path)
@@ -245,11 +240,11 @@ class PathCollector(Struct, frozen=True):
         yield self._template("/shapes/{name}", "/shapes/any", name="One segment, as in the URL.")
 
     def _bags(self) -> Iterator[DescribedPath]:
-        space = self.space
+        space = self.services.space
         yield self._path("/bags/")
         yield self._template("/bags/{name}", "/bags/any", name="Its name in the URL.")
-        few = self.recordings.few
-        if (example := next((each for each in self.recordings.readable if each not in few), None)) is not None:
+        readable, few = self.services.recordings.readable, self.services.recordings.few
+        if (example := next((each for each in readable if each not in few), None)) is not None:
             for below in ("", "file", "at", "ldes", "messages/"):
                 path = self._of(f"{space.bag(example)}{below}")
                 yield self._template(f"/bags/{{name}}/{below}", path, name="Its name in the URL.")
@@ -282,7 +277,7 @@ class PathCollector(Struct, frozen=True):
     def _queries(self) -> Iterator[DescribedPath]:
         """Yield `/queries/` and the current paths below it; the template covers all others."""
         yield self._path("/queries/")
-        for url, _ in self.queries.all(limit=_MAX_QUERIES):
+        for url, _ in self.services.queries.all(limit=_MAX_QUERIES):
             yield self._path(self._of(url))
         yield self._template("/queries/{name}", "/queries/any", name="One segment, as in the URL.")
 

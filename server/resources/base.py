@@ -86,6 +86,7 @@ class Services:
             space,
             settings,
             records,
+            self.queries,
             Signal(),
             states,
             WorkerPool(),

@@ -46,7 +46,6 @@ from rosld.server.hypermedia.type_inference import is_light
 from rosld.server.hypermedia.value import Reading
 from rosld.server.policies import stored_cockpits
 from rosld.server.policies.stored_mappings import ROUTE
-from rosld.server.policies.stored_queries import StoredQueries
 from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.namespaces import listed_graph, namespaces, things_of, thumbnail
@@ -77,11 +76,11 @@ _TITLES = re.compile(rf'<(?:{_NAMING})> "((?:[^"\\]|\\.)*)"'.encode())
 _ROOTS = (ROUTE, stored_cockpits.ROUTE, "data/")
 
 
-async def kept_entries(documents: Documents, queries: StoredQueries) -> list[Entry]:
+async def kept_entries(documents: Documents) -> list[Entry]:
     """Return the entries of stored queries and documents, at most `MAX_KEPT` each."""
     found = [
         Entry(EntryKind.QUERY, f"/{query.name}", url, (), (query.purpose,))
-        for url, query in queries.all(limit=MAX_KEPT)
+        for url, query in documents.queries.all(limit=MAX_KEPT)
     ]
     waiting, count = list(_ROOTS), 0
     while waiting and count < MAX_KEPT:
@@ -167,7 +166,7 @@ class Finder:
         version = self._documents.records.version
         if known is not None and known.version == version:
             return known
-        entries = await kept_entries(self._documents, self._services.queries)
+        entries = await kept_entries(self._documents)
         return _Index(version, SearchIndex(Catalog(entries), by_meaning=False))
 
 

@@ -35,7 +35,7 @@ from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, JsonSchema, MessageSchemas
-from rosld.server.policies.stored_queries import ROUTE, StoredQueries, query_triples
+from rosld.server.policies.stored_queries import ROUTE, query_triples
 from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.ldp.base import Documents
 from rosld.server.resources.ldp.bodies import require_small
@@ -250,9 +250,8 @@ class StoredQueryResource(StoredFile):
     writes: ClassVar[frozenset[str]] = frozenset({"PUT", "DELETE"})
     accepts: Mapping[str, Sequence[str]] = {"PUT": (QUERY_MEDIA_TYPE,)}
 
-    def __init__(self, documents: Documents, queries: StoredQueries, path: str, runner: QueryRunner) -> None:
+    def __init__(self, documents: Documents, path: str, runner: QueryRunner) -> None:
         super().__init__(documents, path)
-        self.queries = queries
         self._runner = runner
 
     async def select_variant(self, exchange: Exchange) -> Resource:
@@ -260,11 +259,11 @@ class StoredQueryResource(StoredFile):
         return self
 
     def path_item(self, schemas: MessageSchemas) -> PathItem:
-        query = self.queries.outline(self.require_record())
+        query = self.documents.queries.outline(self.require_record())
         return _query_item(query.purpose, query.parameters)
 
     async def state(self) -> State:
-        return _describe(self.documents, self.queries, self.require_record())
+        return _describe(self.documents, self.require_record())
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         if (
@@ -273,7 +272,7 @@ class StoredQueryResource(StoredFile):
         ):
             return await super().custom_get(exchange)
         record = self.require_record()
-        query = await self.queries.executable(record)
+        query = await self.documents.queries.executable(record)
         state = f"{self.documents.records.identity}-{record.version}"
         return await self._runner.answer(exchange, self, query, state)
 
@@ -281,18 +280,14 @@ class StoredQueryResource(StoredFile):
 class QueryDescription(DescriptionResource):
     """The description of a query of a client; writes omit the triples derived from the query's text."""
 
-    def __init__(self, documents: Documents, queries: StoredQueries, path: str) -> None:
-        super().__init__(documents, path)
-        self.queries = queries
-
     async def state(self) -> State:
-        return _describe(self.documents, self.queries, self.require_record())
+        return _describe(self.documents, self.require_record())
 
     async def with_triples(
         self, record: Record, triples: Sequence[Triple], expected: int | None, known: Set[Triple] = frozenset()
     ) -> Put:
         require_small(triples)
-        own = set(self.queries.description(record))
+        own = set(self.documents.queries.description(record))
         return await super().with_triples(record, [one for one in triples if one not in own], expected, known)
 
 
@@ -314,24 +309,20 @@ class QueryContainer(ContainerResource):
 
     item = PathItem("The stored queries", query=(FORMAT, PAGE))
 
-    def __init__(self, documents: Documents, queries: StoredQueries, path: str) -> None:
-        super().__init__(documents, path)
-        self.queries = queries
-
     async def select_variant(self, exchange: Exchange) -> Resource:
         if exchange.method == "POST":
             await _require_size(exchange)
         return await super().select_variant(exchange)
 
     def is_taken(self, name: str) -> bool:
-        return name in self.queries.shipped or super().is_taken(name)
+        return name in self.documents.queries.shipped or super().is_taken(name)
 
     async def watch(self, wake: Callable[[], None]) -> Watch | None:
         return self.documents.changes.watch(wake, lambda path: path.startswith(ROUTE))
 
     async def state(self) -> State:
         base = await super().state()
-        version = self.queries.version
+        version = self.documents.queries.version
         return self.documents.states.get_or_make(
             f"{self.url}?{self._place}#{self._parts.variant} with what is shipped",
             (IdentityKey(base), version),
@@ -361,22 +352,22 @@ class QueryContainer(ContainerResource):
 
     def _shipped(self) -> dict[str, str]:
         """Return the purposes of the queries shipped with rosld, which are on the first page."""
-        return _shipped(self.documents, self.queries) if self._place is None or self._place.after == 0 else {}
+        return _shipped(self.documents) if self._place is None or self._place.after == 0 else {}
 
     def _stored_queries(self) -> list[tuple[str, StoredQuery]]:
         """Return the stored queries on this page."""
         if self._place is None:
-            records = list(self.queries.stored_records())
+            records = list(self.documents.queries.stored_records())
         else:
             members = page_at(self.documents, self.require_record(), self._place)[1]
             records = [
                 one for member in members if (one := self.documents.records.get(member.path)) and one.blob is not None
             ]
-        return [(self.space.base + one.path, self.queries.outline(one)) for one in records]
+        return [(self.space.base + one.path, self.documents.queries.outline(one)) for one in records]
 
 
-def _shipped(documents: Documents, queries: StoredQueries) -> dict[str, str]:
-    urls = {documents.space.query(name): query.purpose for name, query in queries.shipped.items()}
+def _shipped(documents: Documents) -> dict[str, str]:
+    urls = {documents.space.query(name): query.purpose for name, query in documents.queries.shipped.items()}
     there = {url: documents.records.get(url[len(documents.space.base) :]) is not None for url in urls}
     return {url: purpose for url, purpose in urls.items() if not there[url]}
 
@@ -396,31 +387,31 @@ def _list(document: Document, shipped: Mapping[str, str], stored: Mapping[str, s
     return Document(document.url, tuple(dict.fromkeys((*document.triples, *more, *said))))
 
 
-def queries_document(documents: Documents, queries: StoredQueries) -> Callable[[], Document]:
+def queries_document(documents: Documents) -> Callable[[], Document]:
     """Return a thread-safe function that returns the document of the current `/queries/` with all members."""
     record = documents.records.get(ROUTE)
     assert record is not None
     url, shipped, stored = (
         documents.space.container("queries"),
-        _shipped(documents, queries),
-        list(queries.stored_records()),
+        _shipped(documents),
+        list(documents.queries.stored_records()),
     )
     members = [documents.space.base + member.path for member in all_members(documents.records, record)]
 
     def describe() -> Document:
-        purposes = {documents.space.base + one.path: queries.outline(one).purpose for one in stored}
+        purposes = {documents.space.base + one.path: documents.queries.outline(one).purpose for one in stored}
         return _list(record_document(record, url, members, ()), shipped, purposes, titled=True)
 
     return describe
 
 
-def _describe(documents: Documents, queries: StoredQueries, record: Record) -> State:
+def _describe(documents: Documents, record: Record) -> State:
     """Return the description of a stored query: that of the file, and the triples derived from its text."""
     state = state_of(documents, record)
 
     def describe() -> Document:
         document = state.document
-        return Document(document.url, tuple(dict.fromkeys((*document.triples, *queries.description(record)))))
+        return Document(document.url, tuple(dict.fromkeys((*document.triples, *documents.queries.description(record)))))
 
     def make() -> State:
         return replace(state, describe=describe, shapes=_shapes(documents.space), renderings={})
@@ -444,17 +435,17 @@ async def _require_size(exchange: Exchange) -> None:
 
 def query_route(services: Services, runner: QueryRunner, location: Location) -> Resource:
     """Return the resource at `/queries/` or below."""
-    documents, queries = services.documents, services.queries
+    documents = services.documents
     found = stored_route(documents, location)
     match found:
         case StoredFile():
-            return StoredQueryResource(documents, queries, found.path, runner)
+            return StoredQueryResource(documents, found.path, runner)
         case DescriptionResource():
-            return QueryDescription(documents, queries, found.path + ".meta")
+            return QueryDescription(documents, found.path + ".meta")
         case ContainerResource() if found.path == ROUTE:
-            return QueryContainer(documents, queries, ROUTE)
+            return QueryContainer(documents, ROUTE)
         case AbsentResource():
-            query = queries.shipped.get(location.segments[0]) if len(location.segments) == 1 else None
+            query = services.queries.shipped.get(location.segments[0]) if len(location.segments) == 1 else None
             if query is not None and not location.is_container:
                 return ShippedQueryResource(services, query, runner)
             return AbsentQueryResource(documents, found.path)

@@ -150,7 +150,7 @@ class GraphDescriptions:
         yield _graph_entry(
             space.container("queries"),
             self._services.queries.version,
-            queries_document(self._services.documents, self._services.queries),
+            queries_document(self._services.documents),
         )
         for name, query in self._services.queries.shipped.items():
             url = space.query(name)

@@ -222,6 +222,7 @@ class Documents(Struct, frozen=True):
     space: Space
     settings: Settings
     records: Records
+    queries: StoredQueries
     changes: Signal
     """Emits the path of each record that has changed."""
     states: VersionCache[State]

@@ -137,7 +137,7 @@ class _Recording(NullSink):
         """Follow new topics after a change of the graph."""
         if self._loop is not None and not self._loop.is_closed():
             with contextlib.suppress(RuntimeError):
-                self._loop.call_soon_threadsafe(self._live.refresh)
+                self._loop.call_soon_threadsafe(self._live.feed.refresh)
 
     async def _report_progress(self, writer: RecordingWriter, ended: asyncio.Event) -> None:
         """Report the progress in one line of a terminal (and only there); end with the recording."""

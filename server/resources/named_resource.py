@@ -14,8 +14,6 @@ from rosld.server.http.problem import Problem
 from rosld.server.resources.accepted_shape import CommandResource
 from rosld.server.resources.base import READ_ONLY, Services, SessionResource
 from rosld.server.resources.namespaces import redirect_to_namespace
-from rosld.server.robot.hold_store import Holds
-from rosld.server.robot.limited_store import LimitedStore
 from rosld.server.robot.write_policy import resources_only_reason
 
 T = TypeVar("T")
@@ -77,18 +75,19 @@ class KeptResource(SessionResource, Generic[T]):
 
     links_offer = True
     url_of: ClassVar[Callable[[Space, str], str]]
-    store_of: ClassVar[Callable[[Services], LimitedStore[Any] | Holds]]
-    title_of: ClassVar[Callable[[Any], str]] = attrgetter("id")
+    store_of: ClassVar[attrgetter[Any]]
+    title_of: ClassVar[attrgetter[str]] = attrgetter("id")
 
     def __init__(self, services: Services, id: str) -> None:
         super().__init__(services, type(self).url_of(services.space, id))
-        self.store = type(self).store_of(services)
+        self.store = self.store_of(services)
         self.id = self.title = id
         with suppress(LookupError):
-            self.title = type(self).title_of(self.store.find(id))
+            self.title = self.title_of(self.store.find(id))
 
     async def watch(self, wake: Callable[[], None]) -> Watch:
-        return self.store.changes.watch(wake, lambda about: about == self.id)
+        watched: Watch = self.store.changes.watch(wake, lambda about: about == self.id)
+        return watched
 
     def require(self) -> T:
         """Return the current state of the call, goal or hold. Raises a 404 or 410 Problem."""

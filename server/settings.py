@@ -530,8 +530,9 @@ _UNFIT = frozenset(' <>"{}|\\^`')
 def _is_web_url(url: str) -> bool:
     try:
         parts = urlsplit(url)
-        return parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0 and not _UNFIT & set(url)
-    except ValueError:  # of the port
+        _ = parts.port  # reading it raises ValueError for a bad one
+        return parts.scheme in ("http", "https") and bool(parts.hostname) and not _UNFIT & set(url)
+    except ValueError:
         return False
 
 

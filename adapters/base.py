@@ -229,7 +229,7 @@ class Recording(Protocol):
         """A key of its content, the same after its file was moved; None if the content may change."""
 
     def times_between(self, start: int, end: int) -> tuple[int, int] | None:
-        """Return bounds in ns on the times of the messages from `start` to `end` (exclusive), or None."""
+        """Return bounds in ns on the times of messages `start` to `end` (exclusive), or None if there are none."""
 
     @property
     def settled(self) -> int:

@@ -25,10 +25,10 @@ class Sent(Enum):
 
 
 class RosError(Exception):
-    """Base class of the adapters' errors: a sentence that names the value, and separately the robot's `words`.
+    """Base class of the adapters' errors: a sentence of rosld that names the value, and the robot's own `words`.
 
-    The sentence never quotes the robot: clients trust it as the server's. `about` are the things that the sentence
-    mentions, as URLs on the server: a client without read access to them does not get the sentence.
+    The sentence never quotes the robot, because clients trust it. `about`, which the server sets, are URLs of what the
+    sentence mentions: a client without read access to them does not get the sentence.
     """
 
     def __init__(self, sentence: str, *, words: str | None = None, sent: Sent = Sent.NO) -> None:

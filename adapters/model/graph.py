@@ -273,6 +273,10 @@ def freeze(mapping: Mapping[str, _V]) -> Mapping[str, _V]:
     return MappingProxyType(dict(mapping))
 
 
+def _empty() -> Mapping[str, Any]:
+    return MappingProxyType({})
+
+
 @dataclass(frozen=True, slots=True)
 class Graph:
     """Snapshot of the computation graph; `revision` increases with every change.
@@ -286,11 +290,11 @@ class Graph:
     master: Master | None = None
     own_node: str = "/rosld"
     simulated_time: bool = False
-    nodes: Mapping[str, Node] = field(default_factory=dict)
-    topics: Mapping[str, Topic] = field(default_factory=dict)
-    services: Mapping[str, Service] = field(default_factory=dict)
-    actions: Mapping[str, Action] = field(default_factory=dict)
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    nodes: Mapping[str, Node] = field(default_factory=_empty)
+    topics: Mapping[str, Topic] = field(default_factory=_empty)
+    services: Mapping[str, Service] = field(default_factory=_empty)
+    actions: Mapping[str, Action] = field(default_factory=_empty)
+    parameters: Mapping[str, Parameter] = field(default_factory=_empty)
 
     def updated(self, **parts: Any) -> Graph:
         """Return this graph as live with these parts; itself if nothing has changed. Equal parts are shared."""

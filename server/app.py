@@ -97,7 +97,7 @@ class Shared(Struct, frozen=True, kw_only=True):
     process: QueryProcess
     clients: ClientLimiter
     is_first: bool = True
-    """Whether this application starts the watchdog."""
+    """Whether this application starts the watchdog, and answers probes without authentication."""
     watchdog: Watchdog = field(default_factory=Watchdog)
     turns: RequestScheduler = field(default_factory=RequestScheduler)
     readers: Counter[str | None] = field(default_factory=Counter)
@@ -209,7 +209,8 @@ def create_app(adapter: Adapter, settings: Settings, shared: Shared | None = Non
         handler = Traced(handler, tracing, timings)
     monitor = Monitor(timings, logs=settings.log_format == "json")
     link = render_links([notifications.link])
-    http = HttpApplication(handler, clients, settings, link, monitor, (health, ready))
+    probes = (health, ready) if shared.is_first else ()  # those of one of several robots need authentication
+    http = HttpApplication(handler, clients, settings, link, monitor, probes)
     mcp.connect(http)
     foxglove = FoxgloveService(session, broadcasters, authenticator, LocalTransport(http), services.instance_id)
     return Application(

@@ -70,6 +70,10 @@ class Permissions:
             raise TypeError("rights that depend on types are judged in the server only")
         return Permissions, (self.agent, Rights(self.rights.rules), self._space, _untyped, _about_unknown)
 
+    def within(self, url: str) -> Permissions:
+        """Return the permissions that judge names in the document at a URL, such as those of its robot's topics."""
+        return self
+
     def may_read(self, url: str) -> bool:
         """Whether a URL may be read, regardless of its query and fragment."""
         return self.may("GET", url)

@@ -46,6 +46,8 @@ def redact_document(document: Document, permissions: Permissions) -> Document:
     """Return the document without what the agent may not read; the agent may read what the document is about."""
     if permissions.is_unrestricted:
         return document
+    if (own := permissions.within(document.url)) is not permissions:
+        document = redact_document(document, own)
     redaction = _Redaction(document, permissions)
     triples = redaction.triples()
     messages = tuple(each for message in document.messages if (each := redaction.message(message)) is not None)

@@ -278,6 +278,10 @@ class Rights:
         allowed = any(rule.overlaps_subtree(mode, path) for rule in self.rules if not rule.deny)
         return allowed and not any(rule.covers_subtree(mode, path) for rule in self.rules if rule.deny)
 
+    def may_know_in_subtree(self, path: Path) -> bool:
+        """Whether any access is permitted somewhere at or below a path."""
+        return any(self.may_in_subtree(mode, path) for mode in Mode)
+
     def may_know_any_type(self, path: Path) -> bool:
         """Whether access is permitted for all types, so that types hide nothing."""
         return any(self._may_any(mode, path) for mode in Mode)

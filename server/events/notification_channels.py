@@ -30,6 +30,8 @@ MAX_CHANNELS = 4000
 """Maximum number of channels; a new one replaces the one without a receiver for the longest time."""
 IDLE_SECONDS = 300.0
 """Seconds that a channel without a receiver exists: the time for a client to connect, or to reconnect."""
+NO_CHANNEL = "There is no such channel, or it has expired: subscribe again."
+"""The same words for every path, so that they do not tell which robots exist."""
 _SECOND = 1_000_000_000
 
 
@@ -120,7 +122,7 @@ class Channels:
         channel = self._channels.get(token)
         if channel is None or channel.is_over or not channel.auth.is_valid():
             self._channels.pop(token, None)
-            raise Problem(404, "The channel does not exist or has expired: subscribe again.")
+            raise Problem(404, NO_CHANNEL)
         return channel
 
     def topic_of(self, token: str) -> str | None:

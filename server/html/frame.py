@@ -151,7 +151,8 @@ class Frame(Struct, frozen=True):
         """The sections of the site, and whether the page is in each."""
         site = self.site
         sections = [(f"{name}/", SECTIONS.get(name, name.capitalize())) for name in site.sections]
-        places = (("cockpit/default", "Cockpit"), *_VIEWS, *sections, ("sparql", "SPARQL"))
+        views = () if "robots" in site.sections else (("cockpit/default", "Cockpit"), *_VIEWS)
+        places = (*views, *sections, ("sparql", "SPARQL"))
         found = (Anchor(f"{site.root}{path}", words, f"{site.base}{path}") for path, words in places)
         return tuple((each, self._lies_in(each.url)) for each in found if site.may("GET", each.url))
 

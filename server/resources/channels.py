@@ -31,7 +31,7 @@ from rosld.server.auth.redaction import redact_problem
 from rosld.server.events.broadcaster import Broadcasters
 from rosld.server.events.channel_request import JSON_LD, MAX_BYTES, MEDIA_TYPES, check_profile, read_subscription
 from rosld.server.events.delivery import LINES, ChannelStream, WebSocketReceiver, channel_headers
-from rosld.server.events.notification_channels import Channel, Channels
+from rosld.server.events.notification_channels import NO_CHANNEL, Channel, Channels
 from rosld.server.http.body import read_body
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.fields import Link
@@ -125,7 +125,7 @@ class Notifications:
             case (kind, token, name) if location.kind == ROUTE and kind == WEBSOCKET and name == SOURCE:
                 self.broadcasters.require_capacity()
                 return WebSocketReceiver(self.channels, self.broadcasters, channel_of(self, kind, token))
-        raise Problem(404, f"There is no such WebSocket: subscribe at {self.space.url(ROUTE, (WEBSOCKET,))} first.")
+        raise Problem(404, NO_CHANNEL)
 
     async def _topic(self, url: str, auth: AuthContext) -> tuple[Resource, State]:
         """Return the topic of a channel, and its state. Raises a 422 Problem for a topic without a state."""
@@ -389,7 +389,7 @@ def channel_of(notifications: Notifications, kind: str, token: str) -> Channel:
     """Return the channel of a type with a token. Raises a 404 Problem."""
     channel = notifications.channels.find(token)
     if channel.terms.type != kind:
-        raise Problem(404, f"There is no such channel of type {kind}.")
+        raise Problem(404, NO_CHANNEL)
     return channel
 
 

@@ -357,7 +357,7 @@ class FindResource(SessionResource):
 
     async def _results_of(self, hits: Sequence[Hit]) -> Sequence[SearchResult]:
         """Return the results, each with its latest value if available."""
-        values = await self._values([hit.entry for hit in hits])
+        values = await self.values([hit.entry for hit in hits])
         small = {url: thumbnail(latest, url) for url, latest in values.items()}
         self._pictures = {url: picture for url, picture in small.items() if picture is not None}
         return [self._result(hit, values.get(hit.entry.url, NOTHING_AT_HAND)) for hit in hits]
@@ -370,7 +370,7 @@ class FindResource(SessionResource):
         offer = offer_url(entry.url) if entry.is_writable else None
         return SearchResult(member, entry.kind.value, hit.match.label, hit.field, resource, offer)
 
-    async def _values(self, entries: Sequence[Entry]) -> Mapping[str, LatestValue]:
+    async def values(self, entries: Sequence[Entry]) -> Mapping[str, LatestValue]:
         """Return the latest values by URL: of subscribed topics, of parameters, and cached ones of getters."""
         found = dict[str, LatestValue]()
         if self._subscribes:

@@ -185,6 +185,10 @@ Text = TypeVar("Text")
 _Read: TypeAlias = "Callable[[_Reading, Sequence[Recording], Sequence[PastSelection]], Text]"
 
 
+class NoRecordings(Problem):
+    """There is no recording that a query could be about."""
+
+
 class RecordedPast:
     """Recorded messages of one robot for its SPARQL endpoint."""
 
@@ -231,7 +235,7 @@ class RecordedPast:
         asked = frozenset(by_url) if query.asks_all else query.recordings
         named = asked & set(graphs) if graphs else asked
         if graphs and not named:
-            raise Problem(400, "ros:past needs a recording in the dataset: name one, as in FROM </bags/history/>.")
+            raise NoRecordings(400, "ros:past needs a recording in the dataset: name one, as in FROM </bags/history/>.")
         unknown = sorted(named - by_url.keys())
         if unknown:
             words = f"There is no recording <{unknown[0]}> that can be read: {space.container('bags')} lists them."
@@ -242,7 +246,7 @@ class RecordedPast:
             return [self._recordings.history.recording]
         if self._session.adapter.recordings:
             return list(self._session.adapter.recordings.values())
-        raise Problem(
+        raise NoRecordings(
             400,
             "There are no recordings to query: start rosld with --history GLOB (--history '*' for all "
             f"topics), or name a recording by ?message ros:recordedIn <{space.container('bags')}NAME/>.",

@@ -6,8 +6,10 @@ import asyncio
 import logging
 import re
 import time
+from collections import Counter
 from collections.abc import AsyncIterator, Hashable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
+from copy import copy
 from typing import TYPE_CHECKING, Any
 
 from starlette.responses import Response
@@ -19,16 +21,20 @@ from rosld.server.auth.rules import Agent
 from rosld.server.http.problem import Problem
 from rosld.server.receipts.audit import new_identifier
 from rosld.server.resources.listings import ListingResource
+from rosld.server.resources.past_messages import NoRecordings
 from rosld.server.robot.interlock import StopState
 from rosld.server.robot.software_stop import SoftwareStop, StepStatus, StopStep
 from rosld.server.runtime.dry_run import end_dry_run, is_dry_run
 from rosld.server.runtime.tasks import loop_time
-from rosld.server.sparql.materializer import GraphEntry, GraphSource, LiveDocument, LiveGraphs, Materializer
+from rosld.server.sparql.intervals import Interval
+from rosld.server.sparql.materializer import GraphEntry, GraphSource, Materializer
 from rosld.server.sparql.needs import Needs
+from rosld.server.sparql.past import MAX_TEXT, PastDataset, PastQuery, PastText
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.protocol import UpdateRequest
-from rosld.server.sparql.query_limits import Limits
+from rosld.server.sparql.query_limits import MAX_PAST, Limits, too_much_past
 from rosld.server.sparql.stored_sync import ChangeSource
+from rosld.server.sparql.summaries import SummaryQuery
 from rosld.server.sparql.update.base import UpdateRunner
 from rosld.server.sparql.update.operations import Operation
 
@@ -50,31 +56,26 @@ class RobotsPermissions(Permissions):
     def __reduce__(self) -> tuple[object, ...]:
         raise TypeError("only the server knows its robots")
 
-    def may(self, method: str, url: str) -> bool:
-        if self.is_unrestricted:
-            return True
+    def within(self, url: str) -> Permissions:
         robot = self._robots.at_url(url)
-        if robot is None or robot.app is None or robot.app.parts.authenticator is None:
-            return super().may(method, url)
-        return robot.app.parts.authenticator.permissions(self.agent).may(method, url)
+        authenticator = None if robot is None or robot.app is None else robot.app.parts.authenticator
+        return self if authenticator is None else authenticator.permissions(self.agent)
+
+    def may(self, method: str, url: str) -> bool:
+        own = self.within(url)
+        return super().may(method, url) if own is self else own.may(method, url)
 
 
-class BaseGraphs:
+class BaseGraphs(GraphSource):
     """Source of the graph of `/robots/`, the only live one at the base."""
 
-    def __init__(self, robots: Robots, base: GraphSource) -> None:
+    def __init__(self, robots: Robots) -> None:
         self._robots = robots
-        self._base = base
 
     @property
     def revision(self) -> Hashable:
         """Revision of the graph."""
         return self._listing().outline()[0]
-
-    @property
-    def writes(self) -> int:
-        """Number of writes to robots at the base: none."""
-        return self._base.writes
 
     def _listing(self) -> ListingResource:
         found = self._robots.base.parts.router.at("/robots/")
@@ -87,23 +88,12 @@ class BaseGraphs:
         version, describe = listing.outline()
         return {listing.url: GraphEntry(listing.url, version, lambda: serialize(describe(), Syntax.N_TRIPLES).decode())}
 
-    async def prepare(self, needs: Needs) -> None:
-        """Do nothing: the graph is always available."""
-
-    def wanted(self, needs: Needs, permissions: Permissions) -> Sequence[LiveDocument]:
-        """Return no documents: each robot reads its own."""
-        return ()
-
-    async def read(self, documents: Sequence[LiveDocument], *, deadline: float) -> LiveGraphs:
-        """Return no values."""
-        return LiveGraphs({}, {})
-
 
 class RobotsMaterializer(Materializer):
     """Synchronisation of the union of all robots' datasets, and of the documents at the base."""
 
     def __init__(self, robots: Robots, target: QueryProcess, source: GraphSource, *sources: ChangeSource) -> None:
-        super().__init__(target, BaseGraphs(robots, source), *sources)
+        super().__init__(target, BaseGraphs(robots), *sources)
         self._robots = robots
 
     @asynccontextmanager
@@ -115,10 +105,10 @@ class RobotsMaterializer(Materializer):
         deadline: float,
         scope: frozenset[str] | None = None,
     ) -> AsyncIterator[Mapping[str, str]]:
-        """Within the context the union holds what the needs require of each robot that is connected."""
+        """Within the context the union holds what the needs require of each connected robot that the agent may know."""
         limits = Limits(max(0.1, deadline - loop_time()))
         until = time.monotonic() + limits.seconds
-        running = [each for each in self._robots if each.app is not None]
+        running = [each for each in self._robots if each.app is not None and each.is_known_to(permissions)]
         async with AsyncExitStack() as stack:
 
             async def enter(materializer: Materializer, robot: Robot | None = None) -> Mapping[str, str]:
@@ -139,6 +129,46 @@ class RobotsMaterializer(Materializer):
             yield unread
 
 
+class RobotsPast:
+    """Recorded messages of all connected robots for queries at the base."""
+
+    def __init__(self, robots: Robots) -> None:
+        self._robots = robots
+
+    async def read(
+        self, query: PastQuery, dataset: PastDataset, now: Interval, until: float, most: int | None = None
+    ) -> PastText:
+        """Return all messages that a query selects; `most` is ignored, because each robot has other newest ones."""
+        found, missing = list[PastText](), NoRecordings(400, "There are no recordings to query: no robot has any.")
+        robots = [each for each in self._robots if each.app is not None and each.is_known_to(dataset.permissions)]
+        for url in sorted(query.recordings):
+            if not any(url.startswith(each.url) for each in robots):
+                raise Problem(400, f"There is no recording <{url}> that can be read.")
+        for robot in robots:
+            past, own = None if robot.app is None else robot.app.parts.sparql.queries.past, copy(query)
+            own.recordings = frozenset(url for url in query.recordings if url.startswith(robot.url))
+            if past is not None and (own.recordings or query.asks_all or not query.recordings):
+                try:
+                    found.append(await past.read(own, dataset, now, until))
+                except NoRecordings as error:
+                    missing = error
+            messages = sum(sum(each.counts.values()) for each in found)
+            if messages > MAX_PAST or sum(len(each.text) + len(each.stored) for each in found) > MAX_TEXT:
+                raise too_much_past(f"More than {messages} recorded messages of several robots may match this query.")
+        if not found:
+            raise missing
+        counts = sum((Counter(each.counts) for each in found), Counter[str]())
+        times = [times for each in found for times in each.times]
+        plain, stored = b"".join(each.text for each in found), b"".join(each.stored for each in found)
+        return PastText(plain, stored, times=times, counts=counts)
+
+    async def summarize(
+        self, query: PastQuery, summary: SummaryQuery, dataset: PastDataset, until: float
+    ) -> PastText | None:
+        """Return None: the messages are read."""
+        return None
+
+
 class RobotsUpdates:
     """Updates at the base: each reaches the one robot that it names, or else the documents at the base."""
 
@@ -148,13 +178,9 @@ class RobotsUpdates:
 
     async def answer(self, request: UpdateRequest, *, permissions: Permissions = ALLOW_ALL) -> Response:
         """Carry out an update. Raises Problems: 400 for an update that names several robots."""
-        base = self._robots.base_url
-        named = {
-            name
-            for text in (request.text, *request.using_graphs, *request.using_named_graphs)
-            for name in _NAMES.findall(text)
-        }
-        robots = [each for each in self._robots if each.name in named]
+        texts = (request.text, *request.using_graphs, *request.using_named_graphs)
+        named = {name for text in texts for name in _NAMES.findall(text)}
+        robots = [each for each in self._robots if each.name in named and each.is_known_to(permissions)]
         if len(robots) > 1:
             names = ", ".join(each.name for each in robots)
             raise Problem(400, f"An update reaches one robot, but this one names {names}: send one for each.")
@@ -165,7 +191,8 @@ class RobotsUpdates:
             raise Problem(403, "This server is read-only.")
         authenticator = app.parts.authenticator
         own = permissions if authenticator is None else authenticator.permissions(permissions.agent)
-        absolute = UpdateRequest(f"BASE <{base}> {request.text}", request.using_graphs, request.using_named_graphs)
+        text = f"BASE <{self._robots.session.space.base}> {request.text}"
+        absolute = UpdateRequest(text, request.using_graphs, request.using_named_graphs)
         return await app.parts.router.updates.answer(absolute, permissions=own)
 
     async def carry_out(self, operations: Sequence[Operation], *, permissions: Permissions = ALLOW_ALL) -> Response:
@@ -202,13 +229,15 @@ class StopOfAll(SoftwareStop):
 
     @property
     def stop_state(self) -> StopState | None:
-        """The newest stop, if every robot is stopped."""
+        """The newest stop, if every robot is stopped; who and why only if that is the same for all."""
         states = [each.stop_state if stop is None else stop.stop_state for each, stop in self._movable()]
         known = [each for each in states if each is not None]
         if not states or len(known) < len(states):
             return None
         newest = max(known, key=lambda each: each.since_ns)
-        return StopState(newest.stopped_by, newest.since_ns, newest.reason, self._robots.space.stop, newest.id)
+        is_same = len({(each.stopped_by, each.reason) for each in known}) == 1
+        by, reason = (newest.stopped_by, newest.reason) if is_same else ("several agents", None)
+        return StopState(by, newest.since_ns, reason, self._robots.session.space.stop, newest.id)
 
     @property
     def steps(self) -> tuple[StopStep, ...]:
@@ -216,8 +245,8 @@ class StopOfAll(SoftwareStop):
 
     @property
     def warning(self) -> str | None:
-        failed = [robot.name for robot, stop in self._movable() if _step(robot, stop).status is StepStatus.FAILED]
-        return f"These robots may still be moving: {', '.join(failed)}. See their own stops." if failed else None
+        failed = any(_step(robot, stop).status is StepStatus.FAILED for robot, stop in self._movable())
+        return "Some robots may still be moving: see the steps, and the robots' own stops." if failed else None
 
     def start(self) -> None:
         """Do nothing: each robot prepares its own stop."""
@@ -239,10 +268,6 @@ class StopOfAll(SoftwareStop):
             if isinstance(error, BaseException):
                 _log.error("a robot could not be stopped", exc_info=error)
         self._robots.changes.emit()
-
-    async def release(self, by: Agent) -> bool:
-        """Release nothing: each robot is released at its own stop."""
-        return False
 
     def _movable(self) -> list[tuple[Robot, SoftwareStop | None]]:
         """Return the robots that a stop is for, with their own stops; None while they are not connected."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import asyncio
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -18,10 +19,11 @@ from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import dcterms, rdfs, ros
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.html.forms import DeleteForm, Form
-from rosld.server.html.page import Cell, Csrf, Notice, Page
+from rosld.server.html.page import Cell, Csrf, MemberColumns, Notice, NoticeLevel, Page
 from rosld.server.html.site import Site
 from rosld.server.http.fields import Link
 from rosld.server.http.problem import Problem
+from rosld.server.hypermedia.brief_value import LatestValue
 from rosld.server.hypermedia.json_schema import BOOLEAN, TEXT, URI, JsonSchema, json_array, json_object, nullable
 from rosld.server.openapi.openapi_resource import OpenApiResource
 from rosld.server.resources.entry_point import GuideResource
@@ -35,17 +37,18 @@ from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import READ, Answer, CreatedAnswer, Resource
 from rosld.server.rest.state import State
 from rosld.server.routing.router import Route, single_route
-from rosld.server.search.index import SearchResults
+from rosld.server.search.index import Entry, SearchResults
 from rosld.server.search.words import Query
 
 if TYPE_CHECKING:
     from rosld.server.app import Parts
+    from rosld.server.resources.base import Services
     from rosld.server.robots.robots import Robot, Robots
 
 _KEPT = frozenset(
     {
-        ".well-known", "acl", "activity", "data", "healthz", "metrics", "ontology", "openapi.json", "queries", "readyz",
-        "shapes", "sparql", "status", "types",
+        ".well-known", "acl", "activity", "channels", "data", "docs", "healthz", "metrics", "ontology", "openapi.json",
+        "queries", "readyz", "shapes", "sparql", "status", "types",
     }
 )  # fmt: skip
 """Routes that mean the same at the base as at a robot."""
@@ -54,23 +57,24 @@ _DESCRIBED = {
     **{path: path for path in ("/data/", "/queries/", "/ontology", "/openapi.json", "/llms.txt")},
 }
 _ROBOT: JsonSchema = json_object(
-    {"name": TEXT, "url": URI, "source": TEXT, "state": {"enum": ["Live", "Stale"]}, "stopped": BOOLEAN},
-    {"reason": nullable(TEXT), "cockpit": URI, "stop": URI},
+    {"name": TEXT, "url": URI, "source": TEXT, "state": {"enum": ["Live", "Stale"]}},
+    {"stopped": BOOLEAN, "reason": nullable(TEXT), "cockpit": URI, "stop": URI},
 )
 _SENDS: JsonSchema = json_object({"name": TEXT, "source": TEXT})
 
 
 def routes(robots: Robots, parts: Parts) -> Mapping[str, Route]:
     """Return the routes at the base, by the first segment of the path."""
-    router, services, space = parts.router, parts.services, robots.space
+    router, services, space = parts.router, parts.services, robots.session.space
     listing = partial(RobotsResource, robots, parts)
     openapi = router.at("/openapi.json")
     assert isinstance(openapi, OpenApiResource)
     openapi.only = _DESCRIBED
-    find = FindResource(services, FindInAll(robots))
+    find = FindInAll(robots, parts.services)
 
     def entry() -> Resource:
-        raise Problem(307, f"The robots are at {space.container('robots')}", title="Moved", headers=_see(space))
+        url = space.container("robots")
+        raise Problem(307, f"The robots are at {url}", title="Moved", headers={"Location": url})
 
     def below(location: Location) -> Resource:
         if not location.segments:
@@ -80,8 +84,8 @@ def routes(robots: Robots, parts: Parts) -> Mapping[str, Route]:
             raise Problem(404, f"There is no robot {location.segments[0]}: see {space.container('robots')}")
         if len(location.segments) == 1:
             return RobotResource(robots, robot)
-        app = robot.require()
-        return app.parts.router.at("/" + space.url("", location.segments[1:]).removeprefix(f"{space.base}/"))
+        robot.require()
+        raise Problem(404, f"Ask the robot itself, below {robot.url} (without percent-encoding).")
 
     def faults(location: Location) -> Resource:
         if location.segments:
@@ -103,10 +107,6 @@ def routes(robots: Robots, parts: Parts) -> Mapping[str, Route]:
     }
 
 
-def _see(space: Space) -> Mapping[str, str]:
-    return {"Location": space.container("robots")}
-
-
 def _faults(robots: Robots) -> Iterable[ListedMember]:
     """Yield the faults of all robots, labelled with the names of their robots."""
     for robot in robots:
@@ -115,11 +115,24 @@ def _faults(robots: Robots) -> Iterable[ListedMember]:
                 yield replace(each, name=f"{robot.name}: {each.name}")
 
 
-class FindInAll:
+class FindInAll(FindResource):
     """The search of all connected robots, best results first."""
 
-    def __init__(self, robots: Robots) -> None:
+    def __init__(self, robots: Robots, services: Services) -> None:
+        super().__init__(services, self)
         self._robots = robots
+
+    async def values(self, entries: Sequence[Entry]) -> Mapping[str, LatestValue]:
+        """Return the latest values by URL, of all robots at once."""
+
+        async def read(robot: Robot) -> Mapping[str, LatestValue]:
+            own = [each for each in entries if each.url.startswith(robot.url)]
+            if not own or robot.app is None:
+                return {}
+            return await robot.app.parts.router.search.variant(_subscribes=self._subscribes).values(own)
+
+        found = await asyncio.gather(*map(read, self._robots), return_exceptions=True)
+        return {url: value for each in found if not isinstance(each, BaseException) for url, value in each.items()}
 
     async def find(self, query: Query, permissions: Permissions, limit: int) -> SearchResults:
         """Return at most `limit` readable entries."""
@@ -182,9 +195,10 @@ class RobotsResource(ListingResource):
 
     def __init__(self, robots: Robots, parts: Parts) -> None:
         columns = ("state", "source", "faults", "cockpit", "stop")
-        super().__init__(parts.services, "robots", "The robots", columns, self._listed, robots.changes)
+        members = partial(map, _member, robots)
+        super().__init__(parts.services, "robots", "The robots", columns, members, robots.changes)
         self._robots = robots
-        base = robots.space.base
+        base = robots.session.space.base
         self.links = (
             *self.links,
             Link(f"{base}openapi.json", "service-desc", type="application/openapi+json"),
@@ -193,15 +207,12 @@ class RobotsResource(ListingResource):
         )
 
     def path_item(self, schemas: object) -> PathItem:
-        post = WriteMethod("Adds a robot, whose source is opened in the background.", _SENDS)
+        note = "Adds a robot, whose source is opened in the background. A server with --data keeps it over a restart."
+        post = WriteMethod(note, _SENDS)
         return PathItem("The robots", plain=json_array(_ROBOT), writes={"POST": post})
 
     def methods(self) -> frozenset[str]:
         return READ if self._robots.settings.read_only else READ | {"POST"}
-
-    def _listed(self) -> Iterable[ListedMember]:
-        for robot in self._robots:
-            yield _member(robot)
 
     async def state(self) -> State:
         return replace(await super().state(), plain=partial(self._plain_for, ALLOW_ALL))
@@ -216,7 +227,8 @@ class RobotsResource(ListingResource):
             if permissions.may_read(robot.url):
                 own = {"name": robot.name, "url": robot.url, "source": robot.shown_source, "state": _state(robot)}
                 readable = {name: url for name, url in more.items() if permissions.may_read(url)}
-                found.append({**own, "stopped": _is_stopped(robot), "reason": robot.trouble, **readable})
+                stopped = {"stopped": _is_stopped(robot)} if "stop" in readable else {}
+                found.append({**own, **stopped, "reason": robot.trouble, **readable})
         return orjson.dumps(found)
 
     async def forms(self) -> Sequence[Form]:
@@ -232,7 +244,17 @@ class RobotsResource(ListingResource):
         self, site: Site, state: State, forms: Sequence[Form], csrf: Csrf, notices: Sequence[Notice]
     ) -> Page | bytes:
         allowed = [each for each in forms if site.may("POST", each.action)]
-        return super().page(site, state, allowed, csrf, notices)
+        if (lost := self._robots.added.lost_at_end) and site.may("POST", self.url):
+            sentence = f"{', '.join(lost)}: added here, and gone after a restart of the server. --data DIR keeps them."
+            notices = [*notices, Notice(sentence, NoticeLevel.WARNING)]
+        found = super().page(site, state, allowed, csrf, notices)
+        assert isinstance(found, Page)
+        return replace(found, listing=self._listing_for(site))
+
+    def _listing_for(self, site: Site) -> MemberColumns:
+        """Return the columns without states and faults that the reader may not read."""
+        members = (_member(robot, site.may) for robot in self._robots)
+        return replace(self.listing(), cells={each.url: each.cells for each in members})
 
     async def post(self, exchange: Exchange) -> Answer:
         """Add a robot: 201. Raises Problems: 403 for a recording, 409 for a used name, 422 for an invalid source."""
@@ -240,7 +262,7 @@ class RobotsResource(ListingResource):
             case {"name": str(name), "source": str(source), **others} if not others:
                 exchange.audit.add_step(f"add the robot {name[:64]}", self.url)
                 try:
-                    robot = self._robots.add(name, source)
+                    robot = await self._robots.add(name, source)
                 except ValueError as error:
                     raise Problem(422, f"{error}.") from error
                 return CreatedAnswer(robot.url, RobotResource(self._robots, robot), None)
@@ -255,13 +277,14 @@ def _is_stopped(robot: Robot) -> bool:
     return (robot.stop_state if robot.app is None else robot.app.session.interlock.stop_state) is not None
 
 
-def _member(robot: Robot) -> ListedMember:
-    """Return the robot as a member of `/robots/`."""
+def _member(robot: Robot, may: Callable[[str, str], bool] = lambda method, url: True) -> ListedMember:
+    """Return the robot as a member of `/robots/`, with cells for a reader with these permissions."""
     node, trouble, state = NamedNode(robot.url), robot.trouble, _state(robot)
     faults = () if robot.app is None else robot.app.parts.services.faults.all()
-    active = sum(not each.is_healed for each in faults)
-    shown = "stopped" if _is_stopped(robot) else "live" if trouble is None else f"unreachable: {trouble}"
-    cells: tuple[Cell, ...] = (shown, robot.shown_source, str(active), NamedNode(f"{robot.url}cockpit/default"))
+    active = str(sum(not each.is_healed for each in faults)) if may("GET", f"{robot.url}faults/") else ""
+    is_stopped = may("GET", f"{robot.url}stop") and _is_stopped(robot)
+    shown = "stopped" if is_stopped else "live" if trouble is None else f"unreachable: {trouble}"
+    cells: tuple[Cell, ...] = (shown, robot.shown_source, active, NamedNode(f"{robot.url}cockpit/default"))
     outline = triples_about(
         node,
         (rdfs.label, text(robot.name)),
@@ -287,7 +310,7 @@ class RobotResource(Resource):
     is_cacheable = False
 
     def __init__(self, robots: Robots, robot: Robot) -> None:
-        super().__init__(robots.space, robot.url)
+        super().__init__(robots.session.space, robot.url)
         self._robots = robots
         self._robot = robot
 

@@ -9,9 +9,12 @@ import logging
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import TypeAlias
 
+import msgspec
 from msgspec.structs import replace
+from starlette.datastructures import Headers
 from starlette.types import Receive, Scope, Send
 
 from rosld.adapters.base import Adapter, AdapterOptions, Capabilities, Sink, Subscription
@@ -28,18 +31,20 @@ from rosld.adapters.model import (
     UnknownType,
 )
 from rosld.adapters.registry import RECORDING, adapter_for, installed, scheme_of, without_credentials
-from rosld.ontology.urls import Space
 from rosld.server.app import Application, create_app, shared_of
-from rosld.server.auth.rules import Agent
+from rosld.server.auth.permissions import Permissions
+from rosld.server.auth.rules import ROBOTS, Agent
 from rosld.server.http.problem import Problem, one_line
 from rosld.server.robot.interlock import StopState
-from rosld.server.robots.federation import RobotsMaterializer, RobotsPermissions, RobotsUpdates, StopOfAll
+from rosld.server.robots.federation import RobotsMaterializer, RobotsPast, RobotsPermissions, RobotsUpdates, StopOfAll
 from rosld.server.robots.resources import routes
+from rosld.server.runtime.dry_run import end_dry_run
 from rosld.server.runtime.tasks import Signal
 from rosld.server.runtime.version_cache import IdentityKey
 from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings
 from rosld.server.sparql.process.shared import RobotProcess, UnionCopy
+from rosld.server.storage.files import write_note
 
 _log = logging.getLogger("rosld")
 
@@ -96,25 +101,16 @@ class Robot:
 
     def __init__(self, name: str, source: str, robots: Robots) -> None:
         self.name = name
-        self.source = source
-        self.url = f"{robots.base_url}robots/{name}/"
+        self.source, self.shown_source = source, without_credentials(source)
+        self.url = f"{robots.settings.base_url}robots/{name}/"
         self.app: Application | None = None
+        self.union: UnionCopy
         self.problem = "it is being opened"
         self.stop_state: StopState | None = None
         """A stop that the robot gets as soon as it is connected."""
         self.tried = asyncio.Event()
         self._robots = robots
         self._removed = asyncio.Event()
-
-    @property
-    def union(self) -> UnionCopy:
-        assert self.app is not None
-        return self._union
-
-    @property
-    def shown_source(self) -> str:
-        """The source without credentials."""
-        return without_credentials(self.source)
 
     @property
     def trouble(self) -> str | None:
@@ -124,10 +120,15 @@ class Robot:
         state = self.app.session.graph.state
         return state.why if isinstance(state, Stale) else None
 
+    def is_known_to(self, permissions: Permissions) -> bool:
+        """Whether an agent may know of the robot: it may do something there."""
+        return permissions.is_unrestricted or permissions.rights.may_know_in_subtree((ROBOTS, self.name))
+
     def require(self) -> Application:
         """Return the application. Raises a 503 Problem while there is none."""
         if self.app is None:
-            raise Problem(503, f"{self.name} is not connected: {self.problem}.", headers={"Retry-After": "2"})
+            words, retry = f"{self.name} is not connected: {self.problem}.", {"Retry-After": "2"}
+            raise Problem(503, words, headers=retry, about=(self.url,))
         return self.app
 
     def remove(self) -> None:
@@ -146,7 +147,7 @@ class Robot:
             try:
                 await self._serve()
             except (RosError, OSError, ValueError, RuntimeError) as error:
-                self.problem = one_line(str(error)).rstrip(".") or type(error).__name__
+                self.problem = without_credentials(one_line(str(error)).rstrip(".")) or type(error).__name__
                 _log.warning("the robot %s cannot be opened, trying again in %g s: %s", self.name, pause, self.problem)
             except Exception as error:
                 self.problem = "the server failed to open it; see its log"
@@ -163,7 +164,7 @@ class Robot:
         adapter = robots.open_adapter(self.source, settings.adapter_options)
         process = RobotProcess(robots.shared.process)
         app = create_app(adapter, settings, replace(robots.shared, process=process, is_first=False))
-        self._union = UnionCopy(robots.shared.process, process, self.url)
+        self.union = UnionCopy(robots.shared.process, process, self.url)
         try:
             async with lifespan(app):
                 if self.stop_state is not None:
@@ -182,7 +183,7 @@ class Robot:
                 finally:
                     app.end_streams()
                     self.stop_state, self.app, self.problem = app.session.interlock.stop_state, None, "it has ended"
-                    self._union.remove()
+                    self.union.remove()
                     for each in watches:
                         each.close()
         finally:
@@ -207,6 +208,45 @@ def _base_settings(settings: Settings) -> Settings:
     )
 
 
+class AddedRobots:
+    """The robots that clients added: their sources by name, in a file if the server has a data folder."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._file = None if folder is None else folder / "robots.json"
+        self.sources = {} if self._file is None else self._read(self._file)
+        self.lock = asyncio.Lock()
+
+    @property
+    def lost_at_end(self) -> Sequence[str]:
+        """Names of the robots that are not kept over a restart."""
+        return sorted(self.sources) if self._file is None else ()
+
+    async def store(self, sources: dict[str, str]) -> None:
+        """Replace the sources. Raises Problem 507 if that fails."""
+        if self._file is not None and sources != self.sources:
+            try:
+                await asyncio.to_thread(write_note, self._file, msgspec.json.encode(sources))
+            except OSError as error:
+                raise Problem(507, f"The list of robots cannot be stored: {error.strerror}.") from error
+        self.sources = sources
+
+    def _read(self, file: Path) -> dict[str, str]:
+        """Return the sources in the file; a damaged one is set aside."""
+        try:
+            found = msgspec.json.decode(file.read_bytes(), type=dict[str, str])
+            for name in found:
+                require_name(name)
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, msgspec.MsgspecError) as error:
+            aside = file.with_suffix(".damaged")
+            with contextlib.suppress(OSError):
+                file.replace(aside)
+            _log.error("%s is damaged (%s): the robots that clients added are missing; see %s", file, error, aside)
+            return {}
+        return found
+
+
 class Robots:
     """The ASGI application of several robots. `open_adapter` returns the adapter of a source."""
 
@@ -217,7 +257,13 @@ class Robots:
             open_adapter(source, settings.adapter_options)
         self.open_adapter = open_adapter
         self.changes = Signal()
-        self._robots = {name: Robot(name, source, self) for name, source in sources.items()}
+        self.added = AddedRobots(settings.data)
+        for name in self.added.sources.keys() & sources:
+            _log.warning(
+                "the robot %s added by a client is replaced by the one that this server was started with", name
+            )
+        everything = {**sources, **self.added.sources, **sources}
+        self._robots = {name: Robot(name, source, self) for name, source in everything.items()}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self.shared = shared_of(settings)
         self.adapter = NoRobot()
@@ -236,22 +282,14 @@ class Robots:
         self.session, self.clients = self.base.session, self.base.clients
         self.metric_sources = self.base.metric_sources
         self.base.parts.router.routes = dict(routes(self, self.base.parts))
+        queries = self.base.parts.sparql.queries
+        queries.ages, queries.past, queries.transforms = self._message_ages, RobotsPast(self), None
         self.base.mcp.connect(self)
-        self._prefix = f"{self.space.path}robots/".encode("ascii")
-        self._stop = re.compile(re.escape(self.space.path.encode("ascii")) + rb"(robots/[^/]+/)?stop")
+        self._prefix = f"{self.session.space.path}robots/".encode("ascii")
+        self._stop = re.compile(re.escape(self.session.space.path.encode("ascii")) + rb"(robots/[^/]+/)?stop")
 
     def __iter__(self) -> Iterator[Robot]:
         return iter(tuple(self._robots.values()))
-
-    @property
-    def base_url(self) -> str:
-        """The base of the server."""
-        return self.settings.base_url
-
-    @property
-    def space(self) -> Space:
-        """The URLs at the base."""
-        return self.session.space
 
     def get(self, name: str) -> Robot | None:
         """Return the robot of a name, None if there is none."""
@@ -259,7 +297,7 @@ class Robots:
 
     def at_url(self, url: str) -> Robot | None:
         """Return the robot that a URL belongs to, None if it belongs to the base."""
-        begin = f"{self.base_url}robots/"
+        begin = f"{self.settings.base_url}robots/"
         name, slash, _ = url.removeprefix(begin).partition("/")
         return self._robots.get(name) if slash and url.startswith(begin) else None
 
@@ -275,28 +313,40 @@ class Robots:
             own.mkdir(parents=True, exist_ok=True)
         return dataclasses.replace(self.settings, base_url=robot.url, name=robot.name, data=own)
 
-    def add(self, name: str, source: str) -> Robot:
+    async def add(self, name: str, source: str) -> Robot:
         """Add a robot, whose source is opened in the background. Raises ValueError, and Problem 409 for a used name."""
         require_name(name)
-        if name in self._robots:
-            raise Problem(409, f"There is a robot {name} already: {self._robots[name].url}")
-        if len(self._robots) >= MAX_ROBOTS:
-            raise Problem(409, f"There are {MAX_ROBOTS} robots, the maximum.")
         if scheme_of(source, frozenset(installed())) == RECORDING:
             words = "A recording is a file of the server, which clients must not choose: name it on the command line."
             raise Problem(403, words)
         self.open_adapter(source, self.settings.adapter_options)  # raises ValueError for an invalid source
-        robot = self._robots[name] = Robot(name, source, self)
-        self._start(robot)
+        async with self.added.lock:
+            if name in self._robots:
+                raise Problem(409, f"There is a robot {name} already.")
+            if len(self._robots) >= MAX_ROBOTS:
+                raise Problem(409, f"There are {MAX_ROBOTS} robots, the maximum.")
+            end_dry_run(201)
+            await self.added.store({**self.added.sources, name: source})
+            robot = self._robots[name] = Robot(name, source, self)
+            self._start(robot)
         self.changes.emit()
         return robot
 
     async def remove(self, name: str) -> None:
-        """Remove a robot, after its holds and streams have ended."""
-        self._robots[name].remove()
-        await asyncio.wait([self._tasks.pop(name)])
-        self._robots.pop(name, None)
+        """Remove a robot, after its holds and streams have ended. Raises Problem 404 if it was removed meanwhile."""
+        end_dry_run(204)
+        async with self.added.lock:
+            if name not in self._robots:
+                raise Problem(404, f"There is no robot {name} any more.")
+            await self.added.store({other: source for other, source in self.added.sources.items() if other != name})
+            self._robots[name].remove()
+            await asyncio.wait([self._tasks.pop(name)])
+            del self._robots[name]
         self.changes.emit()
+
+    def _message_ages(self) -> Mapping[str, float]:
+        """Return the seconds since the newest message of each topic of all robots, by URL."""
+        return {url: age for each in self if each.app for url, age in each.app.session.message_ages().items()}
 
     def end_streams(self) -> None:
         """End unbounded responses, holds first."""
@@ -308,18 +358,30 @@ class Robots:
         if scope["type"] == "lifespan":
             await self._run(receive, send)
             return
-        app = self._app_at(scope["raw_path"], scope.get("method"))
+        app = await self._app_for(scope)
         await app(scope, receive, send)
 
-    def _app_at(self, path: bytes, method: str | None) -> Application:
-        """Return the application for a path: that of a connected robot, or that of the base."""
+    async def _app_for(self, scope: Scope) -> Application:
+        """Return the application for a request: that of a connected robot, or that of the base.
+
+        An agent that may do nothing at a robot gets the answer of the base, as for a robot that does not exist.
+        WebSockets of channels need no credentials: their URLs are secrets.
+        """
+        path: bytes = scope["raw_path"]
         if not path.startswith(self._prefix):
             return self.base
         name, slash, rest = path[len(self._prefix) :].partition(b"/")
         robot = self._robots.get(name.decode("latin-1"))
-        if robot is None or robot.app is None or not slash or (method == "DELETE" and not rest):
+        if robot is None or robot.app is None or not slash or (scope.get("method") == "DELETE" and not rest):
             return self.base
-        return robot.app
+        app, authenticator = robot.app, self.base.parts.authenticator
+        if authenticator is None or (scope["type"] == "websocket" and rest.startswith(b"channels/")):
+            return app
+        try:
+            auth = await authenticator.authenticate(Headers(scope=scope).get("authorization"))
+        except Problem:
+            return self.base
+        return app if robot.is_known_to(auth.permissions) else self.base
 
     def _start(self, robot: Robot) -> None:
         self._tasks[robot.name] = asyncio.get_running_loop().create_task(robot.run())

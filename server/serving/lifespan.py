@@ -39,6 +39,7 @@ class Lifespan(Struct, eq=False):
             await self.start()
         except BaseException:
             await self.process.close()
+            await self.stop()
             raise
         if self.watchdog is not None:
             self.watchdog.start()

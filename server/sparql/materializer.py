@@ -67,7 +67,7 @@ class LiveGraphs(Struct, frozen=True):
 
 
 class GraphSource(Protocol):
-    """Source of the graphs of the dataset. Called on the loop."""
+    """Source of the graphs of the dataset, by default without values. Called on the loop."""
 
     @property
     def revision(self) -> Hashable:
@@ -77,7 +77,7 @@ class GraphSource(Protocol):
     @property
     def writes(self) -> int:
         """Number that increases with each write that the server sends to the robot, before the write is answered."""
-        ...
+        return 0
 
     def descriptions(self) -> Mapping[str, GraphEntry]:
         """Return all graphs, by IRI, without values."""
@@ -85,15 +85,15 @@ class GraphSource(Protocol):
 
     async def prepare(self, needs: Needs) -> None:
         """Make the descriptions of everything that the needs name available."""
-        ...
+        return
 
     def wanted(self, needs: Needs, permissions: Permissions) -> Sequence[LiveDocument]:
         """Return the documents whose values the needs can match and the permissions allow to read."""
-        ...
+        return ()
 
     async def read(self, documents: Sequence[LiveDocument], *, deadline: float) -> LiveGraphs:
         """Return documents with their current values, waiting until `deadline` (loop time) at most for first values."""
-        ...
+        return LiveGraphs({}, {})
 
 
 _WILDCARD_SECONDS = 0.2

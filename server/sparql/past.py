@@ -70,6 +70,8 @@ _LINK, _RECEIVED, _NAME, _TYPE, _OF_RECORD, _IN = (
 _MAX_PATH = 16
 """Maximum number of fields from a message to a number."""
 _NOTHING = frozenset[str]()
+_OF_ROBOT = r"(?:robots/[^/]+/)?"
+"""Pattern of the path of a robot below the base of a server of several."""
 _WITHIN = geometry.TERMS.union(
     each.value for each in (rdf.first, rdf.rest, ros.latest, ros.latestFrom, ros.recordedMessage)
 )
@@ -492,7 +494,7 @@ class PastQuery:
         )
         if not isinstance(pattern.subject, Iri) or pattern.repeated:
             return has_predicate
-        place = pattern.subject.value.removeprefix(self._terms.base)
+        place = re.sub(f"^{_OF_ROBOT}", "", pattern.subject.value.removeprefix(self._terms.base))
         is_topic = place.startswith("topics/") and (predicates is None or _PAST in predicates)
         return has_predicate and (is_topic or place.startswith("bags/"))
 
@@ -647,14 +649,13 @@ def _meet(one: frozenset[str] | None, other: frozenset[str] | None) -> frozenset
 
 def _recordings(query: Query, base: str) -> Iterator[str]:
     """Yield the URLs of recordings that a query names directly or by their contents."""
-    below = f"{base}bags/"
+    recording = re.compile(f"{re.escape(base)}{_OF_ROBOT}bags/[^/]*/")
     terms = (
         term for group in groups_within(query.where) for each in group.patterns for term in (each.subject, each.object)
     )
     for iri in (*query.constants, *query.default, *(term.value for term in terms if isinstance(term, Iri))):
-        document = document_of(iri)
-        if document.startswith(below) and "/" in document[len(below) :]:
-            yield below + document[len(below) :].partition("/")[0] + "/"
+        if found := recording.match(document_of(iri)):
+            yield found[0]
 
 
 class PastText(NamedTuple):

@@ -95,7 +95,7 @@ class QueryService:
     """Query evaluation over a dataset that is materialized before each query. Belongs to one loop.
 
     `ages` returns the seconds since the newest message of each topic that has one, by topic URL; `transforms` returns
-    the recent transforms of the robot.
+    the recent transforms of the robot, and is None where there is not one robot.
     """
 
     def __init__(
@@ -112,10 +112,10 @@ class QueryService:
         self._process = process
         self._materializer = materializer
         self._analyser = analyser
-        self._ages = ages
+        self.ages = ages
         self._restricted = restricted
-        self._past = past
-        self._transforms = transforms
+        self.past = past
+        self.transforms = transforms
         self.limits = limits
         self.timings = Timings(_outcome_of)
         self._reader = ThreadPoolExecutor(1, "sparql-reader")
@@ -249,8 +249,10 @@ class QueryService:
 
     async def _transforms_for(self, permissions: Permissions, past: PastText | None) -> tuple[FrameRow, ...]:
         """Return the recorded transforms of a past query, and the live ones if the agent may read their topics."""
+        if self.transforms is None:
+            raise Problem(400, "ros:transform needs the frames of one robot: send the query to its own endpoint.")
         may_read = all(permissions.may_read(f"{self._analyser.base}topics{topic}") for topic in TOPICS)
-        live = await self._transforms() if may_read and self._transforms is not None else ()
+        live = await self.transforms() if may_read else ()
         return (*(() if past is None else past.transforms), *live)
 
     async def _dataset_for(self, run: _Run) -> int:
@@ -273,14 +275,14 @@ class QueryService:
         if analysis.past is None:
             yield analysis, None, 0
             return
-        if self._past is None:
+        if self.past is None:
             raise Problem(400, "This server has no recordings: ros:past cannot be used.")
         now = time.time_ns()
         moments = Interval(now - _SECOND, now + int((limits.seconds + 1) * _SECOND))
         graphs, _ = _dataset(analysis, request)
         dataset = PastDataset(graphs, permissions, await self._choose(run))
         if analysis.summary is not None:
-            summaries = await self._past.summarize(analysis.past, analysis.summary.query, dataset, until)
+            summaries = await self.past.summarize(analysis.past, analysis.summary.query, dataset, until)
             if summaries is not None:
                 yield analysis.summary.analysis, summaries, 0
                 return
@@ -288,13 +290,13 @@ class QueryService:
         if end is not None and is_counted:
             most = end.messages
             while True:
-                found = await self._past.read(analysis.past, dataset, moments, until, most)
+                found = await self.past.read(analysis.past, dataset, moments, until, most)
                 if found.is_whole:
                     yield analysis, found, 0
                     return
                 yield analysis, found, end.rows
                 most *= _GROWTH
-        found = await self._past.read(analysis.past, dataset, moments, until)
+        found = await self.past.read(analysis.past, dataset, moments, until)
         yield analysis, found, 0
 
     async def _choose(self, run: _Run) -> dict[str, frozenset[str]]:
@@ -322,7 +324,7 @@ class QueryService:
         default, named = _dataset(analysis, request)
         ages = None
         if analysis.asks_age:
-            ages = {topic: age for topic, age in self._ages().items() if permissions.may_read(topic)}
+            ages = {topic: age for topic, age in self.ages().items() if permissions.may_read(topic)}
         base, prefixes = self._analyser.base, analysis.prefixes
         return QueryWork(analysis.text, base, prefixes, default, named, ages, analysis.functions, past)
 

@@ -42,9 +42,10 @@ class QueryProcess:
 
     def __init__(self, concurrency: int, queue: int) -> None:
         self._datasets = count(1)
+        self._first = 0
+        """Number of the dataset that 0 stands for."""
         self.generation = 0
         self._pool = WorkerPool(concurrency, queue)
-        self._child: ChildProcess | None = None
         self._ready = asyncio.Event()
         self._restart: asyncio.Task[None] | None = None
         self._closed = False
@@ -54,7 +55,7 @@ class QueryProcess:
     @property
     def pid(self) -> int | None:
         """The process ID, None while no process runs."""
-        return None if self._child is None else self._child.popen.pid
+        return None if self._pool.process is None else self._pool.process.popen.pid
 
     @property
     def is_running(self) -> bool:
@@ -93,8 +94,8 @@ class QueryProcess:
             popen.kill()
             connection.close()
             return
-        self._child = ChildProcess(spawned, self._loop, self._take, self._on_lost)
-        self._pool.start(self._child, self._loop)
+        child = ChildProcess(spawned, self._loop, self._take, self._on_lost)
+        self._pool.start(child, self._loop)
         self.generation += 1
         for listener in self._on_start:
             listener()
@@ -106,7 +107,7 @@ class QueryProcess:
         if self._restart is not None:
             self._restart.cancel()
         self._ready.clear()
-        child, self._child = self._child, None
+        child = self._pool.process
         if child is not None:
             child.close()
             child.popen.kill()
@@ -116,9 +117,10 @@ class QueryProcess:
     @property
     def _running(self) -> ChildProcess:
         """The process. Raises Problem 503 if none runs."""
-        if self._child is None or not self._child.is_open:
+        child = self._pool.process
+        if child is None or not child.is_open:
             raise process_restarting(1)
-        return self._child
+        return child
 
     async def wait_ready(self, until: float) -> None:
         """Wait up to two seconds for the process to start. Raises Problem 503 after that."""
@@ -145,7 +147,7 @@ class QueryProcess:
         needed = characters * DATASET_PER_CHARACTER + sum(text.count("\n") for text in added) * DATASET_PER_TRIPLE
         if needed:
             process.require_memory(needed, f"the dataset, for changes of {characters} characters,")
-        data = pack(Change(dataset, dict(graphs), [*edits]))
+        data = pack(Change(dataset or self._first, dict(graphs), [*edits]))
         process.send_change(data, needed)
         self._pool.note(data)
         if dataset == 0:
@@ -177,7 +179,7 @@ class QueryProcess:
         Raises what the work raises, and Problems: 503 if a limit is reached, the workers are busy or the process
         restarts, 500 if the work crashed its worker.
         """
-        data = pack(Job(dataset, work, max(0.0, until - time.monotonic()), limits.memory))
+        data = pack(Job(dataset or self._first, work, max(0.0, until - time.monotonic()), limits.memory))
         if len(data) > _LARGE:
             self._running.require_memory(len(data) * _PER_BYTE, f"a request of {len(data)} bytes")
         return await Evaluation(data, work, limits, until, self._pool.cancel).run(self._pool.begin, disconnected)
@@ -201,8 +203,8 @@ class QueryProcess:
 
     async def wait_drained(self) -> None:
         """Wait until the process has received most of what was sent, or has ended."""
-        if self._child is not None:
-            await self._child.wait_drained()
+        if self._pool.process is not None:
+            await self._pool.process.wait_drained()
 
     # --- messages and restart
 
@@ -215,13 +217,12 @@ class QueryProcess:
 
     def _on_lost(self) -> None:
         self._ready.clear()
+        child = self._pool.process
         self._pool.stop()
-        if not self._closed:
-            self._restart = self._loop.create_task(self._start_again())
+        if child is not None and not self._closed:
+            self._restart = self._loop.create_task(self._start_again(child))
 
-    async def _start_again(self) -> None:
-        child = self._child
-        assert child is not None
+    async def _start_again(self, child: ChildProcess) -> None:
         status = await self._loop.run_in_executor(None, child.popen.wait)
         how = f"signal {-status}" if status < 0 else f"exit {status}"
         _log.error("the query process died (%s); restarting it", how)

@@ -278,7 +278,7 @@ class WorkerPool:
         self._concurrency = concurrency
         self._max_waiting = waiting
         self._numbers = count(1)
-        self._process: ChildProcess | None = None
+        self.process: ChildProcess | None = None
         self._workers: dict[int, _Worker] = {}
         self._idle: list[_Worker] = []
         """Workers without a job; the last one used is used next."""
@@ -286,13 +286,13 @@ class WorkerPool:
 
     def start(self, process: ChildProcess, loop: asyncio.AbstractEventLoop) -> None:
         """Use a new query process, and fork its first worker."""
-        self._process, self._loop = process, loop
+        self.process, self._loop = process, loop
         with suppress(OSError):
             self._idle.append(self._fork(process))
 
     def stop(self) -> None:
         """Fail all jobs, because the query process and its workers are gone."""
-        self._process = None
+        self.process = None
         workers, jobs = [*self._workers.values()], [*self._queue]
         for each in (self._workers, self._idle, self._queue):
             each.clear()
@@ -312,7 +312,7 @@ class WorkerPool:
 
     def begin(self, job: Evaluation) -> None:
         """Begin or queue a job. Raises Problem 503 if too many wait or no query process runs."""
-        if self._process is None:
+        if self.process is None:
             raise process_restarting(1)
         self._queue.append(job)
         self._serve()
@@ -348,10 +348,10 @@ class WorkerPool:
         return len(self._queue)
 
     def _serve(self) -> None:
-        while self._process is not None and (job := self._next_job()) is not None:
+        while self.process is not None and (job := self._next_job()) is not None:
             self._queue.remove(job)
             try:
-                worker = self._idle.pop() if self._idle else self._fork(self._process)
+                worker = self._idle.pop() if self._idle else self._fork(self.process)
             except OSError as error:  # there are no more descriptors
                 job.fail(error)
                 continue
@@ -381,8 +381,8 @@ class WorkerPool:
 
     def _kill(self, worker: _Worker) -> None:
         worker.job = None
-        if self._process is not None:
-            self._process.send(pack(Kill(worker.number)))
+        if self.process is not None:
+            self.process.send(pack(Kill(worker.number)))
         self._drop(worker)
 
     def _fork(self, process: ChildProcess) -> _Worker:

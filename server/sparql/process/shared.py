@@ -5,14 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import pickle
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import islice
 
 from rosld.server.dataset.base import Edit
 from rosld.server.http.problem import Problem
-from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.process.client import QueryProcess
-from rosld.server.sparql.process.work import DumpGraphs, ListGraphs, Work
+from rosld.server.sparql.process.work import DumpGraphs, ListGraphs
 from rosld.server.sparql.query_limits import Limits
 
 _PART = 256
@@ -26,26 +25,11 @@ class RobotProcess(QueryProcess):
     """
 
     def __init__(self, shared: QueryProcess) -> None:
-        super().__init__(1, 0)
+        super().__init__(0, 0)
         self._shared = shared
-        self._number = shared.new_dataset()
-        self._numbers = {self._number}
-
-    @property
-    def pid(self) -> int | None:
-        return self._shared.pid
-
-    @property
-    def is_running(self) -> bool:
-        return self._shared.is_running
-
-    @property
-    def running(self) -> int:
-        return self._shared.running
-
-    @property
-    def waiting(self) -> int:
-        return self._shared.waiting
+        self._pool, self._ready, self._datasets = shared._pool, shared._ready, shared._datasets
+        self._numbers: set[int] = set()
+        self._first = self.new_dataset()
 
     async def start(self) -> None:
         """Use the shared process, which runs."""
@@ -62,37 +46,15 @@ class RobotProcess(QueryProcess):
         """Discard the datasets. Idempotent."""
         self._shared.remove_listener(self._note_start)
         while self._numbers:
-            self._shared.drop(self._numbers.pop())
-
-    async def wait_ready(self, until: float) -> None:
-        await self._shared.wait_ready(until)
-
-    def change(self, graphs: Mapping[str, str | None], edits: Sequence[Edit] = (), dataset: int = 0) -> None:
-        self._shared.change(graphs, edits, dataset or self._number)
-        if dataset == 0 and (graphs or edits):
-            for listener in self._on_change:
-                listener(graphs, edits)
+            self.drop(next(iter(self._numbers)))
 
     def new_dataset(self) -> int:
-        self._numbers.add(number := self._shared.new_dataset())
+        self._numbers.add(number := super().new_dataset())
         return number
 
     def drop(self, dataset: int) -> None:
         self._numbers.discard(dataset)
-        self._shared.drop(dataset)
-
-    async def answer(
-        self,
-        work: Work,
-        limits: Limits,
-        until: float,
-        disconnected: Disconnected | None = None,
-        dataset: int = 0,
-    ) -> bytes | AsyncIterator[bytes]:
-        return await self._shared.answer(work, limits, until, disconnected, dataset or self._number)
-
-    async def wait_drained(self) -> None:
-        await self._shared.wait_drained()
+        super().drop(dataset)
 
 
 class UnionCopy:

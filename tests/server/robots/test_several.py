@@ -14,14 +14,15 @@ import httpx
 import pytest
 from pyoxigraph import NamedNode, RdfFormat, parse
 
-from rosld.adapters.base import AdapterOptions, Capabilities, Published
+from rosld.adapters.base import Adapter, AdapterOptions, Capabilities, Published
 from rosld.adapters.embedded import EmbeddedRobot, Interface
 from rosld.adapters.model import Encoding, TypeRef, Unreachable
-from rosld.adapters.registry import joined, named_sources
+from rosld.adapters.registry import adapter_for, joined, named_sources
 from rosld.server.auth.tokens import generate_token, token_digest
 from rosld.server.robots.robots import Robots
 from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings
+from tests.adapters.ros1.system import running
 from tests.server.conftest import Served
 
 CONTAINS = NamedNode("http://www.w3.org/ns/ldp#contains")
@@ -62,7 +63,9 @@ class Site:
         transport = httpx.ASGITransport(self.robots, client=("127.0.0.1", 1))
         self.http = httpx.AsyncClient(transport=transport, base_url=base.base_url)
 
-    def _open(self, source: str, options: AdapterOptions) -> Counting:
+    def _open(self, source: str, options: AdapterOptions) -> Adapter:
+        if source.startswith("ros1:"):
+            return adapter_for(source, options)
         made = Counting(source, options)
         name = source.removeprefix("counting:")
         made.is_broken = name in self.broken
@@ -200,9 +203,12 @@ def test_an_update_reaches_the_robot_that_it_names(site: httpx.Client) -> None:
     assert "send one for each" in refused.text
 
 
-def test_words_are_found_in_all_robots(site: httpx.Client) -> None:
-    found = site.get("find", params={"q": "speed"}, headers=JSON).json()["results"]
+def test_words_are_found_in_all_robots_with_their_values(site: httpx.Client) -> None:
+    found = site.get("find", params={"q": "speed", "values": "true"}, headers=JSON).json()["results"]
     assert {each["url"].split("/")[4] for each in found} == {"rover", "plane"}
+    assert {each["url"].split("/")[4] for each in found if "value" in each} == {"rover", "plane"}
+    ages = ask(site, "sparql", "SELECT ?t ?a { ?t a ros:Topic BIND(ros:age(?t) AS ?a) FILTER(BOUND(?a)) }")
+    assert {topic.split("/")[4] for topic, _ in ages} == {"rover", "plane"}
 
 
 def test_a_stop_at_a_robot_stops_one_and_at_the_base_all(site: httpx.Client) -> None:
@@ -253,6 +259,39 @@ async def test_a_robot_that_goes_away_takes_nothing_else_with_it_and_comes_back(
     assert [each.app for each in site.robots] == [None, None]
 
 
+async def test_a_ros_master_that_dies_takes_nothing_else_with_it_and_its_robot_comes_back(tmp_path: Path) -> None:
+    site = Site("one")
+
+    async def state() -> tuple[str, bool]:
+        ros = (await site.get("robots/"))[1]
+        return ros["state"], ros["reason"] is None
+
+    async def until(state_then: str) -> None:
+        while (await state()) != (state_then, state_then == "Live"):
+            await asyncio.wait_for(changed.wait(), 20)
+            changed.clear()
+
+    with running(tmp_path) as system:
+        async with lifespan(site.robots):
+            changed = asyncio.Event()
+            with closing(site.robots.changes.watch(changed.set)):
+                added = {"name": "ros", "source": system.source}
+                assert (await site.http.post("robots/", json=added)).status_code == 201
+                await until("Live")
+                await asyncio.to_thread(system.kill_master)
+                await until("Stale")
+                away = await site.http.get("robots/ros/readyz")
+                assert (away.status_code, "robot stale" in away.text) == (503, True)
+                assert "does not answer" in (await site.http.get("robots/ros/", headers={"accept": "text/turtle"})).text
+                assert await put(site.robots, "/robots/one/topics/number", 1) == 204
+                query = {"query": "SELECT ?t { ?t a ros:Topic }"}
+                answer = await site.http.post("sparql", data=query, headers={"accept": "text/csv"})
+                assert "http://127.0.0.1:8080/robots/one/topics/number" in answer.text
+                assert (await site.http.post("stop")).status_code == 200
+                await asyncio.to_thread(system.start_master)
+                await until("Live")
+
+
 async def test_robots_are_added_and_removed_while_the_server_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     site = Site("one")
     async with lifespan(site.robots):
@@ -266,6 +305,94 @@ async def test_robots_are_added_and_removed_while_the_server_runs(monkeypatch: p
         assert (await site.http.delete("robots/two/")).status_code == 204
         assert (await site.http.get("robots/two/topics/")).status_code == 404
         assert [each["name"] for each in await site.get("robots/")] == ["one"]
+
+
+async def test_added_robots_are_kept_over_a_restart_with_a_data_folder(tmp_path: Path) -> None:
+    html = {"accept": "text/html"}
+    site = Site("one")
+    async with lifespan(site.robots):
+        assert (await site.http.post("robots/", json={"name": "two", "source": "rover"})).status_code == 201
+        assert "two: added here, and gone after a restart" in (await site.http.get("robots/", headers=html)).text
+    site = Site("one", data=tmp_path)
+    async with lifespan(site.robots):
+        for name in ("two", "three", "four"):
+            added = {"name": name, "source": f"foxglove://robot/{name}"}
+            assert (await site.http.post("robots/?dry-run=true", json=added)).status_code == 200
+            assert (await site.http.post("robots/", json=added)).status_code == 201
+        assert (await site.http.delete("robots/three/")).status_code == 204
+        assert "after a restart" not in (await site.http.get("robots/", headers=html)).text
+    site = Site("one", "four", data=tmp_path)
+    site.broken.add("foxglove://robot/two")
+    async with lifespan(site.robots):
+        found = [(each["name"], each["source"], each["state"]) for each in await site.get("robots/")]
+        two = ("two", "foxglove://robot/two", "Stale")
+        assert found == [("one", "counting:one", "Live"), ("four", "counting:four", "Live"), two]
+
+
+async def test_a_damaged_list_of_robots_ends_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for text in ('{"two": "rov', '{"two": 5}', '{"../two": "rover"}', "[]"):
+        (tmp_path / "robots.json").write_text(text)
+        site = Site("one", data=tmp_path)
+        assert [each.name for each in site.robots] == ["one"]
+        assert (tmp_path / "robots.damaged").read_text() == text
+        assert "robots.json is damaged" in caplog.text
+    (tmp_path / "robots.json").mkdir()  # which no file can replace
+    site = Site("one", data=tmp_path)
+    async with lifespan(site.robots):
+        answer = await site.http.post("robots/", json={"name": "two", "source": "rover"})
+        assert answer.status_code == 507
+        assert [each["name"] for each in await site.get("robots/")] == ["one"]
+
+
+def open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+async def test_a_robot_that_cannot_be_opened_costs_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rosld.server.robots.robots._PAUSE", 0.0)
+    monkeypatch.setattr("rosld.server.robots.robots._LONGEST_PAUSE", 0.0)
+    site = Site("one", data=tmp_path)
+    site.broken.add("one")
+    async with lifespan(site.robots):
+        await site.until(lambda: len(site.opened["one"]) > 2)
+        before = open_files()
+        await site.until(lambda: len(site.opened["one"]) > 12)
+        assert open_files() < before + 6
+
+
+async def test_the_recorded_past_of_all_robots_is_complete_or_refused(tmp_path: Path) -> None:
+    site = Site("one", "two", history=("*",), data=tmp_path)
+
+    async def rows(query: str, **parameters: str) -> list[list[str]]:
+        answer = await site.http.post("sparql", data={"query": query, **parameters}, headers={"accept": "text/csv"})
+        assert answer.status_code == 200, answer.text
+        return [row.split(",") for row in answer.text.split()[1:]]
+
+    async def refused(query: str) -> str:
+        answer = await site.http.post("sparql", data={"query": query})
+        assert answer.status_code == 400
+        return answer.text
+
+    data = "<https://w3id.org/rosld/types/std_msgs/msg/Int64#data>"
+    one, two = "http://127.0.0.1:8080/robots/one/", "http://127.0.0.1:8080/robots/two/"
+    async with lifespan(site.robots):
+        for name, value in (("one", 1), ("two", 2), ("one", 3), ("two", 4), ("one", 5)):
+            assert await put(site.robots, f"/robots/{name}/topics/number", value) == 204
+        past = f"?t ros:past ?m . ?m {data} ?x ; ros:received ?r"
+        for _ in range(200):
+            if len(await rows(f"SELECT ?x {{ {past} }}")) == 5:  # the history is written on a thread
+                break
+        newest = await rows(f"SELECT ?x {{ {past} }} ORDER BY DESC(?r) LIMIT 3")
+        assert newest == [["5"], ["4"], ["3"]]
+        sums = await rows(f"SELECT ?t (SUM(?x) AS ?s) {{ {past} }} GROUP BY ?t ORDER BY ?t")
+        assert sums == [[f"{one}topics/number", "9"], [f"{two}topics/number", "6"]]
+        recorded = "SELECT ?x {{ ?t ros:past ?m . ?m {0} ?x ; ros:recordedIn <robots/{1}/bags/history/> }} ORDER BY ?x"
+        assert await rows(recorded.format(data, "two")) == [["2"], ["4"]]
+        assert await rows(f"SELECT ?x FROM <robots/two/bags/history/> {{ {past} }} ORDER BY ?x") == [["2"], ["4"]]
+        ordered = f"BIND(ros:asOf(<robots/two/topics/number>, NOW()) AS ?m) ?m {data} ?x"
+        assert await rows(f"SELECT ?x {{ {ordered} }}") == [["4"]]
+        assert "no recording" in await refused(recorded.format(data, "three"))
+        assert "one robot" in await refused("SELECT (ros:transform(?g, 'map') AS ?p) { ?m geo:hasGeometry ?g }")
 
 
 AUTH = """

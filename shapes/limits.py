@@ -11,20 +11,18 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from functools import lru_cache
 from itertools import islice
-from typing import TypeAlias, cast
+from typing import TypeAlias
 
-import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
-from pyoxigraph import BlankNode, Literal, NamedNode, Triple
+from pyoxigraph import BlankNode, NamedNode, Triple
 
-from rosld.adapters.model import STRINGS, Array, Message, MessageSchema, Nested, Primitive
+from rosld.adapters.model import Array, Message, MessageSchema, Nested, Primitive
 from rosld.ontology.body import Term, parse_body
-from rosld.ontology.lift import TYPES, LiftSettings, lifter
-from rosld.ontology.literals import DATATYPES, base64_text, scalar_texts, wire_bytes
+from rosld.ontology.lift import TYPES, LiftSettings, partial_lifter
 from rosld.ontology.urls import Space
 from rosld.ontology.violations import Violation
-from rosld.ontology.vocab import rdf, rdfs, sh, xsd
+from rosld.ontology.vocab import rdf, rdfs, sh
 from rosld.shapes.limit_parts import (
     NO_DEMAND,
     Demand,
@@ -36,7 +34,7 @@ from rosld.shapes.limit_parts import (
     limit_part,
 )
 from rosld.shapes.shapes_graph import MAX_VIOLATIONS, NodeShape, ShapesGraph, compile_shape, conjunction
-from rosld.shapes.terms import TripleView
+from rosld.shapes.terms import TripleView, View
 from rosld.shapes.value import UNBOUNDED, Bounds, merge_bounds
 
 Check: TypeAlias = Callable[[Message, str, str], tuple[Violation, ...]]
@@ -258,16 +256,26 @@ def _union(graphs: Sequence[Sequence[Triple]]) -> Iterator[Triple]:
 def _check(limits: Limits, schema: MessageSchema) -> Check | None:
     names = {name: Space("http://0/", limits.types).class_of(name) for name in schema.types}
     shapes = {name: limits.by_class[iri] for name, iri in names.items() if iri in limits.by_class}
-    return _MessageCheck(schema, shapes, limits.types).check if shapes else None
+    return _MessageCheck(schema, shapes, limits).check if shapes else None
+
+
+def _predicates(graph: Iterable[Triple]) -> frozenset[str] | None:
+    """Return predicates that include all those that shapes read; None if they may read any."""
+    used = {triple.predicate for triple in graph}
+    if sh.closed in used:
+        return None
+    named = {triple.object.value for triple in graph if isinstance(triple.object, NamedNode)}
+    return frozenset(named | {rdf.type.value}) if sh.class_ in used else frozenset(named)
 
 
 class _MessageCheck:
     """Validator of the messages of one schema by the shapes of its types."""
 
-    def __init__(self, schema: MessageSchema, shapes: Mapping[str, NodeShape], types: str) -> None:
+    def __init__(self, schema: MessageSchema, shapes: Mapping[str, NodeShape], limits: Limits) -> None:
         self._schema = schema
         self._shapes = shapes
-        self._layout = _Layout(schema, types)
+        self._space = Space("http://0/", limits.types)
+        self._lifter = partial_lifter(schema, LiftSettings(limits.types, _WHOLE), _predicates(limits.graph))
         reaching = self._reaching()
         self._steps = {name: self._inner(name, reaching | shapes.keys()) for name in reaching}
         self._strange = tuple(self._strangers())
@@ -276,27 +284,28 @@ class _MessageCheck:
         """Return the violations of a message. A limit on an unknown field is a mistake, which permits no message."""
         if self._strange:
             return self._strange
-        view = MessageView(self._layout, message, document, node)
-        return tuple(islice(self._broken(self._schema.ref.name, message, "", view), MAX_VIOLATIONS))
+        view = TripleView(self._lifter.triples(message, document, node))
+        return tuple(islice(self._broken(self._schema.ref.name, message, document + node, "", view), MAX_VIOLATIONS))
 
-    def _broken(self, name: str, message: Message, place: str, view: MessageView) -> Iterator[Violation]:
+    def _broken(self, name: str, message: Message, node: str, place: str, view: View) -> Iterator[Violation]:
         shape = self._shapes.get(name)
         if shape is not None:
-            for each in shape.violations_in(view.place(name, message, place), view):
+            for each in shape.violations_in(NamedNode(node + place), view):
                 yield each if not place else _below(place[1:], each)
         for attribute, field_name, kind, is_array in self._steps.get(name, ()):
             value = getattr(message, attribute)
             if not is_array:
-                yield from self._broken(kind, value, f"{place}.{field_name}", view)
+                yield from self._broken(kind, value, node, f"{place}.{field_name}", view)
                 continue
             for index, element in enumerate(value):
-                yield from self._broken(kind, element, f"{place}.{field_name}.{index}", view)
+                yield from self._broken(kind, element, node, f"{place}.{field_name}.{index}", view)
 
     def _strangers(self) -> Iterator[Violation]:
         for name, shape in self._shapes.items():
-            own = self._layout.classes[name].value + "#"
+            own = self._space.property_of(name, "")
+            known = {f"{own}{each.name}" for each in self._schema.types[name].fields}
             for path in shape.paths or ():
-                if path.value.startswith(own) and path not in self._layout.fields[name]:
+                if path.value.startswith(own) and path.value not in known:
                     yield Violation(
                         "",
                         f"cannot be written while the limit <{shape.iri}> is about {path.value[len(own) :]!r}, which "
@@ -326,84 +335,6 @@ class _MessageCheck:
 
 def _below(place: str, violation: Violation) -> Violation:
     return replace(violation, path=f"{place}.{violation.path}" if violation.path else place)
-
-
-class _Layout:
-    """A schema by its IRIs: the class of each type, and its fields by their properties."""
-
-    def __init__(self, schema: MessageSchema, types: str) -> None:
-        space = Space("http://0/", types)
-        self.schema = schema
-        self.lifter = lifter(schema, LiftSettings(types, _WHOLE))
-        self.classes = {name: NamedNode(space.class_of(name)) for name in schema.types}
-        self.fields = {
-            name: {NamedNode(space.property_of(name, each.name)): each for each in kind.fields}
-            for name, kind in schema.types.items()
-        }
-
-
-class MessageView:
-    """The view of a message as if it were lifted.
-
-    Scalars and nested messages are read from the message itself; it is only lifted if a shape needs other terms.
-    """
-
-    def __init__(self, layout: _Layout, message: Message, document: str, node: str) -> None:
-        self._layout = layout
-        self._message = message
-        self._document = document
-        self._node = node
-        self._places: dict[Term, tuple[str, Message]] = {}
-        self._lifted: TripleView | None = None
-
-    def place(self, name: str, message: Message, place: str) -> NamedNode:
-        """Return the node of a nested message, at `.linear`."""
-        node = NamedNode(self._document + self._node + place)
-        self._places[node] = (name, message)
-        return node
-
-    def objects(self, node: Term, predicate: NamedNode) -> Sequence[Term]:
-        """Return the value nodes of a predicate."""
-        if self._lifted is None and (place := self._places.get(node)) is not None:
-            name, message = place
-            if predicate == rdf.type:
-                return (self._layout.classes[name],)
-            field = self._layout.fields[name].get(predicate)
-            if field is not None and not isinstance(field.type, Array):
-                value = getattr(message, field.attribute)
-                if isinstance(field.type, Primitive):
-                    return (literal(field.type, value),)
-                inner = NamedNode(f"{cast(NamedNode, node).value}.{field.name}")
-                self._places[inner] = (field.type.name, value)
-                return (inner,)
-        return self._whole().objects(node, predicate)
-
-    def properties(self, node: Term) -> Mapping[NamedNode, Sequence[Term]]:
-        """Return the objects of all predicates of a node."""
-        return self._whole().properties(node)
-
-    def subjects(self, predicate: NamedNode, node: Term) -> Sequence[Term]:
-        """Return the nodes that a predicate leads from."""
-        return self._whole().subjects(predicate, node)
-
-    def _whole(self) -> TripleView:
-        if self._lifted is None:
-            self._lifted = TripleView(self._layout.lifter.triples(self._message, self._document, self._node))
-        return self._lifted
-
-
-def literal(kind: Primitive, value: bool | int | float | str) -> Literal:
-    """Return a scalar as its literal."""
-    if kind.name in STRINGS:
-        try:
-            return Literal(cast(str, value))
-        except ValueError:  # bytes that are not UTF-8
-            return Literal(base64_text(wire_bytes(cast(str, value))), datatype=xsd.base64Binary)
-    numbers = np.array([value], "<f4") if kind.name == "float32" else (value,)
-    return Literal(scalar_texts(cast("Iterable[bool | int | float]", numbers))[0], datatype=_DATATYPES[kind.name])
-
-
-_DATATYPES = {name: NamedNode(xsd.iri + local) for name, local in DATATYPES.items()}
 
 
 # Bounds

@@ -15,7 +15,6 @@ from pyoxigraph import RdfFormat, Triple, parse
 
 from rosld.adapters.model import Message
 from rosld.ontology.geometry import (
-    Geometry,
     geometry_jsonld,
     geometry_ntriples,
     geometry_of,
@@ -71,51 +70,30 @@ class LiftedMessage(Struct, frozen=True, eq=False):
             notation, self.message, document.url, self.node, received, simulated_time=document.simulated_time, end=end
         )
 
-    def _geometry(self) -> Geometry | None:
-        return geometry_of(self.lifter.schema, self.message) if self.frames is not None else None
+    def text(self, document: Document, notation: str, end: str = " .\n", *, observed: bool = True) -> str:
+        """Return the statements in a notation, relative to `document`; in N-Triples with a graph in `end`, N-Quads.
 
-    def turtle(self, document: Document) -> str:
-        """Return Turtle statements, relative to `document`."""
-        text = self.lifter.turtle(
-            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
-            source=self.source,
-        )  # fmt: skip
-        text += self.observations(document, "turtle")
-        found = self._geometry()
-        if found is None or self.frames is None:
-            return text
-        if not _PREFIXES.keys().isdisjoint(self.lifter.prefixes):  # packages with these names
-            return text + geometry_ntriples(document.url + self.node, found, self.frames)
-        return text + geometry_turtle(self.node, found, self.frames)
-
-    def jsonld(self, document: Document) -> str:
-        """Return a JSON-LD node object (text), without observations, relative to `document`."""
-        text = self.lifter.jsonld(
-            self.message, document.url, self.node, envelope=self.envelope, simulated_time=document.simulated_time,
-            source=self.source,
-        )  # fmt: skip
-        found = self._geometry()
-        if found is None or self.frames is None:
-            return text
-        return f"{text[:-1]},{geometry_jsonld(self.node, found, self.frames)}}}"
-
-    def ntriples(self, document: Document, end: str = " .\n", *, observed: bool = True) -> str:
-        """Return N-Triples lines; with a graph in `end`, N-Quads. On demand without observations."""
-        text = self.lifter.ntriples(
-            self.message, document.url, self.node, end=end, envelope=self.envelope,
+        In JSON-LD this is a node object without observations, otherwise they are included unless `observed` is False.
+        """
+        text = self.lifter.text(
+            notation, self.message, document.url, self.node, end=end, envelope=self.envelope,
             simulated_time=document.simulated_time, source=self.source,
         )  # fmt: skip
-        if observed:
-            text += self.observations(document, "ntriples", end)
-        found = self._geometry()
+        if observed and notation != "jsonld":
+            text += self.observations(document, notation, end)
+        found = None if self.frames is None else geometry_of(self.lifter.schema, self.message)
         if found is None or self.frames is None:
             return text
+        if notation == "jsonld":
+            return f"{text[:-1]},{geometry_jsonld(self.node, found, self.frames)}}}"
+        if notation == "turtle" and _PREFIXES.keys().isdisjoint(self.lifter.prefixes):  # packages with these names
+            return text + geometry_turtle(self.node, found, self.frames)
         return text + geometry_ntriples(document.url + self.node, found, self.frames, end)
 
     def triples(self, document: Document) -> list[Triple]:
         """Return the triples as terms."""
         # Parsing N-Triples costs less than creating the terms one by one from Python.
-        return [quad.triple for quad in parse(self.ntriples(document), RdfFormat.N_TRIPLES)]
+        return [quad.triple for quad in parse(self.text(document, "ntriples"), RdfFormat.N_TRIPLES)]
 
 
 _PREFIXES = {"geo": geo.iri, "sf": sf.iri}

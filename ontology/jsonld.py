@@ -183,7 +183,7 @@ class _Writer:
     def _message(self, iri: str) -> Json:
         """Return the node object of a message, with its own context if it conflicts with that of the document."""
         message: LiftedMessage = self.messages.pop(iri)
-        text = message.jsonld(self.document)
+        text = message.text(self.document, "jsonld")
         context = self._own_context(message)
         return orjson.Fragment(f"{{{context}{text.lstrip()[1:]}" if context else text)
 

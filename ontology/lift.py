@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from functools import cached_property, lru_cache
+from functools import lru_cache, partialmethod
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -78,67 +78,43 @@ class Lifter:
         self._settings = settings
         self._only = only
         self._is_linked = is_linked
+        self._compiled: dict[str, Lift] = {}
 
-    def ntriples(
-        self, message: Message, document: str, node: str, *, end: str = " .\n",
+    def text(
+        self, notation: str, message: Message, document: str, node: str, *, end: str = " .\n",
         envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
     ) -> str:  # fmt: skip
-        """Return N-Triples lines; with `end=" <graph> .\\n"` N-Quads."""
-        subject = document + node
-        extra = "" if envelope is None else _ntriples_envelope(subject, envelope, end, self._only)
-        return self._ntriples(message, subject, end, Site(source or document, len(subject) + 1, simulated_time), extra)
+        """Return a message in a notation.
 
-    def turtle(
-        self, message: Message, document: str, node: str, *,
-        envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
-    ) -> str:  # fmt: skip
-        """Return Turtle statements for a document whose `@base` is its URL and whose prefixes include `prefixes`."""
-        extra = "" if envelope is None else _turtle_envelope(envelope)
-        return self._turtle(message, node, "", Site(source or document, len(node) + 1, simulated_time), extra)
+        Turtle and JSON-LD (a node object) are relative to the document, whose prefixes include `prefixes` or whose
+        context `context`. N-Triples with `end=" <graph> .\\n"` are N-Quads.
+        """
+        subject = document + node if notation == "ntriples" else node
+        extra = "" if envelope is None else _ENVELOPES[notation](subject, envelope, end, self._only)
+        lift = self._compiled.get(notation) or self._compile(notation)
+        return lift(message, subject, end, Site(source or document, len(subject) + 1, simulated_time), extra)
 
-    def jsonld(
-        self, message: Message, document: str, node: str, *,
-        envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
-    ) -> str:  # fmt: skip
-        """Return a JSON-LD node object for a document whose context includes `context` and whose base is its URL."""
-        extra = "" if envelope is None else _jsonld_envelope(envelope)
-        return self._jsonld(message, node, "", Site(source or document, len(node) + 1, simulated_time), extra)
+    ntriples = partialmethod(text, "ntriples")
+    turtle = partialmethod(text, "turtle")
+    jsonld = partialmethod(text, "jsonld")
 
     def json(self, message: Message, document: str) -> bytes:
         """Return ROS's own JSON of the message (`document` is for the URLs of elided values)."""
-        return self._json(message, "", "", Site(document, 1, False), "").encode()
+        return self.text("json", message, document, "").encode()
 
-    def triples(
-        self, message: Message, document: str, node: str, *,
-        envelope: Envelope | None = None, simulated_time: bool = False, source: str | None = None,
-    ) -> list[Triple]:  # fmt: skip
+    def triples(self, message: Message, document: str, node: str, *, envelope: Envelope | None = None) -> list[Triple]:
         """Return the triples as terms."""
         # Parsing N-Triples costs less than creating the terms one by one from Python.
-        text = self.ntriples(message, document, node, envelope=envelope, simulated_time=simulated_time, source=source)
+        text = self.ntriples(message, document, node, envelope=envelope)
         return [quad.triple for quad in parse(text, RdfFormat.N_TRIPLES)]
-
-    @cached_property
-    def _ntriples(self) -> Lift:
-        return self._compile("ntriples")
-
-    @cached_property
-    def _turtle(self) -> Lift:
-        return self._compile("turtle")
-
-    @cached_property
-    def _jsonld(self) -> Lift:
-        return self._compile("jsonld")
-
-    @cached_property
-    def _json(self) -> Lift:
-        return self._compile("json")
 
     def _compile(self, notation: str) -> Lift:
         only = self._only if notation == "ntriples" else None
         settings = self._settings
-        return compile_lift(
+        lift = self._compiled[notation] = compile_lift(
             self.schema, NOTATIONS[notation], settings.types, settings.inline_limit, only, is_linked=self._is_linked
         )
+        return lift
 
 
 @lru_cache(maxsize=1024)
@@ -175,17 +151,19 @@ def _ntriples_envelope(subject: str, envelope: Envelope, end: str, only: frozens
     return statements
 
 
-def _turtle_envelope(envelope: Envelope) -> str:
+def _turtle_envelope(subject: str, envelope: Envelope, end: str, only: frozenset[str] | None) -> str:
     received = f' ;\n    ros:received "{date_time(0, envelope.received_ns)}"^^xsd:dateTime'
     publisher = "" if envelope.publisher is None else f" ;\n    ros:sentBy <{envelope.publisher}>"
     return f"{received} ;\n    ros:sequence {envelope.sequence}{publisher}"
 
 
-def _jsonld_envelope(envelope: Envelope) -> str:
+def _jsonld_envelope(subject: str, envelope: Envelope, end: str, only: frozenset[str] | None) -> str:
     publisher = "" if envelope.publisher is None else f',"ros:sentBy":"{envelope.publisher}"'
     received = date_time(0, envelope.received_ns)
     return f',"ros:received":"{received}","ros:sequence":"{envelope.sequence}"{publisher}'
 
+
+_ENVELOPES = {"ntriples": _ntriples_envelope, "turtle": _turtle_envelope, "jsonld": _jsonld_envelope}
 
 _RECEIVED, _SEQUENCE, _PUBLISHER = ros.received.value, ros.sequence.value, ros.sentBy.value
 _DATE_TIME, _INTEGER = xsd.dateTime.value, xsd.integer.value

@@ -46,7 +46,7 @@ def _lines(document: Document, end: str, *, observed: bool = True) -> bytes:
     # pyoxigraph prints a triple as in N-Triples, without the full stop.
     lines = [f"{triple}{end}" for triple in dict.fromkeys(document.triples)]
     return "".join(
-        [*lines, *(message.ntriples(document, end, observed=observed) for message in document.messages)]
+        [*lines, *(message.text(document, "ntriples", end, observed=observed) for message in document.messages)]
     ).encode()
 
 

@@ -194,8 +194,8 @@ def _with_messages(
             if prefix not in current:
                 prefixes[prefix] = current[prefix] = iri
         if clash and not declare:
-            sections.append(message.ntriples(document))
+            sections.append(message.text(document, "ntriples"))
             continue
         current |= clash
-        sections.append("".join([_declaration(*prefix) for prefix in clash.items()]) + message.turtle(document))
+        sections.append("".join([_declaration(*prefix) for prefix in clash.items()]) + message.text(document, "turtle"))
     return prefixes, "\n".join(section if section.endswith("\n") else section + "\n" for section in sections)

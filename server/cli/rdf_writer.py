@@ -237,7 +237,7 @@ class Lines:
             return self._in_full(described, template)
         bare = self._lifting.document_without_payload(described)
         end = f" <{bare.url}> .\n" if self._syntax.datasets else " .\n"
-        return template.text(recorded) + described.lifted.ntriples(bare, end).encode()
+        return template.text(recorded) + described.lifted.text(bare, "ntriples", end).encode()
 
     def _in_full(self, described: DescribedMessage, template: Template) -> bytes:
         document = self._lifting.document(described)

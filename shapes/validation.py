@@ -4,24 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
+from importlib import import_module
 from importlib.resources import files
 from typing import Any, NamedTuple
 
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
 
-from rosld.ontology import (
-    describe_activities,
-    describe_bags,
-    describe_body,
-    describe_faults,
-    describe_graph,
-    describe_holds,
-    describe_services,
-    describe_topics,
-    describe_types,
-    describe_views,
-    observations,
-)
 from rosld.ontology.body import Term
 from rosld.ontology.document import Document
 from rosld.ontology.node_shape import NodeShape
@@ -30,19 +18,10 @@ from rosld.shapes.shapes_graph import ShapesGraph
 from rosld.shapes.terms import TripleView
 
 _MODULES = (
-    describe_activities,
-    describe_bags,
-    describe_body,
-    describe_faults,
-    describe_graph,
-    describe_holds,
-    describe_services,
-    describe_topics,
-    describe_types,
-    describe_views,
-    observations,
+    *("describe_activities", "describe_bags", "describe_body", "describe_faults", "describe_graph", "describe_holds"),
+    *("describe_services", "describe_topics", "describe_types", "describe_views", "observations"),
 )
-
+"""Modules of the ontology with tables of descriptions."""
 MAX_PANELS = 60
 """Maximum number of panels of a cockpit, as in `cockpit.ttl`."""
 
@@ -58,7 +37,8 @@ def shapes_file(name: str, url: str) -> Document:
 
 def described_shapes() -> Mapping[str, NodeShape[Any]]:
     """Return the tables of descriptions by the names of their shapes; outlines precede them."""
-    return {shape.name: shape for module in _MODULES for shape in vars(module).values() if isinstance(shape, NodeShape)}
+    modules = (import_module(f"rosld.ontology.{name}") for name in _MODULES)
+    return {shape.name: shape for module in modules for shape in vars(module).values() if isinstance(shape, NodeShape)}
 
 
 _BASE = "https://w3id.org/rosld/shapes/"

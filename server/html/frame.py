@@ -50,36 +50,12 @@ def is_refreshed(page: Page | EntryPage) -> bool:
     return route in _ROUTES and not any(form.violations for form in getattr(page, "forms", ()))
 
 
-_OWN = (
-    "style.css",
-    "query_editor.css",
-    "icon.svg",
-    "live.js",
-    "ages.js",
-    "filter.js",
-    "find.js",
-    "drive.js",
-    "picture.js",
-    "chart.js",
-    "plot.js",
-    "spark.js",
-    "space_view.js",
-    "space.js",
-    "space3d.js",
-    "query_terms.js",
-    "query_parameters.js",
-    "query_views.js",
-    "query_editor.js",
-)
-_VENDORED = ("three.js", "uplot.js", "uplot.css", "yasgui.js", "yasgui.css")
-"""Third-party assets; their licences are in `vendor/`."""
-
-
 def _read_assets() -> dict[str, bytes]:
+    """Return the files of this package and those of third parties, whose licences are in `vendor/`."""
     here = files("rosld.server.html")
-    own = {name: (here / name).read_bytes() for name in _OWN}
-    vendored = {name: (here / "vendor" / name).read_bytes() for name in _VENDORED}
-    return {**own, **vendored, "cockpit.css": cockpit_style()}
+    found = (each for folder in (here, here / "vendor") for each in folder.iterdir())
+    assets = {each.name: each.read_bytes() for each in found if each.name.endswith((".css", ".js", ".svg"))}
+    return {**dict(sorted(assets.items())), "cockpit.css": cockpit_style()}
 
 
 ASSETS: Mapping[str, bytes] = _read_assets()

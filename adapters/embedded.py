@@ -46,6 +46,7 @@ from rosld.adapters.model import (
     freeze,
 )
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.plain import message_of
 from rosld.adapters.slots import Slot
 
 ROSLD = "/rosld"
@@ -122,10 +123,14 @@ class EmbeddedRobot(Adapter):
             self._start()
 
     async def close(self) -> None:
-        """Stop, with nothing left advertised. Idempotent."""
+        """Stop and end the goal, with nothing left advertised. Idempotent."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
+        if (goal := self._current_goal()) is not None:
+            words = f"the {self._capabilities.system} is no longer there"
+            for action in self._actions:
+                self._announce(action, goal, GoalEvent(time.time_ns(), GoalStatus.LOST, words, own=True))
         for topic in tuple(self._advertised):
             await self.unadvertise(topic)
         self._sink = None
@@ -304,7 +309,7 @@ class EmbeddedRobot(Adapter):
         return own
 
     def _encode(self, schema: MessageSchema, fields: Mapping[str, object]) -> bytes:
-        return schema.codec.encode(schema.codec.build(schema.ref.name, fields), self._capabilities.encoding)
+        return schema.codec.encode(message_of(schema, fields), self._capabilities.encoding)
 
     def _require_reachable(self, deadline: float) -> None:
         """Raise Unreachable if the adapter is closed, TimedOut if the deadline (loop time) has passed."""

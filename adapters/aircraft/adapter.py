@@ -264,16 +264,8 @@ class Aircraft(EmbeddedRobot):
 
     def _start(self) -> None:
         """Start the aircraft, switched off and at rest."""
-        self._flight = Flight(since_ns=time.monotonic_ns())
+        self._flight, self._fly = Flight(since_ns=time.monotonic_ns()), None
         self._tick(asyncio.get_running_loop().time(), 0)
-
-    async def close(self) -> None:
-        """End the goal and stop advertising. Idempotent."""
-        if self._fly is not None:
-            words = "the aircraft is no longer there"
-            self._announce(ACTION, self._fly.id, GoalEvent(time.time_ns(), GoalStatus.LOST, words, own=True))
-            self._fly = None
-        await super().close()
 
     def _answer(self, service: str, request: Message) -> Mapping[str, object]:
         self._flight, values = SERVICES[service].answer(self._flight, request, time.monotonic_ns())

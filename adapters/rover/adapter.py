@@ -15,11 +15,11 @@ from typing import Any
 from rosld.adapters.base import AdapterOptions, Capabilities, Published, Subscription
 from rosld.adapters.embedded import EmbeddedRobot, Interface
 from rosld.adapters.model import (
+    Encoding,
     GoalEvent,
     GoalId,
     GoalStatus,
     Message,
-    MessageSchema,
     Operation,
     Parameter,
     Refused,
@@ -43,7 +43,7 @@ from rosld.adapters.rover.graph import (
     refuse_deletion,
     with_values,
 )
-from rosld.adapters.rover.messages import ENCODING, View, encode, log, navigation_feedback, navigation_result
+from rosld.adapters.rover.messages import View, log, navigation_feedback, navigation_result
 from rosld.adapters.rover.navigation import Declined, JourneyEnd, goal_of, velocity_of
 from rosld.adapters.rover.settings import DEFAULTS, NODE
 from rosld.adapters.rover.simulation import Simulation, Start
@@ -51,7 +51,9 @@ from rosld.adapters.rover.simulation import Simulation, Start
 PERIOD = 0.05
 """Seconds between checks of what is due."""
 _FEEDBACK_PERIOD = 0.2
-_CAPABILITIES = Capabilities(system="rover", encoding=ENCODING, writes=True, creates_topics=True, parameter_trees=False)
+_CAPABILITIES = Capabilities(
+    system="rover", encoding=Encoding.CDR, writes=True, creates_topics=True, parameter_trees=False
+)
 
 
 class Rover(EmbeddedRobot):
@@ -79,14 +81,6 @@ class Rover(EmbeddedRobot):
         for topic in LATCHED:
             self._publish_current(topic)
         self._tick()
-
-    async def close(self) -> None:
-        """Stop the rover, end its goal, and stop advertising. Idempotent."""
-        goal = self._current_goal()
-        if goal is not None:
-            event = GoalEvent(time.time_ns(), GoalStatus.LOST, "the rover is no longer there", own=True)
-            self._announce(NAVIGATE_TO, goal, event)
-        await super().close()
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
         """Subscribe to a topic. The first subscription immediately receives the current message of a periodic topic."""
@@ -164,9 +158,6 @@ class Rover(EmbeddedRobot):
     def _parameter_operations(self, name: str) -> frozenset[Operation]:
         return operations_on(name)
 
-    def _encode(self, schema: MessageSchema, fields: Mapping[str, object]) -> bytes:
-        return encode(schema, fields)  # arrays are not copied
-
     def _current_goal(self) -> str | None:
         journey = self._simulation.state.journey
         return journey.id if journey is not None else None
@@ -203,11 +194,11 @@ class Rover(EmbeddedRobot):
         self._due[NAVIGATE_TO] = now + _FEEDBACK_PERIOD
         time_ns = time.time_ns()
         feedback = navigation_feedback(journey, self._simulation.state.motion, time_ns)
-        data = encode(self._action(NAVIGATE_TO).feedback, feedback)
+        data = self._encode(self._action(NAVIGATE_TO).feedback, feedback)
         self._announce(NAVIGATE_TO, journey.id, GoalEvent(time_ns, GoalStatus.EXECUTING, feedback=data, own=True))
 
     def _report_end(self, ended: JourneyEnd) -> None:
         time_ns = time.time_ns()
         result = navigation_result(ended, self._simulation.state.motion, time_ns)
-        data = encode(self._action(NAVIGATE_TO).result, result)
+        data = self._encode(self._action(NAVIGATE_TO).result, result)
         self._announce(NAVIGATE_TO, ended.id, GoalEvent(time_ns, ended.outcome, result=data, own=True))

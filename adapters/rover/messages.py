@@ -10,12 +10,11 @@ import math
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, TypeAlias, cast
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rosld.adapters.model import Encoding, FieldType, Message, MessageSchema, Nested, Primitive
 from rosld.adapters.rover.drive import CAPACITY, CELLS, Motion, wheel_speeds
 from rosld.adapters.rover.navigation import Journey, JourneyEnd, Pose, remaining_length
 from rosld.adapters.rover.planner import RESOLUTION, grid_of
@@ -389,36 +388,3 @@ def _covariance(position: float, heading: float) -> object:
 
 def _diagonal(variance: float, size: int) -> object:
     return (variance * np.eye(size)).ravel()
-
-
-ENCODING = Encoding.CDR
-_DTYPES: Mapping[str, str] = {"byte": "uint8", "char": "uint8", "bool": "bool"}
-
-
-def encode(schema: MessageSchema, fields: Fields) -> bytes:
-    """Return the bytes of a message with these fields, which must be complete."""
-    return schema.codec.encode(message(schema, fields), ENCODING)
-
-
-def message(schema: MessageSchema, fields: Fields) -> Message:
-    """Return the message with these fields, which must be complete."""
-    return _build(schema, schema.ref.name, fields)
-
-
-def _build(schema: MessageSchema, name: str, fields: Fields) -> Message:
-    values = {each.attribute: _value(schema, each.type, fields[each.name]) for each in schema.types[name].fields}
-    return schema.codec.build(name, values)
-
-
-def _value(schema: MessageSchema, type: FieldType, value: object) -> object:
-    if isinstance(type, Nested):
-        return _build(schema, type.name, cast(Fields, value))
-    if isinstance(type, Primitive):
-        return value
-    if isinstance(type.element, Primitive):
-        return _numbers(type.element, value)
-    return [_value(schema, type.element, each) for each in cast("Sequence[object]", value)]
-
-
-def _numbers(element: Primitive, value: object) -> object:
-    return np.asarray(value, _DTYPES.get(element.name, element.name)) if element.name != "string" else value

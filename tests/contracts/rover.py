@@ -9,8 +9,9 @@ from pathlib import Path
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import ActionSchema, MessageSchema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.plain import message_of
 from rosld.adapters.rover import rover_adapter
-from rosld.adapters.rover.messages import message, pose_stamped
+from rosld.adapters.rover.messages import pose_stamped
 from rosld.adapters.rover.navigation import Pose
 from tests.contracts.robot import Acted, Asked, Robot, Spoken
 
@@ -26,7 +27,7 @@ def parts(library: TypeLibrary, type: str, fields: Mapping[str, object]) -> Mapp
     if isinstance(schema, ActionSchema):
         schema = schema.goal
     assert isinstance(schema, MessageSchema)
-    made = message(schema, fields)
+    made = message_of(schema, fields)
     return {field.attribute: getattr(made, field.attribute) for field in schema.type.fields}
 
 

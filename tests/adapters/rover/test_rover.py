@@ -26,9 +26,10 @@ from rosld.adapters.model import (
     Refused,
     TypeRef,
 )
+from rosld.adapters.model.plain import message_of
 from rosld.adapters.rover import rover_adapter
 from rosld.adapters.rover.graph import CMD_VEL, LATCHED, PERIODIC
-from rosld.adapters.rover.messages import HEIGHT, WIDTH, encode, pose_stamped
+from rosld.adapters.rover.messages import HEIGHT, WIDTH, pose_stamped
 from rosld.adapters.rover.navigation import Pose
 from rosld.adapters.rover.simulation import read_source
 from tests.adapters.session import Session, Told
@@ -84,7 +85,7 @@ async def test_the_image_is_brighter_with_the_lights_on() -> None:
     async with live() as session:
         dark = np.mean((await said(session, "/camera/image_raw")).data)
         schema = await session.schema(TypeRef("std_srvs/srv/SetBool"))
-        request = encode(schema.request, {"data": True})
+        request = schema.request.codec.encode(message_of(schema.request, {"data": True}), Encoding.CDR)
         await session.call("/set_lights", schema.ref, request)
         subscription = await session.adapter.subscribe("/camera/image_raw")
         before = subscription.latest()
@@ -143,7 +144,8 @@ async def test_a_goal_that_is_pursued_is_lost_when_the_rover_ends() -> None:
 async def goal(session: Session, x: float, y: float) -> bytes:
     """Return the bytes of a goal."""
     schema = await session.schema(TypeRef("rosld_rover/action/NavigateTo"))
-    return encode(schema.goal, {"pose": pose_stamped(Pose(x, y, 0.0), 0)})
+    pose = pose_stamped(Pose(x, y, 0.0), 0)
+    return schema.goal.codec.encode(message_of(schema.goal, {"pose": pose}), Encoding.CDR)
 
 
 async def test_what_happens_is_told_in_the_log() -> None:

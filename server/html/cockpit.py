@@ -20,7 +20,7 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.html.cockpit_form import CopyForm, EditForm
 from rosld.server.html.description import describe, objects_of
 from rosld.server.html.forms import DeleteForm, Form, HoldForm
-from rosld.server.html.graphics import PictureView, plot_prefix, plot_query
+from rosld.server.html.graphics import PictureView, plot_lines, plot_prefix, plot_query
 from rosld.server.html.messages import message_view, scalar_view
 from rosld.server.html.offer import FormTarget, PropertyValueView, form_targets, value_of
 from rosld.server.html.page import Csrf, Notice, Offer, PageResults
@@ -35,13 +35,13 @@ MAX_STREAM = 16
 STREAMS = 3
 """Maximum number of open connections of a page: browsers allow six per server, and two are left for requests."""
 MAX_STATES = 12
-LEVELS: Mapping[Level, tuple[str, str]] = {
-    Level.ERROR: ("Error", "error"),
-    Level.STALE: ("Stale", "warning"),
-    Level.WARN: ("Warning", "warning"),
-    Level.OK: ("OK", "good"),
+LEVELS: Mapping[Level, tuple[str, str, str]] = {
+    Level.ERROR: ("Error", "Errors", "error"),
+    Level.STALE: ("Stale", "Stale", "warning"),
+    Level.WARN: ("Warning", "Warnings", "warning"),
+    Level.OK: ("OK", "OK", "good"),
 }
-"""The label and the tone of each diagnostic level."""
+"""Singular and plural labels of each diagnostic level, and its tone; the worst first."""
 
 
 class WordsContent(Struct, frozen=True):
@@ -353,16 +353,8 @@ def _stream(group: Iterable[tuple[int, PlotContent]], site: Site) -> Mapping[int
 
 def _lines(content: PlotContent, references: Sequence[str], site: Site) -> list[dict[str, str | int | None]]:
     """Return the lines of a plot, each with its index in the stream."""
-    is_single = len({number.topic for number in content.numbers}) == 1
-    return [
-        {
-            "label": number.field if is_single else f"{site.short_name(number.topic)} {number.field}",
-            "unit": number.quantity.symbol,
-            "series": None if number.series is None else site.href(number.series),
-            "place": references.index(reference),
-        }
-        for number, reference in zip(content.numbers, content.references, strict=True)
-    ]
+    lines = zip(plot_lines(content.numbers, site), content.references, strict=True)
+    return [{**line, "place": references.index(reference)} for line, reference in lines]
 
 
 _ROWS = 99

@@ -19,26 +19,11 @@ Pairs: TypeAlias = Sequence[tuple[str, str]]
 
 ADDED = 2
 """Number of empty rows for new panels."""
-_ROW = re.compile(r"panel\.([0-9]{1,3})\.(kind|type|shows|fields|title|column|row|width|height|remove)")
-_KINDS = tuple(kind.value for kind in PanelKind)
+_NAMES = ("kind", "type", "shows", "fields", "title", "column", "row", "width", "height", "remove")
+_ROW = re.compile(rf"panel\.([0-9]{{1,3}})\.({'|'.join(_NAMES)})")
+KINDS = tuple(kind.value for kind in PanelKind)
+"""Kinds of panels that a form offers."""
 _MOST = 99
-
-
-class PanelInputs(Struct, frozen=True):
-    """Inputs of one panel; `number` is 0 for a new panel."""
-
-    prefix: str
-    number: int
-    kind: str
-    type: str
-    shows: str
-    fields: str
-    title: str
-    column: str
-    row: str
-    width: str
-    height: str
-    is_removed: bool = False
 
 
 class EditForm(Struct, frozen=True):
@@ -60,15 +45,14 @@ class EditForm(Struct, frozen=True):
         return escape_controls(dict(self.submitted or ()).get("title", self.cockpit.title))
 
     @property
-    def panels(self) -> tuple[PanelInputs, ...]:
-        """The inputs of the panels, followed by empty ones."""
+    def panels(self) -> tuple[Mapping[str, str | int], ...]:
+        """The inputs of the panels, followed by empty ones; the `number` of a new panel is 0."""
         if self.submitted is not None:
-            return tuple(
-                _panel_inputs(number, number, texts) for number, texts in sorted(_rows(self.submitted).items())
-            )
+            rows = sorted(_rows(self.submitted).items())
+            return tuple(_panel_inputs(number, number, texts) for number, texts in rows)
         there = [_panel_texts(panel, self.base) for panel in self.cockpit.panels]
-        rows = enumerate([*there, *[_NEW_PANEL] * ADDED], 1)
-        return tuple(_panel_inputs(row, row if row <= len(there) else 0, texts) for row, texts in rows)
+        found = enumerate([*there, *[_NEW_PANEL] * ADDED], 1)
+        return tuple(_panel_inputs(row, row if row <= len(there) else 0, texts) for row, texts in found)
 
 
 class CopyForm(Struct, frozen=True):
@@ -151,7 +135,7 @@ def cockpit_of_form(value: Mapping[str, object], base: str) -> Cockpit:
 
 def _panel(row: Mapping[str, object], base: str) -> Panel:
     name = str(row["kind"])
-    kind = PanelKind(name) if name in _KINDS else None
+    kind = PanelKind(name) if name in KINDS else None
     default = GridArea()
     area = GridArea(
         _whole(row["width"]) or default.width,
@@ -208,12 +192,6 @@ def _panel_texts(panel: Panel, base: str) -> Mapping[str, str]:
     }
 
 
-def _panel_inputs(row: int, number: int, texts: Mapping[str, str]) -> PanelInputs:
-    names = ("kind", "type", "shows", "fields", "title", "column", "row", "width", "height")
-    given = {name: escape_controls(texts.get(name, "")) for name in names}
-    return PanelInputs(f"panel.{row}.", number, is_removed=bool(texts.get("remove")), **given)
-
-
-def kinds_of_panels() -> Sequence[str]:
-    """Return the kinds of panels that a form offers."""
-    return _KINDS
+def _panel_inputs(row: int, number: int, texts: Mapping[str, str]) -> Mapping[str, str | int]:
+    given = {name: escape_controls(texts.get(name, "")) for name in _NAMES}
+    return {**given, "prefix": f"panel.{row}.", "number": number}

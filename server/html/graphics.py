@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from urllib.parse import quote
@@ -10,7 +9,7 @@ from urllib.parse import quote
 from msgspec import Struct
 
 from rosld.adapters.model import Message, MessageSchema
-from rosld.server.html.page import PlotPage
+from rosld.ontology.describe_views import PlottedNumber
 from rosld.server.html.site import Site
 from rosld.server.html.view import escape_controls, time_view
 from rosld.server.pictures.picture_cache import COMPRESSED_IMAGE, DEFAULT_RANGE, OCCUPANCY_GRID, CannotDraw, can_draw
@@ -23,18 +22,17 @@ def plot_query(references: Sequence[str]) -> str:
     return "?" + "&".join(f"y={quote(each, safe='/:')}" for each in references) if references else ""
 
 
-def plot_config(page: PlotPage) -> str:
-    """Return the configuration of a plot as JSON: the stream of the numbers, and the label and recording of each."""
-    names = {number.topic for number in page.numbers}
-    numbers = [
+def plot_lines(numbers: Sequence[PlottedNumber], site: Site) -> list[dict[str, str | int | None]]:
+    """Return the label, the unit and the recording of each number; labels name topics if there are several."""
+    is_single = len({number.topic for number in numbers}) == 1
+    return [
         {
-            "label": number.field if len(names) == 1 else f"{page.site.short_name(number.topic)} {number.field}",
+            "label": number.field if is_single else f"{site.short_name(number.topic)} {number.field}",
             "unit": number.quantity.symbol,
-            "series": None if number.series is None else page.site.href(number.series),
+            "series": None if number.series is None else site.href(number.series),
         }
-        for number in page.numbers
+        for number in numbers
     ]
-    return json.dumps({"stream": f"{page.site.root}plot{plot_query(page.references)}", "y": numbers})
 
 
 def plot_prefix(topic: str, site: Site) -> str | None:

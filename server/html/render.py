@@ -18,11 +18,11 @@ from rosld.ontology.modules import home_of_terms, module_url
 from rosld.ontology.neutral_message import COMMANDS
 from rosld.ontology.vocab import PREFIXES, ldp, rdf, ros, td
 from rosld.server.html.cockpit import LEVELS, CockpitPage, panel_views
-from rosld.server.html.cockpit_form import kinds_of_panels
+from rosld.server.html.cockpit_form import KINDS
 from rosld.server.html.description import describe, first_text, group_sections, objects_of
 from rosld.server.html.forms import Form
 from rosld.server.html.frame import is_refreshed, page_frame, render_template
-from rosld.server.html.graphics import frame_row, plot_config, plot_query, pose_words, space_query
+from rosld.server.html.graphics import frame_row, plot_lines, plot_query, pose_words, space_query
 from rosld.server.html.offer import FormTarget, form_targets, offer_view
 from rosld.server.html.page import (
     ALTERNATES,
@@ -56,7 +56,6 @@ from rosld.server.html.site import Site, readable_path
 from rosld.server.html.values import brief_text, results_table, thumbnail_view
 from rosld.server.html.view import escape_controls, time_view
 from rosld.server.hypermedia.views import ComplexView, PropertyView
-from rosld.server.robot.diagnostic_states import Level
 from rosld.server.space.drawing import PLACED_TYPES
 
 _FAILED_GOALS = frozenset({ros.Aborted, ros.Rejected, ros.Lost})
@@ -127,6 +126,11 @@ def render_page(page: Page) -> bytes:
         curl=_curl(page.document.url.partition("?")[0] + (f"?{page.query}" if page.query else ""), "text/turtle"),
         **body,
     )
+
+
+def _alternates(url: str, *more: Alternate) -> list[Alternate]:
+    """Return the other formats of a page, with the query of its URL."""
+    return [replace(each, query=url.partition("?")[2]) for each in (*more, *ALTERNATES)]
 
 
 def structured_data_script(document: Document) -> Markup | None:
@@ -325,7 +329,7 @@ def render_search(page: SearchPage) -> bytes:
         "find.html",
         page_frame(page.site, page.query or "Search", page.url, page.notices, query=page.query),
         page=page,
-        formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
+        formats=_alternates(page.url),
         rows=[
             (
                 *(anchor, result.kind, types, _found_by(result), brief_text(result.member.value or "null")),
@@ -343,13 +347,12 @@ _GRAPH_FORMATS = (Alternate("SVG", "image/svg+xml", "svg"), Alternate("DOT", "te
 
 def render_graph(page: GraphPage) -> bytes:
     """Return the page of the computation graph: its drawing, its problems in words, and a choice of namespaces."""
-    query = page.url.partition("?")[2]
     return render_template(
         "graph.html",
         page_frame(page.site, "Graph", page.url, page.notices, live=True),
         page=page,
         svg=Markup(page.svg),
-        formats=[replace(each, query=query) for each in (*_GRAPH_FORMATS, *ALTERNATES)],
+        formats=_alternates(page.url, *_GRAPH_FORMATS),
         problems=[
             (anchor, escape_controls(words))
             for url, words in page.problems
@@ -390,8 +393,10 @@ def render_plot(page: PlotPage) -> bytes:
         page=page,
         rows=rows,
         references=page.references,
-        config=plot_config(page),
-        formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
+        config=json.dumps(
+            {"stream": f"{site.root}plot{plot_query(page.references)}", "y": plot_lines(page.numbers, site)}
+        ),
+        formats=_alternates(page.url),
     )
 
 
@@ -433,17 +438,8 @@ def render_space(page: SpacePage) -> bytes:
         solid=f"{site.root}space{space_query(page.wanted, page.references, is_3d=True)}",
         model=f"{site.root}{page.model.removeprefix(site.base)}" if page.model else "",
         types=PLACED_TYPES,
-        formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
+        formats=_alternates(page.url),
     )
-
-
-_LEVEL_WORDS = {
-    Level.ERROR: ("Error", "Errors", "error"),
-    Level.STALE: ("Stale", "Stale", "warning"),
-    Level.WARN: ("Warning", "Warnings", "warning"),
-    Level.OK: ("OK", "OK", "good"),
-}
-"""Singular and plural labels of each level, and its tone."""
 
 
 def render_diagnostics(page: DiagnosticsPage) -> bytes:
@@ -451,7 +447,7 @@ def render_diagnostics(page: DiagnosticsPage) -> bytes:
     site, base = page.site, page.url.partition("?")[0]
     groups = [
         (words, [each for each in page.states if each.level is level])
-        for level, words in _LEVEL_WORDS.items()
+        for level, words in LEVELS.items()
         if any(each.level is level for each in page.states)
     ]
     return render_template(
@@ -459,11 +455,11 @@ def render_diagnostics(page: DiagnosticsPage) -> bytes:
         page_frame(site, page.name or "Diagnostics", page.url, page.notices, live=True),
         page=page,
         groups=groups,
-        words=_LEVEL_WORDS,
+        words=LEVELS,
         href=lambda name: f"{site.href(base)}?name={quote(name.encode('utf-8', 'replace'), safe='')}",
         when=time_view,
         topics=[anchor for url in page.topics if (anchor := site.anchor(url)) is not None],
-        formats=[replace(each, query=page.url.partition("?")[2]) for each in ALTERNATES],
+        formats=_alternates(page.url),
     )
 
 
@@ -483,7 +479,7 @@ def render_cockpit(page: CockpitPage) -> bytes:
         parts=parts,
         others=[each for each in others if each[0] is not None],
         levels=LEVELS,
-        kinds=kinds_of_panels(),
+        kinds=KINDS,
         container=f"{site.root}cockpit/",
         copy_token=page.csrf(f"{site.base}cockpit/"),
         token=page.csrf(""),

@@ -27,7 +27,6 @@ from typing import NamedTuple, Protocol, TypeAlias
 from msgspec import Struct, field
 
 from rosld.adapters.catalogue import Catalogue
-from rosld.adapters.catalogue import RecordedTopic as RecordedTopic
 from rosld.adapters.model import (
     Encoding,
     GoalEvent,
@@ -44,6 +43,8 @@ from rosld.adapters.model import (
     without_lifecycle,
 )
 from rosld.adapters.model import ParameterValue as ParameterValue
+from rosld.adapters.model import RecordedMessage as RecordedMessage
+from rosld.adapters.model import RecordedTopic as RecordedTopic
 
 
 class Capabilities(Struct, frozen=True):
@@ -123,18 +124,6 @@ class NullSink:
 
     def parameter_changed(self, name: str) -> None:
         """Not of interest."""
-
-
-class RecordedMessage(Struct, frozen=True):
-    """Message `index` (from 0, in recorded order) of a recording.
-
-    `is_opening`: a latched message sent before the recording began, repeated at its start.
-    """
-
-    index: int
-    topic: str
-    sample: Sample
-    is_opening: bool = False
 
 
 FOR_EVER = 1 << 62

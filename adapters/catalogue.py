@@ -12,11 +12,12 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from msgspec import Struct
 
-from rosld.adapters.model import TypeRef
+from rosld.adapters.model import Event as Event
+from rosld.adapters.model import RecordedTopic, TypeRef
 
 NAME = "catalogue.sqlite"
 _VERSION = 1
@@ -46,23 +47,6 @@ _ANNOTATIONS = frozenset({"tag", "event"})
 
 class CannotCatalogue(ValueError):
     """A catalogue that cannot be used; the message says what to do."""
-
-
-class RecordedTopic(Struct, frozen=True):
-    """A topic of a recording: its type, its number of messages, and the reason they cannot be decoded, if any."""
-
-    name: str
-    type: TypeRef
-    count: int
-    unreadable: str | None = None
-
-
-class Event(NamedTuple):
-    """Something that happened in a recording, at a time or during a span (ns)."""
-
-    name: str
-    start_ns: int
-    end_ns: int | None = None
 
 
 class Entry(Struct, frozen=True):

@@ -11,7 +11,7 @@ from urllib.parse import urljoin
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from rosld.adapters.model import Sample, TypeRef
+from rosld.adapters.model import Event, RecordedMessage, RecordedTopic
 from rosld.ontology import kinds
 from rosld.ontology.describe_datasets import IANA
 from rosld.ontology.describe_topics import MESSAGE, type_url
@@ -33,19 +33,6 @@ from rosld.ontology.urls import Space
 from rosld.ontology.vocab import dcat, dcterms, ldes, ldp, prov, rdf, rdfs, ros, sosa, spdx, tree, xhv, xsd
 
 
-class Track(Protocol):
-    """A topic of a recording; `unreadable` is the reason why its messages cannot be read, if any."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def type(self) -> TypeRef: ...
-    @property
-    def count(self) -> int: ...
-    @property
-    def unreadable(self) -> str | None: ...
-
-
 class Bag(Protocol):
     """A recording. Times are nanoseconds after the epoch."""
 
@@ -62,22 +49,9 @@ class Bag(Protocol):
     @property
     def end_ns(self) -> int: ...
     @property
-    def topics(self) -> Mapping[str, Track]: ...
+    def topics(self) -> Mapping[str, RecordedTopic]: ...
     @property
     def silent(self) -> Sequence[str]: ...
-
-
-class BagMessage(Protocol):
-    """A recorded message: its number, its topic, and the sample with its time."""
-
-    @property
-    def index(self) -> int: ...
-    @property
-    def topic(self) -> str: ...
-    @property
-    def sample(self) -> Sample: ...
-    @property
-    def is_opening(self) -> bool: ...
 
 
 class Trigger(Protocol):
@@ -102,17 +76,6 @@ class RecordingOrder(Protocol):
     def duration(self) -> float | None: ...
     @property
     def trigger(self) -> Trigger | None: ...
-
-
-class Event(Protocol):
-    """An event in a recording, at a time or during a span (ns)."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def start_ns(self) -> int: ...
-    @property
-    def end_ns(self) -> int | None: ...
 
 
 class BagView(NamedTuple):
@@ -204,7 +167,7 @@ _EVENT = NodeShape[Event]("RecordedEvent", "an event in a recording", ros.Record
     one(prov.startedAtTime, kinds.DATE_TIME, lambda event: event.start_ns),
     one(prov.endedAtTime, kinds.DATE_TIME, lambda event: event.start_ns if event.end_ns is None else event.end_ns),
 )
-_TRACK = NodeShape[Track]("BagTopic", "a topic of a recording", ros.BagTopic).with_properties(
+_TRACK = NodeShape[RecordedTopic]("BagTopic", "a topic of a recording", ros.BagTopic).with_properties(
     one(ros.name, kinds.NAME, lambda track: track.name),
     one(ros.hasMessageType, kinds.CLASS, lambda track: track.type),
     one(ros.count, kinds.COUNT, lambda track: track.count),
@@ -288,7 +251,7 @@ def bag_messages_document(bag: Bag, space: Space, page: int | None = None, size:
     return Document(subject.value, tuple(triples))
 
 
-def bag_selection_document(bag: Bag, space: Space, url: str, messages: Sequence[BagMessage]) -> Document:
+def bag_selection_document(bag: Bag, space: Space, url: str, messages: Sequence[RecordedMessage]) -> Document:
     """Return some messages of a recording, as listed by the page at `url`: their numbers, topics and times."""
     records = {NamedNode(space.bag_message(bag.name, each.index)): each for each in messages}
     triples = [
@@ -318,7 +281,7 @@ _MOMENT = NodeShape[tuple[Bag, int]]("Moment", "a moment of a recording", ros.Mo
 )
 
 
-def bag_moment_document(bag: Bag, space: Space, url: str, at_ns: int, messages: Sequence[BagMessage]) -> Document:
+def bag_moment_document(bag: Bag, space: Space, url: str, at_ns: int, messages: Sequence[RecordedMessage]) -> Document:
     """Return the newest message of each topic of a recording at a time."""
     records = {NamedNode(space.bag_message(bag.name, each.index)): each for each in messages}
     triples = _MOMENT.triples(NamedNode(url), (bag, at_ns), space, *statements(ros.newestRecord, records))
@@ -327,7 +290,9 @@ def bag_moment_document(bag: Bag, space: Space, url: str, at_ns: int, messages: 
     return Document(url, tuple(triples))
 
 
-_RECORD = NodeShape[tuple[Bag, BagMessage]]("Record", "the record of a message", ros.Record, *SOURCE).with_properties(
+_RECORD = NodeShape[tuple[Bag, RecordedMessage]](
+    "Record", "the record of a message", ros.Record, *SOURCE
+).with_properties(
     one(rdfs.label, kinds.TEXT, lambda of: f"Message {of[1].index} of {of[0].name}"),
     one(ros.recordedIn, kinds.BAG, lambda of: of[0].name),
     one(ros.index, kinds.COUNT, lambda of: of[1].index),
@@ -340,7 +305,7 @@ _RECORD = NodeShape[tuple[Bag, BagMessage]]("Record", "the record of a message",
 
 
 def bag_message_document(
-    bag: Bag, message: BagMessage, space: Space, lifted: LiftedMessage | None, *, unreadable: str | None = None
+    bag: Bag, message: RecordedMessage, space: Space, lifted: LiftedMessage | None, *, unreadable: str | None = None
 ) -> Document:
     """Return one recorded message: its time, its topic, and the message itself or the reason why it cannot be read."""
     url = space.bag_message(bag.name, message.index)
@@ -430,7 +395,7 @@ def _bounds(link: StreamLink) -> list[tuple[NamedNode, int | None]]:
 
 
 def observation_triples(
-    url: str, message: BagMessage, space: Space, lifted: Sequence[Triple], fields: Sequence[Observed]
+    url: str, message: RecordedMessage, space: Space, lifted: Sequence[Triple], fields: Sequence[Observed]
 ) -> list[Triple]:
     """Return a recorded message as an observation by the sensor of its topic, or as a collection of several.
 

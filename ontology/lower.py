@@ -10,23 +10,22 @@ reader of a message collects the misfits of its fields as violations, so that al
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache
-from typing import NamedTuple, TypeAlias, cast
+from functools import cache, lru_cache
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from pyoxigraph import NamedNode
 
 from rosld.adapters.model import STRINGS, Array, Field, FieldType, Message, MessageSchema, Nested, Primitive
 from rosld.ontology.body import RdfBody, Term
-from rosld.ontology.coercion import Misfit, check_length, describe_kind
+from rosld.ontology.coercion import describe_kind
 from rosld.ontology.json_leaves import json_leaf, stated_default, unexpected_value, zero_value
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.literals import DTYPES
 from rosld.ontology.lower_graph import GraphReaders, GraphReading
+from rosld.ontology.message_readers import MessageReaders, Reader, guarded, read_message
 from rosld.ontology.violations import Findings, LoweringError, Path, Violation
 from rosld.ontology.vocab import ros
-
-Reader: TypeAlias = Callable[[object, Path, "JsonReading"], object]
 
 
 class JsonReading(NamedTuple):
@@ -36,32 +35,28 @@ class JsonReading(NamedTuple):
     defaults: bool
 
 
+JsonReader: TypeAlias = Reader[object, JsonReading]
+
+
 class _Field(NamedTuple):
     """A field, the reader of its value, and the function that returns its default."""
 
     field: Field
-    read: Reader
+    read: JsonReader
     default: Callable[[], object]
 
 
-class JsonReaders:
-    """The readers of one schema's messages."""
+class JsonReaders(MessageReaders[object, JsonReading]):
+    """The readers of values as messages of one schema, and messages of defaults."""
 
     def __init__(self, schema: MessageSchema) -> None:
-        self._schema = schema
-        self._messages: dict[str, Reader] = {}
-        self._defaults: dict[str, Mapping[str, Callable[[], object]]] = {}
+        super().__init__(schema)
+        self._defaults = cache(self._defaults_of)
 
-    def message(self, name: str) -> Reader:
-        """Return the reader of messages of a type of this schema."""
-        if name not in self._messages:
-            self._messages[name] = self._message(name)
-        return self._messages[name]
-
-    def _message(self, name: str) -> Reader:
+    def _message(self, name: str) -> JsonReader:
         build, kind = self._schema.codec.build, Nested(name)
         fields = {
-            field.name: _Field(field, self._reader(field.type), self._default(field))
+            field.name: _Field(field, self.reader(field.type), self._default(field))
             for field in self._schema.types[name].fields
         }
 
@@ -71,7 +66,7 @@ class JsonReaders:
             values: dict[str, object] = {}
             for key, entry in fields.items():
                 if key in value:
-                    values[entry.field.attribute] = _read(entry, value[key], (path, key), reading)
+                    values[entry.field.attribute] = guarded(entry.read, value[key], (path, key), reading)
                 elif reading.defaults:
                     values[entry.field.attribute] = entry.default()
                 else:
@@ -83,29 +78,14 @@ class JsonReaders:
 
         return read
 
-    def _reader(self, kind: FieldType) -> Reader:
-        if isinstance(kind, Nested):
-            return self.message(kind.name)
-        if isinstance(kind, Array) and isinstance(kind.element, Nested):
-            return self._messages_reader(kind, kind.element)
+    def _leaf(self, kind: Primitive | Array) -> JsonReader:
         leaf = json_leaf(kind)
         return lambda value, path, reading: leaf(value)
 
-    def _messages_reader(self, kind: Array, element: Nested) -> Reader:
-        one = self.message(element.name)
-
-        def read(value: object, path: Path, reading: JsonReading) -> object:
-            if not isinstance(value, list):
-                raise unexpected_value(kind, value)
-            found = []
-            for index, item in enumerate(check_length(kind, value)):
-                try:
-                    found.append(one(item, (path, str(index)), reading))
-                except Misfit as misfit:
-                    reading.findings.misfit((path, str(index)), misfit)
-            return found
-
-        return read
+    def _items(self, kind: Array, value: object, reading: JsonReading) -> list[object]:
+        if not isinstance(value, list):
+            raise unexpected_value(kind, value)
+        return value
 
     def _default(self, field: Field) -> Callable[[], object]:
         """Return the value of a missing field: the default in its definition, or else zero, recursively."""
@@ -129,17 +109,10 @@ class JsonReaders:
 
     def default(self, name: str) -> Message:
         """Return a message of a type of this schema with every field at its default."""
-        if name not in self._defaults:
-            self._defaults[name] = {one.attribute: self._default(one) for one in self._schema.types[name].fields}
-        return self._schema.codec.build(name, {field: make() for field, make in self._defaults[name].items()})
+        return self._schema.codec.build(name, {attribute: make() for attribute, make in self._defaults(name)})
 
-
-def _read(entry: _Field, value: object, path: Path, reading: JsonReading) -> object:
-    try:
-        return entry.read(value, path, reading)
-    except Misfit as misfit:
-        reading.findings.misfit(path, misfit)
-        return None
+    def _defaults_of(self, name: str) -> list[tuple[str, Callable[[], object]]]:
+        return [(field.attribute, self._default(field)) for field in self._schema.types[name].fields]
 
 
 def _list(fields: Mapping[str, _Field]) -> str:
@@ -160,13 +133,7 @@ class Lowerer:
 
         Raises LoweringError with the violations (at most the first twenty).
         """
-        reading = JsonReading(Findings(), defaults)
-        message: object = None
-        try:
-            message = self._from_json(value, None, reading)
-        except Misfit as misfit:
-            reading.findings.misfit(None, misfit)
-        return _result(reading.findings, message)
+        return read_message(self._from_json, value, JsonReading(Findings(), defaults))
 
     def from_body(self, body: RdfBody, document: str, node: str = "#message") -> Message:
         """Return the message in the body sent to `document`; the body may be empty for a type without fields.
@@ -182,19 +149,7 @@ class Lowerer:
 
         Raises LoweringError with the violations (at most the first twenty).
         """
-        reading = GraphReading(body)
-        message: object = None
-        try:
-            message = self._from_graph(root, None, reading)
-        except Misfit as misfit:
-            reading.findings.misfit(None, misfit)
-        return _result(reading.findings, message)
-
-
-def _result(findings: Findings, message: object) -> Message:
-    if findings.violations:
-        raise LoweringError(*findings.violations)
-    return cast(Message, message)
+        return read_message(self._from_graph, root, GraphReading(body))
 
 
 @lru_cache(maxsize=1024)

@@ -7,7 +7,7 @@ ignored; anything else is a violation. Readers behave as those of `lower.py`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias, cast
 
 import numpy as np
 from pyoxigraph import Literal, NamedNode
@@ -30,6 +30,7 @@ from rosld.ontology.compile import TIME
 from rosld.ontology.json_leaves import array_of_json
 from rosld.ontology.lexical import BINARIES, NUMBERS, parse_boolean, parse_date_time
 from rosld.ontology.literals import DTYPES
+from rosld.ontology.message_readers import MessageReaders, Reader, guarded
 from rosld.ontology.names import type_names
 from rosld.ontology.violations import Findings, Path
 from rosld.ontology.vocab import geo, rdf, ros, xsd
@@ -37,7 +38,6 @@ from rosld.ontology.vocab import geo, rdf, ros, xsd
 IGNORED = frozenset({ros.received, ros.sequence, ros.sentBy, ros.latched, ros.dateTime, ros.rate, geo.hasGeometry})
 """Predicates that the server adds to messages and ignores when they are sent back."""
 
-Reader: TypeAlias = Callable[[Term, Path, "GraphReading"], object]
 TermLeaf: TypeAlias = Callable[[Term], object]
 
 _FLOATS = (xsd.double, xsd.float)
@@ -58,6 +58,8 @@ class GraphReading:
         if self._left < 0:
             raise Misfit("the same nodes are used too often in this body")
 
+
+GraphReader: TypeAlias = Reader[Term, GraphReading]
 
 # Literals
 
@@ -142,7 +144,7 @@ def _no_list(kind: Array | Primitive, term: Term, reading: GraphReading) -> Misf
     return _unexpected(kind, term)
 
 
-def _array(kind: Array, element: Primitive) -> Reader:
+def _array(kind: Array, element: Primitive) -> GraphReader:
     """Return the reader of an array of primitives: an rdf:JSON literal, octets or an rdf:List of literals."""
     from_json, one = array_of_json(kind), term_leaf(element)
     binary = is_octets(kind)
@@ -173,33 +175,18 @@ def _list(kind: Array, element: Primitive, one: TermLeaf, terms: list[Term]) -> 
 # Messages
 
 
-class _Entry(NamedTuple):
-    """A field, and the reader of its values."""
-
-    field: Field
-    read: Reader
-
-
-class GraphReaders:
-    """The readers of one schema's messages; `types` is the namespace of message types."""
+class GraphReaders(MessageReaders[Term, GraphReading]):
+    """The readers of nodes as messages of one schema; `types` is the namespace of message types."""
 
     def __init__(self, schema: MessageSchema, types: str) -> None:
-        self._schema = schema
+        super().__init__(schema)
         self._names = type_names(schema.types, types)
-        self._messages: dict[str, Reader] = {}
 
-    def message(self, name: str) -> Reader:
-        """Return the reader of a node as a message of a type of this schema."""
-        if name not in self._messages:
-            self._messages[name] = self._message(name)
-        return self._messages[name]
-
-    def _message(self, name: str) -> Reader:
+    def _message(self, name: str) -> GraphReader:
         build, kind, own = self._schema.codec.build, Nested(name), NamedNode(self._names[name].iri)
         fields = self._schema.types[name].fields
         entries = {
-            NamedNode(self._names[name].property(field.name)): _Entry(field, self._reader(field.type))
-            for field in fields
+            NamedNode(self._names[name].property(field.name)): (field, self.reader(field.type)) for field in fields
         }
         types = (own, ros.Message)
 
@@ -215,7 +202,8 @@ class GraphReaders:
             for predicate, objects in properties.items():
                 entry = entries.get(predicate)
                 if entry is not None:
-                    _read(entry, objects, values, path, reading)
+                    field, one = entry
+                    values[field.attribute] = _read(one, objects, (path, field.name), reading)
                 elif predicate == rdf.type:
                     _check_type(types, objects, path, reading.findings)
                 elif predicate not in IGNORED:
@@ -227,33 +215,16 @@ class GraphReaders:
 
         return read
 
-    def _reader(self, kind: FieldType) -> Reader:
-        if isinstance(kind, Nested):
-            return self.message(kind.name)
-        if isinstance(kind, Primitive):
-            return _primitive(kind)
-        if isinstance(kind.element, Primitive):
-            return _array(kind, kind.element)
-        return self._messages_reader(kind, kind.element)
+    def _leaf(self, kind: Primitive | Array) -> GraphReader:
+        return _primitive(kind) if isinstance(kind, Primitive) else _array(kind, cast(Primitive, kind.element))
 
-    def _messages_reader(self, kind: Array, element: Nested) -> Reader:
-        one = self.message(element.name)
-
-        def read(term: Term, path: Path, reading: GraphReading) -> object:
-            if isinstance(term, Literal):
-                raise _unexpected(kind, term)
-            found = []
-            for index, item in enumerate(check_length(kind, _elements(kind, term, reading))):
-                try:
-                    found.append(one(item, (path, str(index)), reading))
-                except Misfit as misfit:
-                    reading.findings.misfit((path, str(index)), misfit)
-            return found
-
-        return read
+    def _items(self, kind: Array, value: Term, reading: GraphReading) -> list[Term]:
+        if isinstance(value, Literal):
+            raise _unexpected(kind, value)
+        return _elements(kind, value, reading)
 
 
-def _primitive(kind: Primitive) -> Reader:
+def _primitive(kind: Primitive) -> GraphReader:
     leaf = term_leaf(kind)
 
     def read(term: Term, path: Path, reading: GraphReading) -> object:
@@ -264,16 +235,11 @@ def _primitive(kind: Primitive) -> Reader:
     return read
 
 
-def _read(entry: _Entry, objects: list[Term], values: dict[str, object], path: Path, reading: GraphReading) -> None:
-    field = entry.field
-    values[field.attribute] = None
+def _read(one: GraphReader, objects: list[Term], path: Path, reading: GraphReading) -> object:
     if len(objects) > 1 and len(set(objects)) > 1:
-        reading.findings.add((path, field.name), f"expected one value, but there are {len(set(objects))}")
-        return
-    try:
-        values[field.attribute] = entry.read(objects[0], (path, field.name), reading)
-    except Misfit as misfit:
-        reading.findings.misfit((path, field.name), misfit)
+        reading.findings.add(path, f"expected one value, but there are {len(set(objects))}")
+        return None
+    return guarded(one, objects[0], path, reading)
 
 
 def _check_type(types: tuple[NamedNode, ...], objects: list[Term], path: Path, findings: Findings) -> None:

@@ -254,8 +254,10 @@ class Client:
         self.services.follow(system.services.items())
         self.publications.register_again(system.publishers, requested_at)
         nodes = system.nodes()
-        endpoints = {(topic, node) for topic, of in system.publishers.items() for node in of}
-        self.facts.retain(nodes, endpoints, set(system.services))
+        self.facts.uris.retain(nodes)
+        self.facts.unreachable.retain(nodes)
+        self.facts.endpoints.retain({(topic, node) for topic, of in system.publishers.items() for node in of})
+        self.facts.services.retain(system.services.keys())
         self._note_own(system)
         self._look_up_some(nodes)
         if due := self._leftovers.nodes_to_check(system.publishers):
@@ -265,7 +267,7 @@ class Client:
         for topic, publication in self.publications.by_topic.items():
             if self._own_node in system.publishers.get(topic, ()):
                 facts = EndpointFacts(publication.ref, publication.latched is not None)
-                self.facts.set_endpoint(topic, self._own_node, facts)
+                self.facts.endpoints.put((topic, self._own_node), facts)
                 self.facts.set_node_uri(self._own_node, self.publications.uri or "")
 
     def _look_up_some(self, nodes: set[str]) -> None:

@@ -106,7 +106,7 @@ class Services:
                 words = str(error) or "no answer in time"
                 facts = ServiceFacts(before.type, f"its node does not report its type: {words}")
             if service in self._probed:
-                self._known_facts.set_service(service, facts)
+                self._known_facts.services.put(service, facts)
 
     async def _facts(self, service: str) -> ServiceFacts:
         reader, writer = await self._connect(service)

@@ -78,7 +78,8 @@ class PublisherReader:
             if now() - began > _LONG_ENOUGH or words is None:
                 wait = _FIRST_WAIT
             if words is not None:
-                self._nodes.facts.set_endpoint_unreachable(self._feed.topic, self.slot.publisher, words)
+                endpoints, key = self._nodes.facts.endpoints, (self._feed.topic, self.slot.publisher)
+                endpoints.put(key, endpoints.get(key, EndpointFacts())._replace(unreachable=words))
             await asyncio.sleep(wait)
             wait = min(2 * wait, _LONGEST_WAIT)
 
@@ -89,9 +90,9 @@ class PublisherReader:
             receiver = await self._connect(uri)
         except (RosError, OSError, ValueError, asyncio.TimeoutError) as error:
             if isinstance(error, Unreachable):
-                self._nodes.facts.set_node_reachable(self.slot.publisher, str(error))
+                self._nodes.facts.unreachable.put(self.slot.publisher, str(error))
             return str(error) or f"{self.slot.publisher} did not answer in time"
-        self._nodes.facts.set_node_reachable(self.slot.publisher, None)
+        self._nodes.facts.unreachable.put(self.slot.publisher, None)
         try:
             await receiver.closed
         finally:
@@ -141,7 +142,7 @@ class PublisherReader:
         self._types.learn(ref, header.get("message_definition", ""))
         latched = header.get("latching") == "1"
         self.slot.schema, self.slot.latched = ref, latched
-        self._nodes.facts.set_endpoint(self._feed.topic, self.slot.publisher, EndpointFacts(ref, latched))
+        self._nodes.facts.endpoints.put((self._feed.topic, self.slot.publisher), EndpointFacts(ref, latched))
         return self._deliver
 
     def _deliver(self, frames: Sequence[Frame], count: int) -> None:

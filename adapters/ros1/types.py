@@ -5,15 +5,15 @@ from __future__ import annotations
 import asyncio
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from pathlib import Path
-from typing import NamedTuple
-
-from msgspec import Struct, field
+from typing import NamedTuple, TypeVar
 
 from rosld.adapters.model import Schema, ServiceSchema, TypeRef, UnknownType
 from rosld.adapters.model.library import TypeLibrary
 
+_Key = TypeVar("_Key")
+_Fact = TypeVar("_Fact")
 _ROS_NAME = re.compile(r"([A-Za-z]\w*)/([A-Za-z]\w*)\Z", re.ASCII)
 
 
@@ -104,55 +104,38 @@ class ServiceFacts(NamedTuple):
     uncallable: str | None = None
 
 
-class Facts(Struct):
-    """Learnt facts by name; written only on the reading thread. `changed` is called after each change."""
+class Known(dict[_Key, _Fact]):
+    """Facts by key; written only on the reading thread. `changed` is called after each change."""
 
-    changed: Callable[[], None]
-    uris: dict[str, str] = field(default_factory=dict)
-    unreachable: dict[str, str] = field(default_factory=dict)
-    endpoints: dict[tuple[str, str], EndpointFacts] = field(default_factory=dict)
-    services: dict[str, ServiceFacts] = field(default_factory=dict)
+    def __init__(self, changed: Callable[[], None]) -> None:
+        self._changed = changed
+
+    def put(self, key: _Key, fact: _Fact | None) -> None:
+        """Set a fact, or forget it."""
+        if self.get(key) != fact:
+            if fact is None:
+                del self[key]
+            else:
+                self[key] = fact
+            self._changed()
+
+    def retain(self, keys: Set[_Key]) -> None:
+        """Remove facts about things that the master no longer lists."""
+        for key in self.keys() - keys:
+            del self[key]
+
+
+class Facts:
+    """What is known of nodes and services by name, and of publishers by topic and node."""
+
+    def __init__(self, changed: Callable[[], None]) -> None:
+        self.uris: Known[str, str] = Known(changed)
+        self.unreachable: Known[str, str] = Known(changed)
+        self.endpoints: Known[tuple[str, str], EndpointFacts] = Known(changed)
+        self.services: Known[str, ServiceFacts] = Known(changed)
 
     def set_node_uri(self, node: str, uri: str) -> None:
         """Set the address of a node."""
         if self.uris.get(node) != uri:
-            self.uris[node] = uri
             self.unreachable.pop(node, None)
-            self.changed()
-
-    def set_node_reachable(self, node: str, words: str | None) -> None:
-        """Set whether a node responds (None), or its error message."""
-        if self.unreachable.get(node) != words:
-            if words is None:
-                del self.unreachable[node]
-            else:
-                self.unreachable[node] = words
-            self.changed()
-
-    def set_endpoint(self, topic: str, node: str, facts: EndpointFacts) -> None:
-        """Set the facts about a publisher."""
-        if self.endpoints.get((topic, node)) != facts:
-            self.endpoints[topic, node] = facts
-            self.changed()
-
-    def set_endpoint_unreachable(self, topic: str, node: str, words: str) -> None:
-        """Mark a publisher as unreadable; its other facts remain."""
-        before = self.endpoints.get((topic, node), EndpointFacts())
-        self.set_endpoint(topic, node, before._replace(unreachable=words))
-
-    def set_service(self, name: str, facts: ServiceFacts) -> None:
-        """Set the facts about a service."""
-        if self.services.get(name) != facts:
-            self.services[name] = facts
-            self.changed()
-
-    def retain(self, nodes: set[str], endpoints: set[tuple[str, str]], services: set[str]) -> None:
-        """Remove facts about things that the master no longer lists."""
-        for name in self.uris.keys() - nodes:
-            del self.uris[name]
-        for name in self.unreachable.keys() - nodes:
-            del self.unreachable[name]
-        for key in self.endpoints.keys() - endpoints:
-            del self.endpoints[key]
-        for name in self.services.keys() - services:
-            del self.services[name]
+            self.uris.put(node, uri)

@@ -67,7 +67,7 @@ def test_the_same_observation_is_the_same_graph_and_a_change_shares_all_that_did
 def test_what_all_publishers_say_of_themselves_is_believed_before_the_masters_word() -> None:
     learnt = no_facts()
     said = TypeRef("std_msgs/msg/Int32", "da5909fbe378aeaf85e547e830cc1bb7")
-    learnt.set_endpoint("/a", "/n", EndpointFacts(said, True))
+    learnt.endpoints.put(("/a", "/n"), EndpointFacts(said, True))
     graph = compose(Graph(0), observed(a=("/n",)), learnt, {said: "odd"})
     assert graph.topics["/a"].types == (said,)
     assert graph.topics["/a"].publishers[0].latched

@@ -81,6 +81,10 @@ class Reader:
         if left > (3 if self._cdr else 0):
             raise ValueError(f"{left} bytes are left over after the message")
 
+    def rest(self) -> bytes:
+        """Return the bytes that were not read."""
+        return bytes(self._data[self._position :])
+
     def _align(self, size: int) -> None:
         if self._cdr:
             self._position += -self._position % size

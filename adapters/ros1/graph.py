@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from msgspec import Struct, field
 
 from rosld.adapters.model import Action, Endpoint, GoalStatus, Graph, Node, Service, Topic, TypeRef
-from rosld.adapters.ros1.tcpros import WireReader, text_field
 from rosld.adapters.ros1.types import EndpointFacts, Facts, ServiceFacts, type_name
+from rosld.adapters.ros1.wire import decode, encode, read_after_header
 
-_TIME = struct.Struct("<II")
-_LENGTH = struct.Struct("<I")
 _GOAL_ID, _STATUSES = "actionlib_msgs/GoalID", "actionlib_msgs/GoalStatusArray"
-_MAX_STATUSES = 10_000
 STATUSES: Mapping[int, GoalStatus] = {
     0: GoalStatus.ACCEPTED,  # PENDING
     1: GoalStatus.EXECUTING,  # ACTIVE
@@ -74,54 +70,37 @@ class Status(NamedTuple):
         return STATUSES.get(self.number)
 
 
-class _Reader(WireReader):
-    """Reader of the common parts of actionlib's messages."""
-
-    def header(self) -> None:
-        """Skip a std_msgs/Header."""
-        self.skip(4 + _TIME.size)
-        self.text()
-
-    def goal_id(self) -> str:
-        """Return the id in an actionlib_msgs/GoalID."""
-        self.skip(_TIME.size)
-        return self.text()
-
-    def status(self) -> Status:
-        """Return an actionlib_msgs/GoalStatus."""
-        return Status(self.goal_id(), self.skip(1)[0], self.text())
+def _status(message: Any) -> Status:
+    return Status(message.goal_id.id, message.status, message.text)
 
 
 def read_statuses(data: bytes) -> list[Status]:
     """Return the statuses in a GoalStatusArray. Raises ValueError."""
-    reader = _Reader(data)
-    reader.header()
-    return reader.array(reader.status, _MAX_STATUSES)
+    return [_status(each) for each in decode("actionlib_msgs/msg/GoalStatusArray", data).status_list]
 
 
 def read_feedback_or_result(data: bytes) -> tuple[Status, bytes]:
     """Return the goal and the message in an XActionFeedback or XActionResult. Raises ValueError."""
-    reader = _Reader(data)
-    reader.header()
-    return reader.status(), reader.rest()
+    status, message = read_after_header("actionlib_msgs/msg/GoalStatus", data)
+    return _status(status), message
 
 
 def read_goal(data: bytes) -> tuple[str, bytes]:
     """Return the id and the goal in an XActionGoal. Raises ValueError."""
-    reader = _Reader(data)
-    reader.header()
-    return reader.goal_id(), reader.rest()
+    id, goal = read_after_header("actionlib_msgs/msg/GoalID", data)
+    return id.id, goal
 
 
 def goal_message(id: str, stamp_ns: int, goal: bytes) -> bytes:
     """Return an XActionGoal."""
-    stamp = _TIME.pack(stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000)
-    return _LENGTH.pack(0) + stamp + text_field("") + stamp + text_field(id) + goal
+    stamp = {"sec": stamp_ns // 1_000_000_000, "nanosec": stamp_ns % 1_000_000_000}
+    header = encode("std_msgs/msg/Header", {"stamp": stamp})
+    return header + encode("actionlib_msgs/msg/GoalID", {"stamp": stamp, "id": id}) + goal
 
 
 def cancel_message(id: str) -> bytes:
     """Return a GoalID that cancels this goal, or all goals if the id is empty."""
-    return _TIME.pack(0, 0) + text_field(id)
+    return encode("actionlib_msgs/msg/GoalID", {"id": id})
 
 
 _NOTHING = EndpointFacts()

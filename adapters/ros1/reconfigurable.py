@@ -2,9 +2,8 @@
 
 A server in a namespace (`/camera`, or `/camera/driver`) has a service `set_parameters` and two latched topics:
 `parameter_descriptions` describes each parameter and its limits, `parameter_updates` has the values of all. The
-messages are the same everywhere, so they are read and written without their definitions. The topics are read without
-registering, like any topic. Nodes write accepted values to the master's tree, from which they are read like all
-parameters.
+topics are read without registering, like any topic. Nodes write accepted values to the master's tree, from which they
+are read like all parameters.
 """
 
 from __future__ import annotations
@@ -13,9 +12,8 @@ import ast
 import asyncio
 import math
 import re
-import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, TypeAlias
 
 from msgspec import Struct, field
 
@@ -25,15 +23,14 @@ from rosld.adapters.ros1.graph import SystemState
 from rosld.adapters.ros1.services import Services
 from rosld.adapters.ros1.sources import Nodes, TopicReader
 from rosld.adapters.ros1.subscription import MessageFeed
-from rosld.adapters.ros1.tcpros import WireReader, text_field
 from rosld.adapters.ros1.types import Types
+from rosld.adapters.ros1.wire import decode, encode
 
 Scalar: TypeAlias = "bool | int | float | str"
 
 DESCRIPTIONS, UPDATES, SET = "parameter_descriptions", "parameter_updates", "set_parameters"
 SERVICE = TypeRef("dynamic_reconfigure/srv/Reconfigure")
 _DESCRIPTION = "dynamic_reconfigure/ConfigDescription"
-_MAX_PARAMETERS = 10_000
 _MAX_CHOICES = 1_000
 _MAX_METHOD = 100_000
 _MAX_NESTED = 8
@@ -43,6 +40,7 @@ _TYPES: Mapping[str, ParameterType] = {
     "double": ParameterType.DOUBLE,
     "str": ParameterType.STRING,
 }
+_PARTS: Mapping[type, str] = {bool: "bools", int: "ints", str: "strs", float: "doubles"}
 _TOKEN = re.compile(
     r"\s+|[\[{(]|[\]}),:]|True|False|None"
     r"|[uU]?'(?:[^'\\\n]|\\.)*'|[uU]?\"(?:[^\"\\\n]|\\.)*\""
@@ -65,52 +63,28 @@ def servers_of(
 
 def read_config(data: bytes) -> Mapping[str, Scalar]:
     """Return the values in a dynamic_reconfigure/Config. Raises ValueError."""
-    return _config(WireReader(data))
+    return _config(decode("dynamic_reconfigure/msg/Config", data))
+
+
+def _config(message: Any) -> Mapping[str, Scalar]:
+    return {each.name: each.value for part in _PARTS.values() for each in getattr(message, part)}
 
 
 def read_descriptors(data: bytes) -> Mapping[str, Descriptor]:
     """Return the declarations in a dynamic_reconfigure/ConfigDescription, by local name. Raises ValueError."""
-    reader = WireReader(data)
-    groups = reader.array(lambda: _group(reader), _MAX_PARAMETERS)
-    greatest, least = _config(reader), _config(reader)
+    message = decode("dynamic_reconfigure/msg/ConfigDescription", data)
+    greatest, least = _config(message.max), _config(message.min)
     return {
-        name: Descriptor(
-            _TYPES[type],
-            shortened(words),
-            range=_range(_TYPES[type], least.get(name), greatest.get(name)),
-            choices=tuple(_choices(_TYPES[type], edit_method)),
+        each.name: Descriptor(
+            _TYPES[each.type],
+            shortened(each.description),
+            range=_range(_TYPES[each.type], least.get(each.name), greatest.get(each.name)),
+            choices=tuple(_choices(_TYPES[each.type], each.edit_method)),
         )
-        for group in groups
-        for name, type, words, edit_method in group
-        if type in _TYPES
+        for group in message.groups
+        for each in group.parameters
+        if each.type in _TYPES
     }
-
-
-def _group(reader: WireReader) -> list[tuple[str, str, str, str]]:
-    reader.text(), reader.text()
-    descriptions = reader.array(lambda: _description(reader), _MAX_PARAMETERS)
-    reader.int32(), reader.int32()
-    return descriptions
-
-
-def _description(reader: WireReader) -> tuple[str, str, str, str]:
-    """Return name, type, description and edit method of a parameter."""
-    name, type = reader.text(), reader.text()
-    reader.length()
-    return name, type, reader.text(), reader.text()
-
-
-def _config(reader: WireReader) -> Mapping[str, Scalar]:
-    values: dict[str, Scalar] = {}
-    for read in _values(reader):
-        values.update(reader.array(lambda read=read: (reader.text(), read()), _MAX_PARAMETERS))  # type: ignore[misc]
-    reader.array(lambda: (reader.text(), reader.bool(), reader.int32(), reader.int32()), _MAX_PARAMETERS)
-    return values
-
-
-def _values(reader: WireReader) -> tuple[Callable[[], Scalar], ...]:
-    """Return the readers of the values in a Config, in the order of its fields."""
-    return reader.bool, reader.int32, reader.text, reader.float64
 
 
 def _range(type: ParameterType, least: Scalar | None, greatest: Scalar | None) -> Range | None:
@@ -163,23 +137,10 @@ def _words(value: object) -> str:
 
 def request_of(values: Mapping[str, Scalar]) -> bytes:
     """Return a dynamic_reconfigure/Reconfigure request that sets only these parameters, by local name."""
-    kinds: dict[type, list[bytes]] = {bool: [], int: [], str: [], float: []}
+    parts: dict[str, list[object]] = {part: [] for part in _PARTS.values()}
     for name, value in values.items():
-        kinds[type(value)].append(text_field(name) + _ENCODERS[type(value)](value))
-    return b"".join(map(_array, kinds.values())) + _array(())
-
-
-def _array(elements: Iterable[bytes]) -> bytes:
-    encoded = list(elements)
-    return struct.pack("<I", len(encoded)) + b"".join(encoded)
-
-
-_ENCODERS: Mapping[type, Callable[[object], bytes]] = {
-    bool: lambda value: struct.pack("<?", value),
-    int: lambda value: struct.pack("<i", value),
-    str: lambda value: text_field(str(value)),
-    float: lambda value: struct.pack("<d", value),
-}
+        parts[_PARTS[type(value)]].append({"name": name, "value": value})
+    return encode("dynamic_reconfigure/msg/Config", parts)
 
 
 _DEPTH = 1

@@ -184,5 +184,5 @@ def test_an_enumeration_is_read_from_what_is_plain_data(ros: RosSystem, tmp_path
 def test_a_truncated_message_is_refused() -> None:
     for data in (b"", b"\1", b"\1\0\0\0", b"\xff" * 40, b"\0" * 7):
         for read in (read_config, read_descriptors):
-            with pytest.raises(ValueError, match=r"cut off|exceed the limit"):
+            with pytest.raises(ValueError, match="cannot decode"):
                 read(data)

@@ -16,12 +16,11 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 from rosld.ontology.document import Document, LiftedMessage
 from rosld.ontology.outline import DEPTH, Outline, Statements, Subject, Term, outline
 from rosld.ontology.syntax import CannotCarry
-from rosld.ontology.vocab import PREFIXES, rdf, ros, xsd
+from rosld.ontology.vocab import NAMESPACES, rdf, ros, xsd
 
 Json: TypeAlias = "str | bool | list[Json] | dict[str, Json] | orjson.Fragment | None"
 
 _LOCAL = re.compile(r"[A-Za-z][A-Za-z0-9_-]*", re.ASCII)
-_NAMESPACES = {iri: prefix for prefix, iri in PREFIXES.items()}
 _ID = "@id"
 
 
@@ -74,7 +73,7 @@ class _Writer:
     def _prefix(self, iri: str) -> str | None:
         """Return the compact form of `iri` if its namespace has a usable prefix, which is added to the context."""
         cut = max(iri.rfind("#"), iri.rfind("/")) + 1
-        prefix = _NAMESPACES.get(iri[:cut])
+        prefix = NAMESPACES.get(iri[:cut])
         if prefix is None or not _LOCAL.fullmatch(iri, cut) or not self._define(prefix, iri[:cut]):
             return None
         return f"{prefix}:{iri[cut:]}"
@@ -168,17 +167,11 @@ class _Writer:
     def _blank(self, blank: BlankNode, kind: str | None, depth: int) -> Json:
         elements = self.shape.lists.get(blank)
         if elements is not None and depth < DEPTH and blank not in self.written:
-            self._mark_cells(blank)
+            self.written.update(self.shape.cells_of(blank))
             return {"@list": [self._value(element, "", None, depth + 1) for element in elements]}
         if blank in self.shape.nested and blank not in self.written and depth < DEPTH:
             return self._node(blank, depth + 1)
         return str(blank) if kind == _ID else {_ID: str(blank)}
-
-    def _mark_cells(self, head: BlankNode) -> None:
-        cell: Term = head
-        while isinstance(cell, BlankNode):
-            self.written.add(cell)
-            (cell,) = self.shape.subjects[cell][rdf.rest]
 
     def _message(self, iri: str) -> Json:
         """Return the node object of a message, with its own context if it conflicts with that of the document."""

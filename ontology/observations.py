@@ -31,7 +31,7 @@ from rosld.ontology.syntax_codegen import const
 from rosld.ontology.triples import text
 from rosld.ontology.units import has_numbers, quantity_of
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import PREFIXES, dqv, owl_time, qudt, rdf, rdfs, ros, sosa, xsd
+from rosld.ontology.vocab import NAMESPACES, PREFIXES, dqv, owl_time, qudt, rdf, rdfs, ros, sosa, xsd
 
 SENSOR, ACTUATOR = "#sensor", "#actuator"
 _STANDARD = frozenset(
@@ -215,13 +215,12 @@ CLASSES = frozenset(each.value for each in _CLASSES)
 _PREFIXES = MappingProxyType(
     {name: PREFIXES[name] for name in ("sosa", "qudt", "unit", "dqv", "ros", "rdf", "xsd", "owl-time")}
 )
-_NAMES = {iri: prefix for prefix, iri in PREFIXES.items()}
 
 
 def _curie(iri: str) -> str:
     """Return an IRI as a prefixed name, or in full."""
     cut = max(iri.rfind("#"), iri.rfind("/")) + 1
-    prefix = _NAMES.get(iri[:cut])
+    prefix = NAMESPACES.get(iri[:cut])
     return f"{prefix}:{iri[cut:]}" if prefix in _PREFIXES else iri
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import TypeAlias
 
 from msgspec import Struct
@@ -30,6 +30,13 @@ class Outline(Struct, frozen=True):
     lists: dict[BlankNode, list[Term]]
     cells: frozenset[BlankNode]
     nested: frozenset[BlankNode]
+
+    def cells_of(self, head: BlankNode) -> Iterator[BlankNode]:
+        """Yield the cells of a list."""
+        cell: Term = head
+        while isinstance(cell, BlankNode):
+            yield cell
+            (cell,) = self.subjects[cell][rdf.rest]
 
 
 def outline(triples: Iterable[Triple]) -> Outline:

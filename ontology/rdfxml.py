@@ -9,7 +9,7 @@ from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
 from rosld.ontology.outline import Subject, Term, outline
 from rosld.ontology.syntax import CannotCarry
-from rosld.ontology.vocab import PREFIXES, rdf, xsd
+from rosld.ontology.vocab import NAMESPACES, rdf, xsd
 
 # The local part of an element's name is ASCII if possible, as XML's fourth and fifth editions differ on other letters;
 # otherwise it may have all characters of the fifth (NameStartChar, NameChar; Namespaces in XML 1.0: no colon).
@@ -23,7 +23,6 @@ _NO_CHARACTER = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010fff
 # Not from `xml.sax.saxutils`, which imports all of urllib and ssl: a third of the start of a query process.
 _IN_TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
 _IN_QUOTES = _IN_TEXT | str.maketrans({'"': "&quot;", "\n": "&#10;", "\t": "&#9;"})
-_NAMESPACES = {iri: prefix for prefix, iri in PREFIXES.items()}
 _RESERVED_NAMESPACES = frozenset({"http://www.w3.org/XML/1998/namespace", "http://www.w3.org/2000/xmlns/"})
 _NO_PROPERTIES = frozenset(
     rdf.iri + name
@@ -80,7 +79,7 @@ class _Writer:
             raise CannotCarry(f"RDF/XML cannot write the property <{iri}> as the name of an element; ask for Turtle")
         namespace, local = split[1], split[2]
         if namespace not in self.namespaces:
-            self.namespaces[namespace] = _NAMESPACES.get(namespace) or f"ns{len(self.namespaces)}"
+            self.namespaces[namespace] = NAMESPACES.get(namespace) or f"ns{len(self.namespaces)}"
         return f"{self.namespaces[namespace]}:{local}"
 
 

@@ -10,10 +10,9 @@ from pyoxigraph import BlankNode, Literal, NamedNode
 
 from rosld.ontology.document import Document
 from rosld.ontology.outline import DEPTH, Outline, Statements, Subject, Term, outline
-from rosld.ontology.vocab import PREFIXES, rdf, xsd
+from rosld.ontology.vocab import NAMESPACES, PREFIXES, rdf, xsd
 
 _LOCAL = re.compile(r"[A-Za-z_](?:[\w-]*\w)?", re.ASCII)
-_NAMESPACES = {iri: prefix for prefix, iri in PREFIXES.items()}
 _BARE = {xsd.integer.value: re.compile(r"0|-?[1-9][0-9]*"), xsd.boolean.value: re.compile(r"true|false")}
 """Literals written without quotes, only in forms that every reader preserves (some turn `01` into `1`)."""
 
@@ -39,7 +38,7 @@ def _escape(match: re.Match[str]) -> str:
 def prefixed_name(iri: str) -> tuple[str, str | None]:
     """Return the IRI as a prefixed name and its prefix, or in angle brackets and None."""
     cut = max(iri.rfind("#"), iri.rfind("/")) + 1
-    prefix = _NAMESPACES.get(iri[:cut])
+    prefix = NAMESPACES.get(iri[:cut])
     if prefix is None or not _LOCAL.fullmatch(iri, cut):
         return f"<{iri}>", None
     return f"{prefix}:{iri[cut:]}", prefix
@@ -113,7 +112,7 @@ class _Writer:
             return str(blank)
         elements = self.shape.lists.get(blank)
         if elements is not None:
-            self._mark_cells(blank)
+            self.written.update(self.shape.cells_of(blank))
             return f"( {' '.join([self.term(element, depth + 1) for element in elements])} )"
         if blank in self.shape.cells:  # the rest of a list whose head had to be written as a cell
             self.waiting.append(blank)
@@ -121,12 +120,6 @@ class _Writer:
         self.written.add(blank)
         inner = "\n" + "    " * (depth + 2)
         return f"[{inner}{self.statements(self.shape.subjects[blank], depth + 1)} ]"
-
-    def _mark_cells(self, head: BlankNode) -> None:
-        cell: Term = head
-        while isinstance(cell, BlankNode):
-            self.written.add(cell)
-            (cell,) = self.shape.subjects[cell][rdf.rest]
 
     def iri(self, iri: str) -> str:
         """Return an IRI: a prefixed name, a fragment of this document, or in full."""

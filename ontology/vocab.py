@@ -210,3 +210,5 @@ PREFIXES: Mapping[str, str] = {
     "vann": "http://purl.org/vocab/vann/",
 }
 """The usual prefixes of these namespaces."""
+NAMESPACES: Mapping[str, str] = {iri: prefix for prefix, iri in PREFIXES.items()}
+"""The prefixes by their namespaces."""

@@ -7,7 +7,8 @@ import sqlite3
 import sys
 import threading
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, TypeAlias
 from urllib.parse import quote
@@ -174,38 +175,32 @@ def _yaml(path: Path, budget: OpenBudget) -> _Yaml:
     """
     if path.stat().st_size > _MAX_BYTES:
         raise ValueError(f"it has more than {_MAX_BYTES} bytes")
-    root: list[_Yaml] = []
-    above: list[list[_Yaml] | dict[str, _Yaml]] = [root]
-    keys: list[str | None] = [None]
-    for event in YAML(typ="safe", pure=True).parse(path.read_text("utf-8", "replace")):
-        budget.work()
-        if isinstance(event, events.AliasEvent):
-            raise ValueError("it has aliases, which are not supported")
-        if isinstance(event, events.CollectionEndEvent):
-            above.pop()
-            keys.pop()
-        if not isinstance(event, events.ScalarEvent | events.CollectionStartEvent):
-            continue
-        value: _Yaml = []
+
+    def parsed() -> Iterator[events.Event]:
+        for event in YAML(typ="safe", pure=True).parse(path.read_text("utf-8", "replace")):
+            budget.work()
+            if isinstance(event, events.AliasEvent):
+                raise ValueError("it has aliases, which are not supported")
+            yield event
+
+    def value(event: events.Event, level: int) -> _Yaml:
         if isinstance(event, events.ScalarEvent):
-            value = str(event.value)
-        elif isinstance(event, events.MappingStartEvent):
-            value = {}
-        container = above[-1]
-        if isinstance(container, list):
-            container.append(value)
-        elif keys[-1] is None and isinstance(value, str):
-            keys[-1] = value
-        elif (key := keys[-1]) is not None:
-            container[key], keys[-1] = value, None
-        else:
-            raise ValueError("a key in it is not a string")
-        if not isinstance(value, str):
-            above.append(value)
-            keys.append(None)
-            if len(above) > _MAX_LEVELS:
-                raise ValueError(f"it nests deeper than {_MAX_LEVELS} levels")
-    return root[0] if root else ""
+            return str(event.value)
+        if level == _MAX_LEVELS:
+            raise ValueError(f"it nests deeper than {_MAX_LEVELS} levels")
+        inner = takewhile(lambda each: not isinstance(each, events.CollectionEndEvent), found)
+        if isinstance(event, events.SequenceStartEvent):
+            return [value(each, level + 1) for each in inner]
+        members: dict[str, _Yaml] = {}
+        for key in inner:
+            if not isinstance(key, events.ScalarEvent):
+                raise ValueError("a key in it is not a string")
+            members[str(key.value)] = value(next(found), level + 1)
+        return members
+
+    found = parsed()
+    roots = [value(each, 1) for each in found if isinstance(each, events.ScalarEvent | events.CollectionStartEvent)]
+    return roots[0] if roots else ""
 
 
 def _member(value: _Yaml, name: str) -> _Yaml:

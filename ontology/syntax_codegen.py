@@ -196,11 +196,9 @@ class NTriples:
         return f"<{subject}>"
 
 
-class Turtle:
+class Turtle(NTriples):
     """Turtle for people: one statement per node, with prefixes and short forms."""
 
-    inside = False
-    separator = begin = ""
     end = const(" .\n")
     runtime = Runtime(scalar_texts, _turtle_string, _literal_numbers, _literal_strings, _turtle_elide, _turtle_listing)
 
@@ -218,36 +216,6 @@ class Turtle:
 
     def json(self, value: str) -> str:
         return f'"{value}"^^rdf:JSON'
-
-    def node(self, subject: str) -> str:
-        return f"<{subject}>"
-
-
-class JsonLd:
-    """JSON-LD, compact: node objects nested as in the message, each typed so that its context applies."""
-
-    inside = True
-    separator = ","
-    begin, end = const("{"), const("}")
-    runtime = Runtime(scalar_texts, json_string, _literal_numbers, _literal_strings, _jsonld_elide, _json_listing)
-
-    def head(self, subject: str, kind: TypeName) -> str:
-        return f'"@id":"{subject}","@type":"' + const(kind.term) + '"'
-
-    def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
-        return f'"{key or const(name)}":{value}'
-
-    def time(self, subject: str, value: str) -> str:
-        return f',"ros:dateTime":"{value}"'
-
-    def literal(self, datatype: str, value: str) -> str:
-        return f'"{value}"'
-
-    def json(self, value: str) -> str:
-        return f'"{value}"'
-
-    def node(self, subject: str) -> str:
-        raise NotImplementedError("in JSON-LD a nested message is written inside")
 
 
 class Json:
@@ -274,7 +242,28 @@ class Json:
         return value
 
     def node(self, subject: str) -> str:
-        raise NotImplementedError("in JSON a nested message is written inside")
+        raise NotImplementedError("a nested message is written inside")
+
+
+class JsonLd(Json):
+    """JSON-LD, compact: node objects nested as in the message, each typed so that its context applies."""
+
+    runtime = Runtime(scalar_texts, json_string, _literal_numbers, _literal_strings, _jsonld_elide, _json_listing)
+
+    def head(self, subject: str, kind: TypeName) -> str:
+        return f'"@id":"{subject}","@type":"' + const(kind.term) + '"'
+
+    def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
+        return f'"{key or const(name)}":{value}'
+
+    def time(self, subject: str, value: str) -> str:
+        return f',"ros:dateTime":"{value}"'
+
+    def literal(self, datatype: str, value: str) -> str:
+        return f'"{value}"'
+
+    def json(self, value: str) -> str:
+        return f'"{value}"'
 
 
 NOTATIONS: Mapping[str, Notation] = {

@@ -23,7 +23,6 @@ from rosld.adapters.base import (
     Recording,
     Sink,
     Subscription,
-    Watch,
 )
 from rosld.adapters.catalogue import CannotCatalogue, Catalogue, Entry, Row
 from rosld.adapters.model import (
@@ -48,6 +47,7 @@ from rosld.adapters.recording.bag import Bag
 from rosld.adapters.recording.rosbag2 import is_one_recording
 from rosld.adapters.recording.storage import OpenBudget, OpeningRefused
 from rosld.adapters.recording.summary import PatientBudget, SummaryReader
+from rosld.adapters.slots import Slot
 
 log = logging.getLogger("rosld.recording")
 P = ParamSpec("P")
@@ -219,19 +219,6 @@ class CataloguedRecordings(Mapping[str, Recording]):
         return len(self._catalogue.readable_names())
 
 
-class _NothingLive:
-    """The subscription to a topic of a collection, which has no live messages, and the watch of it."""
-
-    def latest(self) -> Sequence[Sample]:
-        return ()
-
-    def watch(self, wake: Callable[[], None]) -> Watch:
-        return self
-
-    def close(self) -> None:
-        """There is nothing to release."""
-
-
 class CollectionAdapter(Adapter):
     """Many recordings as an `Adapter`: their topics and types are known, and nothing is live."""
 
@@ -328,7 +315,7 @@ class CollectionAdapter(Adapter):
 
     async def subscribe(self, topic: str, *, depth: int = 1) -> Subscription:
         """Return a subscription without messages."""
-        return _NothingLive()
+        return Slot().subscribe(depth)
 
     def _find_schema(self, ref: TypeRef) -> Schema:
         recordings = self.recordings

@@ -218,36 +218,12 @@ class Turtle(NTriples):
         return f'"{value}"^^rdf:JSON'
 
 
-class Json:
-    """ROS's own JSON: the fields and nothing else."""
+class JsonLd:
+    """JSON-LD, compact: node objects nested as in the message, each typed so that its context applies."""
 
     inside = True
     separator = ","
     begin, end = const("{"), const("}")
-    runtime = Runtime(json_scalars, json_string, json_numbers, json_strings, _json_elide, _json_listing)
-
-    def head(self, subject: str, kind: TypeName) -> str:
-        return ""
-
-    def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
-        return f'"{const(name)}":{value}'
-
-    def time(self, subject: str, value: str) -> str:
-        return ""
-
-    def literal(self, datatype: str, value: str) -> str:
-        return f'"{value}"' if datatype == "base64Binary" else value
-
-    def json(self, value: str) -> str:
-        return value
-
-    def node(self, subject: str) -> str:
-        raise NotImplementedError("a nested message is written inside")
-
-
-class JsonLd(Json):
-    """JSON-LD, compact: node objects nested as in the message, each typed so that its context applies."""
-
     runtime = Runtime(scalar_texts, json_string, _literal_numbers, _literal_strings, _jsonld_elide, _json_listing)
 
     def head(self, subject: str, kind: TypeName) -> str:
@@ -264,6 +240,30 @@ class JsonLd(Json):
 
     def json(self, value: str) -> str:
         return f'"{value}"'
+
+    def node(self, subject: str) -> str:
+        raise NotImplementedError("a nested message is written inside")
+
+
+class Json(JsonLd):
+    """ROS's own JSON: the fields and nothing else."""
+
+    runtime = Runtime(json_scalars, json_string, json_numbers, json_strings, _json_elide, _json_listing)
+
+    def head(self, subject: str, kind: TypeName) -> str:
+        return ""
+
+    def field(self, subject: str, kind: TypeName, name: str, value: str, key: str | None = None) -> str:
+        return f'"{const(name)}":{value}'
+
+    def time(self, subject: str, value: str) -> str:
+        return ""
+
+    def literal(self, datatype: str, value: str) -> str:
+        return f'"{value}"' if datatype == "base64Binary" else value
+
+    def json(self, value: str) -> str:
+        return value
 
 
 NOTATIONS: Mapping[str, Notation] = {

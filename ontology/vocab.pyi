@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from pyoxigraph import NamedNode
 
 PREFIXES: Mapping[str, str]
+NAMESPACES: Mapping[str, str]
 
 def attribute(name: str) -> str: ...
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rosld.adapters.catalogue import Entry, RecordedTopic
-from rosld.adapters.model import RosError, TypeRef
+from rosld.adapters.catalogue import Entry
+from rosld.adapters.model import RecordedTopic, RosError, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.recording.adapter import UNFORESEEN, open_storage
 from rosld.adapters.recording.bag import learn, with_global_names, without_repeats

@@ -48,7 +48,7 @@ def _kind(kind: ast.stmt, level: str) -> str:
         return f"{head}\n\n`{ast.unparse(getattr(kind, 'value', kind))}`".replace("'", "")
     values = ", ".join(f"`{ast.unparse(each.targets[0])}`" for each in kind.body if isinstance(each, ast.Assign))
     fields = (ast.unparse(each).replace("'", '"') for each in kind.body if isinstance(each, ast.AnnAssign))
-    lines = [re.sub(r"field\(default_factory=(\w+)\)", r"\1()", each) for each in fields]
+    lines = [re.sub(r"= field\(.*\)", "= ...", each) for each in fields]
     methods = [each for each in kind.body if isinstance(each, _Function) and not each.name.startswith("_")]
     made = [each for each in kind.body if isinstance(each, _Function) and each.name == "__init__"]
     lines += [_signature(each).replace("__init__", kind.name) for each in made]

@@ -46,14 +46,14 @@ PICTURES = {
         "cockpit/default",
         (1440, 1244),
         (4, -1),
-        "Number(document.querySelector('.panel.plot figure').dataset.points) > 150"
+        "Number(document.querySelector('.panel.plot figure').dataset.points) > 110"
         " && document.querySelector('.panel img').dataset.moving === 'yes'"
         " && Number(document.querySelector('.panel.space canvas').dataset.messages) > 100",
     ),
     "topic.png": Picture(
         "topics/odom",
         (1100, 1168),
-        (-3, -2.8),
+        (-3, 0),
         "Number(document.querySelector('.space canvas').dataset.messages) > 150",
     ),
     "sparql.png": Picture(
@@ -65,7 +65,7 @@ PICTURES = {
 @contextmanager
 def rover() -> Iterator[str]:
     """Serve the rover; yield the URL of the server."""
-    command = [sys.executable, "-m", "rosld", "serve", "rover:?pose=-3,-2.8,0.3", "--port", "0"]
+    command = [sys.executable, "-m", "rosld", "serve", "rover:?pose=-3.6,-0.5,0", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None

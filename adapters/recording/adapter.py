@@ -57,7 +57,7 @@ def open_storage(path: Path, budget: OpenBudget | None = None, *, only_totals: b
     opener = partial(open_file, only_totals=only_totals)
     budget = OpenBudget() if budget is None else budget
     if not path.exists():
-        raise NotFound(f"there is no recording {str(path)!r}")
+        raise NotFound(f"there is no recording {str(path)!r}; rosld --help names the sources")
     try:
         return Rosbag2(path, opener, budget, only_totals=only_totals) if path.is_dir() else opener(path, budget)
     except (Damaged, OpeningRefused) as damage:

@@ -35,7 +35,7 @@ from rosld.server.cli.tables import json_text
 )
 @click.version_option(rosld.__version__, prog_name="rosld", message="%(prog)s %(version)s")
 def main() -> None:
-    """rosld turns a robot into Linked Data: a web site to browse, query with SPARQL, and drive.
+    """rosld puts a robot on the web: a cockpit to drive it, a URL for everything, and SPARQL.
 
     \b
     Examples:
@@ -59,8 +59,8 @@ def main() -> None:
       rosld dump DIR -o data.tar.gz        a copy of stored resources; restore it with rosld load
 
     A SOURCE is `aircraft`, `rover`, the path of a recording (.bag, .mcap, .db3, a rosbag2 folder) or of a folder of
-    recordings, `ros1://HOST:PORT` (`ros1:` takes ROS_MASTER_URI), or `ros2:?domain=42&namespace=/robot1` (`ros2:` takes
-    ROS_DOMAIN_ID).
+    recordings, `ros1://HOST:PORT` (`ros1:` takes ROS_MASTER_URI), `ros2:?domain=42&namespace=/robot1` (`ros2:` takes
+    ROS_DOMAIN_ID), or a bridge: `foxglove://HOST:8765`, `rosbridge://HOST:9090`, `zenoh://HOST:7447`.
     """
     if os.name != "posix":
         raise Failure("The server forks its workers, which needs a POSIX system: use Linux, or WSL on Windows.")

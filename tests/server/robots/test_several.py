@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -159,11 +160,13 @@ def test_the_container_of_robots_links_to_each_with_its_state(site: httpx.Client
     assert site.get("").headers["location"] == f"{site.base_url}robots/"
 
 
-def test_the_page_of_robots_has_a_button_to_stop_each(site: httpx.Client) -> None:
+def test_the_page_of_robots_has_a_button_to_stop_each_and_no_dead_link(site: httpx.Client) -> None:
     page = site.get("robots/", headers={"accept": "text/html"}).text
     for name in ("rover", "plane"):
         assert f'action="/robots/{name}/stop"' in page
         assert f'href="/robots/{name}/cockpit/default"' in page
+    for link in re.findall(r'href="(/[^"]*)"', page):
+        assert site.get(link, headers={"accept": "text/html"}).status_code < 400, link
     assert site.get("cockpit/default").headers["location"] == f"{site.base_url}robots/"
 
 

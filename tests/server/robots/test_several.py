@@ -25,6 +25,7 @@ from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings
 from tests.adapters.ros1.system import running
 from tests.server.conftest import Served
+from tests.server.dataset.conftest import Oxigraph
 
 CONTAINS = NamedNode("http://www.w3.org/ns/ldp#contains")
 JSON = {"accept": "application/json"}
@@ -59,7 +60,8 @@ class Site:
     def __init__(self, *names: str, **settings: Any) -> None:
         self.opened: dict[str, list[Counting]] = {}
         self.broken: set[str] = set()
-        base = Settings(base_url="http://127.0.0.1:8080/", max_publish_rate=1e6, publish_wait=60.0, **settings)
+        chosen = {"base_url": "http://127.0.0.1:8080/", "max_publish_rate": 1e6, "publish_wait": 60.0, **settings}
+        base = Settings(**chosen)
         self.robots = Robots({name: f"counting:{name}" for name in names}, base, self._open)
         transport = httpx.ASGITransport(self.robots, client=("127.0.0.1", 1))
         self.http = httpx.AsyncClient(transport=transport, base_url=base.base_url)
@@ -345,6 +347,41 @@ async def test_a_damaged_list_of_robots_ends_nothing(tmp_path: Path, caplog: pyt
         answer = await site.http.post("robots/", json={"name": "two", "source": "rover"})
         assert answer.status_code == 507
         assert [each["name"] for each in await site.get("robots/")] == ["one"]
+
+
+async def test_robots_are_served_below_the_path_of_a_proxy() -> None:
+    site = Site("one", base_url="http://127.0.0.1:8080/site/")
+    async with lifespan(site.robots):
+        assert [each["url"] for each in await site.get("robots/")] == ["http://127.0.0.1:8080/site/robots/one/"]
+        assert await put(site.robots, "/site/robots/one/topics/number", 1) == 204
+        assert await put(site.robots, "/robots/one/topics/number", 1) == 404
+        insert = "INSERT DATA { GRAPH <robots/one/data/note> { <#it> rdfs:label 'mine' } }"
+        answer = await site.http.post("sparql", content=insert, headers={"content-type": "application/sparql-update"})
+        assert answer.status_code == 204, answer.text
+        assert "mine" in (await site.http.get("robots/one/data/note", headers={"accept": "text/turtle"})).text
+        assert site.robots.is_urgent(b"POST", b"/site/robots/one/stop")
+        assert not site.robots.is_urgent(b"POST", b"/robots/one/stop")
+
+
+async def test_the_robots_share_another_store() -> None:
+    store = Oxigraph()
+    await asyncio.to_thread(store.start)
+    try:
+        site = Site("one", "two", store=store.url, store_rate=20.0)
+        async with lifespan(site.robots):
+            for name in ("one", "two"):
+                turtle = {"content-type": "text/turtle"}
+                await site.http.put(f"robots/{name}/data/x", content=f"<> <http://e.x/p> '{name}' .", headers=turtle)
+            query = "SELECT ?g ?o { GRAPH ?g { ?s <http://e.x/p> ?o } } ORDER BY ?o"
+            expected = [{"g": f"http://127.0.0.1:8080/robots/{name}/data/x", "o": name} for name in ("one", "two")]
+            for _ in range(200):
+                if (found := await asyncio.to_thread(store.select, query)) == expected:
+                    break
+                await asyncio.sleep(0.05)
+            assert found == expected
+            assert (await site.get("robots/one/mirror"))["pending"] == 0
+    finally:
+        await asyncio.to_thread(store.stop)
 
 
 def open_files() -> int:

@@ -188,7 +188,7 @@ class SoftwareStop:
                 at_rest = partial(session.goals.wait_ended, goal.id, seconds=_ENDING_SECONDS)
                 urls = space.goal(goal.id), space.action(goal.action)
                 self._begin(_cancel_of(goal), canceled, *urls, is_at_rest=at_rest)
-        _log.warning("%s.", stop_state.words)
+        _log.warning("%s (%s).", stop_state.words, space.stop)
         self._revise()
         session.changes.emit()
         while self._running and loop_time() < deadline:

@@ -225,7 +225,8 @@ class AddedRobots:
         """Replace the sources. Raises Problem 507 if that fails."""
         if self._file is not None and sources != self.sources:
             try:
-                await asyncio.to_thread(write_note, self._file, msgspec.json.encode(sources))
+                # Sources may contain passwords.
+                await asyncio.to_thread(write_note, self._file, msgspec.json.encode(sources), 0o600)
             except OSError as error:
                 raise Problem(507, f"The list of robots cannot be stored: {error.strerror}.") from error
         self.sources = sources

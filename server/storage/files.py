@@ -65,11 +65,11 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def write_note(path: Path, data: bytes) -> None:
+def write_note(path: Path, data: bytes, mode: int = 0o666) -> None:
     """Write or replace a file atomically. Raises OSError; then the old file is unchanged."""
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with draft.open("wb") as file:
+        with os.fdopen(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode), "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())

@@ -264,6 +264,7 @@ async def test_a_robot_that_goes_away_takes_nothing_else_with_it_and_comes_back(
     assert [each.app for each in site.robots] == [None, None]
 
 
+@pytest.mark.slow
 async def test_a_ros_master_that_dies_takes_nothing_else_with_it_and_its_robot_comes_back(tmp_path: Path) -> None:
     site = Site("one")
 
@@ -325,6 +326,7 @@ async def test_added_robots_are_kept_over_a_restart_with_a_data_folder(tmp_path:
             assert (await site.http.post("robots/?dry-run=true", json=added)).status_code == 200
             assert (await site.http.post("robots/", json=added)).status_code == 201
         assert (await site.http.delete("robots/three/")).status_code == 204
+        assert (tmp_path / "robots.json").stat().st_mode & 0o077 == 0, "sources may contain passwords"
         assert "after a restart" not in (await site.http.get("robots/", headers=html)).text
     site = Site("one", "four", data=tmp_path)
     site.broken.add("foxglove://robot/two")
@@ -363,6 +365,7 @@ async def test_robots_are_served_below_the_path_of_a_proxy() -> None:
         assert not site.robots.is_urgent(b"POST", b"/robots/one/stop")
 
 
+@pytest.mark.slow
 async def test_the_robots_share_another_store() -> None:
     store = Oxigraph()
     await asyncio.to_thread(store.start)

@@ -23,8 +23,8 @@ def reference() -> str:
     rules = (ast.get_docstring(base) or "").partition("Rules")[2].partition("\n\n")[2]
     kinds = {each.name: each for each in base.body if isinstance(each, ast.ClassDef) and each.name != "NullSink"}
     parts = [_kind(each, "##") for each in ({name: kinds[name] for name in FIRST} | kinds).values()]
-    names = ("errors", "graph", "parameter", "qos", "schema")
-    models = [each for name in names for each in ast.parse((ADAPTERS / "model" / f"{name}.py").read_text("utf-8")).body]
+    files = sorted((ADAPTERS / "model").glob("*.py"))
+    models = [each for file in files for each in ast.parse(file.read_text("utf-8")).body]
     named = _named(ast.unparse(base), [each for each in models if isinstance(each, ast.ClassDef | ast.AnnAssign)])
     return "\n\n".join((f"{START}\n{rules}", *parts, "## Plain ROS", *(_kind(each, "###") for each in named))) + "\n"
 

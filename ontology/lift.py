@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from functools import lru_cache, partialmethod
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -79,6 +79,9 @@ class Lifter:
         self._only = only
         self._is_linked = is_linked
         self._compiled: dict[str, Lift] = {}
+        self.ntriples, self.turtle, self.jsonld = (
+            partial(self.text, each) for each in ("ntriples", "turtle", "jsonld")
+        )
 
     def text(
         self, notation: str, message: Message, document: str, node: str, *, end: str = " .\n",
@@ -93,10 +96,6 @@ class Lifter:
         extra = "" if envelope is None else _ENVELOPES[notation](subject, envelope, end, self._only)
         lift = self._compiled.get(notation) or self._compile(notation)
         return lift(message, subject, end, Site(source or document, len(subject) + 1, simulated_time), extra)
-
-    ntriples = partialmethod(text, "ntriples")
-    turtle = partialmethod(text, "turtle")
-    jsonld = partialmethod(text, "jsonld")
 
     def json(self, message: Message, document: str) -> bytes:
         """Return ROS's own JSON of the message (`document` is for the URLs of elided values)."""

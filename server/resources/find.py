@@ -144,13 +144,7 @@ class Finder:
         faults = [_fault_entry(self._session.space, each) for each in self._services.faults.all()]
         indexes = (self._of_robot.index, self._of_kept.index, SearchIndex(Catalog(faults), by_meaning=False))
         found = [each.find(query, limit, may_read) for each in indexes]
-        complete = [each for each in found if each.hits and each.is_complete]
-        best = complete if complete and query.commands is None else found
-        hits = sorted((hit for each in best for hit in each.hits), key=lambda hit: hit.rank)
-        concepts = () if hits else found[0].concepts
-        return SearchResults(
-            hits[:limit], sum(each.total for each in best), all(each.is_complete for each in best), concepts
-        )
+        return SearchResults.merge(found, query, limit)
 
     async def _robot_index(self, known: _Index | None) -> _Index:
         tree = await self._services.affordances.tree()

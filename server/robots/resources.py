@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -136,18 +137,11 @@ class FindInAll(FindResource):
 
     async def find(self, query: Query, permissions: Permissions, limit: int) -> SearchResults:
         """Return at most `limit` readable entries."""
-        apps = [each.app for each in self._robots if each.app is not None]
         found = []
-        for app in apps:
-            try:
+        for app in [each.app for each in self._robots if each.app is not None]:
+            with suppress(RosError):  # a robot that has just gone
                 found.append(await app.parts.router.search.finder.find(query, permissions, limit))
-            except RosError:  # a robot that has just gone
-                continue
-        complete = [each for each in found if each.hits and each.is_complete] or found
-        hits = sorted((hit for each in complete for hit in each.hits), key=lambda hit: hit.rank)
-        concepts = [] if hits else [concept for each in found for concept in each.concepts]
-        is_complete = all(each.is_complete for each in complete)
-        return SearchResults(hits[:limit], sum(each.total for each in complete), is_complete, concepts)
+        return SearchResults.merge(found, query, limit)
 
 
 class StopAllResource(StopResource):

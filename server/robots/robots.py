@@ -110,7 +110,7 @@ class Robot:
         """A stop that the robot gets as soon as it is connected."""
         self.tried = asyncio.Event()
         self._robots = robots
-        self._removed = asyncio.Event()
+        self.removed = asyncio.Event()
 
     @property
     def trouble(self) -> str | None:
@@ -131,19 +131,10 @@ class Robot:
             raise Problem(503, words, headers=retry, about=(self.url,))
         return self.app
 
-    def remove(self) -> None:
-        """End the robot."""
-        self._removed.set()
-
-    def end_streams(self) -> None:
-        """End unbounded responses, holds first."""
-        if self.app is not None:
-            self.app.end_streams()
-
     async def run(self) -> None:
         """Serve the robot until it is removed or this is cancelled; retry if it cannot be opened."""
         pause = _PAUSE
-        while not self._removed.is_set():
+        while not self.removed.is_set():
             try:
                 await self._serve()
             except (RosError, OSError, ValueError, RuntimeError) as error:
@@ -155,7 +146,7 @@ class Robot:
             self.tried.set()
             self._robots.changes.emit()
             with contextlib.suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(self._removed.wait(), pause)
+                await asyncio.wait_for(self.removed.wait(), pause)
             pause = min(_LONGEST_PAUSE, 2 * pause)
 
     async def _serve(self) -> None:
@@ -179,7 +170,7 @@ class Robot:
                 self.tried.set()
                 robots.changes.emit()
                 try:
-                    await self._removed.wait()
+                    await self.removed.wait()
                 finally:
                     app.end_streams()
                     self.stop_state, self.app, self.problem = app.session.interlock.stop_state, None, "it has ended"
@@ -340,7 +331,7 @@ class Robots:
             if name not in self._robots:
                 raise Problem(404, f"There is no robot {name} any more.")
             await self.added.store({other: source for other, source in self.added.sources.items() if other != name})
-            self._robots[name].remove()
+            self._robots[name].removed.set()
             await asyncio.wait([self._tasks.pop(name)])
             del self._robots[name]
         self.changes.emit()
@@ -352,7 +343,8 @@ class Robots:
     def end_streams(self) -> None:
         """End unbounded responses, holds first."""
         for each in self:
-            each.end_streams()
+            if each.app is not None:
+                each.app.end_streams()
         self.base.end_streams()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -398,7 +390,7 @@ class Robots:
             await send({"type": "lifespan.startup.complete"})
             await receive()
             for each in self:
-                each.remove()
+                each.removed.set()
             if self._tasks:
                 await asyncio.wait(self._tasks.values())
         await send({"type": "lifespan.shutdown.complete"})

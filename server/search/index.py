@@ -136,6 +136,15 @@ class SearchResults(NamedTuple):
     is_complete: bool = True
     concepts: Sequence[tuple[str, Entry]] = ()
 
+    @classmethod
+    def merge(cls, found: Sequence[SearchResults], query: Query, limit: int) -> SearchResults:
+        """Return the best of the results that several indexes have for a query."""
+        complete = [each for each in found if each.hits and each.is_complete]
+        best = complete if complete and query.commands is None else found
+        hits = sorted((hit for each in best for hit in each.hits), key=lambda hit: hit.rank)
+        concepts = [] if hits else [concept for each in found for concept in each.concepts]
+        return cls(hits[:limit], sum(each.total for each in best), all(each.is_complete for each in best), concepts)
+
 
 _Fits: TypeAlias = dict[int, Match]
 """Matches of a term, by the numbers of entries."""

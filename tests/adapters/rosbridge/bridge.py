@@ -240,7 +240,6 @@ class _Connection(NullSink):
         if self._ros2 and any(each.node == node for each in graph.parameters.values()):
             services += [f"{node}/{each}" for each in _PARAMETER_SERVICES]
         publishing = [each.name for each in graph.topics.values() if any(of.node == shown for of in each.publishers)]
-        publishing += [f"{each.name}/_action/status" for each in graph.actions.values() if shown in each.servers]
         subscribing = [each.name for each in graph.topics.values() if any(of.node == shown for of in each.subscribers)]
         return {
             "publishing": publishing,
@@ -352,7 +351,8 @@ class _Connection(NullSink):
                 for goal, status in self._statuses.items()
                 if f"{goal.action}/_action/status" == topic
             ]
-            self._publish_message(topic, schema.ref, self._encode(schema, {"status_list": listed}), "cbor-raw")
+            if listed:  # a server says nothing before its first goal
+                self._publish_message(topic, schema.ref, self._encode(schema, {"status_list": listed}), "cbor-raw")
 
 
 _ODD = {

@@ -13,6 +13,7 @@ from rosld.adapters.model import RosError
 from rosld.server.history.statistics import Statistics, index_file
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.offload import WorkerPool
+from rosld.server.runtime.tasks import Background
 from rosld.server.settings import Settings
 
 log = logging.getLogger("rosld.history")
@@ -23,7 +24,7 @@ _BYTES = 3 * 1024 * 1024 * 1024
 """Address space of the process in bytes."""
 
 
-class Indexer:
+class Indexer(Background):
     """Maker of statistics in another process, for a lasting catalogue. Belongs to the loop."""
 
     def __init__(
@@ -36,18 +37,15 @@ class Indexer:
         self._finished = finished
         self._options = AdapterOptions(types=settings.types)
         self._failed: set[str] = set()
-        self._task: asyncio.Task[None] | None = None
 
     def start(self) -> None:
         """Begin, unless statistics would be lost at the end."""
         if self._catalogue.path is not None:
-            self._task = asyncio.get_running_loop().create_task(self._run())
+            super().start()
 
     async def stop(self) -> None:
         """Stop, and close the database."""
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.gather(self._task, return_exceptions=True)
+        await super().stop()
         self.statistics.close()
 
     async def _run(self) -> None:

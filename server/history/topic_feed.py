@@ -11,7 +11,7 @@ from fnmatch import fnmatchcase
 from rosld.adapters.base import Adapter, Subscription
 from rosld.adapters.model import RosError, Sample, TypeRef
 from rosld.server.history.recorder import SAMPLE_OVERHEAD, Arrival, LatchedMessages, Recorder, Sink
-from rosld.server.runtime.tasks import end_tasks
+from rosld.server.runtime.tasks import Background, end_tasks
 
 log = logging.getLogger("rosld.history")
 PERIOD = 0.1
@@ -91,7 +91,7 @@ class TopicFeed:
         self._positions[name] = now
 
 
-class LiveFeed:
+class LiveFeed(Background):
     """Feeds of all recorded topics. `sinks_of` returns the sinks of a topic; without any, it is not recorded.
 
     `learn` loads the type of a message before the first message of it is recorded.
@@ -117,12 +117,7 @@ class LiveFeed:
         self._loaded_types: set[TypeRef] = set()
         self._delayed: dict[TypeRef, list[Arrival]] = {}
         self._learning: set[asyncio.Task[None]] = set()
-        self._task: asyncio.Task[None] | None = None
         self._changed = True
-
-    def start(self) -> None:
-        """Start polling, ten times a second."""
-        self._task = asyncio.get_running_loop().create_task(self._run())
 
     def assign(self) -> None:
         """Assign topics to sinks after a change of recordings."""
@@ -143,10 +138,10 @@ class LiveFeed:
 
     async def stop(self) -> None:
         """Pass the remaining messages on, and close every subscription. Idempotent."""
-        task, self._task = self._task, None
-        if task is None:
+        if self._task is None:
             return
-        await end_tasks([task, *self._learning])
+        await super().stop()
+        await end_tasks(self._learning)
         self._poll()
         for feed in self._feeds.values():
             feed.subscription.close()

@@ -117,7 +117,7 @@ class BagFile(BagBase):
 
     def _wanted(self, exchange: Exchange) -> ExportFormat | None:
         """Return the requested format to convert to, or None for the original file. Raises a 406 Problem."""
-        name = exchange.query.get("format")
+        name = exchange.format
         if name is None:
             own = [each.media_type for each in EXPORT_FORMATS.values() if each.encoding is self._encoding]
             media_type = choose_offer(exchange.accept, (UNKNOWN, *own))

@@ -26,7 +26,6 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.html.page import Cell, MemberColumns, SequenceLink
 from rosld.server.http.conditional import digest
 from rosld.server.http.fields import Link
-from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.resources.bags import BagBase
 from rosld.server.resources.base import Services
@@ -224,9 +223,9 @@ def selection_of(services: Services, recording: Recording, exchange: Exchange) -
     until = read_time(given["to"], now) if "to" in given else FOR_EVER
     if since > until:
         raise Problem(400, f"?from={given['from'][:60]} is after ?to={given['to'][:60]}.")
-    start = _number("start", given.get("start", "0"), 0, FOR_EVER)
+    start = exchange.query_integer("start", 0, 0, FOR_EVER)
     usual, most = (LIMIT, MAX_LIMIT) if table is None else (FOR_EVER, FOR_EVER)
-    limit = _number("limit", given["limit"], 1, most) if "limit" in given else usual
+    limit = exchange.query_integer("limit", usual, 1, most)
     wanted = MessageFilter(topics, max(since, 0), until, max(start, recording.first))
     if start and start < recording.first:
         raise Problem(410, f"?start={start}: the oldest messages were removed, the first is {recording.first}.")
@@ -252,15 +251,7 @@ def topics_of(recording: Recording, text: str) -> frozenset[str]:
     return found
 
 
-def _number(name: str, text: str, least: int, most: int) -> int:
-    if not (text.isascii() and text.isdecimal() and len(text) < 19 and least <= int(text) <= most):
-        bound = f"from {least}" if most == FOR_EVER else f"from {least} to {most}"
-        raise Problem(400, f"?{name}={text[:20]} is not a number {bound}.")
-    return int(text)
-
-
 def detail_of(exchange: Exchange) -> Detail:
     """Return the detail that the preferred representation needs."""
-    requested = exchange.query.get("format")
-    chosen = FORMATS.get(requested) if requested else choose_offer(exchange.accept, OFFERS)
+    chosen = exchange.preferred(FORMATS, OFFERS)
     return {HTML: Detail.LIST, JSON: Detail.JSON}.get(chosen or "", Detail.RDF)

@@ -180,7 +180,7 @@ class BagResource(BagBase):
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """Return the recording as a dataset in the profile Croissant, or its time line, if the client asks for it."""
-        wanted = exchange.query.get("format")
+        wanted = exchange.format
         if wanted == _SVG:
             return await self._timeline(exchange)
         if wanted != _CROISSANT and (wanted is not None or CROISSANT not in (exchange.accept or "")):

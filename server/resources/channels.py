@@ -35,13 +35,12 @@ from rosld.server.events.notification_channels import NO_CHANNEL, Channel, Chann
 from rosld.server.http.body import read_body
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.fields import Link
-from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.origin import OriginPolicy, normalize_authority
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import OBJECT, TEXT, URI, JsonSchema, MessageSchemas, json_object
 from rosld.server.resources.base import Services
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import JSON, OFFERS
+from rosld.server.rest.formats import FORMATS, JSON, OFFERS
 from rosld.server.rest.path_item import PathItem, WriteMethod
 from rosld.server.rest.resource import (
     BASIC_CONTAINER,
@@ -183,9 +182,7 @@ async def _narrow(resource: Resource, exchange: Exchange) -> Resource:
 
 def prefers_json(exchange: Exchange, offers: tuple[str, ...] = OFFERS) -> bool:
     """Whether JSON(-LD) is preferred, which is then written for clients without RDF support."""
-    if exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
-        return wanted in ("jsonld", "json")
-    return choose_offer(exchange.accept, offers) in (JSON_LD, JSON)
+    return exchange.preferred(FORMATS, offers) in (JSON_LD, JSON)
 
 
 class DescribedResource(Resource):

@@ -24,7 +24,6 @@ from rosld.server.html.render import render_cockpit
 from rosld.server.html.site import Site
 from rosld.server.http.body import FORM
 from rosld.server.http.conditional import digest
-from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.policies.stored_cockpits import DEFAULT, ROUTE, cockpit_titles
 from rosld.server.resources.base import Services
@@ -66,8 +65,7 @@ def wants_page(exchange: Exchange) -> bool:
         return (exchange.header("content-type") or "").startswith(FORM)
     if exchange.method not in ("GET", "HEAD"):
         return False
-    wanted = exchange.query.get("format")
-    return FORMATS.get(wanted) == HTML if wanted else choose_offer(exchange.accept, OFFERS) == HTML
+    return exchange.preferred(FORMATS, OFFERS) == HTML
 
 
 def cockpit_tabs(documents: Documents) -> tuple[tuple[str, str], ...]:

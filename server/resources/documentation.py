@@ -23,7 +23,6 @@ from rosld.server.html.frame import page_frame, render_template
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.fields import Link
-from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import OBJECT
 from rosld.server.resources.entry_point import FileResource
@@ -59,9 +58,8 @@ class DocumentationResource(Resource):
         self._name = name
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        wanted = exchange.query.get("format")
         offered = tuple(_FORMATS.values())
-        media_type = choose_offer(exchange.accept, offered) if wanted is None else _FORMATS.get(wanted)
+        media_type = exchange.preferred(_FORMATS, offered)
         if media_type is None:
             raise Problem(406, f"The documentation is available as {' and '.join(offered)}.")
         headers = resource_headers(self)

@@ -20,7 +20,6 @@ from rosld.server.html.page import Csrf, GraphPage, Notice
 from rosld.server.html.render import render_graph
 from rosld.server.html.site import Site
 from rosld.server.http.conditional import ETag, digest
-from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.hypermedia.json_schema import BOOLEAN, NUMBER, TEXT, URI, JsonSchema, json_array, json_object
 from rosld.server.resources.base import SessionResource
@@ -137,10 +136,7 @@ class GraphResource(SessionResource):
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
         """Return the drawing as SVG (folded if large) or DOT (whole) if preferred."""
-        wanted = exchange.query.get("format")
-        media_type = (
-            choose_offer(exchange.accept, (*OFFERS, *_DRAWINGS.values())) if wanted is None else _DRAWINGS.get(wanted)
-        )
+        media_type = exchange.preferred(_DRAWINGS, (*OFFERS, *_DRAWINGS.values()))
         if media_type not in _DRAWINGS.values():
             return None
         diagram = self._diagram(self._graph())

@@ -230,10 +230,7 @@ def time_map_of(
 
     `?start` is the number of the first message in the history. Raises a 400 Problem.
     """
-    text = exchange.query.get("start", "0")
-    if not (text.isascii() and text.isdecimal() and len(text) < 19):
-        raise Problem(400, f"?start={text[:20]} is not a message number.")
-    start = int(text)
+    start = exchange.query_integer("start", 0, 0, FOR_EVER)
 
     async def page() -> tuple[Sequence[int], str | None]:
         if not topics:

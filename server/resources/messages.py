@@ -20,7 +20,6 @@ from rosld.ontology.literals import date_time
 from rosld.ontology.observations import Observer, Role
 from rosld.ontology.urls import Space
 from rosld.server.http.conditional import ETag, digest
-from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import ROBOT_SAID, Problem
 from rosld.server.pictures.picture_cache import (
     DEFAULT_RANGE,
@@ -117,33 +116,29 @@ def picture_type(exchange: Exchange, *, is_picture: bool) -> str | None:
     """
     if not is_picture:
         return explicit_picture_type(exchange)
-    if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
-        return PICTURE_FORMATS.get(exchange.query["format"])
-    accept = exchange.accept
-    if accept is None or ("image/" not in accept and "multipart/" not in accept):
-        return None
-    found = choose_offer(accept, (*OFFERS, *PICTURES))
-    if found is None:
+    found = exchange.preferred(PICTURE_FORMATS, (*OFFERS, *PICTURES))
+    accept = exchange.accept or ""
+    if found is None and exchange.format is None and ("image/" in accept or "multipart/" in accept):
         raise Problem(406, f"None of {accept!r} is available; choose from {', '.join((*OFFERS, *PICTURES))}.")
     return found if found in PICTURES else None
 
 
 def explicit_picture_type(exchange: Exchange) -> str | None:
     """Return the media type of a picture if the request accepts only pictures, else None."""
-    if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
-        return PICTURE_FORMATS.get(exchange.query["format"])
-    accept = exchange.accept
-    if accept is None or "image/" not in accept or choose_offer(accept, OFFERS) is not None:
+    if exchange.preferred(FORMATS, OFFERS) is not None:
         return None
-    return choose_offer(accept, (JPEG, PNG))
+    return exchange.preferred(PICTURE_FORMATS, (JPEG, PNG))
 
 
 def require_picture(name: str, types: Sequence[TypeRef]) -> None:
     """Raise a 406 Problem if messages of these types are not drawable."""
     if not any(can_draw(ref.name) for ref in types):
-        names = ", ".join(ref.name for ref in types) or "an unknown type"
-        words = f"{name} has messages of {names}: only {', '.join(DRAWN_TYPES)} are drawn as pictures."
-        raise Problem(406, f"{words} There are {', '.join(OFFERS)}.")
+        raise _unfit(name, types, f"{', '.join(DRAWN_TYPES)} are drawn as pictures")
+
+
+def _unfit(name: str, types: Sequence[TypeRef], what_is: str) -> Problem:
+    names = ", ".join(ref.name for ref in types) or "an unknown type"
+    return Problem(406, f"{name} has messages of {names}: only {what_is}. There are {', '.join(OFFERS)}.")
 
 
 async def picture_response(
@@ -215,16 +210,8 @@ async def _draw(pictures: PictureCache, name: str, schema: MessageSchema, sample
 
 def _form(exchange: Exchange, media_type: str) -> PictureForm:
     """Return the form of a requested picture. Raises 400 Problems."""
-    query = exchange.query
-    return PictureForm(media_type, _width(query.get("width")), _range(query.get("range")))
-
-
-def _width(text: str | None) -> int | None:
-    if text is None:
-        return None
-    if not (text.isascii() and text.isdecimal() and 1 <= int(text[:9]) <= MAX_WIDTH):
-        raise Problem(400, f"?width={text[:_MAX_NAME]}: must be an integer number of pixels from 1 to {MAX_WIDTH}.")
-    return int(text)
+    width = exchange.query_integer("width", 0, 1, MAX_WIDTH) or None
+    return PictureForm(media_type, width, _range(exchange.query.get("range")))
 
 
 def _range(text: str | None) -> DepthRange:
@@ -274,22 +261,16 @@ def is_cloud(type_name: str) -> bool:
 
 def cloud_is_preferred(exchange: Exchange, *, is_cloud: bool) -> bool:
     """Whether a request prefers a file of points (or demands it by `?format=ply`)."""
-    if b"field=" in exchange.request.scope["query_string"]:
-        return False
-    if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
-        return exchange.query["format"] == "ply"
-    accept = exchange.accept
-    if not is_cloud or accept is None or "application/octet-stream" not in accept.lower():
-        return False
-    return choose_offer(accept, (*OFFERS, PLY)) == PLY
+    return (
+        "field" not in exchange.query
+        and exchange.preferred({"ply": PLY}, (*OFFERS, PLY) if is_cloud else OFFERS) == PLY
+    )
 
 
 def require_cloud(name: str, types: Sequence[TypeRef]) -> None:
     """Raise a 406 Problem if messages of these types are not point clouds."""
     if not any(is_cloud(ref.name) for ref in types):
-        names = ", ".join(ref.name for ref in types) or "an unknown type"
-        words = f"{name} has messages of {names}: only {POINT_CLOUD} is read as a file of points."
-        raise Problem(406, f"{words} There are {', '.join(OFFERS)}.")
+        raise _unfit(name, types, f"{POINT_CLOUD} is read as a file of points")
 
 
 async def cloud_response(
@@ -297,7 +278,7 @@ async def cloud_response(
 ) -> Response:
     """Return the file of a sample's points, or 304 if the client has it. Raises Problems."""
     require_cloud(name, (sample.schema,))
-    most = _points(exchange.query.get("points"))
+    most = exchange.query_integer("points", DEFAULT_POINTS, 1, MAX_POINTS)
     etag = ETag(f"{files.instance_id}-{sample_identity(sample)}", f"ply-{most}")
     try:
         schema = await schemas.message(sample.schema)
@@ -315,14 +296,6 @@ async def cloud_response(
     return bytes_response(exchange, data, PLY, etag, headers.items())
 
 
-def _points(text: str | None) -> int:
-    if text is None:
-        return DEFAULT_POINTS
-    if not (text.isascii() and text.isdecimal() and 1 <= int(text[:9]) <= MAX_POINTS):
-        raise Problem(400, f"?points={text[:_MAX_NAME]}: must be an integer number of points from 1 to {MAX_POINTS}.")
-    return int(text)
-
-
 GEO_JSON = "application/geo+json"
 GEO_FORMAT = QueryParameter(
     "format", "The requested representation; overrides Accept.", {"type": "string", "enum": [*FORMATS, "geojson"]}
@@ -331,12 +304,7 @@ GEO_FORMAT = QueryParameter(
 
 def geojson_is_preferred(exchange: Exchange) -> bool:
     """Whether a request prefers GeoJSON (or demands it by `?format=geojson`) of messages on the earth."""
-    if b"format=" in exchange.request.scope["query_string"] and exchange.query.get("format"):
-        return exchange.query["format"] == "geojson"
-    accept = exchange.accept
-    if accept is None or "geo+json" not in accept.lower():
-        return False
-    return choose_offer(accept, (*OFFERS, GEO_JSON)) == GEO_JSON
+    return exchange.preferred({"geojson": GEO_JSON}, (*OFFERS, GEO_JSON)) == GEO_JSON
 
 
 async def geojson_response(

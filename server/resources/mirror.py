@@ -100,7 +100,7 @@ class _Dataset:
 
     def watch(self, changed: Callable[[Collection[str], Sequence[Edit]], None], restarted: Callable[[], None]) -> None:
         self._process.on_change(changed)
-        self._process.on_start(restarted)
+        self._process.starts.watch(restarted)
 
     def graphs(self) -> Collection[str]:
         names: list[str] = pickle.loads(self._result(ListGraphs()))  # from this process

@@ -20,7 +20,6 @@ from rosld.server.events.query_params import EVENT_STREAM
 from rosld.server.html.forms import DeleteForm, Form, ValueForm
 from rosld.server.html.view import escape_controls
 from rosld.server.http.conditional import digest
-from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.http.token_redaction import redact_tokens
 from rosld.server.hypermedia.json_schema import OBJECT, JsonSchema, MessageSchemas
@@ -366,7 +365,4 @@ def _require_below(exchange: Exchange, url: str, value: ParameterValue) -> None:
 
 def _wants_value(exchange: Exchange) -> bool:
     """Whether a request prefers the value of a tree, as JSON or as a stream, to the container."""
-    wanted = exchange.query.get("format")
-    if wanted:
-        return wanted == "json"
-    return choose_offer(exchange.accept, (*OFFERS, EVENT_STREAM)) in (JSON, EVENT_STREAM)
+    return exchange.preferred({"json": JSON}, (*OFFERS, EVENT_STREAM)) in (JSON, EVENT_STREAM)

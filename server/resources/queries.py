@@ -126,7 +126,7 @@ class QueryRunner(Struct, frozen=True):
         given = {name: value for name, value in exchange.query.items() if name not in OTHER_SETTINGS}
         pairs = [(name, value) for name, value in exchange.query.items() if value]
         options = QueryRequest("", timeout=requested_timeout(pairs), partial=requested_partial(pairs))
-        if exchange.query.get("format") in (None, "", "html") and prefers_page(accept_of(exchange)):
+        if exchange.format in (None, "html") and prefers_page(accept_of(exchange)):
             return await self._page(exchange, resource, query, given, options)
         form = self.service.check(bind_parameters(query, self._samples(query, given), self.base)).form
         is_description = form not in GRAPH_FORMS and not given
@@ -227,10 +227,7 @@ class ShippedQueryResource(SessionResource):
         return State(partial(shipped_document, self.url, self._query), shapes=_shapes(self.space))
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        if (
-            not exchange.query.get("format")
-            and choose_offer(exchange.accept, (*OFFERS, QUERY_MEDIA_TYPE)) == QUERY_MEDIA_TYPE
-        ):
+        if exchange.preferred({}, (*OFFERS, QUERY_MEDIA_TYPE)) == QUERY_MEDIA_TYPE:
             return Response(self._query.text, media_type=f"{QUERY_MEDIA_TYPE}; charset=utf-8")
         return await self._runner.answer(exchange, self, self._query)
 
@@ -266,10 +263,7 @@ class StoredQueryResource(StoredFile):
         return _describe(self.documents, self.require_record())
 
     async def custom_get(self, exchange: Exchange) -> Response | None:
-        if (
-            not exchange.query.get("format")
-            and choose_offer(exchange.accept, (*OFFERS, QUERY_MEDIA_TYPE)) == QUERY_MEDIA_TYPE
-        ):
+        if exchange.preferred({}, (*OFFERS, QUERY_MEDIA_TYPE)) == QUERY_MEDIA_TYPE:
             return await super().custom_get(exchange)
         record = self.require_record()
         query = await self.documents.queries.executable(record)

@@ -409,9 +409,7 @@ def series_of(space: Space, history: History, topic: str, exchange: Exchange) ->
         )
     since = read_time(query.get("from", str(-_SECONDS_BEFORE)), now)
     until = read_time(query["to"], now) if "to" in query else now
-    points = query.get("points", str(POINTS))
-    if not (points.isascii() and points.isdecimal() and 1 <= int(points[:9]) <= MAX_POINTS):
-        raise Problem(400, f"?points={points[:20]} must be a number from 1 to {MAX_POINTS}.")
+    points = exchange.query_integer("points", POINTS, 1, MAX_POINTS)
     if since >= until:
         end = f"?to={query['to'][:60]}" if "to" in query else "now"
         begin = f"?from={query['from'][:60]}" if "from" in query else "?from=, by default a minute ago,"
@@ -419,7 +417,7 @@ def series_of(space: Space, history: History, topic: str, exchange: Exchange) ->
     others = [(name, query[name]) for name in ("from", "to", "points") if name in query]
     requested = [*(("series", field) for field in fields), *others]
     text = "&".join(f"{name}={quote(value, safe='/:.-')}" for name, value in requested)
-    return SeriesResource(space, history, topic, fields, SeriesRange(since, until, int(points)), text)
+    return SeriesResource(space, history, topic, fields, SeriesRange(since, until, points), text)
 
 
 def require_history(history: History, topic: str) -> None:

@@ -100,10 +100,9 @@ _OF_GRAPHS = frozenset({"graph", "default", "all"})
 
 def accept_of(exchange: Exchange, formats: Collection[str] = FORMATS.keys()) -> str | None:
     """Return the Accept field, or its replacement by `?format=`. Raises a 406 Problem for a format not in `formats`."""
-    wanted = exchange.query.get("format")
-    if not wanted:
+    if exchange.format is None:
         return exchange.accept
-    wanted = _ALSO.get(wanted, wanted)
+    wanted = _ALSO.get(exchange.format, exchange.format)
     if wanted not in formats:
         raise Problem(406, f"?format={wanted} is unknown here; choose from {', '.join(formats)}.")
     return FORMATS[wanted]

@@ -21,7 +21,6 @@ from rosld.server.history.tables import (
     require_pyarrow,
 )
 from rosld.server.http.conditional import ETag, digest
-from rosld.server.http.negotiation import choose_offer
 from rosld.server.http.problem import Problem
 from rosld.server.resources.bags import BagBase
 from rosld.server.resources.base import Services
@@ -44,13 +43,7 @@ _EXECUTOR = ThreadPoolExecutor(2, "tables")
 
 def wanted_table(exchange: Exchange) -> str | None:
     """Return the name of the format of tables that a request for a resource prefers, or None."""
-    requested = exchange.query.get("format") if exchange.request.scope["query_string"] else None
-    if requested:
-        return requested if requested in TABLES else None
-    accept = exchange.accept
-    if accept is None or not any(each in accept for each in TABLES.values()):
-        return None
-    chosen = choose_offer(accept, TABLE_READS)
+    chosen = exchange.preferred(TABLES, TABLE_READS)
     return next((name for name, media_type in TABLES.items() if media_type == chosen), None)
 
 

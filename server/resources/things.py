@@ -109,10 +109,7 @@ _OFFERS = (*RDF_BODIES, "application/json", "text/html", MEDIA_TYPE)
 
 def wants_thing(exchange: Exchange) -> bool:
     """Whether a request prefers a Thing Description to the state."""
-    if exchange.request.scope["query_string"] and "format" in exchange.query:
-        return exchange.query["format"] == FORMAT
-    accept = exchange.accept
-    return accept is not None and MEDIA_TYPE in accept and choose_offer(accept, _OFFERS) == MEDIA_TYPE
+    return exchange.preferred({FORMAT: MEDIA_TYPE}, _OFFERS) == MEDIA_TYPE
 
 
 class ThingDescriptions(Struct, eq=False):

@@ -10,6 +10,7 @@ from urllib.parse import parse_qsl
 from starlette.requests import Request
 from starlette.types import Receive, Scope
 
+from rosld.adapters.base import FOR_EVER
 from rosld.ontology.charsets import UTF_8
 from rosld.server.auth.authenticator import UNRESTRICTED
 from rosld.server.auth.enforcement import Protected
@@ -18,7 +19,7 @@ from rosld.server.auth.rate_limit import Client
 from rosld.server.auth.rules import Agent
 from rosld.server.http.body import TIMEOUT, codec_for, read_body, read_chunks, to_utf8
 from rosld.server.http.conditional import ETag, check_preconditions
-from rosld.server.http.negotiation import MediaType, Preferences, parse_media_type, parse_prefer
+from rosld.server.http.negotiation import MediaType, Preferences, choose_offer, parse_media_type, parse_prefer
 from rosld.server.http.problem import Problem
 from rosld.server.http.request_id import request_id
 from rosld.server.receipts.audit import AuditContext
@@ -61,7 +62,21 @@ class Exchange:
     @cached_property
     def query(self) -> Mapping[str, str]:
         """Parameters of the query, by name; the first of several with one name counts. Raises a 400 Problem."""
-        return MappingProxyType(dict(reversed(query_pairs(self.request.scope["query_string"]))))
+        raw = self.request.scope["query_string"]
+        return MappingProxyType(dict(reversed(query_pairs(raw)))) if raw else _NOTHING
+
+    @property
+    def format(self) -> str | None:
+        """The value of `?format=`, which overrides Accept; None without one. Raises a 400 Problem."""
+        return self.query.get("format") or None
+
+    def preferred(self, formats: Mapping[str, str], offers: tuple[str, ...]) -> str | None:
+        """Return the media type in `formats` that `?format=` names, or without it the offer that Accept prefers.
+
+        None if there is none. Raises a 400 Problem.
+        """
+        wanted = self.query.get("format")
+        return formats.get(wanted) if wanted else choose_offer(self.accept, offers)
 
     @cached_property
     def request_id(self) -> str:
@@ -184,6 +199,16 @@ class Exchange:
         """
         pairs = query_pairs(self.request.scope["query_string"])
         return list(dict.fromkeys(value.strip() for each, value in pairs if each == name and value.strip()))
+
+    def query_integer(self, name: str, default: int, least: int, most: int) -> int:
+        """Return the integer `?name=`. Raises a 400 Problem for others than from `least` to `most`."""
+        text = self.query.get(name)
+        if text is None:
+            return default
+        if not (text.isascii() and text.isdecimal() and len(text) < 19 and least <= int(text) <= most):
+            bound = f"from {least}" if most == FOR_EVER else f"from {least} to {most}"
+            raise Problem(400, f"?{name}={text[:20]} must be an integer {bound}.")
+        return int(text)
 
     def query_flag(self, name: str) -> bool:
         """Return the boolean `?name=`. Raises a 400 Problem for values other than true and false."""

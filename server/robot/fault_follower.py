@@ -22,7 +22,7 @@ from rosld.server.robot.diagnostic_states import DIAGNOSTIC_ARRAY, Level, read_s
 from rosld.server.robot.faults import Faults, pattern_of
 from rosld.server.robot.session import Session
 from rosld.server.robot.write_policy import RESERVED
-from rosld.server.runtime.tasks import end_tasks, loop_time
+from rosld.server.runtime.tasks import Background, loop_time
 
 PERIOD = 0.5
 """Seconds between looks."""
@@ -58,7 +58,7 @@ _ROBOT = FaultKey(FaultKind.ROBOT, None)
 _log = logging.getLogger("rosld")
 
 
-class FaultFollower:
+class FaultFollower(Background):
     """Follower of all faults of one robot. It subscribes to diagnostics and the log only if it `subscribes`."""
 
     def __init__(self, session: Session, *, subscribes: bool) -> None:
@@ -67,16 +67,10 @@ class FaultFollower:
         self._reports = _Reports(session, faults) if subscribes else None
         live = () if session.adapter.capabilities.system == "recording" else (_Nodes(faults), _Rhythms(session, faults))
         self._watchers: tuple[_Outcomes | _Nodes | _Rhythms, ...] = (_Outcomes(session, faults), *live)
-        self._task: asyncio.Task[None] | None = None
-
-    def start(self) -> None:
-        """Start following; requires a running loop."""
-        self._task = asyncio.get_running_loop().create_task(self._run())
 
     async def stop(self) -> None:
         """Stop following. Idempotent."""
-        if self._task is not None:
-            await end_tasks([self._task])
+        await super().stop()
         if self._reports is not None:
             await self._reports.follow(frozenset())
 

@@ -29,28 +29,22 @@ from rosld.server.http.problem import one_line
 from rosld.server.receipts.audit import Sender, new_identifier
 from rosld.server.robot.goal_store import Feedback, Goal, GoalStore
 from rosld.server.robot.limited_store import MAX_REMEMBERED
-from rosld.server.runtime.tasks import call_on_close, combine_watches, end_tasks, loop_time
+from rosld.server.runtime.tasks import Background, call_on_close, combine_watches, loop_time
 
 _SWEEP = 1.0
 
 
-class GoalFollower:
+class GoalFollower(Background):
     """Follower of actions while clients read them, and for `idle` seconds after that. Belongs to one loop."""
 
     def __init__(self, adapter: Adapter, idle: float) -> None:
         self._adapter = adapter
         self._idle = idle
         self._followed: dict[str, _FollowedAction] = {}
-        self._sweeper: asyncio.Task[None] | None = None
-
-    def start(self) -> None:
-        """Start following; requires a running loop."""
-        self._sweeper = asyncio.get_running_loop().create_task(self._sweep_for_ever())
 
     async def stop(self) -> None:
         """Stop following."""
-        if self._sweeper is not None:
-            await end_tasks([self._sweeper])
+        await super().stop()
         for action in list(self._followed):
             self._unfollow(action)
 
@@ -88,7 +82,7 @@ class GoalFollower:
 
         return combine_watches(watch, call_on_close(end))
 
-    async def _sweep_for_ever(self) -> None:
+    async def _run(self) -> None:
         while True:
             await asyncio.sleep(_SWEEP)
             horizon = loop_time() - self._idle

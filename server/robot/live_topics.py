@@ -22,7 +22,7 @@ from rosld.server.robot.topic_view import (
     TopicView,
     decoder_of,
 )
-from rosld.server.runtime.tasks import call_on_close, combine_watches, end_tasks, loop_time
+from rosld.server.runtime.tasks import Background, call_on_close, combine_watches, loop_time
 from rosld.server.settings import Settings
 
 _SWEEP = 0.5
@@ -56,7 +56,7 @@ class _LiveTopic(Struct):
         return self.eager or self.recorded or self.watches > 0
 
 
-class LiveTopics:
+class LiveTopics(Background):
     """The values of topics. Reading is free until a message arrives: it returns the same `TopicView`.
 
     A topic that is not in the graph has no values, even if messages were received before.
@@ -70,16 +70,10 @@ class LiveTopics:
         self._settings = settings
         self._live: dict[str, _LiveTopic] = {}
         self._opening: dict[str, asyncio.Lock] = {}
-        self._sweeper: asyncio.Task[None] | None = None
-
-    def start(self) -> None:
-        """Start sweeping; requires a running loop."""
-        self._sweeper = asyncio.get_running_loop().create_task(self._sweep_for_ever())
 
     async def stop(self) -> None:
         """Close all subscriptions."""
-        if self._sweeper is not None:
-            await end_tasks([self._sweeper])
+        await super().stop()
         for topic in list(self._live):
             self._close(topic)
 
@@ -256,7 +250,7 @@ class LiveTopics:
         if live is not None:
             live.subscription.close()
 
-    async def _sweep_for_ever(self) -> None:
+    async def _run(self) -> None:
         measured = loop_time()
         while True:
             await asyncio.sleep(_SWEEP)

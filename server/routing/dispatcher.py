@@ -121,7 +121,7 @@ class Dispatcher:
         if method not in resource.methods():
             raise resource.not_allowed(method)
         try:
-            if b"format=" in exchange.request.scope["query_string"] and not resource.has_own_formats:
+            if exchange.format and not resource.has_own_formats:
                 negotiate(exchange)  # nothing is written if the response could not be given
             refuse_partial_put(exchange)
             check_media_type(exchange, resource)

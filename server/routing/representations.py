@@ -153,7 +153,7 @@ def redacted_state(resource: Resource, state: State, permissions: Permissions) -
 
 def negotiate(exchange: Exchange) -> str:
     """Return the media type of the response: `?format=` takes precedence over Accept. Raises a 406 Problem."""
-    if b"format=" in exchange.request.scope["query_string"] and (wanted := exchange.query.get("format")):
+    if wanted := exchange.format:
         if wanted not in FORMATS:
             raise Problem(406, f"?format={wanted} is unknown; choose from {', '.join(FORMATS)}.")
         return FORMATS[wanted]

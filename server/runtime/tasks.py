@@ -74,7 +74,26 @@ _CANCEL_SECONDS = 0.5
 _log = logging.getLogger("rosld")
 
 
-class WokenTask:
+class Background:
+    """Base class of those that work in a task of the running loop from `start` until `stop`."""
+
+    _task: asyncio.Task[None] | None = None
+
+    def start(self) -> None:
+        """Start; requires a running loop."""
+        self._task = asyncio.get_running_loop().create_task(self._run())
+
+    async def stop(self) -> None:
+        """Cancel the work, and wait for its end. Idempotent."""
+        task, self._task = self._task, None
+        if task is not None:
+            await end_tasks([task])
+
+    async def _run(self) -> None:
+        raise NotImplementedError
+
+
+class WokenTask(Background):
     """A task that runs `work` once started and after each `wake`; wakes during a run cause one more run.
 
     A failed run is logged. Not thread-safe.
@@ -83,7 +102,6 @@ class WokenTask:
     def __init__(self, work: Callable[[], Awaitable[None]]) -> None:
         self._work = work
         self._woken = asyncio.Event()
-        self._task: asyncio.Task[None] | None = None
 
     def wake(self) -> None:
         """Request another run."""
@@ -92,12 +110,7 @@ class WokenTask:
     def start(self) -> None:
         """Start with the first run."""
         self._woken.set()
-        self._task = asyncio.get_running_loop().create_task(self._run())
-
-    async def stop(self) -> None:
-        """Cancel the current run, and end. Idempotent."""
-        if self._task is not None:
-            await end_tasks([self._task])
+        super().start()
 
     async def _run(self) -> None:
         while True:

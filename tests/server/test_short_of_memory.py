@@ -210,7 +210,7 @@ async def graphs(process: QueryProcess) -> Any:
 
 async def fill_with_garbage(process: QueryProcess) -> None:
     started, graph = asyncio.Event(), "http://h/g"
-    process.on_start(started.set)
+    process.starts.watch(started.set)
     for number in range(3):  # removed data is not freed
         process.change({graph: lines(10_000, 10_000 * number)})
     await graphs(process)

@@ -12,6 +12,7 @@ from itertools import count
 from rosld.server.dataset.base import Edit
 from rosld.server.http.problem import Problem
 from rosld.server.runtime.process_memory import DATASET_PER_CHARACTER, DATASET_PER_TRIPLE
+from rosld.server.runtime.tasks import Signal
 from rosld.server.sparql.disconnect import Disconnected
 from rosld.server.sparql.process.connection import ChildProcess, spawn
 from rosld.server.sparql.process.frames import Change, Drop, Ended, Job, Refused, pack
@@ -37,7 +38,7 @@ class QueryProcess:
 
     The process holds the datasets and makes changes; its workers, which are forks of it, do the work: at most
     `concurrency` at a time, while at most `queue` jobs wait. `generation` changes with each start: a new process has
-    empty datasets, and the listeners of `on_start` are called.
+    empty datasets, and `starts` is emitted.
     """
 
     def __init__(self, concurrency: int, queue: int) -> None:
@@ -49,7 +50,7 @@ class QueryProcess:
         self._ready = asyncio.Event()
         self._restart: asyncio.Task[None] | None = None
         self._closed = False
-        self._on_start: list[Callable[[], None]] = []
+        self.starts = Signal()
         self._on_change: list[Callable[[Mapping[str, str | None], Sequence[Edit]], None]] = []
 
     @property
@@ -72,15 +73,6 @@ class QueryProcess:
         """Number of jobs that wait for a worker."""
         return self._pool.waiting
 
-    def on_start(self, listener: Callable[[], None]) -> None:
-        """Call the listener after each start of the process, when its datasets are empty."""
-        self._on_start.append(listener)
-
-    def remove_listener(self, listener: Callable[[], None]) -> None:
-        """Do not call a listener of `on_start` any more."""
-        if listener in self._on_start:
-            self._on_start.remove(listener)
-
     def on_change(self, listener: Callable[[Mapping[str, str | None], Sequence[Edit]], None]) -> None:
         """Call the listener with each change of the first dataset from now on."""
         self._on_change.append(listener)
@@ -97,8 +89,7 @@ class QueryProcess:
         child = ChildProcess(spawned, self._loop, self._take, self._on_lost)
         self._pool.start(child, self._loop)
         self.generation += 1
-        for listener in self._on_start:
-            listener()
+        self.starts.emit()
         self._ready.set()
 
     async def close(self) -> None:

@@ -30,21 +30,21 @@ class RobotProcess(QueryProcess):
         self._pool, self._ready, self._datasets = shared._pool, shared._ready, shared._datasets
         self._numbers: set[int] = set()
         self._first = self.new_dataset()
+        self._watch = contextlib.ExitStack()
 
     async def start(self) -> None:
         """Use the shared process, which runs."""
         self._loop = asyncio.get_running_loop()
-        self._shared.on_start(self._note_start)
+        self._watch.callback(self._shared.starts.watch(self._note_start).close)
         self._note_start()
 
     def _note_start(self) -> None:
         self.generation += 1
-        for listener in self._on_start:
-            listener()
+        self.starts.emit()
 
     async def close(self) -> None:
         """Discard the datasets. Idempotent."""
-        self._shared.remove_listener(self._note_start)
+        self._watch.close()
         while self._numbers:
             self.drop(next(iter(self._numbers)))
 

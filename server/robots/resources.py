@@ -53,10 +53,11 @@ _KEPT = frozenset(
     }
 )  # fmt: skip
 """Routes that mean the same at the base as at a robot."""
-_DESCRIBED = {
-    **{path: path for path in ("/robots/", "/stop", "/find", "/faults/", "/sparql", "/status", "/activity/")},
-    **{path: path for path in ("/data/", "/queries/", "/ontology", "/openapi.json", "/llms.txt")},
-}
+_DESCRIBED = (
+    "/robots/", "/stop", "/find", "/faults/", "/sparql", "/status", "/activity/", "/data/", "/queries/", "/channels/",
+    "/channels/StreamingHTTPChannel2023", "/channels/WebSocketChannel2023", "/docs/", "/ontology", "/openapi.json",
+    "/llms.txt", "/metrics",
+)  # fmt: skip
 _ROBOT: JsonSchema = json_object(
     {"name": TEXT, "url": URI, "source": TEXT, "state": {"enum": ["Live", "Stale"]}},
     {"stopped": BOOLEAN, "reason": nullable(TEXT), "cockpit": URI, "stop": URI},
@@ -70,7 +71,7 @@ def routes(robots: Robots, parts: Parts) -> Mapping[str, Route]:
     listing = partial(RobotsResource, robots, parts)
     openapi = router.at("/openapi.json")
     assert isinstance(openapi, OpenApiResource)
-    openapi.only = _DESCRIBED
+    openapi.only = {path: path for path in _DESCRIBED}
     find = FindInAll(robots, parts.services)
 
     def entry() -> Resource:

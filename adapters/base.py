@@ -43,8 +43,8 @@ from rosld.adapters.model import (
     without_lifecycle,
 )
 from rosld.adapters.model import ParameterValue as ParameterValue
-from rosld.adapters.model import RecordedMessage as RecordedMessage
-from rosld.adapters.model import RecordedTopic as RecordedTopic
+from rosld.adapters.model.recorded import RecordedMessage as RecordedMessage
+from rosld.adapters.model.recorded import RecordedTopic as RecordedTopic
 
 
 class Capabilities(Struct, frozen=True):

@@ -16,8 +16,9 @@ from typing import Any, Literal
 
 from msgspec import Struct
 
-from rosld.adapters.model import Event as Event
-from rosld.adapters.model import RecordedTopic, TypeRef
+from rosld.adapters.model import TypeRef
+from rosld.adapters.model.recorded import Event as Event
+from rosld.adapters.model.recorded import RecordedTopic
 
 NAME = "catalogue.sqlite"
 _VERSION = 1

@@ -11,7 +11,7 @@ from urllib.parse import urljoin
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from rosld.adapters.model import Event, RecordedMessage, RecordedTopic
+from rosld.adapters.model.recorded import Event, RecordedMessage, RecordedTopic
 from rosld.ontology import kinds
 from rosld.ontology.describe_datasets import IANA
 from rosld.ontology.describe_topics import MESSAGE, type_url

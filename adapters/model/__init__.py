@@ -36,7 +36,6 @@ from rosld.adapters.model.graph import (
 )
 from rosld.adapters.model.parameter import Choice, Descriptor, ParameterType, ParameterValue, Range, coerce
 from rosld.adapters.model.qos import Mismatch, Qos, mismatch_count, mismatches, read_profile
-from rosld.adapters.model.recorded import Event, RecordedMessage, RecordedTopic
 from rosld.adapters.model.schema import (
     OCTETS,
     STRINGS,

@@ -1,4 +1,4 @@
-"""Parts of recordings."""
+"""Parts of recordings. The package does not import this module: its rover also runs in a rospy without msgspec."""
 
 from __future__ import annotations
 

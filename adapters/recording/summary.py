@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from rosld.adapters.catalogue import Entry
-from rosld.adapters.model import RecordedTopic, RosError, TypeRef
+from rosld.adapters.model import RosError, TypeRef
 from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model.recorded import RecordedTopic
 from rosld.adapters.recording.adapter import UNFORESEEN, open_storage
 from rosld.adapters.recording.bag import learn, with_global_names, without_repeats
 from rosld.adapters.recording.storage import OpenBudget, OpeningRefused, RecordedConnection, RosVersion, Storage, Totals

@@ -106,14 +106,15 @@ class SoftwareStop:
     @property
     def is_usable(self) -> bool:
         """Whether the robot can be stopped and released from here."""
-        return not self._session.settings.read_only and self._session.adapter.capabilities.writes
+        return self.unusable_reason is None
 
     @property
     def unusable_reason(self) -> str | None:
         """Sentence on why the robot cannot be stopped and released from here, None if it can."""
         if self._session.settings.read_only:
             return "This server is read-only: it sends no commands to the robot, not even to stop."
-        return None if self.is_usable else f"Nothing moves in a {self._session.adapter.capabilities.system}."
+        capabilities = self._session.adapter.capabilities
+        return None if capabilities.writes else f"Nothing moves in a {capabilities.system}."
 
     @property
     def is_running(self) -> bool:

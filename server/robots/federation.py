@@ -29,7 +29,7 @@ from rosld.server.runtime.tasks import loop_time
 from rosld.server.sparql.intervals import Interval
 from rosld.server.sparql.materializer import GraphEntry, GraphSource, Materializer
 from rosld.server.sparql.needs import Needs
-from rosld.server.sparql.past import MAX_TEXT, PastDataset, PastQuery, PastText
+from rosld.server.sparql.past import MAX_TEXT, PastDataset, PastQuery, PastSelection, PastSource, PastText
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.protocol import UpdateRequest
 from rosld.server.sparql.query_limits import MAX_PAST, Limits, too_much_past
@@ -138,20 +138,16 @@ class RobotsPast:
     async def read(
         self, query: PastQuery, dataset: PastDataset, now: Interval, until: float, most: int | None = None
     ) -> PastText:
-        """Return all messages that a query selects; `most` is ignored, because each robot has other newest ones."""
-        found, missing = list[PastText](), NoRecordings(400, "There are no recordings to query: no robot has any.")
-        robots = [each for each in self._robots if each.app is not None and each.is_known_to(dataset.permissions)]
-        for url in sorted(query.recordings):
-            if not any(url.startswith(each.url) for each in robots):
-                raise Problem(400, f"There is no recording <{url}> that can be read.")
-        for robot in robots:
-            past, own = None if robot.app is None else robot.app.parts.sparql.queries.past, copy(query)
-            own.recordings = frozenset(url for url in query.recordings if url.startswith(robot.url))
-            if past is not None and (own.recordings or query.asks_all or not query.recordings):
-                try:
-                    found.append(await past.read(own, dataset, now, until))
-                except NoRecordings as error:
-                    missing = error
+        """Return the messages that a query selects; all if they are of several robots, which have other newest ones."""
+        asked = self._asked(query, query.selections(now), dataset.permissions)
+        if len(asked) == 1:
+            return await asked[0][0].read(asked[0][1], dataset, now, until, most)
+        found, missing = list[PastText](), NoRecordings(400, "There are no recordings of a connected robot to query.")
+        for past, own in asked:
+            try:
+                found.append(await past.read(own, dataset, now, until))
+            except NoRecordings as error:
+                missing = error
             messages = sum(sum(each.counts.values()) for each in found)
             if messages > MAX_PAST or sum(len(each.text) + len(each.stored) for each in found) > MAX_TEXT:
                 raise too_much_past(f"More than {messages} recorded messages of several robots may match this query.")
@@ -165,8 +161,25 @@ class RobotsPast:
     async def summarize(
         self, query: PastQuery, summary: SummaryQuery, dataset: PastDataset, until: float
     ) -> PastText | None:
-        """Return None: the messages are read."""
-        return None
+        """Return the summaries of the messages of one robot; None for several, whose messages must be read."""
+        asked = self._asked(query, query.selections(summary.time), dataset.permissions)
+        return await asked[0][0].summarize(asked[0][1], summary, dataset, until) if len(asked) == 1 else None
+
+    def _asked(
+        self, query: PastQuery, selections: Sequence[PastSelection], permissions: Permissions
+    ) -> Sequence[tuple[PastSource, PastQuery]]:
+        """Return the robots that can have messages, each with the query for it. Raises Problem 400."""
+        robots = [each for each in self._robots if each.app is not None and each.is_known_to(permissions)]
+        owner_of, found = self._robots.at_url, list[tuple[PastSource, PastQuery]]()
+        if unknown := sorted(url for url in query.recordings if owner_of(url) not in robots):
+            raise Problem(400, f"There is no recording <{unknown[0]}> that can be read.")
+        for robot in robots:
+            past, own = None if robot.app is None else robot.app.parts.sparql.queries.past, copy(query)
+            own.recordings = frozenset(url for url in query.recordings if owner_of(url) is robot)
+            has_topics = any(each.urls is None or robot in map(owner_of, each.urls) for each in selections)
+            if past is not None and has_topics and (own.recordings or query.asks_all or not query.recordings):
+                found.append((past, own))
+        return found
 
 
 class RobotsUpdates:
@@ -211,11 +224,6 @@ class StopOfAll(SoftwareStop):
         self._robots = robots
         self.revision = 0
         self.changes = robots.changes
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether some robot can be stopped from here, or could once it is connected."""
-        return self.unusable_reason is None
 
     @property
     def unusable_reason(self) -> str | None:

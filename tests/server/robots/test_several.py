@@ -432,6 +432,10 @@ async def test_the_recorded_past_of_all_robots_is_complete_or_refused(tmp_path: 
         recorded = "SELECT ?x {{ ?t ros:past ?m . ?m {0} ?x ; ros:recordedIn <robots/{1}/bags/history/> }} ORDER BY ?x"
         assert await rows(recorded.format(data, "two")) == [["2"], ["4"]]
         assert await rows(f"SELECT ?x FROM <robots/two/bags/history/> {{ {past} }} ORDER BY ?x") == [["2"], ["4"]]
+        of_two = f"<robots/two/topics/number> ros:past ?m . ?m {data} ?x ; ros:received ?r"
+        assert await rows(f"SELECT ?x {{ {of_two} }} ORDER BY DESC(?r) LIMIT 1") == [["4"]]
+        assert await rows(f"SELECT (SUM(?x) AS ?s) {{ {of_two} }}") == [["6"]]
+        assert "connected robot" in await refused(f"SELECT ?x {{ {of_two.replace('two', 'three')} }}")
         ordered = f"BIND(ros:asOf(<robots/two/topics/number>, NOW()) AS ?m) ?m {data} ?x"
         assert await rows(f"SELECT ?x {{ {ordered} }}") == [["4"]]
         assert "no recording" in await refused(recorded.format(data, "three"))

@@ -255,10 +255,11 @@ class Client(BridgeSystem):
             self._refresh_soon()
             return
         self._is_shown.set()
-        composed = compose(peer, self.graph.own_node, {each.topic: each.ref for each in self.publications.values()})
+        published = {each.topic: each.ref for each in self.publications.values()}
+        parts, matched = compose(peer, self.graph.own_node, published)
         for each in self.publications.values():
-            each.match(composed.matched[each.topic])
-        self.show(self.graph.updated(**composed.parts))
+            each.match(matched[each.topic])
+        self.show(self.graph.updated(**parts))
 
     # --- what the adapter asks for
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from msgspec import Struct, field
 
@@ -59,15 +59,8 @@ class Peer(Struct):
         return tuple(map(global_name, (self.connections or {}).get(kind, {}).get(name, ())))
 
 
-class Composed(NamedTuple):
-    """The parts of a graph, and the number of subscribers of each topic that rosld publishes."""
-
-    parts: Mapping[str, Mapping[str, Any]]
-    matched: Mapping[str, int]
-
-
-def compose(peer: Peer, own_node: str, published: Mapping[str, TypeRef]) -> Composed:
-    """Return the graph with the topics that rosld publishes.
+def compose(peer: Peer, own_node: str, published: Mapping[str, TypeRef]) -> tuple[dict[str, Any], dict[str, int]]:
+    """Return the parts of the graph, and the number of subscribers of each topic that rosld publishes.
 
     Without a connection graph, a node named after the server has all channels and services, and whether others
     subscribe to a topic is not known: one is assumed where there is a channel of the topic.
@@ -109,12 +102,5 @@ def compose(peer: Peer, own_node: str, published: Mapping[str, TypeRef]) -> Comp
     nodes = {node for kind, named in connections.items() for name in named for node in peer.nodes(kind, name)}
     nodes |= set() if is_known or not (topics or services) else {server}
     nodes |= {own_node} if published else set()
-    return Composed(
-        {
-            "nodes": {name: Node(name) for name in nodes},
-            "topics": topics,
-            "services": services,
-            "parameters": {name: Parameter(name) for name in peer.parameters},
-        },
-        matched,
-    )
+    parts = {"nodes": {name: Node(name) for name in nodes}, "topics": topics, "services": services}
+    return {**parts, "parameters": {name: Parameter(name) for name in peer.parameters}}, matched

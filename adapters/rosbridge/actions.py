@@ -7,7 +7,6 @@ servers' ids: both are read from the status of the action. Results of others' go
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import secrets
 import time
 from collections.abc import Callable, Mapping
@@ -31,6 +30,7 @@ from rosld.adapters.model import (
     Unreachable,
 )
 from rosld.adapters.model.plain import message_of
+from rosld.adapters.thread import wait_event
 
 if TYPE_CHECKING:
     from rosld.adapters.rosbridge.system import System
@@ -87,8 +87,7 @@ class Actions:
         loop = asyncio.get_running_loop()
         state = self._listen(action)
         # What is listed by now is not ours. A server that never had a goal lists nothing.
-        with contextlib.suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(state.has_status.wait(), _FIRST_STATUS)
+        await wait_event(state.has_status, _FIRST_STATUS)
         state.has_status.set()
         id = secrets.token_hex(16)
         entry = state.goals[id] = _Goal(schema, loop.create_future())
@@ -133,9 +132,7 @@ class Actions:
         self._action(action)
         state = self._listen(action)
         state.followers += 1
-        with contextlib.suppress(asyncio.TimeoutError):
-            left = until - asyncio.get_running_loop().time()
-            await asyncio.wait_for(state.has_status.wait(), min(max(left, 0.0), _FIRST_STATUS))
+        await wait_event(state.has_status, min(until - time.monotonic(), _FIRST_STATUS))
 
         def stop() -> None:
             state.followers -= 1

@@ -99,7 +99,6 @@ class Client:
         self._calls = Calls()
         self._ids = itertools.count(1)
         self._folders = options.types
-        self.use_version(version or 2)
 
     def use_version(self, version: int) -> None:
         """Read and write messages of this version of ROS."""

@@ -172,12 +172,18 @@ def compose(
         publishers.setdefault(topic, []).append(own_node)
     bridges = tuple(filter(is_bridge, observation.nodes)) or _BRIDGES  # rosapi hides what belongs to an action
     named = {**{topic: ref.name for topic, ref in published.items()}, **observation.topics}
+
+    def topic_of(name: str, type: str) -> Topic:
+        ref, own = TypeRef(full_name(type)) if type and type != "*" else None, published.get(name)
+        if own is not None and ref is not None and own.name == ref.name:
+            ref = own  # whose hash is known
+        of, to = (tuple(Endpoint(node, ref) for node in nodes.get(name, ())) for nodes in (publishers, subscribers))
+        return Topic(name, (ref,) if ref else (), of, to, problems.get(ref.name) if ref else None)
+
     return {
         "nodes": nodes,
         "topics": {
-            topic: _topic(
-                topic, type, published.get(topic), publishers.get(topic, ()), subscribers.get(topic, ()), problems
-            )
+            topic: topic_of(topic, type)
             for topic, type in named.items()
             if topic in publishers or topic in subscribers or topic not in hidden
         },
@@ -195,18 +201,3 @@ def compose(
             for name, type in observation.actions.items()
         },
     }
-
-
-def _topic(
-    name: str,
-    type: str,
-    own: TypeRef | None,
-    publishers: Sequence[str],
-    subscribers: Sequence[str],
-    problems: Mapping[str, str],
-) -> Topic:
-    ref = TypeRef(full_name(type)) if type and type != "*" else None
-    if own is not None and ref is not None and own.name == ref.name:
-        ref = own  # whose hash is known
-    of, to = (tuple(Endpoint(node, ref) for node in nodes) for nodes in (publishers, subscribers))
-    return Topic(name, (ref,) if ref else (), of, to, problems.get(ref.name) if ref else None)

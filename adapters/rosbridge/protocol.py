@@ -61,14 +61,8 @@ class _Cbor:
             case 4:
                 return [self.item(depth + 1) for _ in range(self._bounded(size))]
             case 5:
-                return {self._key(depth): self.item(depth + 1) for _ in range(self._bounded(size))}
+                return {str(self.item(depth + 1)): self.item(depth + 1) for _ in range(self._bounded(size))}
         raise ValueError(f"the CBOR of a message has items of the type {kind}")
-
-    def _key(self, depth: int) -> str:
-        key = self.item(depth + 1)
-        if not isinstance(key, str):
-            raise ValueError("a key in the CBOR of a message is no text")
-        return key
 
     def _bounded(self, count: int) -> int:
         if count > len(self._data) - self._at:

@@ -143,7 +143,7 @@ def base64_octets(text: str) -> bytes:
     try:
         return b64decode("".join(text.split()), validate=True)
     except (Base64Error, ValueError) as error:
-        raise Misfit(f"expected base64 ({error})", text) from error
+        raise Misfit(f"expected base64 as in xsd:base64Binary ({error})", text) from error
 
 
 def octet_array(kind: Array, octets: bytes) -> Numbers:

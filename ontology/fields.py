@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, cast
@@ -38,29 +38,12 @@ def field_bytes(schema: MessageSchema, message: Message, path: str) -> tuple[byt
 
 def field_at(schema: MessageSchema, message: Message, path: str) -> tuple[FieldType, object]:
     """Return the type and value of the field at `path`. Raises ValueError with the path if there is no such field."""
-    kind: FieldType = Nested(schema.ref.name)
-    value: object = message
-    walked: list[str] = []
-    for step in path.split("."):
-        walked.append(step)
-        try:
-            kind, value = _step(schema, kind, value, step)
-        except (LookupError, ValueError) as error:
-            raise ValueError(f"{schema.ref.name} has no field {'.'.join(walked)!r} here") from error
-    return kind, value
+    return _walk(schema, message, path, _member, " here")
 
 
 def type_at(schema: MessageSchema, path: str) -> FieldType:
     """Return the type of the field at `path`. Raises ValueError with the path if there is no such field."""
-    kind: FieldType = Nested(schema.ref.name)
-    walked: list[str] = []
-    for step in path.split("."):
-        walked.append(step)
-        try:
-            kind = _type_step(schema, kind, step)
-        except LookupError as error:
-            raise ValueError(f"{schema.ref.name} has no field {'.'.join(walked)!r}") from error
-    return kind
+    return _walk(schema, None, path, lambda value, place: None, "")[0]
 
 
 def fields_along(schema: MessageSchema, path: str) -> Sequence[tuple[str, Field]]:
@@ -92,21 +75,28 @@ def number_type(schema: MessageSchema, path: str) -> Primitive | Array:
     return kind
 
 
-def _type_step(schema: MessageSchema, kind: FieldType, step: str) -> FieldType:
-    if isinstance(kind, Nested):
-        return _field(schema, kind.name, step).type
-    if isinstance(kind, Array) and step.isdecimal() and len(step) < 12:
-        return kind.element
-    raise LookupError(step)
+def _walk(
+    schema: MessageSchema, value: object, path: str, member: Callable[[Any, Field | int], object], where: str
+) -> tuple[FieldType, object]:
+    """Return the type and value at `path`; `member` returns what each value on the way holds."""
+    kind: FieldType = Nested(schema.ref.name)
+    steps = path.split(".")
+    for count, step in enumerate(steps, 1):
+        try:
+            if isinstance(kind, Nested):
+                field = _field(schema, kind.name, step)
+                kind, value = field.type, member(value, field)
+            elif isinstance(kind, Array) and step.isdecimal() and len(step) < 12:
+                kind, value = kind.element, member(value, int(step))
+            else:
+                raise LookupError(step)
+        except (LookupError, ValueError) as error:
+            raise ValueError(f"{schema.ref.name} has no field {'.'.join(steps[:count])!r}{where}") from error
+    return kind, value
 
 
-def _step(schema: MessageSchema, kind: FieldType, value: object, step: str) -> tuple[FieldType, object]:
-    if isinstance(kind, Nested):
-        field = _field(schema, kind.name, step)
-        return field.type, getattr(value, field.attribute)
-    if isinstance(kind, Array) and step.isdecimal() and len(step) < 12:
-        return kind.element, cast("list[object]", value)[int(step)]
-    raise LookupError(step)
+def _member(value: Any, place: Field | int) -> object:
+    return getattr(value, place.attribute) if isinstance(place, Field) else value[place]
 
 
 def _field(schema: MessageSchema, name: str, step: str) -> Field:

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import math
 import re
-from base64 import b64decode, b64encode
-from binascii import Error as Base64Error
 from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
 from typing import TypeAlias
@@ -21,9 +19,10 @@ from pyoxigraph import Literal, NamedNode, Triple
 
 from rosld.adapters.model import ParameterValue
 from rosld.ontology.body import BodyError, RdfBody, Term, parse_json
-from rosld.ontology.coercion import Misfit
+from rosld.ontology.coercion import Misfit, base64_octets
 from rosld.ontology.document import Document
 from rosld.ontology.lexical import NUMBERS, parse_boolean
+from rosld.ontology.literals import base64_text
 from rosld.ontology.triples import CONTAINER, RDF_SOURCE, double, integer, labelled, text, triples_about
 from rosld.ontology.triples import boolean as boolean_literal
 from rosld.ontology.urls import Space, decode_segment, encode_segment
@@ -120,7 +119,7 @@ def parameter_literal(value: ParameterValue) -> Literal | None:
         case str():
             return text(value)
         case bytes():
-            return Literal(b64encode(value).decode(), datatype=xsd.base64Binary)
+            return Literal(base64_text(value), datatype=xsd.base64Binary)
         case datetime():
             return Literal(_date_time(value), datatype=xsd.dateTime)
         case list():
@@ -270,13 +269,6 @@ def _scalar(datatype: NamedNode, lexical: str) -> ParameterValue:
     return read(lexical)
 
 
-def _base64(lexical: str) -> bytes:
-    try:
-        return b64decode("".join(lexical.split()), validate=True)
-    except (Base64Error, ValueError) as error:
-        raise Misfit("expected an xsd:base64Binary", lexical) from error
-
-
 def _moment(lexical: str) -> datetime:
     """Return a date to the microsecond, the precision of ROS parameters."""
     match = _DATE_TIME.fullmatch(lexical.strip())
@@ -290,7 +282,7 @@ def _moment(lexical: str) -> datetime:
 
 
 _FLOATS = frozenset({xsd.double, xsd.float, xsd.decimal})
-_OTHERS: Mapping[NamedNode, Callable[[str], ParameterValue]] = {xsd.base64Binary: _base64, xsd.dateTime: _moment}
+_OTHERS: Mapping[NamedNode, Callable[[str], ParameterValue]] = {xsd.base64Binary: base64_octets, xsd.dateTime: _moment}
 
 
 # Out of plain JSON

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, lru_cache
 from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from rosbags.typesys import Stores, get_typestore
 
@@ -42,6 +42,7 @@ from rosld.adapters.model.schema import (
     halves_of,
 )
 
+_S = TypeVar("_S", bound=Schema)
 SEPARATOR = "=" * 80
 """Separator between the texts of a definition and its dependencies."""
 SHIPPED = Path(__file__).parent / "definitions"
@@ -86,16 +87,12 @@ class TypeLibrary:
         with self._lock:
             if hash is not None and isinstance(cached := self._schemas.get(name, {}).get(hash), MessageSchema):
                 return cached
-            schema = self._message(name, split_sections(name, definition), definition, hash)
-            self._keep(schema)
-            return schema
+            return self._keep(self._message(name, split_sections(name, definition), definition, hash))
 
     def learn_service(self, name: str, definition: str, hash: str | None = None) -> ServiceSchema:
         """Return the schema of a service type from its text (request, `---`, response); errors as `learn_message`."""
         with self._lock:
-            schema = self._service(name, definition, hash)
-            self._keep(schema)
-            return schema
+            return self._keep(self._service(name, definition, hash))
 
     def learn_action(self, name: str, definition: str, hash: str | None = None) -> ActionSchema:
         """Return the schema of an action type from its text (goal, `---`, result, `---`, feedback).
@@ -103,9 +100,7 @@ class TypeLibrary:
         Raises ValueError as `learn_message`. In ROS 1 its hash is that of actionlib's message `XAction`.
         """
         with self._lock:
-            schema = self._action(name, definition, hash)
-            self._keep(schema)
-            return schema
+            return self._keep(self._action(name, definition, hash))
 
     def find(self, ref: TypeRef) -> Schema:
         """Return the schema of a type: learnt, else from the folders, else shipped. A hash in `ref` must match.
@@ -125,8 +120,9 @@ class TypeLibrary:
         with self._lock:
             return [schema.ref for schemas in self._schemas.values() for schema in schemas.values()]
 
-    def _keep(self, schema: Schema) -> None:
+    def _keep(self, schema: _S) -> _S:
         self._schemas.setdefault(schema.ref.name, {})[schema.ref.hash or ""] = schema
+        return schema
 
     def _look_for(self, ref: TypeRef) -> Schema:
         if (half := self._part(ref.name)) is not None:

@@ -276,8 +276,7 @@ class Bag:
                 log.warning("%s", error)
                 continue
             source = self._connections[connection]
-            kind, publisher, latched = self._types[connection], source.publisher, source.latched
-            sample = Sample(data, source.encoding, kind, publisher, received, sequence, 0, latched)
+            sample = self._as_sample(connection, data, received, sequence)
             is_opening = index < self._openings or source.is_opening
             messages.append(RecordedMessage(index, source.topic, sample, is_opening))
             size += len(data)
@@ -323,11 +322,11 @@ class Bag:
         """Return message `index` as a sample with this sequence and epoch. Raises Unreachable."""
         connection = int(self._table.connections[index])
         data = self._data(index, int(self._table.places[index]), int(self._table.offsets[index]))
-        source = self._connections[connection]
-        received = int(self.times[index])
-        return Sample(
-            data, source.encoding, self._types[connection], source.publisher, received, sequence, epoch, source.latched
-        )
+        return self._as_sample(connection, data, int(self.times[index]), sequence, epoch)
+
+    def _as_sample(self, connection: int, data: bytes, received: int, sequence: int, epoch: int = 0) -> Sample:
+        source, kind = self._connections[connection], self._types[connection]
+        return Sample(data, source.encoding, kind, source.publisher, received, sequence, epoch, source.latched)
 
     def _data(self, index: int, place: int, offset: int) -> bytes:
         try:

@@ -16,6 +16,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TypeAlias, cast
 
@@ -176,33 +177,20 @@ class LargeFrame:
         self._filled = 0
 
 
-def skip_frames(buffer: bytearray, end: int) -> tuple[int, int, int]:
-    """Return start and end of the newest complete frame in `buffer[:end]`, and the number of complete frames."""
+def newest_frames(buffer: bytearray, end: int, depth: int) -> tuple[list[tuple[int, int]], int, int]:
+    """Return the spans of the newest `depth` complete frames, the end of the last one, and the number of all."""
     unpack = LENGTH.unpack_from
-    start = position = count = 0
+    starts: deque[int] = deque(maxlen=depth)
+    position = count = 0
     last = end - 4
     while position <= last:
         stop = position + 4 + unpack(buffer, position)[0]
         if stop > end:
             break
-        start, position = position, stop
-        count += 1
-    return start, position, count
-
-
-def newest_frames(buffer: bytearray, end: int, depth: int) -> tuple[list[tuple[int, int]], int, int]:
-    """Return the spans of the newest `depth` complete frames, the end of the last one, and the number of all."""
-    unpack = LENGTH.unpack_from
-    spans: deque[tuple[int, int]] = deque(maxlen=depth)
-    position = count = 0
-    while position <= end - 4:
-        stop = position + 4 + unpack(buffer, position)[0]
-        if stop > end:
-            break
-        spans.append((position, stop))
+        starts.append(position)
         position = stop
         count += 1
-    return list(spans), position, count
+    return list(pairwise((*starts, position))), position, count
 
 
 class FrameBuffer:
@@ -299,20 +287,10 @@ class FrameReceiver(asyncio.BufferedProtocol):
             end = self._take_header(end)
             if self._deliver is None:
                 return
-        if self.depth == 1:
-            start, position, count = skip_frames(buffer.data, end)
-            if count:
-                self._deliver((bytes(buffer.view[start + 4 : position]),), count)
-        else:
-            position = self._take_several(end)
-        self._keep_rest(position, end)
-
-    def _take_several(self, end: int) -> int:
-        assert self._deliver is not None
-        spans, position, count = newest_frames(self._buffer.data, end, self.depth)
+        spans, position, count = newest_frames(buffer.data, end, self.depth)
         if count:
-            self._deliver([bytes(self._buffer.view[start + 4 : stop]) for start, stop in spans], count)
-        return position
+            self._deliver([bytes(buffer.view[start + 4 : stop]) for start, stop in spans], count)
+        self._keep_rest(position, end)
 
     def _take_header(self, end: int) -> int:
         """Read the peer's header at the front of the buffer; return the number of bytes after it."""

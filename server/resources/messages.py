@@ -302,6 +302,10 @@ GEO_FORMAT = QueryParameter(
 )
 
 
+PARTS = (*OFFERS, *PICTURES, PLY, GEO_JSON)
+"""Media types of topics and of all parts of their messages."""
+
+
 def geojson_is_preferred(exchange: Exchange) -> bool:
     """Whether a request prefers GeoJSON (or demands it by `?format=geojson`) of messages on the earth."""
     return exchange.preferred({"geojson": GEO_JSON}, (*OFFERS, GEO_JSON)) == GEO_JSON

@@ -56,6 +56,7 @@ from rosld.server.resources.messages import (
     GEO_FORMAT,
     GEO_JSON,
     MOTION,
+    PARTS,
     PICTURE_FORMAT,
     PICTURE_PARAMETERS,
     PICTURES,
@@ -77,7 +78,7 @@ from rosld.server.resources.messages import (
 from rosld.server.resources.publisher import PublishingResource
 from rosld.server.resources.series import PARAMETERS, require_history, series_of
 from rosld.server.rest.exchange import Exchange
-from rosld.server.rest.formats import JSON, MERGE_PATCH, RDF_BODIES, SPARQL_UPDATE
+from rosld.server.rest.formats import FORMATS, JSON, MERGE_PATCH, OFFERS, RDF_BODIES, SPARQL_UPDATE
 from rosld.server.rest.path_item import FIELD, FIELD_READS, FORMAT, PathItem, QueryParameter, WriteMethod
 from rosld.server.rest.resource import READ, Answer, Motion, Plan, Resource, RobotWrite
 from rosld.server.rest.state import MessageState, State
@@ -433,9 +434,11 @@ class TopicResource(PublishingResource):
         self, recorded: Sample | None, resource: Resource, exchange: Exchange
     ) -> Response | Motion | None:
         """Return the requested part of the newest message, or of a recorded one."""
+        has_field = "field" in exchange.query
+        if not has_field and exchange.preferred(FORMATS, PARTS) in OFFERS:
+            return None  # whatever the types of its messages are
         is_cloud = cloud_is_preferred(exchange, is_cloud=self.is_cloud)
         wanted = None if is_cloud else picture_type(exchange, is_picture=self.is_picture)
-        has_field = b"field=" in exchange.request.scope["query_string"] and "field" in exchange.query
         is_geojson = not has_field and geojson_is_preferred(exchange) and self.is_on_earth
         if not is_cloud and wanted is None and not has_field and not is_geojson:
             return None

@@ -267,6 +267,8 @@ class LiveSystem(Protocol):
     async def unadvertise(self, topic: str) -> None:
         """Stop publishing a topic, and update the graph. Raises NotFound."""
 
+    async def call(self, service: str, type: TypeRef, request: bytes, until: float) -> bytes: ...
+
     def read(self, feed: Any) -> None:
         """Start reading the topic of a feed."""
 
@@ -453,6 +455,11 @@ class ThreadAdapter(Adapter, Generic[_S, _F]):
         """Delete parameters. Raises NotFound, and Refused if a node keeps them."""
         thread, system = self._running()
         await thread.run(system.parameters.delete(names, thread_time(deadline)))
+
+    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
+        """Call a service. Raises Refused with the words of the node, if it has any, TimedOut, Unreachable, NotFound."""
+        thread, system = self._running()
+        return await thread.run(system.call(service, type, request, thread_time(deadline)))
 
     async def send_goal(self, action: str, type: TypeRef, goal: bytes, *, deadline: float) -> GoalId:
         thread, system = self._running()

@@ -12,7 +12,7 @@ from rosld.adapters.base import Adapter, AdapterOptions, Capabilities, Sink
 from rosld.adapters.bridge_connection import BridgeFeed, BridgeSource, read_source
 from rosld.adapters.foxglove.client import Client, Types
 from rosld.adapters.model import Operation, Ref, Schema, TypeRef
-from rosld.adapters.thread import ThreadAdapter, thread_time
+from rosld.adapters.thread import ThreadAdapter
 
 _DEFAULT_PORT = 8765
 _WRITES = frozenset({Operation.PUBLISH})
@@ -74,10 +74,6 @@ class FoxgloveAdapter(ThreadAdapter[Client, BridgeFeed]):
     async def schema(self, ref: TypeRef, *, deadline: float) -> Schema:
         _, client = self._running()
         return await self._schema_in_time(ref.name, client.schema(ref), deadline)
-
-    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        thread, client = self._running()
-        return await thread.run(client.call(service, type, request, thread_time(deadline)))
 
     def _can(self, capability: str) -> bool:
         return self._system is None or self._system.peer.can(capability)

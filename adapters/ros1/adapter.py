@@ -80,10 +80,6 @@ class Ros1Adapter(ThreadAdapter[Client, TopicFeed]):
         _, client = self._running()
         return await self._schema_in_time(ref.name, client.types.schema(ref), deadline)
 
-    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        thread, client = self._running()
-        return await thread.run(client.services.call(service, type, request, thread_time(deadline)))
-
     async def set_parameters(self, values: Mapping[str, ParameterValue], *, deadline: float) -> None:
         """Set parameters; all are checked before the first is sent. Raises Refused naming the parameter.
 

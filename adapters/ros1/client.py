@@ -50,6 +50,7 @@ class Client:
         self.types = Types(library, self.refresh_soon)
         self.parameters = Parameters(self.master, self._parameters_changed)
         self.services = Services(own_node, self.master, self._hosts, self.types, self.facts, options.message_limit)
+        self.call = self.services.call
         self.publications = Publications(
             self.master, own_node, self.types, lambda: addresses(options.ros_ip, self._local), self.poll_soon
         )

@@ -138,11 +138,6 @@ class Ros2Adapter(ThreadAdapter[System, TopicFeed]):
         search = system.types.schema(type_in_use(graph, ref), nodes_using(graph, ref), thread_time(deadline))
         return await self._schema_in_time(ref.name, search, deadline)
 
-    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Call a service. Raises Refused, TimedOut, Unreachable, NotFound; ROS 2's nodes give no error messages."""
-        thread, system = self._running()
-        return await thread.run(system.call(service, type, request, thread_time(deadline)))
-
     async def change_state(self, node: str, transition: str, *, deadline: float) -> None:
         thread, system = self._running()
         await thread.run(system.change_state(node, transition, thread_time(deadline)))

@@ -66,10 +66,5 @@ class RosbridgeAdapter(ThreadAdapter[System, BridgeFeed]):
         _, system = self._running()
         return await self._schema_in_time(ref.name, system.client.types.schema(ref, thread_time(deadline)), deadline)
 
-    async def call(self, service: str, type: TypeRef, request: bytes, *, deadline: float) -> bytes:
-        """Call a service. Raises Refused with the words of the bridge or the node, TimedOut, Unreachable, NotFound."""
-        thread, system = self._running()
-        return await thread.run(system.call(service, type, request, thread_time(deadline)))
-
     def _new_feed(self, topic: str, system: System) -> BridgeFeed:
         return BridgeFeed(topic, self.capabilities.encoding, partial(self._apply, topic))

@@ -11,7 +11,7 @@ from urllib.parse import urljoin
 
 from pyoxigraph import BlankNode, Literal, NamedNode, Triple
 
-from rosld.adapters.model.recorded import Event, RecordedMessage, RecordedTopic
+from rosld.adapters.model.recorded import Event, RecordedMessage, RecordedTopic, RecordingOrder, Trigger
 from rosld.ontology import kinds
 from rosld.ontology.describe_datasets import IANA
 from rosld.ontology.describe_topics import MESSAGE, type_url
@@ -52,30 +52,6 @@ class Bag(Protocol):
     def topics(self) -> Mapping[str, RecordedTopic]: ...
     @property
     def silent(self) -> Sequence[str]: ...
-
-
-class Trigger(Protocol):
-    """A trigger of recordings: a condition on a resource, and the maximum frequency."""
-
-    @property
-    def condition(self) -> str: ...
-    @property
-    def resource(self) -> str | None: ...
-    @property
-    def limit(self) -> int: ...
-
-
-class RecordingOrder(Protocol):
-    """Parameters of a recording: topics or globs, seconds before its start, duration in seconds."""
-
-    @property
-    def topics(self) -> Sequence[str]: ...
-    @property
-    def before(self) -> float: ...
-    @property
-    def duration(self) -> float | None: ...
-    @property
-    def trigger(self) -> Trigger | None: ...
 
 
 class BagView(NamedTuple):

@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from math import isfinite
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 import orjson
@@ -32,6 +32,7 @@ from rosld.ontology.coercion import (
 )
 from rosld.ontology.literals import BASE64, DTYPES, base64_text, special_float, wide_integer_json
 
+_T = TypeVar("_T")
 Leaf: TypeAlias = Callable[[object], object]
 
 _INTEGER = re.compile(r"-?(0|[1-9][0-9]{0,23})", re.ASCII)
@@ -161,7 +162,7 @@ def _number_array(kind: Array, element: Primitive) -> Callable[[list[object]], o
     return numbers
 
 
-def read_all(read: Leaf, values: Sequence[object]) -> list[object]:
+def read_all(read: Callable[[_T], object], values: Sequence[_T]) -> list[object]:
     """Read all values, one by one. Raises Misfit, whose path is the index of the value."""
     found = []
     for index, value in enumerate(values):

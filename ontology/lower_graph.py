@@ -27,7 +27,7 @@ from rosld.ontology.coercion import (
     string_fit,
 )
 from rosld.ontology.compile import TIME
-from rosld.ontology.json_leaves import array_of_json
+from rosld.ontology.json_leaves import array_of_json, read_all
 from rosld.ontology.lexical import BINARIES, NUMBERS, parse_boolean, parse_date_time
 from rosld.ontology.literals import DTYPES
 from rosld.ontology.message_readers import MessageReaders, Reader, guarded
@@ -163,12 +163,7 @@ def _array(kind: Array, element: Primitive) -> GraphReader:
 
 
 def _list(kind: Array, element: Primitive, one: TermLeaf, terms: list[Term]) -> object:
-    values = []
-    for index, term in enumerate(check_length(kind, terms)):
-        try:
-            values.append(one(term))
-        except Misfit as misfit:
-            raise Misfit(misfit.words, misfit.value, str(index)) from misfit
+    values = read_all(one, check_length(kind, terms))
     return values if element.name in STRINGS else np.array(values, DTYPES[element.name])
 
 

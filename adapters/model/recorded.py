@@ -1,4 +1,7 @@
-"""Parts of recordings. The package does not import this module: its rover also runs in a rospy without msgspec."""
+"""Parts of recordings, and orders of new ones.
+
+The package does not import this module: its rover also runs in a rospy without msgspec.
+"""
 
 from __future__ import annotations
 
@@ -36,3 +39,27 @@ class Event(NamedTuple):
     name: str
     start_ns: int
     end_ns: int | None = None
+
+
+class Trigger(Struct, frozen=True):
+    """Trigger of a recording: `condition` becomes true for the value at the URL `resource`.
+
+    Without a resource, `condition` is the IRI of a condition of a mapping. `limit` is the maximum number of recordings.
+    """
+
+    condition: str
+    resource: str | None = None
+    limit: int = 1
+
+
+class RecordingOrder(Struct, frozen=True):
+    """Order of a recording: topics by name or glob, from `before` seconds ago, for `duration` (None: until ended).
+
+    With a trigger it starts when the trigger fires, and `before` counts from then.
+    """
+
+    topics: tuple[str, ...]
+    name: str | None = None
+    before: float = 0.0
+    duration: float | None = None
+    trigger: Trigger | None = None

@@ -10,8 +10,9 @@ from typing import cast
 
 import msgspec
 import orjson
-from msgspec import Struct
 
+from rosld.adapters.model.recorded import RecordingOrder as RecordingOrder
+from rosld.adapters.model.recorded import Trigger as Trigger
 from rosld.server.storage.files import remove_note, write_note
 
 
@@ -22,30 +23,6 @@ class RecordingRefused(Exception):
         super().__init__(words)
         self.is_conflict = is_conflict
         self.is_too_large = is_too_large
-
-
-class Trigger(Struct, frozen=True):
-    """Trigger of a recording: `condition` becomes true for the value at the URL `resource`.
-
-    Without a resource, `condition` is the IRI of a condition of a mapping. `limit` is the maximum number of recordings.
-    """
-
-    condition: str
-    resource: str | None = None
-    limit: int = 1
-
-
-class RecordingOrder(Struct, frozen=True):
-    """Order of a recording: topics by name or glob, from `before` seconds ago, for `duration` (None: until ended).
-
-    With a trigger it starts when the trigger fires, and `before` counts from then.
-    """
-
-    topics: tuple[str, ...]
-    name: str | None = None
-    before: float = 0.0
-    duration: float | None = None
-    trigger: Trigger | None = None
 
 
 def order_to_json(order: RecordingOrder) -> dict[str, object]:

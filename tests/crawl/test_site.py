@@ -52,7 +52,7 @@ def is_known(robot: Site, answer: Answer) -> bool:
         or path in GONE
         or answer.status == 410
         or "is not on offer now" in answer.text
-        or "This server has no recordings" in answer.text
+        or "There are no recordings to query" in answer.text
     )
 
 

@@ -67,7 +67,7 @@ def test_the_pose_of_the_odometry_is_the_origin_of_the_robots_frame_at_its_own_t
     own = "BIND(ros:transform(?wkt, 'base_link') AS ?own)"
     for link in ("latest", "past"):
         query = f"SELECT ?own {{ </topics/odom> ros:{link} ?m . ?m geo:hasGeometry/geo:asWKT ?wkt . {own} }} LIMIT 20"
-        rows = until(lambda query=query: [row for row in ask(rover, query) if row[0]], f"transforms of ros:{link}")
+        rows = until(lambda query=query: [row for row in ask(rover, query) if any(row)], f"transforms of ros:{link}")
         for (text,) in rows:
             frame, _, numbers = text.partition(" POINT ZM(")
             assert frame == f"<{rover.base_url}frames#base_link>"

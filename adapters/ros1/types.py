@@ -126,7 +126,7 @@ class Known(dict[_Key, _Fact]):
 
 
 class Facts:
-    """What is known of nodes and services by name, and of publishers by topic and node."""
+    """Facts about nodes and services by name, and about publishers by topic and node."""
 
     def __init__(self, changed: Callable[[], None]) -> None:
         self.uris: Known[str, str] = Known(changed)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # the query process raises problems, and must import little
 
 ROBOT_SAID, AGENT_SAID = "robotSaid", "agentSaid"
 """Members for text of the robot and of another agent: data, never a part of `detail` or `title`."""
+READ_ONLY = "This server is read-only."
 _MAX_SAID = 500
 """Maximum number of quoted characters."""
 _QUOTED = {

@@ -28,7 +28,7 @@ from rosld.ontology.lower import lowerer
 from rosld.ontology.lower_graph import term_leaf
 from rosld.ontology.parameters import lower_json, lower_term
 from rosld.ontology.violations import LoweringError, Violation, brief_value
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.hypermedia.catalogue import (
     ParameterSource,
     Property,
@@ -84,7 +84,7 @@ def current_writer(adapter: AuditedAdapter, settings: Settings, property: Proper
 def not_writable_reason(adapter: AuditedAdapter, settings: Settings, property: Property) -> str:
     """Return sentences about why nothing can write the property now."""
     if settings.read_only:
-        return "This server is read-only."
+        return READ_ONLY
     reasons = [reason for one in property.writers if (reason := _refusal(adapter, settings, one)) is not None]
     return " ".join(reasons) or f"{property.name} has no writable setter, parameter or topic."
 
@@ -99,7 +99,7 @@ def not_writable_about(session: Session, property: Property) -> tuple[str, ...]:
 def _refusal(adapter: AuditedAdapter, settings: Settings, writer: Writer) -> str | None:
     """Return a sentence about why a writer must not be used now; None if it may."""
     if settings.read_only:
-        return "This server is read-only."
+        return READ_ONLY
     match writer:
         case Setter():
             return _setter_refusal(adapter, writer.name)

@@ -32,9 +32,8 @@ from rosld.ontology.literals import date_time
 from rosld.ontology.urls import Space
 from rosld.server.html.forms import DeleteForm, Form
 from rosld.server.http.fields import to_uri
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.hypermedia.json_schema import TEXT, URI, JsonSchema, MessageSchemas, json_object, nullable
-from rosld.server.resources.base import READ_ONLY
 from rosld.server.resources.limit_checks import STRICTNESS
 from rosld.server.resources.named_resource import KeptResource
 from rosld.server.resources.services import InvocableResource, idempotency_key, sender_of

@@ -92,7 +92,7 @@ class BagFile(BagBase):
         wanted = self._wanted(exchange)
         etag = ETag(digest(f"{found.st_size} {found.st_mtime_ns}".encode()), "bin" if wanted is None else wanted.name)
         headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
-        if exchange.is_not_modified(etag):
+        if exchange.check_preconditions(etag):
             return Response(status_code=304, headers={**headers, "etag": str(etag)})
         if wanted is not None:
             return await self._export(exchange, wanted, {**headers, "etag": str(etag)})

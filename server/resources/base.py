@@ -49,7 +49,6 @@ from rosld.server.sparql.query_service import QueryService
 from rosld.server.storage.record import RecordChange
 from rosld.server.storage.sqlite import Records, open_records
 
-READ_ONLY = "This server is read-only."
 _ROUTES = (ROUTE, stored_queries.ROUTE, active_limits.ROUTE, stored_cockpits.ROUTE)
 """Containers of stored documents that affect the server."""
 

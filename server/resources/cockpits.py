@@ -24,7 +24,7 @@ from rosld.server.html.render import render_cockpit
 from rosld.server.html.site import Site
 from rosld.server.http.body import FORM
 from rosld.server.http.conditional import digest
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.policies.stored_cockpits import DEFAULT, ROUTE, cockpit_titles
 from rosld.server.resources.base import Services
 from rosld.server.resources.cockpit_panels import PanelReader
@@ -245,7 +245,7 @@ class DefaultCockpit(_CockpitBase):
 
     def deny_reason(self, method: str) -> str:
         if self.documents.settings.read_only:
-            return "This server is read-only."
+            return READ_ONLY
         container = self.space.container("cockpit")
         return f"This cockpit is generated: PUT one with another name to {container}NAME."
 

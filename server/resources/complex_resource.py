@@ -19,7 +19,7 @@ from rosld.server.auth.permissions import Permissions
 from rosld.server.html.forms import Form
 from rosld.server.html.offer import forms_of
 from rosld.server.http.fields import Link
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Property
 from rosld.server.hypermedia.conditions import url_of
@@ -123,7 +123,7 @@ class ComplexResource(TimeGate):
 
     def deny_reason(self, method: str) -> str:
         if self.session.settings.read_only:
-            return "This server is read-only."
+            return READ_ONLY
         if method == "PATCH":
             return f"No member of {self.name} can be written now."
         return f"A complex resource is read with GET and written with PATCH; it does not support {method}."

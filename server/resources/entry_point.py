@@ -24,7 +24,7 @@ from rosld.server.html.site import Site
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.fields import Link
 from rosld.server.http.negotiation import choose_offer
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.hypermedia.json_schema import OBJECT, TEXT, JsonSchema, json_array, json_object, nullable
 from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.namespaces import listed_graph
@@ -150,7 +150,7 @@ class GuideResource(Resource):
 def guide_text(name: str, space: Space, *, read_only: bool) -> str:
     """Return the guide in Markdown: title, summary, notes and links."""
     base = space.base
-    writing = "This server is read-only." if read_only else _WRITING
+    writing = READ_ONLY if read_only else _WRITING
     return f"""# {" ".join(name.split()) or "rosld"}
 
 > A robot (ROS) as web resources: read values, wait for conditions, do what is on offer, stop it.
@@ -299,7 +299,7 @@ class FileResource(Resource):
             "cache-control": f"max-age={_DAY}",
             "x-content-type-options": "nosniff",
         }
-        if exchange.is_not_modified(etag):
+        if exchange.check_preconditions(etag):
             return Response(status_code=304, headers=headers)
         return Response(self._data, media_type=self._media_type, headers=headers)
 

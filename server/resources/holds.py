@@ -37,10 +37,10 @@ from rosld.server.auth.errors import not_found
 from rosld.server.html.forms import DeleteForm, Form, HoldForm, HoldTerms, drive_pad
 from rosld.server.html.inputs import Json
 from rosld.server.http.fields import parse_decimal
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, URI, JsonSchema, MessageSchemas, json_object, nullable
 from rosld.server.patches.patch import merge_patch
-from rosld.server.resources.base import READ_ONLY, Services
+from rosld.server.resources.base import Services
 from rosld.server.resources.limit_checks import STRICTNESS
 from rosld.server.resources.named_resource import KeptResource
 from rosld.server.resources.publisher import PublishingResource

@@ -157,7 +157,7 @@ async def picture_response(
     schema = await _schema(schemas, sample)
     etag = ETag(f"{pictures.instance_id}-{sample_identity(sample)}", _variant(form))
     fixed_headers = {**resource_headers(resource), "x-content-type-options": "nosniff"}
-    is_known = exchange.is_not_modified(etag)
+    is_known = exchange.check_preconditions(etag)
     data = b"" if is_known else await _draw(pictures, name, schema, sample, form)
     return bytes_response(exchange, data, media_type, etag, fixed_headers.items())
 

@@ -10,9 +10,9 @@ from typing import Any, ClassVar, Generic, TypeVar
 from rosld.adapters.base import Watch
 from rosld.adapters.model import Graph, Kind, Operation, Ref
 from rosld.ontology.urls import Space
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.resources.accepted_shape import CommandResource
-from rosld.server.resources.base import READ_ONLY, Services, SessionResource
+from rosld.server.resources.base import Services, SessionResource
 from rosld.server.resources.namespaces import redirect_to_namespace
 from rosld.server.robot.write_policy import resources_only_reason
 

@@ -17,9 +17,8 @@ from rosld.ontology.urls import Space
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.ontology.vocab import ros
 from rosld.server.html.forms import ChoiceForm, Form
-from rosld.server.http.problem import Problem, one_line
+from rosld.server.http.problem import READ_ONLY, Problem, one_line
 from rosld.server.hypermedia.json_schema import TEXT, MessageSchemas
-from rosld.server.resources.base import READ_ONLY
 from rosld.server.resources.named_resource import NamedResource
 from rosld.server.rest.exchange import Exchange
 from rosld.server.rest.formats import JSON, RDF_BODIES

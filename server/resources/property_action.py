@@ -21,7 +21,7 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.server.html.forms import Form
 from rosld.server.html.offer import action_form, cancel_forms, property_form
 from rosld.server.http.fields import Link
-from rosld.server.http.problem import ROBOT_SAID, Problem
+from rosld.server.http.problem import READ_ONLY, ROBOT_SAID, Problem
 from rosld.server.hypermedia.affordance_service import Snapshot
 from rosld.server.hypermedia.catalogue import Property
 from rosld.server.hypermedia.conditions import url_of
@@ -162,7 +162,7 @@ class MemberResource(TimeGate):
 
     def deny_reason(self, method: str) -> str:
         if self.session.settings.read_only:
-            return "This server is read-only."
+            return READ_ONLY
         plan, _ = self._plans
         if plan is not None and method in ("PUT", "PATCH"):
             return not_writable_reason(self.session.adapter, self.session.settings, plan.source)

@@ -33,7 +33,7 @@ from rosld.server.html.render import render_query
 from rosld.server.http.body import parse_content_length
 from rosld.server.http.conditional import ETag, digest
 from rosld.server.http.negotiation import choose_offer
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.hypermedia.json_schema import ANYTHING, TEXT, JsonSchema, MessageSchemas
 from rosld.server.policies.stored_queries import ROUTE, query_triples
 from rosld.server.resources.base import Services, SessionResource
@@ -147,7 +147,7 @@ class QueryRunner(Struct, frozen=True):
             found = digest(bytes(answer.body))
             etag = ETag(found, "results") if state is None else ETag(state, f"results-{found}")
             answer.headers["etag"] = str(etag)
-            if exchange.is_not_modified(etag):
+            if exchange.check_preconditions(etag):
                 headers = {**resource_headers(resource), "etag": str(etag), "vary": "Accept"}
                 return Response(status_code=304, headers=headers)
         return answer
@@ -214,7 +214,7 @@ class ShippedQueryResource(SessionResource):
 
     def deny_reason(self, method: str) -> str:
         if self.services.settings.read_only:
-            return "This server is read-only."
+            return READ_ONLY
         container = self.space.container("queries")
         return (
             f"{self._query.name} is built into rosld and read-only: PUT a query with another name to {container}NAME."

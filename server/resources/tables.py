@@ -123,7 +123,7 @@ class BagTable(BagBase):
         rows = Rows(wanted.start, wanted.end, wanted.from_ns, wanted.to_ns, self.most)
         version = recording.identity, recording.first, recording.count, topic, rows, permissions.rights_key
         etag = ETag(digest(repr(version).encode()), self.format)
-        if exchange.is_not_modified(etag):
+        if exchange.check_preconditions(etag):
             return Response(status_code=304, headers={"etag": str(etag), "vary": "Accept"})
         tables: list[TopicTable] = []
 

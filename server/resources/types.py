@@ -19,7 +19,7 @@ from rosld.ontology.modules import CORE, MODULES, module_url, served_triples
 from rosld.ontology.urls import Location, Space
 from rosld.ontology.vocab import ldp
 from rosld.server.http.conditional import digest
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.policies import active_limits
 from rosld.server.resources.accepted_shape import datatypes_of_limits, load_limited_types
 from rosld.server.resources.base import Services, SessionResource
@@ -294,7 +294,7 @@ def _packages(adapter: AuditedAdapter) -> set[str]:
 
 def _deny_reason(services: Services, url: str, method: str) -> str:
     if services.settings.read_only:
-        return "This server is read-only."
+        return READ_ONLY
     route = services.space.container("shapes")
     return f"{url} is built in and does not support {method}: store limits at {route}NAME, under another name."
 

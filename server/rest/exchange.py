@@ -83,8 +83,8 @@ class Exchange:
         """Identifier of the request, for its response and the log."""
         return request_id(self.headers)
 
-    def is_not_modified(self, current: ETag | None) -> bool:
-        """Whether a read is answered with 304, as its preconditions say. Raises a 412 Problem if they fail."""
+    def check_preconditions(self, current: ETag | None) -> bool:
+        """Return whether a read is answered with 304. Raises a 412 Problem if a precondition fails."""
         if_match, if_none_match = self.header("if-match"), self.header("if-none-match")
         return check_preconditions(self.method, current, if_match=if_match, if_none_match=if_none_match)
 

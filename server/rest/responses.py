@@ -47,7 +47,7 @@ def bytes_response(
     """
     fixed_headers = {"etag": str(etag), "vary": "Accept", "cache-control": "no-cache", **dict(more)}
     headers = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in fixed_headers.items()]
-    if exchange.is_not_modified(etag):
+    if exchange.check_preconditions(etag):
         return RawResponse(304, b"", headers)
     content = [(b"content-type", media_type.encode("latin-1")), (b"content-length", b"%d" % len(data))]
     return RawResponse(200, data, [*content, *headers])

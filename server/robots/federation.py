@@ -18,7 +18,7 @@ from rosld.ontology.serialize import serialize
 from rosld.ontology.syntax import Syntax
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.auth.rules import Agent
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.receipts.audit import new_identifier
 from rosld.server.resources.listings import ListingResource
 from rosld.server.resources.past_messages import NoRecordings
@@ -201,7 +201,7 @@ class RobotsUpdates:
             return await self._own.answer(request, permissions=permissions)
         app = robots[0].require()
         if app.parts.router.updates is None:
-            raise Problem(403, "This server is read-only.")
+            raise Problem(403, READ_ONLY)
         authenticator = app.parts.authenticator
         own = permissions if authenticator is None else authenticator.permissions(permissions.agent)
         text = f"BASE <{self._robots.session.space.base}> {request.text}"

@@ -195,7 +195,7 @@ class Dispatcher:
                 raise
             state = None
         current = None if state is None else ETag(self._representations.name(state), "any")
-        exchange.is_not_modified(current)
+        exchange.check_preconditions(current)
 
 
 def options(resource: Resource, methods: frozenset[str] | None = None) -> dict[str, str]:

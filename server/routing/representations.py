@@ -176,7 +176,7 @@ def is_not_modified(exchange: Exchange, rendering: Rendering) -> bool:
     if not exchange.is_conditional:
         return False
     state, _, variant = rendering.etag.strip('"').rpartition(".")
-    return exchange.is_not_modified(ETag(state, variant))
+    return exchange.check_preconditions(ETag(state, variant))
 
 
 def encode_headers(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:

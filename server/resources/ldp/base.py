@@ -19,7 +19,7 @@ from rosld.adapters.base import Watch
 from rosld.ontology.urls import Space
 from rosld.server.http.conditional import require_if_match
 from rosld.server.http.fields import to_uri
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.http.problem_details import render
 from rosld.server.hypermedia.json_schema import BOOLEAN, MessageSchemas
 from rosld.server.hypermedia.mappings import Mappings
@@ -315,7 +315,7 @@ class StoredResource(Resource):
 
     def deny_reason(self, method: str) -> str:
         if self.documents.settings.read_only:
-            return "This server is read-only."
+            return READ_ONLY
         return super().deny_reason(method)
 
     @property

@@ -330,7 +330,7 @@ class StoredFile(StoredResource):
         assert record.blob is not None
         etag = ETag(f"{self.documents.records.identity}-{record.version}", "bin")
         headers = {**resource_headers(self), "vary": "Accept", "cache-control": "no-cache"}
-        if exchange.is_not_modified(etag):
+        if exchange.check_preconditions(etag):
             return Response(status_code=304, headers={**headers, "etag": str(etag)})
         return await file_response(
             self.documents.records.file(record.blob),

@@ -16,7 +16,7 @@ from rosld.ontology.violations import LoweringError
 from rosld.server.auth.errors import forbidden
 from rosld.server.auth.permissions import ALLOW_ALL, Permissions
 from rosld.server.dataset.base import TripleChanges
-from rosld.server.http.problem import Problem
+from rosld.server.http.problem import READ_ONLY, Problem
 from rosld.server.receipts.audit import record_step
 from rosld.server.resources.base import Services
 from rosld.server.resources.complex_resource import ComplexResource
@@ -159,13 +159,13 @@ class UpdateService:
         whether its write was done, was not done, or has an unknown outcome.
         """
         if self._session.settings.read_only:
-            raise Problem(403, "This server is read-only.")
+            raise Problem(403, READ_ONLY)
         return await self.carry_out(await self._read(request), permissions=permissions)
 
     async def carry_out(self, operations: Sequence[Operation], *, permissions: Permissions = ALLOW_ALL) -> Response:
         """Carry out operations like `answer`. Raises Problems."""
         if self._session.settings.read_only:
-            raise Problem(403, "This server is read-only.")
+            raise Problem(403, READ_ONLY)
         operations = self._without_groups(operations, permissions)
         operations = without_silent_failures(operations, lambda each: require_rights([each], permissions))
         operations = without_silent_failures(operations, self._require_manageable)

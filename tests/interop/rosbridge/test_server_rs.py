@@ -1,4 +1,4 @@
-"""rosbridge_server_rs, a rosbridge server for ROS 2 in Rust, beside nodes of rclpy."""
+"""rosld connects to rosbridge_server_rs, a rosbridge server in Rust, with nodes in rclpy behind it."""
 
 from __future__ import annotations
 

@@ -248,7 +248,7 @@ def test_what_the_description_makes_is_answered_as_it_tells(
         if mode is GenerationMode.NEGATIVE and not (operation.body or operation.query):
             continue
 
-        @fuzzing(0.03 if operation.body else 0.01)
+        @fuzzing(0.02 if operation.body else 0.01)
         @given(case=operation.as_strategy(generation_mode=mode))
         def attempt(case: Any) -> None:
             answer = case.call(base_url=server.url.rstrip("/"), timeout=PATIENCE, stream=False)
@@ -396,7 +396,7 @@ def judged(server: Server, method: str, path: str, answer: Answer) -> None:
 def test_whatever_the_headers_are_the_request_is_answered(server: Server) -> None:
     reads = st.tuples(st.sampled_from(["GET", "GET", "HEAD", "OPTIONS"]), st.sampled_from(READS), st.none(), st.none())
 
-    @fuzzing(4)  # many headers, many paths
+    @fuzzing(3)  # many headers, many paths
     @given(request=reads | st.sampled_from(WRITES), headers=FIELDS)
     def attempt(request: tuple[str, str, str | None, bytes | None], headers: list[tuple[str, str]]) -> None:
         method, path, media_type, body = request

@@ -44,11 +44,6 @@ def test_every_syntax_gives_one_index_with_relative_iris_resolved(media_type: st
     assert body.roots() == [SUBJECT]
 
 
-def test_an_unknown_media_type_is_named() -> None:
-    with pytest.raises(ValueError, match="text/plain is not a supported RDF syntax"):
-        parse_body(b"", "text/plain", D)
-
-
 @pytest.mark.parametrize(
     ("media_type", "text", "words"),
     [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from itertools import chain
 from typing import Any
@@ -111,9 +110,3 @@ def test_every_syntax_has_the_geometry_which_is_ignored_when_it_is_sent(syntax: 
     }
     assert canonical(read(body, syntax)) == canonical(triples)
     assert repr(lowerer(schema).from_graph(parse_body(body, syntax.media_type, URL), node)) == repr(message)
-
-
-def test_plain_json_has_no_geometry() -> None:
-    schema = schema_of("geometry_msgs/msg/PointStamped")
-    message = lowerer(schema).from_json({"header": HEADER}, defaults=True)
-    assert json.loads(lifter(schema).json(message, URL)).keys() == {"header", "point"}

@@ -17,7 +17,6 @@ from rosld.adapters.model import Encoding, Message, MessageSchema, Primitive
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.body import RdfBody, parse_body, parse_json
 from rosld.ontology.coercion import Misfit, float_fit, to_float32
-from rosld.ontology.document import Envelope
 from rosld.ontology.lexical import NUMBERS, parse_date_time
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import find_message, lowerer
@@ -192,16 +191,6 @@ def test_a_node_within_itself_is_refused() -> None:
     schema = schema_of("Middle m\n=====\nMSG: made_up/Middle\nInner i" + INNER)
     found = violations_of(schema, f"<#message> t:m <#a> . <#a> <{TYPES}made_up/msg/Middle#i> <#a> .")
     assert "contains itself" in found["m.i"]
-
-
-def test_what_the_server_says_about_a_message_means_nothing_when_sent_back() -> None:
-    schema = schema_of("time t")
-    message = lowerer(schema).from_json({"t": {"sec": 5, "nanosec": 6}})
-    envelope = Envelope(7, 8, "http://127.0.0.1:8080/nodes/n")
-    nt = lifter(schema).ntriples(message, D, "#message", envelope=envelope).encode()
-    body = parse_body(nt, "application/n-triples", D)
-    found = lowerer(schema).from_graph(body, find_message(body, D, TYPES + schema.ref.name))
-    assert vars(vars(found)["t"])["sec"] == 5
 
 
 def test_a_few_triples_cannot_stand_for_a_giant_message() -> None:

@@ -149,14 +149,6 @@ def test_no_label_stands_for_two_terms() -> None:
     assert [label for label, times in [*labels.items(), *names.items()] if times > 1] == []
 
 
-def test_forty_terms_have_a_note_on_their_scope_and_an_example() -> None:
-    noted = {each.subject for each in every(*OWN) if each.predicate.value == f"{SKOS}scopeNote"}
-    shown = {each.subject for each in every(*OWN) if each.predicate.value == f"{SKOS}example"}
-    classes = {term for term, home in terms_of(*OWN).items() if owl.Class in objects(home, term, rdf.type)}
-    assert classes <= noted & shown
-    assert len(noted & shown) >= 40
-
-
 def test_classes_and_individuals_of_classes_begin_with_a_capital_and_properties_do_not() -> None:
     for term, home in terms_of(*OWN).items():
         types = objects(home, term, rdf.type)
@@ -195,20 +187,6 @@ def test_inverse_properties_have_domain_and_range_the_other_way_round() -> None:
         for one, other in ((pair.subject, pair.object), (pair.object, pair.subject)):
             domain, range = objects(homes[one], one, rdfs.domain), objects(homes[other], other, rdfs.range)
             assert not (domain and range) or domain == range, pair
-
-
-def test_states_are_individuals_of_the_sets_that_they_are_in() -> None:
-    sets = {each.subject for each in every(*OWN) if each.object == ros.OperationalState} | {
-        ros.PrimaryState,
-        ros.TransitionState,
-    }
-    individuals = {
-        term: set(objects(home, term, rdf.type))
-        for term, home in terms_of(*OWN).items()
-        if owl.NamedIndividual in objects(home, term, rdf.type) and set(objects(home, term, rdf.type)) & sets
-    }
-    assert len(individuals) == 28
-    assert individuals[ros.Succeeded] == {ros.CallState, ros.GoalStatus, owl.NamedIndividual}
 
 
 def test_classes_of_one_module_are_told_apart() -> None:

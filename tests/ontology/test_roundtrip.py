@@ -6,7 +6,6 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable
-from functools import cache
 
 import numpy as np
 import pyoxigraph as ox
@@ -28,10 +27,8 @@ from tests.ontology.test_serialize import canonical, rdflib_read, read
 pytestmark = pytest.mark.slow
 
 LIBRARIES = {version: TypeLibrary(ros_version=version) for version in (1, 2)}  # type: ignore[arg-type]
-STORED = [
-    *((1, name) for name in sorted(get_typestore(Stores.ROS1_NOETIC).fielddefs)),
-    *((2, name) for name in sorted(get_typestore(Stores.ROS2_JAZZY).fielddefs)),
-]
+IN_ROS_1, IN_ROS_2 = (get_typestore(store).fielddefs for store in (Stores.ROS1_NOETIC, Stores.ROS2_JAZZY))
+STORED = [*((1, name) for name in sorted(IN_ROS_1)), *((2, name) for name in sorted(IN_ROS_2))]
 """Every message type that rosbags ships, with the version of ROS."""
 EMPTY = "structure_needs_at_least_one_member"
 
@@ -110,12 +107,6 @@ def same(one: object, other: object) -> bool:
     return one == other
 
 
-@cache
-def messages(schema: MessageSchema, version: int) -> st.SearchStrategy[Message]:
-    """Return messages of a schema; in ROS 1 strings may be any bytes."""
-    return Filler(schema, TEXTS | BYTES if version == 1 else TEXTS).message(schema.ref.name)
-
-
 DOCUMENT = "http://127.0.0.1:8080/topics/some/thing"
 ENVELOPE = Envelope(1_700_000_000_123_000_000, 18446744073709551616, "http://127.0.0.1:8080/nodes/n")
 NOT_XML = re.compile("[\x00-\x08\x0b\x0c\r\x0e-\x1f\ufffe\uffff]")
@@ -123,7 +114,7 @@ FEW = settings(
     max_examples=8,  # of each of some twenty types, in nine syntaxes
     deadline=None,
     derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large],
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 
 
@@ -191,26 +182,35 @@ def covering() -> list[tuple[int, str]]:
     return chosen
 
 
-@pytest.mark.parametrize("stored_type", covering(), ids=str)
-@FEW
-@given(data=st.data())
-def test_a_message_says_the_same_in_every_syntax_and_lowers_to_its_equal(
-    stored_type: tuple[int, str], data: st.DataObject
-) -> None:
-    version, name = stored_type
-    schema = schema_of(version, name)
-    message = data.draw(messages(schema, version))
+def test_a_message_says_the_same_in_every_syntax_and_lowers_to_its_equal() -> None:
+    for version, name in covering():
+        try_messages(schema_of(version, name), version)
+
+
+def try_messages(schema: MessageSchema, version: int) -> None:
+    @FEW
+    @given(Filler(schema, TEXTS | BYTES if version == 1 else TEXTS).message(schema.ref.name))  # in ROS 1 any bytes
+    def attempt(message: Message) -> None:
+        says_the_same(schema, message)
+        comes_back(schema, version, message)
+
+    attempt()
+
+
+def says_the_same(schema: MessageSchema, message: Message) -> None:
+    """Assert that third-party readers find the same triples in every syntax."""
     lift = lifter(schema)
     said = canonical(lift.triples(message, DOCUMENT, "#message", envelope=ENVELOPE))
     assert canonical(read(ntriples(lift, message), Syntax.N_TRIPLES)) == said
     for syntax, write in ((Syntax.TURTLE, turtle), (Syntax.JSON_LD, based_jsonld)):
         text = write(lift, message)
         assert canonical(read(text, syntax)) == canonical(rdflib_read(text, syntax)) == said
-    comes_back(schema, version, message)
 
 
 def test_a_message_of_every_stored_type_comes_back() -> None:
     for version, name in STORED:
+        if version == 1 and IN_ROS_1[name] == IN_ROS_2.get(name):
+            continue
         schema = schema_of(version, name)
         comes_back(schema, version, lowerer(schema).from_json({}, defaults=True), ("text/turtle",))
 

@@ -305,14 +305,6 @@ def test_as_a_part_of_a_dataset_a_document_is_the_graph_of_its_name(syntax: Synt
     assert quads == [Quad(*triple, NamedNode(URL)) for triple in doc.triples]
 
 
-def test_media_types_extensions_and_labels_are_unique_and_known() -> None:
-    for attribute in ("media_type", "extension", "label"):
-        assert len({getattr(syntax, attribute) for syntax in Syntax}) == len(Syntax)
-    assert serialize(POSE, "text/turtle") == serialize(POSE, Syntax.TURTLE)
-    with pytest.raises(ValueError, match="'text/html' is not a supported RDF syntax"):
-        serialize(POSE, "text/html")
-
-
 # Documents with messages
 
 LIBRARY = TypeLibrary(ros_version=1)

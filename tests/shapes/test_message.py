@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import cache
 
-import pyshacl
 import pytest
 from pyoxigraph import Literal, NamedNode, Triple
+from pyshacl.shapes_graph import ShapesGraph
 
 from rosld.adapters.model import Message, MessageSchema, ServiceSchema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
@@ -16,7 +16,7 @@ from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros, xsd
 from rosld.shapes.message import shape_document
-from tests.shapes.values import graph, typed
+from tests.shapes.values import compiled, graph, typed, validate
 
 SPACE = Space("http://127.0.0.1:8080/")
 pytestmark = pytest.mark.slow
@@ -79,9 +79,14 @@ def lifted(schema: MessageSchema, value: Message | None = None) -> list[Triple]:
     return Document(URL, (), (carried,)).all_triples()
 
 
+@cache
+def shape_of(schema: MessageSchema) -> ShapesGraph:
+    return compiled(graph(shape_document(schema, SPACE).triples))
+
+
 def conforms(schema: MessageSchema, triples: list[Triple]) -> tuple[bool, str]:
-    found, _, words = pyshacl.validate(graph(triples), shacl_graph=graph(shape_document(schema, SPACE).triples))
-    return bool(found), str(words)
+    found, _, words = validate(graph(triples), shape_of(schema))
+    return found, words
 
 
 @pytest.mark.parametrize("version", [1, 2])

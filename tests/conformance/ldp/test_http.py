@@ -28,14 +28,6 @@ def test_http_a_current_representation_is_304(place: Place, kinds: dict[str, str
         assert place.get(url, If_None_Match='"another"').status_code == 200
 
 
-def test_http_the_etag_of_one_syntax_guards_writes_in_all_and_reads_in_none_other(place: Place) -> None:
-    place.put("a", ONE)
-    etag = place.get("a", Accept="application/ld+json").headers["etag"]
-    assert place.get("a", Accept=TURTLE, If_None_Match=etag).status_code == 200
-    answer = place.put("a", TWO, If_Match=etag)
-    assert answer.headers.get("etag") in (None, place.get("a").headers["etag"])  # RFC 9110, 8.8.3
-
-
 def test_http_preconditions_on_existence(place: Place) -> None:
     assert place.send("PUT", "a", ONE, TURTLE, If_Match="*").status_code == 412
     assert place.get("a").status_code == 404
@@ -90,6 +82,15 @@ def test_http_waiting_ends_with_the_next_change(place: Place) -> None:
         place.put("a", TWO)
         answer = waiting.result(15)
     assert (answer.status_code, answer.headers["etag"] == etag) == (200, False)
+
+
+def test_http_a_stream_sends_each_change(place: Place) -> None:
+    place.put("a", ONE)
+    with place.http.stream("GET", place.at("a"), headers={"Accept": "text/event-stream"}) as stream:
+        lines = stream.iter_lines()
+        assert any('"1"' in line for line in lines)
+        place.put("a", TWO)
+        assert any('"2"' in line for line in lines)
 
 
 def test_http_a_missing_resource_tells_what_creates_it(place: Place, served: Served) -> None:

@@ -152,25 +152,6 @@ def exchange(port: int, trusted: ssl.SSLContext, request: bytes) -> bytes:
         return found
 
 
-H2C = "Connection: Upgrade, close\r\nUpgrade: h2c\r\n"
-
-
-def test_what_asks_for_another_protocol_arrives_whole(proxied: tuple[str, ssl.SSLContext]) -> None:
-    base, trusted = proxied
-    url = httpx.URL(base)
-    assert url.port is not None
-    text = "DELETE /data/through HTTP/1.1\r\nHost: x\r\n\r\n"
-    for path, framing in (
-        ("/data/length", f"Content-Length: {len(text)}\r\n\r\n{text}"),
-        ("/data/chunks", f"Transfer-Encoding: chunked\r\n\r\n{len(text):x}\r\n{text}\r\n0\r\n\r\n"),
-    ):
-        head = f"PUT {path} HTTP/1.1\r\nHost: localhost:{url.port}\r\nAuthorization: Bearer {token('admin')}\r\n"
-        whole = f"{head}Content-Type: text/plain\r\n{H2C}{framing}"
-        assert exchange(url.port, trusted, whole.encode())[9:12] == b"201"
-        with httpx.Client(base_url=base, verify=trusted, headers={"Authorization": f"Bearer {token('admin')}"}) as http:
-            assert http.get(path).text == text
-
-
 def test_nginx_passes_on_an_upgrade_to_a_websocket_alone(tmp_path: Path) -> None:
     port = free_port()
     with socket.create_server(("127.0.0.1", 0)) as inner, nginx(tmp_path, port, inner.getsockname()[1]) as trusted:

@@ -21,7 +21,6 @@ from rosld.server.auth.rules import (
     allow_all_rules,
     mode_of,
     path_at,
-    type_matches,
 )
 
 _segments = st.lists(st.text(st.characters(blacklist_categories=("Cs",)), max_size=5), min_size=1, max_size=5)
@@ -94,11 +93,6 @@ def test_what_covers_below_is_about_everything_below_and_what_is_not_reached_is_
         assert all(map(glob.matches, deeper))
     if any(map(glob.matches, deeper)):
         assert glob.overlaps_subtree(below)
-
-
-def test_globs_over_types() -> None:
-    assert type_matches("sensor_msgs/msg/*", "sensor_msgs/msg/Image")
-    assert not type_matches("sensor_msgs/msg/*", "std_msgs/msg/String")
 
 
 ANNA = Agent("anna", "https://anna.example/#me")

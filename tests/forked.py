@@ -104,13 +104,13 @@ class ForkedProcess:
 
 
 class ForkedCommand(ForkedProcess):
-    """`rosld` with these arguments; its output is in `stdout`."""
+    """`rosld` with these arguments; its output is in `stdout`, its log goes to the descriptor `errors`."""
 
-    def __init__(self, *arguments: str) -> None:
+    def __init__(self, *arguments: str, errors: int = 2) -> None:
         sys.audit("subprocess.Popen", "rosld", arguments, None, None)
         reading, writing = os.pipe()
         self.stdout: TextIO = os.fdopen(reading, encoding="utf-8")
-        given = (arguments, _Descriptor(writing), _Descriptor(2), dict(os.environ))
+        given = (arguments, _Descriptor(writing), _Descriptor(errors), dict(os.environ))
         super().__init__(_CONTEXT.Process(target=_run, args=given), "rosld", *arguments)
         os.close(writing)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -19,18 +18,18 @@ pytestmark = pytest.mark.slow
 JSON = {"Accept": "application/json"}
 
 
-@pytest.fixture
-def ros(tmp_path: Path) -> Iterator[RosSystem]:
-    """A rosmaster for this test, with rospy's action servers."""
-    with running(tmp_path) as system:
+@pytest.fixture(scope="module")
+def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RosSystem]:
+    """A rosmaster with rospy's action servers."""
+    with running(tmp_path_factory.mktemp("ros")) as system:
         system.node("action_node.py")
         yield system
 
 
-@pytest.fixture
-def http(ros: RosSystem, serve: Callable[..., Any]) -> httpx.Client:
+@pytest.fixture(scope="module")
+def http(ros: RosSystem, start_server: Callable[..., Any]) -> httpx.Client:
     """rosld on it."""
-    served: httpx.Client = serve(ros.source, "--setting", "call_deadline", "5").http
+    served: httpx.Client = start_server(ros.source, "--setting", "call_deadline", "5").http
     return served
 
 

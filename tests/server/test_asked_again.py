@@ -18,7 +18,6 @@ pytestmark = pytest.mark.slow
 PLACE = "geometry_msgs/msg/Vector3"
 CLASS = f"{asking.TYPES}{PLACE}"
 CSV = {"Accept": "text/csv"}
-TURTLE = {"Content-Type": "text/turtle"}
 
 
 def query(http: httpx.Client, text: str, how: str = "GET") -> str:
@@ -56,51 +55,6 @@ def test_what_a_topic_says_is_never_what_it_said_before(robot: MadeUp, serving: 
         assert said == dict.fromkeys(WAYS, [[str(number)]] * 3)
 
 
-def test_what_clients_keep_is_what_they_wrote_last(serving: Serving) -> None:
-    http = serving()
-    for number in range(1, 4):
-        status = http.put("/data/note", content=f'<> <{asking.EX}says> "n{number}" .', headers=TURTLE).status_code
-        assert status == (201 if number == 1 else 204)
-        http.put(f"/data/n{number}", content="", headers=TURTLE).raise_for_status()
-        for _ in range(3):
-            assert f'"n{number}"' in http.get("/data/note").text
-            assert f'"n{number}"' in http.get("/graphs", params={"graph": f"{http.base_url}data/note"}).text
-            assert query(http, f"SELECT ?n {{ ?note <{asking.EX}says> ?n }}") == f"n\r\nn{number}\r\n"
-            assert query(http, f"SELECT ?n {{ <data/note> <{asking.EX}says> ?n }}") == f"n\r\nn{number}\r\n"
-            assert f"n{number}>" in http.get("/data/").text
-    assert http.delete("/data/note").status_code == 204
-    assert http.get("/data/note").status_code == 410
-    assert query(http, f"SELECT ?n {{ ?note <{asking.EX}says> ?n }}") == "n\r\n"
-
-
-def test_getters_are_called_again_once_what_they_said_is_no_longer_fresh(robot: MadeUp, serving: Serving) -> None:
-    grip = robot.variable("/arm/grip", "Byte", value=1)
-    http = serving(freshness=0.05)
-    for number in range(2, 6):
-        grip["value"] = number
-        time.sleep(0.06)  # nothing reports by itself that it has changed
-        for path in ("/resources/arm/grip", "/resources/arm/"):
-            assert [f"{number}" in http.get(path, headers=asking.JSON).text for _ in range(5)] == [True] * 5
-    assert http.put("/resources/arm/grip", json=9).status_code == 204
-    assert http.get("/resources/arm/grip", headers=asking.JSON).json() == 9
-
-
-def test_a_mapping_counts_from_when_it_is_in_force(robot: MadeUp, serving: Serving) -> None:
-    robot.variable("/arm/grip", "Byte", value=1)
-    http = serving()
-    text = f"SELECT ?x {{ ?arm <{asking.EX}force> ?x }}"
-    assert [query(http, text) for _ in range(3)] == ["x\r\n"] * 3
-    asking.mapped(
-        http,
-        '<#a> a map:ComplexResource ; map:path "/arm/" ; '
-        'map:property [ map:predicate ex:force ; map:member "grip" ; map:name "force" ] .',
-    )
-    assert [query(http, text) for _ in range(3)] == ["x\r\n1\r\n"] * 3
-    assert [http.get("/resources/arm/", headers=asking.JSON).json() for _ in range(3)] == [{"force": 1}] * 3
-    assert http.delete("/mappings/mine").status_code == 204
-    assert [query(http, text) for _ in range(3)] == ["x\r\n"] * 3
-
-
 def test_a_state_that_has_not_changed_is_304_and_its_age_and_date_go_on(robot: MadeUp, serving: Serving) -> None:
     robot.topic("/place", PLACE, place(1))
     http = serving()
@@ -127,11 +81,3 @@ def test_a_subscription_lasts_while_somebody_asks_the_same_again(robot: MadeUp, 
         http.get("/topics/place")
         assert "/place" in robot.subscribed()
         time.sleep(0.02)
-
-
-def test_queries_whose_answers_differ_each_time_are_asked_each_time(robot: MadeUp, serving: Serving) -> None:
-    robot.topic("/place", PLACE, place(1))
-    http = serving()
-    for expression in ("RAND()", "NOW()", "UUID()", "ros:age(<topics/place>)"):
-        answers = {query(http, f"SELECT ({expression} AS ?x) {{ <topics/place> ros:latest ?m }}") for _ in range(4)}
-        assert len(answers) == 4

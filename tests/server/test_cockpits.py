@@ -15,7 +15,6 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from rosld.ontology.cockpit import read_cockpit
-from rosld.ontology.vocab import ros
 from rosld.server.auth.tokens import token_digest
 from tests.server.auth.conftest import rule
 from tests.server.robots.made_up import MadeUp, served
@@ -238,12 +237,3 @@ def test_who_may_not_read_or_write_sees_no_panel_and_no_form_of_it(serve: Callab
     page = plane.get("/cockpit/default", headers=own).text
     assert "/topics/aircraft/engine/speed" in page
     assert 'action="/cockpit/"' in page
-
-
-def test_cockpits_are_asked_for_in_sparql(rover: httpx.Client) -> None:
-    assert put(
-        rover, "asked", "<> a ros:Cockpit ; ros:hasPanel [ a ros:SpacePanel ; ros:shows <../topics/tf> ] ."
-    ).is_success
-    query = "SELECT ?c WHERE { ?c ros:hasPanel/ros:shows ?t FILTER(STRENDS(STR(?t), '/topics/tf')) }"
-    answer = rover.get("/sparql", params={"query": f"PREFIX ros: <{ros.iri}> {query}"}, headers={"Accept": "text/csv"})
-    assert answer.text.split() == ["c", f"{rover.base_url}cockpit/asked"]

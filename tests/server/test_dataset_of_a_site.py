@@ -58,6 +58,7 @@ def kept(http: httpx.Client) -> None:
         ("POST", "/data/site/direct/", TURTLE, "<> <urn:p> 2 ."),
         ("POST", "/data/site/indirect/", TURTLE, about_me),
         ("POST", "/data/site/basic/", {"Content-Type": "image/png", "Slug": "photo"}, b"\x89PNG"),
+        ("PUT", "/cockpit/mine", TURTLE, "<> a <https://w3id.org/rosld#Cockpit> ."),
         ("PUT", "/queries/mine", query, "# Mine.\nSELECT * { ?s ?p ?o } LIMIT 1"),
     )
     for method, path, headers, body in everything:

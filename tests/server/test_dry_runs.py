@@ -324,18 +324,3 @@ def test_the_form_of_a_page_can_be_run_dry(http: httpx.Client) -> None:
     fields = {**hidden, "method": "PUT", "data": "from a form"}
     answer = http.post("/topics/cockpit/display", params=DRY, data=fields)
     assert (answer.status_code, answer.json()["status"]) == (200, 303), answer.text
-
-
-def test_an_update_is_planned_step_by_step(robot: MadeUp, serving: Serving) -> None:
-    robot.topic("/drive", "std_msgs/msg/String", published=False, heard=True)
-    http = serving()
-    text = """PREFIX std: <https://w3id.org/rosld/types/std_msgs/msg/String#>
-        INSERT DATA { GRAPH </data/dry> { <urn:s> <urn:p> 1 }
-                      GRAPH </topics/drive> { </topics/drive#message> std:data "x" } }"""
-    answer = http.post("/sparql", params=DRY, content=text, headers={"Content-Type": UPDATE})
-    assert answer.status_code == 200, answer.text
-    told = {step["url"].removeprefix(str(http.base_url)): step["receivers"] for step in answer.json()["steps"]}
-    assert told == {"data/dry": [], "topics/drive": [f"{http.base_url}nodes/listener"]}
-    assert answer.json()["status"] == 204
-    assert robot.sent == {}
-    assert http.get("/data/dry").status_code == 404

@@ -135,12 +135,6 @@ def test_what_cannot_be_streamed_is_an_ordinary_problem(aircraft: Any) -> None:
         assert words in answer.json()["detail"]
 
 
-def test_the_rate_is_honoured(aircraft: Any) -> None:
-    with streaming(aircraft, f"{SPEED}?rate=5") as found:
-        came = [next(found).at for _ in range(6)]
-    assert 5 / 5 * 0.8 <= came[-1] - came[0] <= 5 / 5 * 1.6
-
-
 def test_a_reader_who_has_the_present_state_is_not_told_it_again(aircraft: Any) -> None:
     with streaming(aircraft, NIGHT) as found:
         present = next(found)

@@ -213,16 +213,6 @@ def test_hundreds_of_topics_are_told_by_the_best_twenty_in_five_kilobytes(many: 
     assert many.get("/find?q=odom", headers={**JSON, "If-None-Match": first.headers["etag"]}).status_code == 304
 
 
-def test_values_that_are_asked_for_are_those_of_small_messages(robot: MadeUp, serving: Serving) -> None:
-    robot.topic("/front/range", "std_msgs/msg/Float64", {"data": 1.5})
-    robot.topic("/front/scan", "sensor_msgs/msg/LaserScan", {"ranges": [1.0]})
-    http = serving()
-    told = http.get("/find", params={"q": "front", "values": "true"}, headers=JSON).json()["results"]
-    values = {result["name"]: result.get("value") for result in told if result["kind"] == "topic"}
-    assert values == {"/front/range": {"data": 1.5}, "/front/scan": None}
-    assert robot.subscribed() == {"/front/range"}
-
-
 def test_values_are_left_out_before_results(robot: MadeUp, serving: Serving) -> None:
     for number in range(30):
         name = f"/{'very_' * 6}long_name_of_a_battery_{number:02}"

@@ -116,10 +116,3 @@ def test_red_is_only_what_is_wrong_and_all_forms_say_the_same(robot: Any, servin
     robot.publishes("/steady", {"data": ""})
     monkeypatch.undo()
     assert "went silent" not in get(http, accept="text/html").text
-
-
-def test_a_name_is_text_on_the_page(robot: Any, serving: Any) -> None:
-    robot.topic("/<b>bold</b>", "std_msgs/msg/String", {"data": ""})
-    page = get(serving(), accept="text/html").text
-    assert "<b>bold" not in page
-    assert "/&lt;b&gt;bold&lt;/b&gt;" in page

@@ -127,7 +127,7 @@ def held_and_killed(server: Server, wheels: Process, x: float, **how: Any) -> st
 def test_a_rosld_that_is_killed_leaves_the_base_driving_and_the_next_one_stops_it_and_says_so(
     ros: RosSystem, wheels: Process, tmp_path: Path
 ) -> None:
-    with server_on(tmp_path / "data", tmp_path / "log", source=ros.source) as server:
+    with server_on(tmp_path / "data", tmp_path / "log", source=ros.source, forked=True) as server:
         server.start()
         ended = held_and_killed(server, wheels, 5, rate=20)
         with pytest.raises(AssertionError, match="no line"):
@@ -156,7 +156,7 @@ def test_a_rosld_that_is_killed_leaves_the_base_driving_and_the_next_one_stops_i
 def test_a_hold_that_was_interrupted_is_only_told_of_where_another_node_commands_or_nothing_ends_it(
     ros: RosSystem, wheels: Process, tmp_path: Path
 ) -> None:
-    with server_on(tmp_path / "data", tmp_path / "log", source=ros.source) as server:
+    with server_on(tmp_path / "data", tmp_path / "log", source=ros.source, forked=True) as server:
         server.start()
         silent = held_and_killed(server, wheels, 6, then="none")
         server.start()
@@ -174,7 +174,7 @@ def test_a_hold_that_was_interrupted_is_only_told_of_where_another_node_commands
 def test_a_guard_stops_the_base_as_soon_as_rosld_is_killed(ros: RosSystem, wheels: Process, tmp_path: Path) -> None:
     data = tmp_path / "data"
     command = [sys.executable, "-m", "rosld", "guard", ros.source, "--data", str(data)]
-    with server_on(data, tmp_path / "log", source=ros.source) as server:
+    with server_on(data, tmp_path / "log", source=ros.source, forked=True) as server:
         server.start()
         guard = Process(command, os.environ, patience=30)
         try:

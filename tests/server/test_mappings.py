@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 from click.testing import CliRunner
-from pyoxigraph import BlankNode, CanonicalizationAlgorithm, Dataset, NamedNode, Quad, RdfFormat, Triple, parse
+from pyoxigraph import CanonicalizationAlgorithm, Dataset, NamedNode, Quad, RdfFormat, Triple, parse
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.registry import adapter_for
@@ -121,17 +121,6 @@ def test_a_bad_mapping_is_422_with_a_shacl_report_and_the_old_one_stays(stored: 
     assert violation["path"] == "<#cockpit> map:path"
     assert violation["value"] == "/cockpit"
     assert stored.get("/mappings/cockpit").text == before
-
-
-def test_the_shape_of_mappings_is_where_the_link_leads(http: httpx.Client, triples_of: Reader) -> None:
-    found = triples_of(http.get("/shapes/mapping"))
-    subjects = {str(one.subject) for one in found if not isinstance(one.subject, BlankNode)}
-    assert f"<{http.base_url}shapes/mapping#complex-resource>" in subjects
-    assert http.get("/shapes/mapping", headers={"Accept": "text/html"}).status_code == 200
-    assert "/shapes/mapping>" in http.get("/shapes/", headers={"Accept": "application/n-triples"}).text
-    links = http.get("/mappings/aircraft").headers["link"]
-    for relation in ("http://purl.org/dc/terms/conformsTo", "http://www.w3.org/ns/ldp#constrainedBy"):
-        assert f'<{http.base_url}shapes/mapping>; rel="{relation}"' in links
 
 
 def test_two_mappings_never_have_one_path(stored: httpx.Client) -> None:

@@ -13,7 +13,6 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families 
 from prometheus_client.parser import text_string_to_metric_families
 
 from rosld.server.runtime.process_memory import process_usage
-from rosld.server.runtime.timings import BOUNDS, RequestTimings
 from tests.server.auth.conftest import rule, token, tokens
 from tests.server.robots.made_up import MadeUp, Serving, served
 from tests.waiting import until
@@ -63,25 +62,6 @@ def test_requests_are_counted_by_route_and_status(robot: MadeUp, serving: Servin
     assert value(found, f"{duration}_sum", method="GET", route="/topics/{name}") > 0
     assert value(found, "rosld_http_requests_in_progress") == 1, "the scrape itself"
     assert value(scrape(http), name, method="GET", route="/metrics", status="200") == 1
-
-
-def test_random_paths_and_methods_add_no_series() -> None:
-    timings = RequestTimings("/base/", lambda: {"", "topics"})
-    for number in range(1000):
-        timings.add(f"/base/x{number}/y".encode(), f"M{number}", 404, 0.1)
-        timings.add(f"/base/topics/x{number}".encode(), "GET", 200, 20.0)
-    assert {key: sum(each.counts) for key, each in timings.histograms.items()} == {
-        (b"{unknown}", True, "other", 404): 1000,
-        (b"topics/", False, "GET", 200): 1000,
-    }
-    assert timings.histograms[b"topics/", False, "GET", 200].counts == [0] * len(BOUNDS) + [1000]
-    routes = {
-        "/base/": "/",
-        "/base/topics": "/topics",
-        "/base/topics/": "/topics/",
-        "/base/topics/a/b": "/topics/{name}",
-    }
-    assert {path: timings.route(path.encode()) for path in routes} == routes
 
 
 def test_topics_have_rates_and_ages_up_to_a_limit_and_only_if_subscribed(robot: MadeUp, serving: Serving) -> None:

@@ -15,7 +15,7 @@ from rosld.adapters.model.qos import Qos
 from rosld.ontology.urls import Space
 from rosld.server.diagrams.diagram import MAX_VERTICES, Diagram, Selection, Traffic, VertexKind, draw_graph, fold
 from rosld.server.diagrams.layout import Size, lay_out
-from rosld.server.diagrams.svg import thickness, write_svg
+from rosld.server.diagrams.svg import write_svg
 
 SPACE = Space("http://robot/")
 IMAGE = (TypeRef("sensor_msgs/msg/Image"),)
@@ -154,9 +154,3 @@ def test_a_drawing_is_xml_whatever_the_names_hold() -> None:
     links = [each.get("href") for each in root.iter() if each.tag.endswith("}a")]
     assert len(links) == 3
     assert all(str(each).startswith("http://robot/") for each in links)
-
-
-def test_a_conversation_is_thicker_the_faster_it_is() -> None:
-    widths = [thickness(rate) for rate in (0.0, 0.1, 1.0, 25.0, 200.0, 1e9)]
-    assert widths == sorted(set(widths))
-    assert (widths[0], widths[-1]) == (1.0, 5.0)

@@ -39,7 +39,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.fixture
 def server(disk: Path, tmp_path: Path) -> Iterator[Server]:
-    with server_on(disk / "data", tmp_path / "log") as served:
+    with server_on(disk / "data", tmp_path / "log", forked=True) as served:
         served.start()
         yield served
 
@@ -124,7 +124,7 @@ def test_receipts_of_a_full_disk_are_kept_in_memory_and_written_when_there_is_ro
 
 def test_a_folder_that_was_never_served_is_refused_on_a_full_disk_with_words(disk: Path, tmp_path: Path) -> None:
     crammed(disk)
-    with server_on(disk / "data", tmp_path / "log") as server:
+    with server_on(disk / "data", tmp_path / "log", forked=True) as server:
         with pytest.raises(AssertionError):
             server.start()
         assert "No space left" in server.log.read_text() or "full" in server.log.read_text()

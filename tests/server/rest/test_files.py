@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from rosld.server.http.problem import Problem
 from rosld.server.http.problem_details import render
 from rosld.server.rest import responses
-from rosld.server.rest.responses import CHUNK, UNKNOWN, exact_media_type, file_response
+from rosld.server.rest.responses import CHUNK, exact_media_type, file_response
 from tests.server.http.listening import exchange, listening
 
 TAG = '"kept-7.any"'
@@ -108,12 +108,6 @@ def test_a_file_is_saved_under_its_name(tmp_path: Path) -> None:
         path = tmp_path / "blob"
         path.write_bytes(b"x")
         assert read(app(path, 1, media_type, name), "HEAD").headers["content-disposition"] == disposition
-
-
-def test_the_media_type_is_kept_exactly_as_it_was_stated() -> None:
-    assert exact_media_type(None) == UNKNOWN == "application/octet-stream"
-    for stated in ("text/plain; charset=ISO-8859-1", "IMAGE/PNG", 'a/b; c="d;e"', "text/plain"):
-        assert exact_media_type(stated) == exact_media_type(f" {stated}\t") == stated
 
 
 def test_what_is_no_media_type_is_refused() -> None:

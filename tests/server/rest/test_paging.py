@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosld.server.http.negotiation import NO_PREFERENCES, Preferences, parse_prefer
+from rosld.server.http.negotiation import Preferences, parse_prefer
 from rosld.server.http.problem import Problem
 from rosld.server.rest.paging import (
     MAX_PAGE_SIZE,
@@ -18,7 +18,6 @@ from rosld.server.rest.paging import (
     page_of_names,
     parse_named_position,
     parse_position,
-    redirect_to_first,
     requested_page_size,
 )
 
@@ -41,19 +40,6 @@ def test_a_token_that_names_no_place_among_names_is_404() -> None:
         with pytest.raises(Problem, match=r"from [?]page=0") as refused:
             parse_named_position(token)
         assert refused.value.status == 404
-
-
-def test_a_container_of_many_members_redirects_to_its_first_page() -> None:
-    assert redirect_to_first(ROOT, MAX_PAGE_SIZE, NO_PREFERENCES) is None
-    found = redirect_to_first(ROOT, MAX_PAGE_SIZE + 1, NO_PREFERENCES)
-    assert found is not None
-    assert (found.status, found.headers["Location"]) == (303, f"{ROOT}?page=0")
-    assert "Prefer" in found.headers["Vary"]
-    small = asked('return=representation; max-member-count="10"')
-    found = redirect_to_first(ROOT, 11, small)
-    assert found is not None
-    assert found.headers["Location"] == f"{ROOT}?page=0-10"
-    assert redirect_to_first(ROOT, 10, small) is None
 
 
 def test_the_size_of_pages_is_a_preference_that_may_be_ignored() -> None:

@@ -1,4 +1,4 @@
-"""Many concurrent writes, each on its own connection, in memory and in a folder: none is lost and none is torn.
+"""Many concurrent writes, each on its own connection, in a folder and in memory: none is lost and none is torn.
 
 Writes without a condition are applied in turn; of those with one, exactly as many succeed as RFC 9110 13.1 allows.
 """
@@ -29,11 +29,18 @@ EVERY = {str(number) for number in range(REQUESTS)}
 Ask = Callable[[httpx.AsyncClient, int], Awaitable[httpx.Response]]
 
 
-@pytest.fixture(scope="module", params=["in memory", "in a folder"])
-def http(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
-    folder = None if request.param == "in memory" else tmp_path_factory.mktemp("data")
-    with served(MadeUp(), data=folder) as client:
+@pytest.fixture(scope="module")
+def http(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
+    """A server with a data folder."""
+    with served(MadeUp(), data=tmp_path_factory.mktemp("data")) as client:
         yield client
+
+
+@pytest.fixture(scope="module")
+def both(http: httpx.Client) -> Iterator[tuple[httpx.Client, httpx.Client]]:
+    """That server, and one without a data folder, which writes without a thread."""
+    with served(MadeUp()) as client:
+        yield http, client
 
 
 def parallel(http: httpx.Client, ask: Ask, requests: int = REQUESTS) -> list[httpx.Response]:
@@ -75,10 +82,13 @@ def test_everything_put_below_one_new_container_is_created(http: httpx.Client) -
 
 
 @pytest.mark.parametrize("headers", [TURTLE, BINARY, CONTAINER], ids=["RDF sources", "files", "containers"])
-def test_members_posted_with_one_slug_get_different_names(http: httpx.Client, headers: Mapping[str, str]) -> None:
-    answers = parallel(http, lambda c, n: c.post("/data/", content=b"", headers={**headers, "Slug": "same"}))
-    assert statuses(answers) == {201: REQUESTS}
-    assert len({answer.headers["location"] for answer in answers}) == REQUESTS
+def test_members_posted_with_one_slug_get_different_names(
+    both: tuple[httpx.Client, ...], headers: Mapping[str, str]
+) -> None:
+    for http in both:
+        answers = parallel(http, lambda c, n: c.post("/data/", content=b"", headers={**headers, "Slug": "same"}))
+        assert statuses(answers) == {201: REQUESTS}
+        assert len({answer.headers["location"] for answer in answers}) == REQUESTS
 
 
 @pytest.mark.parametrize(("path", "headers"), [("one", TURTLE), ("file", BINARY), ("container/", TURTLE)])
@@ -92,10 +102,13 @@ def test_the_last_of_unconditional_puts_wins(http: httpx.Client, path: str, head
 
 
 @pytest.mark.parametrize("headers", [TURTLE, BINARY], ids=["an RDF source", "a file"])
-def test_exactly_one_put_that_demands_absence_succeeds(http: httpx.Client, headers: Mapping[str, str]) -> None:
+def test_exactly_one_put_that_demands_absence_succeeds(
+    both: tuple[httpx.Client, ...], headers: Mapping[str, str]
+) -> None:
     url = f"/data/absent/{'file' if headers is BINARY else 'source'}"
-    answers = parallel(http, lambda c, n: c.put(url, content=b"", headers={**headers, "If-None-Match": "*"}))
-    assert statuses(answers) == {201: 1, 412: REQUESTS - 1}
+    for http in both:
+        answers = parallel(http, lambda c, n: c.put(url, content=b"", headers={**headers, "If-None-Match": "*"}))
+        assert statuses(answers) == {201: 1, 412: REQUESTS - 1}
 
 
 def test_a_put_that_demands_absence_never_follows_an_unconditional_one(http: httpx.Client) -> None:
@@ -143,12 +156,14 @@ def update(client: httpx.AsyncClient, url: str, number: int) -> Awaitable[httpx.
     ],
 )
 def test_unconditional_changes_of_one_graph_are_all_applied(
-    http: httpx.Client, name: str, ways: Sequence[Callable[..., Awaitable[httpx.Response]]]
+    both: tuple[httpx.Client, ...], name: str, ways: Sequence[Callable[..., Awaitable[httpx.Response]]]
 ) -> None:
-    url = f"{http.base_url}data/changed/{name}"
-    assert http.put(url, content="", headers=TURTLE).status_code == 201
-    assert statuses(parallel(http, lambda c, n: ways[n % len(ways)](c, url, n))) == {204: REQUESTS}
-    assert values(http, url) == EVERY
+    for http in both:
+        url = f"{http.base_url}data/changed/{name}"
+        assert http.put(url, content="", headers=TURTLE).status_code == 201
+        answers = parallel(http, lambda c, n, url=url: ways[n % len(ways)](c, url, n))
+        assert statuses(answers) == {204: REQUESTS}
+        assert values(http, url) == EVERY
 
 
 def test_a_file_is_merged_and_replaced_as_a_whole(http: httpx.Client) -> None:

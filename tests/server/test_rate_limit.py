@@ -42,16 +42,6 @@ def passing(limiter: ClientLimiter, agent: Agent = ANONYMOUS, address: str = FAR
     return 1000
 
 
-def test_a_client_may_send_two_seconds_worth_at_once_and_its_rate_from_then_on() -> None:
-    clock = Clock()
-    limiter = limiter_for(clock)
-    assert passing(limiter) == 20
-    clock.now += 1.0
-    assert passing(limiter) == 10
-    clock.now += 100.0
-    assert passing(limiter) == 20
-
-
 def test_a_rate_below_one_a_second_lets_one_pass_and_says_when_the_next_may() -> None:
     clock = Clock()
     limiter = limiter_for(clock, rate=0.1)
@@ -148,14 +138,6 @@ def test_publishes_that_cannot_wait_delay_others_by_at_most_a_second_and_one_int
         for _ in range(100):
             limiter.count("/a", 5.0)
         assert limiter.wait("/a", 5.0) == pytest.approx(1.0 + 1.0 / rate)
-
-
-def test_the_first_event_of_a_stream_passes_at_once_and_the_next_waits_most_of_an_interval() -> None:
-    bucket = TokenBucket(2.0, BURST)
-    assert bucket.wait(10.0) == 0.0
-    bucket.take(10.0)
-    assert bucket.wait(10.0) == 0.375
-    assert bucket.wait(10.375) == 0.0
 
 
 def test_a_topic_as_fast_as_its_reader_is_not_held_up_by_its_jitter() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import httpx
 import pytest
 from pyoxigraph import Literal, NamedNode, Triple
 
@@ -174,31 +173,6 @@ def test_a_name_may_be_a_property_an_action_and_a_namespace(robot: MadeUp, servi
     assert answer.headers["content-location"] == f"{http.base_url}resources/"
 
 
-def test_rdf_states_a_scalar_with_any_number_that_fits(robot: MadeUp, serving: Serving) -> None:
-    values = robot.variable("/arm/grip", "Byte", value=1)
-    http = serving()
-    url = f"{http.base_url}resources/arm/grip"
-
-    def put(term: str) -> httpx.Response:
-        body = f"@prefix xsd: <{XSD}> . @prefix rdf: <{RDF}> . <> rdf:value {term} ."
-        return http.put(url, content=body, headers=TURTLE)
-
-    for count, term in enumerate(
-        ("2", '"3"^^xsd:byte', '"4"^^xsd:unsignedLong', "5.0", "6.00", '"+7"^^xsd:integer'), 2
-    ):
-        assert put(term).status_code == 204, term
-        assert values["value"] == count
-    calls = robot.calls["/arm/set_grip"]
-    for term in ("128", "1.5", "6.0e0", '"2"', "true", '"x"^^xsd:byte', "<http://example.org/>", "1 , 2"):
-        assert put(term).status_code == 422, term
-    body = http.put(url, content="<> <http://example.org/other> 1 .", headers=TURTLE)
-    assert "rdf-syntax-ns#value" in detail(body, 422) + body.text
-    assert robot.calls["/arm/set_grip"] == calls
-    ld = {"@id": "", f"{RDF}value": {"@value": "8", "@type": f"{XSD}byte"}}
-    assert http.put(url, content=json.dumps(ld), headers=JSON_LD).status_code == 204
-    assert values["value"] == 8
-
-
 def test_what_was_read_can_be_put_back(robot: MadeUp, serving: Serving) -> None:
     robot.variable("/arm/pose", "Pose", pose={"position": {"x": 1.5}, "orientation": {"w": 1}})
     robot.variable("/arm/grip", "Byte", value=1)
@@ -210,21 +184,6 @@ def test_what_was_read_can_be_put_back(robot: MadeUp, serving: Serving) -> None:
             assert answer.status_code == 204, answer.text
     assert robot.calls["/arm/set_pose"] == robot.calls["/arm/set_grip"] == 3
     assert value(http, "/resources/arm/pose")["pose"]["position"] == {"x": 1.5, "y": 0.0, "z": 0.0}
-
-
-def test_a_node_of_the_getters_or_the_setters_type_is_a_value(robot: MadeUp, serving: Serving) -> None:
-    values = robot.variable("/arm/span", "Range", low=0, high=1)
-    http = serving()
-    for number, kind in enumerate(("GetRange_Response", "SetRange_Request"), 2):
-        cls = f"{TYPES}made_up/srv/{kind}"
-        body = f"<> <{RDF}value> <#v> . <#v> a <{cls}> ; <{cls}#low> {number}.0e0 ; <{cls}#high> 9.0e0 ."
-        answer = http.put("/resources/arm/span", content=body, headers=TURTLE)
-        assert answer.status_code == 204, answer.text
-        assert values == {"low": number, "high": 9}
-    cls = f"{TYPES}geometry_msgs/msg/Point"
-    body = f"<> <{RDF}value> [ a <{cls}> ; <{cls}#x> 1.0e0 ] ."
-    assert "GetRange_Response" in http.put("/resources/arm/span", content=body, headers=TURTLE).text
-    assert robot.calls["/arm/set_span"] == 2
 
 
 def test_a_property_is_patched_in_json_and_in_sparql(robot: MadeUp, serving: Serving) -> None:
@@ -380,23 +339,6 @@ def test_a_walk_along_ldp_contains_calls_no_getter_that_its_page_does_not_show(r
     assert robot.calls == {"/arm/get_grip": 1, "/arm/hand/get_grip": 1, "/leg/get_grip": 1}
 
 
-def test_names_without_a_namespace_lie_in_the_root(robot: MadeUp, serving: Serving) -> None:
-    robot.variable("/grip", "Byte", value=1)
-    robot.answer("/home", TRIGGER, success=True)
-    robot.parameter("/arm/name", "Bob")
-    http = serving(freshness=60)
-    for path in ("/", "/services/", "/topics/", "/.well-known/wot", "/resources/arm/", "/resources/home"):
-        assert http.get(path).status_code == 200
-    assert robot.calls == {}
-    here = f"{http.base_url}resources/"
-    assert value(http, here) == {"grip": 1}
-    assert objects(http.get(here), f"{LDP}contains") == {f"{here}{name}" for name in ("grip", "home", "arm/")}
-    assert http.put(f"{here}grip", json=2).status_code == 204
-    assert http.post(f"{here}home", headers=JSON).json() == {"grip": 2}
-    assert http.patch(here, json={"grip": 3}, headers=MERGE).status_code == 204
-    assert value(http, f"{here}grip") == 3
-
-
 HOSTILE = (
     "/we ird/a b",
     "/quo\"te/it's",
@@ -461,29 +403,3 @@ def test_a_url_that_no_name_has_is_refused_or_corrected(robot: MadeUp, serving: 
             answer = http.request(method, f"/resources{wrong}")
             assert answer.status_code == 308, (method, wrong)
             assert answer.headers["location"] == f"{http.base_url}resources{right}"
-
-
-def test_head_is_get_without_the_body_and_what_has_not_changed_is_not_sent_again(
-    robot: MadeUp, serving: Serving
-) -> None:
-    robot.variable("/arm/grip", "Byte", value=1)
-    robot.topic("/arm/level", FLOAT, {"data": 1})
-    robot.answer("/arm/home", TRIGGER, success=True)
-    http = serving(freshness=60)
-    for path in ("", "arm/", "arm/grip", "arm/home", "arm/level"):
-        for accept in ("text/turtle", "application/json", "application/td+json", "text/html"):
-            get, head = (http.request(one, f"/resources/{path}", headers={"Accept": accept}) for one in ("GET", "HEAD"))
-            assert head.content == b""
-            varying = ("age", "date", "x-request-id")
-            told = [{k: v for k, v in one.headers.items() if k not in varying} for one in (get, head)]
-            assert told[0] == told[1]
-            if accept == "application/td+json" and path and not path.endswith("/"):
-                assert get.status_code == 406
-                continue
-            assert get.headers["content-type"].partition(";")[0] == accept
-            for tag, status in ((get.headers["etag"], 304), (f"W/{get.headers['etag']}", 304), ('"x"', 200)):
-                again = http.get(f"/resources/{path}", headers={"Accept": accept, "If-None-Match": tag})
-                assert again.status_code == status, (path, accept, tag)
-                assert "accept" in again.headers["vary"].lower()
-                for name in ("etag", "cache-control"):
-                    assert again.headers[name] == get.headers[name]

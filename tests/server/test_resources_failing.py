@@ -64,16 +64,15 @@ def failing(http: httpx.Client, *words: str) -> None:
     assert "red" in page.text
 
 
-def test_a_getter_that_hangs_is_waited_for_until_the_deadline(arm: MadeUp, serving: Serving) -> None:
+def test_a_getter_that_hangs_is_waited_for_until_the_deadline_and_its_call_given_up(
+    arm: MadeUp, serving: Serving
+) -> None:
     arm.hold("/arm/get_grip")
     http = serving(read_deadline=0.2, freshness=60)
     failing(http, "/arm/get_grip did not respond within 0.2 s")
     assert arm.calls == {"/arm/get_grip": 1, "/arm/get_label": 1}
     arm.release("/arm/get_grip")
     assert value(http, "/resources/arm/") == {"grip": 1, "label": "red"}
-
-
-def test_a_call_that_hangs_for_ever_is_given_up(arm: MadeUp, serving: Serving) -> None:
     arm.hold("/arm/get_grip")
     http = serving(read_deadline=2, call_deadline=0.2, freshness=60)
     failing(http, "/arm/get_grip did not respond within 0.2 s")

@@ -9,7 +9,6 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.crawl.description import Description
 from tests.server.robots import asking
 from tests.server.robots.made_up import MadeUp, Serving, served
 
@@ -145,18 +144,6 @@ def test_limits_of_a_field_hold_for_the_whole(arm: MadeUp, http: httpx.Client) -
     assert value(http, "/resources/gripper/") == {"x": 10.0}
 
 
-def test_limits_are_in_every_description_before_anything_is_sent(http: httpx.Client) -> None:
-    properties = http.get("/resources/arm/?format=td").json()["properties"]
-    assert (properties["grip"]["minimum"], properties["grip"]["maximum"]) == (0, 100)
-    assert properties["mode"]["enum"] == ["manual", "automatic"]
-    assert properties["level"]["exclusiveMaximum"] == 1.5
-    assert "sh:maxInclusive 100" in http.get("/resources/arm/grip").text
-    html = {"Accept": "text/html"}
-    for path in ("resources/arm/grip", "services/arm/set_grip"):
-        assert 'max="100"' in http.get(path, headers=html).text, path
-    assert http.get("/topics/arm/level", headers=html).text.count("less than 1.5") == 2, "to publish, and to hold"
-
-
 def test_limits_that_cannot_be_used_end_the_start(serving: Serving, limits: Path) -> None:
     for wrong in ("<#a> a", LIMITS.replace("sh:targetNode <resources/arm/grip> ;", "")):
         limits.write_text(wrong)
@@ -209,18 +196,3 @@ def test_a_measurement_may_be_no_finite_number(robot: MadeUp, serving: Serving) 
     assert value(http, "/topics/range") == {"data": "NaN"}
     assert http.put("/topics/range", json={"data": "INF"}).status_code == 204
     assert robot.sent["/range"] == [{"data": "INF"}]
-
-
-def test_schemas_and_shapes_of_commands_say_that_their_numbers_are_finite(robot: MadeUp, serving: Serving) -> None:
-    robot.topic("/cmd_vel", "geometry_msgs/msg/Twist", published=False, heard=True)
-    http = serving()
-    description = Description(http.get("/openapi.json").json())
-    speed = {"type": "number", "minimum": -1e6, "maximum": 1e6, "default": 0.0}
-    unit = "http://qudt.org/vocab/unit/M-PER-SEC"
-    twist = description.document["components"]["schemas"]["geometry_msgs.msg.Twist.sent"]["properties"]
-    assert description.resolved(twist["linear"])["properties"]["x"] == {**speed, "x-unit": unit}
-    held = value(http, "/.well-known/wot")["actions"]["cmd_vel/hold"]["input"]["properties"]
-    assert held["linear"]["properties"]["x"] == {**speed, "unit": unit}
-    shape = http.get("/topics/cmd_vel?shape").text
-    assert "1000000.0" in shape
-    assert '"INF"' not in shape

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -78,25 +77,6 @@ def test_a_mapping_may_name_what_comes_later(robot: MadeUp, serving: Serving) ->
     robot.withdraw("/arm/set_mode")
     assert value(http, "/resources/arm/") == {"grip": 2}
     assert http.get("/resources/arm/hand/").status_code == 404
-
-
-def test_a_mapping_that_is_replaced_takes_effect_at_once(arm: MadeUp, serving: Serving) -> None:
-    http = serving()
-    assert value(http, "/resources/arm/hand/finger/") == {"length": 8}
-    document = (
-        '<#a> a map:ComplexResource ; map:path "/arm/" ; map:property [ map:predicate ex:a ; map:member "grip" ] .'
-    )
-    mapped(http, document)
-    answer = http.get("/resources/arm/", headers=JSON)
-    assert answer.json() == {"grip": 1}
-    known = {"If-None-Match": answer.headers["etag"], **JSON}
-    assert http.get("/resources/arm/", headers=known).status_code == 304
-    mapped(http, document.replace("grip", "mode"))
-    again = http.get("/resources/arm/", headers=known)
-    assert (again.status_code, again.json()) == (200, {"mode": "manual"})
-    assert value(http, "/resources/arm/grip") == 1  # not listed, but existing
-    assert http.delete("/mappings/mine").status_code == 204
-    assert value(http, "/resources/arm/").keys() == {"grip", "mode", "pose"}
 
 
 def test_readers_see_one_mapping_or_the_other_while_it_is_replaced(arm: MadeUp, serving: Serving) -> None:
@@ -255,46 +235,6 @@ def test_an_action_that_ends_its_own_place_answers_with_the_one_above(arm: MadeU
     assert (answer.status_code, answer.json()) == (200, {"grip": 1, "mode": "automatic"})
     assert http.get("/resources/arm/hand/release").status_code == 404
     assert http.get("/resources/arm/hand/").status_code == 404
-
-
-def test_an_answer_to_an_action_shows_the_state_after_it(robot: MadeUp, serving: Serving) -> None:
-    holder = robot.variable("/dock/holder", "Words", set=None, words="")
-    robot.offer("/left/take", "std_srvs/srv/Trigger", lambda _: holder.update(words="left") or {"success": True})
-    robot.variable("/left/reach", "Byte", value=1)
-    http = serving(freshness=60)
-    mapped(
-        http,
-        """<#left> a map:ComplexResource ; map:path "/left/" ;
-             map:action [ map:relation ex:take ; map:service "/left/take" ; map:availableWhen <#free> ] .
-           <#free> a sh:NodeShape ; map:about "/dock/holder" ; sh:property [ sh:path rdf:value ; sh:hasValue "" ] .""",
-    )
-    url = f"{http.base_url}resources/left/"
-    assert objects(http.get(url), f"{EX}take") == {f"{url}take"}
-    answer = http.post(f"{url}take")
-    assert answer.status_code == 200
-    assert "take>" not in answer.text
-    assert value(http, "/resources/dock/holder") == "left"
-    holder["words"] = ""
-    assert http.put(f"{url}reach", json=2).status_code == 204
-    assert objects(http.get(url), f"{EX}take") == {f"{url}take"}
-
-
-def test_waiting_ends_when_links_come_and_go(arm: MadeUp, serving: Serving) -> None:
-    http = serving(freshness=60)
-    mapped(http, SAFE)
-    changes: tuple[tuple[Callable[[], Any], Callable[[], Any]], ...] = (
-        (lambda: mode(http, "automatic"), lambda: mode(http, "manual")),
-        (lambda: mapped(http, SAFE.replace("ex:home", "ex:fold")), lambda: mapped(http, SAFE)),
-        (lambda: arm.withdraw("/arm/home"), lambda: None),
-    )
-    with ThreadPoolExecutor(1) as pool:
-        for change, undo in changes:
-            known = {"after": http.get("/resources/arm/").headers["etag"], "timeout": "50"}
-            waiting = pool.submit(http.get, "/resources/arm/", params=known)
-            change()
-            answer = waiting.result(40)
-            assert (answer.status_code, objects(answer, f"{EX}home")) == (200, set())
-            undo()
 
 
 def test_a_field_is_read_and_written_at_an_address_of_its_own(arm: MadeUp, serving: Serving) -> None:

@@ -19,7 +19,7 @@ from tests.server.robots.made_up import Counted, MadeUp, served
 
 pytestmark = pytest.mark.slow
 
-CLIENTS = 40
+CLIENTS = 24
 AV = "https://w3id.org/rosld/aircraft#"
 TURTLE, JSON = "text/turtle", "application/json"
 AIRCRAFT, ENGINE, POWER, SPEED = (

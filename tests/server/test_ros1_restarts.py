@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import re
 import signal
-import socket
 import threading
 import xmlrpc.server
 from collections.abc import Callable, Iterator
@@ -15,7 +12,7 @@ from typing import Any
 import httpx
 import pytest
 
-from rosld.adapters.ros1.master import Hosts, MasterApi, StaleRegistrations, own_name, pids
+from rosld.adapters.ros1.master import Hosts, MasterApi, StaleRegistrations
 from rosld.adapters.ros1.xmlrpc import XmlRpcClient
 from tests.adapters.ros1.system import RosSystem, free_port, running
 from tests.waiting import until
@@ -125,12 +122,3 @@ def test_registrations_of_our_own_name_are_removed_unless_they_are_ours(ros: Ros
     node = registered(ros, "/own", "/rosld_test_1", nobody)
     assert not asyncio.run(removed(ros, "/own", node, own_uri=nobody))
     assert asyncio.run(removed(ros, "/own", node))
-
-
-def test_our_names_are_told_from_those_of_others() -> None:
-    host = re.sub(r"\W", "_", socket.gethostname(), flags=re.ASCII)
-    assert own_name(0) == f"/rosld_{host}_{os.getpid()}"
-    assert os.getpid() in pids(own_name(0))
-    assert os.getpid() in pids(own_name(3))
-    assert pids("/rosld_robot_2_345") == {2, 345}
-    assert pids("/rosld_robot") == pids("/driver_1") == pids("/a/rosld_robot_1") == frozenset()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -16,36 +15,20 @@ from rosld.server.settings import Settings
 ROOT = Path(__file__).parent.parent.parent
 
 
-def test_every_setting_says_what_it_means_and_how_it_is_given() -> None:
-    help = CliRunner().invoke(main, ["serve", "--help"], terminal_width=200).output
-    for one in declared.declarations():
-        assert one.help.endswith("."), one.name
-        assert (one.option or one.name) in help
-
-
 def test_the_page_of_settings_is_up_to_date() -> None:
     written = (ROOT / "docs" / "reference" / "settings.md").read_text("utf-8")
     assert written == declared.describe(), "run: python -m rosld.server.settings > docs/reference/settings.md"
 
 
-def test_the_defaults_are_sound_and_cannot_be_changed() -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        Settings().port = 1  # type: ignore[misc]
-
-
 BAD_VALUES: tuple[tuple[dict[str, Any], str], ...] = (
     ({"port": -1}, "--port"),
     ({"port": 65536}, "--port"),
-    ({"max_publish_rate": 0.0}, "--max-publish-rate"),
     ({"max_publish_rate": float("nan")}, "--max-publish-rate"),
     ({"rate": float("inf")}, "--rate"),
     ({"body_limit": 0}, "body_limit"),
     ({"base_url": "ftp://robot/"}, "--base-url"),
     ({"base_url": "http://robot/?x"}, "--base-url"),
     ({"base_url": "http://u:p@robot/"}, "--base-url"),
-    ({"base_url": "http://robot:x/"}, "--base-url"),
-    ({"base_url": "http://röbot/"}, "--base-url"),
-    ({"base_url": "http:///"}, "--base-url"),
     ({"base_url": 'http://robot/">'}, "--base-url"),
     ({"base_url": "http://robot"}, "--base-url"),
     ({"cors_origins": ("app.example",)}, "--cors-origin"),
@@ -100,21 +83,11 @@ def test_a_server_beyond_loopback_is_read_only() -> None:
     assert declared.bound(given, 8080, base_given=True).read_only
 
 
-def test_the_adapter_gets_its_options() -> None:
-    found = Settings(types=(Path("/a"),), ros_ip="10.0.0.7", host_map=(("robot", "10.0.0.1"),), rate=2.0, once=True)
-    options = found.adapter_options
-    assert (options.types, options.ros_ip, options.host_map) == ((Path("/a"),), "10.0.0.7", {"robot": "10.0.0.1"})
-    assert (options.rate, options.once) == (2.0, True)
-
-
 def test_a_bad_profile_is_refused_before_anything_is_opened() -> None:
     for value, words in (
         ("/scan", "is not GLOB=PROFILE"),
         ("scan=reliable", "is not GLOB=PROFILE"),
-        ("=reliable", "is not GLOB=PROFILE"),
-        ("/scan=", "'' is not a policy"),
         ("/scan=fast", "'fast' is not a policy"),
-        ("/scan=depth:many", "'depth:many': the depth must be"),
     ):
         result = CliRunner().invoke(main, ["serve", "aircraft", "--qos", value], terminal_width=500)
         assert result.exit_code == 2

@@ -203,11 +203,3 @@ def test_a_message_that_is_no_cloud_is_refused_in_words(clouds: httpx.Client) ->
     ):
         answer = clouds.get(f"/topics/{path}", headers=OCTETS)
         assert (answer.status_code, words in answer.json()["detail"]) == (status, True), (path, answer.text)
-
-
-def test_a_view_of_space_draws_a_cloud_as_dots_and_says_what_is_wrong(clouds: httpx.Client) -> None:
-    told = clouds.get("/space", headers={"Accept": "application/json"}).json()["show"]
-    found = {each["topic"].rpartition("/")[2]: each for each in told}
-    assert (found["points"]["kind"], found["points"]["frame"]) == ("Point cloud", "lidar")
-    assert found["points"]["problem"] == ""
-    assert "0 bytes long" in found["odd"]["problem"]

@@ -70,19 +70,6 @@ def test_a_base_that_another_node_commands_or_set_going_and_left_is_told_zero_ag
     assert ros.publishers(TOPIC) == [], "what was advertised for the stop alone is withdrawn"
 
 
-def test_a_base_is_connected_before_the_stop_where_that_is_asked_for(
-    ros: RosSystem, base: Process, serve: Callable[..., Any]
-) -> None:
-    served = serve(ros.source, "--stop-ready")
-    until(lambda: any("rosld" in node for node in ros.publishers(TOPIC)), "rosld among the publishers")
-    assert speeds(base) == []
-    told = served.http.post("stop", headers=JSON).json()
-    assert [step["subscribers"] for step in told["steps"]] == [1]
-    until(lambda: len(speeds(base)) >= 15, "zero for a second")
-    assert release(served.http).status_code == 204
-    assert any("rosld" in node for node in ros.publishers(TOPIC)), "it stays ready"
-
-
 def test_a_subscriber_that_cannot_be_reached_holds_up_no_other_and_is_told_of(
     ros: RosSystem, base: Process, served: Any
 ) -> None:

@@ -14,10 +14,6 @@ from pyoxigraph import CanonicalizationAlgorithm, Dataset, Quad, RdfFormat, Trip
 from rdflib import RDF, Graph, Literal, URIRef
 from rdflib.namespace import SH, XSD
 
-from rosld.server.auth.permissions import ALLOW_ALL
-from rosld.server.auth.redaction import redact_thing_description
-from rosld.server.hypermedia.thing_description import thing_document
-
 pytestmark = pytest.mark.slow
 
 WOT = Path(__file__).parent / "hypermedia" / "wot"
@@ -105,13 +101,6 @@ def test_every_syntax_says_what_the_expanded_json_says(plane: httpx.Client, rove
             assert canonical(served(http, path, media_type)) == expected, (path, media_type)
 
 
-def test_a_description_that_asks_for_tokens_says_so_in_every_syntax(plane: httpx.Client) -> None:
-    url = f"{plane.base_url}.well-known/wot"
-    told = redact_thing_description(plane.get("/.well-known/wot", headers=THING).content, ALLOW_ALL)
-    document = thing_document(told, url)
-    assert canonical([*document.all_triples()]) == canonical(expand(json.loads(told), url))
-
-
 def test_the_shapes_of_w3c_find_nothing_wrong(plane: httpx.Client, rover: httpx.Client) -> None:
     for http, path in ((plane, AIRCRAFT[0]), (plane, AIRCRAFT[1]), (rover, "/resources/camera/")):
         assert violations(served(http, path, "text/turtle")) == "", path
@@ -120,9 +109,3 @@ def test_the_shapes_of_w3c_find_nothing_wrong(plane: httpx.Client, rover: httpx.
 def test_the_shapes_of_w3c_find_what_is_missing(plane: httpx.Client) -> None:
     found = served(plane, AIRCRAFT[0], "text/turtle")
     assert violations([each for each in found if each.predicate.value != TD + "title"]) != ""
-
-
-def test_json_is_the_default(plane: httpx.Client) -> None:
-    for accept in ("*/*", "application/td+json, text/turtle;q=0.5", "text/html, */*;q=0.1"):
-        answer = plane.get("/.well-known/wot", headers={"Accept": accept})
-        assert answer.headers["content-type"] == "application/td+json"

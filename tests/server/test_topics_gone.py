@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections.abc import Iterator
@@ -70,14 +69,6 @@ def test_once_a_node_has_it_again_it_is_read_as_a_new_one(robot: MadeUp) -> None
         assert http.get(TOPIC, headers={"Accept": "application/json"}).json() is None
         robot.publishes(NAME, {"data": "anew"})
         assert http.get(TOPIC, headers={"Accept": "application/json"}).json() == {"data": "anew"}
-
-
-def test_its_stream_ends_with_an_event(robot: MadeUp) -> None:
-    with served(robot) as http, http.stream("GET", TOPIC, headers={"Accept": "text/event-stream"}) as stream:
-        lines = stream.iter_lines()
-        assert json.loads(next(line for line in lines if line.startswith("data: ")).removeprefix("data: ")) is not None
-        robot.forget(NAME)
-        assert next(line for line in lines if line.startswith("event: ")) == "event: gone"
 
 
 def test_the_first_read_of_a_field_waits_for_a_message(robot: MadeUp) -> None:

@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-
-import pytest
-import uvloop
 
 from rosld.server.middleware.limits import RequestScheduler
-from rosld.server.runtime.tasks import loop_time
 
 
 def test_no_turn_begins_more_than_it_may_and_everybody_has_one_in_order() -> None:
@@ -41,17 +36,3 @@ def test_who_has_gone_takes_no_turn() -> None:
         return gone.cancelled()
 
     assert asyncio.run(run())
-
-
-@pytest.mark.parametrize("make", [asyncio.new_event_loop, uvloop.new_event_loop])
-def test_a_loop_tells_its_time_by_the_clock_that_deadlines_are_told_by(
-    make: Callable[[], asyncio.AbstractEventLoop],
-) -> None:
-    async def difference() -> float:
-        return min(abs(asyncio.get_running_loop().time() - loop_time()) for _ in range(100))
-
-    loop = make()
-    try:
-        assert loop.run_until_complete(difference()) < 0.01
-    finally:
-        loop.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -231,24 +230,3 @@ def test_one_stream_more_than_an_address_may_have_is_429_until_another_ends(serv
         assert http.get(SPEED).status_code == 200
         assert http.post("/stop").status_code == 200
     until(lambda: waiting() != 429, "room")
-
-
-@pytest.mark.slow
-def test_fifty_clients_that_wait_for_one_value_are_all_answered(robot: MadeUp, serving: Serving) -> None:
-    robot.topic("/level", "std_msgs/msg/Float64", {"data": 0.0})
-    http = serving()
-    http.get("/topics/level")
-    answers: list[float] = []
-
-    def one(least: int) -> None:
-        with httpx.Client(base_url=http.base_url) as own:
-            answers.append(wait(own, "/topics/level", f"data >= {least}").json()["data"])
-
-    threads = [threading.Thread(target=one, args=(number % 5 + 1,)) for number in range(50)]
-    for thread in threads:
-        thread.start()
-    for number in range(1, 6):
-        robot.publishes("/level", {"data": float(number)})
-    for thread in threads:
-        thread.join(120)
-    assert len(answers) == 50

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
 import rosld
-from rosld.server.runtime.watchdog import Pause, StackFrame, describe_pause, running_code
+from rosld.server.runtime.watchdog import StackFrame, running_code
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
 
-ROS = "https://w3id.org/rosld#"
 PAUSE_SECONDS = 0.3
 
 
@@ -55,13 +53,6 @@ def test_the_longest_pause_of_the_loop_is_told_at_status_with_the_code_that_ran(
         until(lambda: any(paused in each and told["longestWorkCode"] in each for each in caplog.messages), "a line")
 
 
-def test_a_pause_is_a_line_in_the_log_and_a_long_one_has_its_stack() -> None:
-    for seconds, lines in ((0.2, 1), (2.0, 3)):
-        said = describe_pause(Pause(seconds, 0.1, 0, "rosld.server.app.create_app", "first\nsecond"))
-        assert "0.10 s of them at work, in rosld.server.app.create_app" in said
-        assert len(said.splitlines()) == lines
-
-
 def test_a_loop_that_waits_runs_no_code_though_rosld_started_it() -> None:
     here = str(Path(rosld.__file__).parent / "server" / "somewhere.py")
     call, loop, start = (
@@ -73,18 +64,3 @@ def test_a_loop_that_waits_runs_no_code_though_rosld_started_it() -> None:
     assert running_code([StackFrame("/usr/lib/python3/json/decoder.py", "7", "decode"), call, loop, start]) == (
         "rosld.server.somewhere.answer"
     )
-
-
-def test_the_status_is_linked_from_the_entry_and_told_in_rdf_and_html() -> None:
-    with served(MadeUp()) as http:
-        url = str(http.base_url) + "status"
-        entry = parse(http.get("", headers={"Accept": "application/n-triples"}).content, RdfFormat.N_TRIPLES)
-        assert [each.object for each in entry if each.predicate == NamedNode(f"{ROS}hasServerStatus")] == [
-            NamedNode(url)
-        ]
-        told = parse(http.get("status", headers={"Accept": "text/turtle"}).content, RdfFormat.TURTLE, base_iri=url)
-        said = {each.predicate.value: each.object for each in told}
-        assert isinstance(said[f"{ROS}longestPause"], Literal)
-        assert f"{ROS}longestPauseEnd" in said
-        assert "longest pause" in http.get("status", headers={"Accept": "text/html"}).text.lower()
-        assert "/status" in http.get("openapi.json").json()["paths"]

@@ -1,4 +1,4 @@
-"""A week of service in seconds: a restart, new tokens, a new certificate and a jump of the clock on each day.
+"""Days of service in seconds: a restart, new tokens, a new certificate and a jump of the clock on each day.
 
 Robots that go away are in `tests/adapters/ros1/test_survival.py`, full disks in `tests/server/disks`.
 """
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 
 SPEED = "/topics/aircraft/engine/speed"
 ALL = '[[rule]]\nagents = ["anna"]\nmodes = ["read", "write", "control", "administer"]\npaths = ["/**"]\n'
-JUMPS = (0, 3600, -3600, 86400, -86400, 30 * 86400, -365 * 86400)
+JUMPS = (3600, 30 * 86400, -365 * 86400)
 """Seconds by which the clock of the computer is wrong, for each day."""
 
 
@@ -38,7 +38,7 @@ def new_token(auth: Path) -> str:
     return result.stdout.strip()
 
 
-def test_a_week_of_restarts_rotations_and_wrong_clocks_loses_no_write_and_needs_nobody(
+def test_days_of_restarts_rotations_and_wrong_clocks_lose_no_write_and_need_nobody(
     serve: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(http_server, "CERTIFICATE_SECONDS", 0.05)

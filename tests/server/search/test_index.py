@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -81,22 +80,6 @@ def test_names_come_before_words_before_what_means_the_same_before_texts() -> No
     ]
 
 
-def test_fields_types_and_whole_names_are_found() -> None:
-    entries = (entry("/power", "sensor_msgs/msg/BatteryState"), entry("/odom", "nav_msgs/msg/Odometry"))
-    expected = {
-        "percentage": ("/power", "field", "percentage"),
-        "volt": ("/power", "field", "voltage"),
-        "power cell": ("/power", "field", "cell_voltage"),
-        "position": ("/odom", "field", "pose.pose.position"),
-        "Odometry": ("/odom", "type", None),
-        "nav_msgs/msg/Odometry": ("/odom", "type", None),
-        "sensor_msgs": ("/power", "type", None),
-        "/odom": ("/odom", "name", None),
-        "POWER": ("/power", "name", None),
-    }
-    assert {query: found(query, *entries) for query in expected} == {query: [hit] for query, hit in expected.items()}
-
-
 def test_of_equal_names_what_can_be_done_comes_first_and_the_shortest_name() -> None:
     entries = (
         entry("/a/b/dock"),
@@ -108,28 +91,3 @@ def test_of_equal_names_what_can_be_done_comes_first_and_the_shortest_name() -> 
     assert [(hit.entry.kind.value, hit.entry.name) for hit in hits] == [
         ("action", "/dock"), ("topic", "/dock"), ("topic", "/a/b/dock"), ("node", "/dock"),
     ]  # fmt: skip
-
-
-def test_of_many_the_best_are_returned_and_all_that_may_be_read_are_counted() -> None:
-    index = SearchIndex(Catalog([entry(f"/gain_{number}") for number in range(50)]))
-    hits, total, *_ = index.find(read_query("gain"), 3, lambda url: not url.endswith("_1"))
-    assert ([hit.entry.name for hit in hits], total) == (["/gain_0", "/gain_2", "/gain_3"], 49)
-
-
-def test_a_query_is_bounded() -> None:
-    for query in ("x" * 201, " ".join("bcdefghjk")):
-        with pytest.raises(ValueError, match="limit is"):
-            read_query(query)
-
-
-def test_names_are_split_into_words() -> None:
-    words = {
-        "/camera/image_raw": ("camera", "image", "raw"),
-        "sensor_msgs/msg/BatteryState": ("sensor", "msgs", "msg", "battery", "state"),
-        "IMUData2": ("imu", "data", "2"),
-        "imageRAW": ("image", "raw"),
-        "MyÄrger": ("my", "ärger"),
-        "Größe der Batterie": ("grösse", "der", "batterie"),
-        "": (),
-    }
-    assert {text: words_of(text) for text in words} == words

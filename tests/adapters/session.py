@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager
 from typing import Any
 
 from rosld.adapters.base import Adapter, Published, Subscription
@@ -86,3 +87,14 @@ class Session:
         schema = await self.adapter.schema(sample.schema, deadline=self.deadline())
         assert isinstance(schema, MessageSchema)
         return schema.codec.decode(sample.data, sample.encoding)
+
+
+@asynccontextmanager
+async def opened_on(adapter: Adapter, *, seconds: float = 10.0, kind: type[Session] = Session) -> AsyncIterator[Any]:
+    """Open an adapter within a time, and close it at the end."""
+    told = Told()
+    await adapter.open(told, deadline=asyncio.get_running_loop().time() + seconds)
+    try:
+        yield kind(adapter, told)
+    finally:
+        await adapter.close()

@@ -26,7 +26,7 @@ from rosld.adapters.rover import rover_adapter
 from rosld.server.cli.main import main
 from tests.adapters.ros1.system import free_port
 from tests.adapters.rosbridge.bridge import Bridge
-from tests.adapters.session import Told
+from tests.adapters.session import opened_on
 
 BASIC = "Basic " + base64.b64encode(b"ada:p@ss").decode()
 SCHEMES = ("rosbridge", "foxglove")
@@ -65,12 +65,8 @@ def authority(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ssl.SSLCo
 
 async def graph_of(source: str) -> Any:
     """Return the graph of a source as soon as it was opened."""
-    found = adapter_for(source, AdapterOptions())
-    try:
-        await found.open(Told(), deadline=asyncio.get_running_loop().time() + 10)
-        return found.graph
-    finally:
-        await found.close()
+    async with opened_on(adapter_for(source, AdapterOptions())) as session:
+        return session.graph
 
 
 async def test_a_bridge_is_reached_over_tls_if_its_authority_is_trusted(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rosld.adapters.model import ActionSchema, Encoding, MessageSchema, ServiceSchema, TypeRef, UnknownType
+from rosld.adapters.model import ActionSchema, MessageSchema, ServiceSchema, TypeRef, UnknownType
 from rosld.adapters.model.library import SHIPPED, TypeLibrary
 
 NAMES = sorted(f"{path.parts[-3]}/{path.parts[-2]}/{path.stem}" for path in SHIPPED.glob("*/*/*"))
@@ -112,17 +112,6 @@ def test_what_is_derived_is_a_message_or_a_service(library: TypeLibrary) -> None
     for name in ("odd/action/Walk_FeedbackMessage", "odd/srv/Ask_Event", "odd/action/Walk_SendGoal"):
         with pytest.raises(UnknownType, match=r"needs odd/(action/Walk|srv/Ask)_"):
             library.find(TypeRef(name))
-
-
-def test_a_part_of_an_action_has_its_own_name_where_it_is_nested(library: TypeLibrary) -> None:
-    schema = library.find(TypeRef(f"{FLY}_FeedbackMessage"))
-    assert isinstance(schema, MessageSchema)
-    assert set(schema.types) == {schema.ref.name, f"{FLY}_Feedback", "unique_identifier_msgs/msg/UUID"}
-    assert f"MSG: {FLY}_Feedback\n" in schema.definition
-    data = b"\0\1\0\0" + bytes(range(16)) + b"\0\0\0\0\0\0\x12\x40"
-    message = schema.codec.decode(data, Encoding.CDR)
-    assert (bytes(message.goal_id.uuid), message.feedback.flown) == (bytes(range(16)), 4.5)  # type: ignore[attr-defined]
-    assert schema.codec.encode(message, Encoding.CDR) == data
 
 
 def test_ros_1_derives_nothing(tmp_path: Path) -> None:

@@ -42,12 +42,6 @@ def test_what_only_concerns_one_side_or_is_not_known_is_no_mismatch() -> None:
         assert mismatches([Endpoint("/p", qos=offered)], [Endpoint("/s", qos=requested)]) == ()
 
 
-def test_of_several_policies_that_do_not_fit_the_first_is_told() -> None:
-    offered, requested = Qos("best_effort", "volatile"), Qos("reliable", "transient_local", deadline_ns=SECOND)
-    [found] = mismatches([Endpoint("/p", qos=offered)], [Endpoint("/s", qos=requested)])
-    assert found.policy == "reliability"
-
-
 def test_every_pair_that_does_not_fit_is_found_and_no_other() -> None:
     weak, strong = Qos("best_effort"), Qos("reliable")
     publishers = [Endpoint("/p1", qos=weak), Endpoint("/p2", qos=strong), Endpoint("/p3"), Endpoint("/p4", qos=weak)]
@@ -80,21 +74,14 @@ def test_a_profile_says_what_its_words_say_and_a_word_that_is_no_policy_is_named
         ("", "'' is not a policy; choose from best_effort, reliable"),
         ("reliable,", "'' is not a policy"),
         ("besteffort", "'besteffort' is not a policy"),
-        ("Reliable", "'Reliable' is not a policy"),
         ("reliable:1", "'reliable:1' is not a policy"),
         ("reliable,best_effort", "'best_effort' sets the reliability twice"),
-        ("lease:1,lease:1", "'lease:1' sets the lease twice"),
         ("depth:0", "'depth:0': the depth must be an integer from 1 to 100000"),
-        ("depth:-1", "the depth must be"),
-        ("depth:1.5", "the depth must be"),
         ("depth:\u0665", "the depth must be"),
         ("depth:" + "9" * 5000, "the depth must be"),
         ("deadline:nan", "'deadline:nan': a deadline is a number of seconds"),
-        ("deadline:inf", "a deadline is"),
         ("lease:0", "a lease is"),
-        ("lifespan:soon", "a lifespan is"),
         ("lifespan:1_0", "a lifespan is"),
-        ("history", "'history' is not a policy"),
     ):
         with pytest.raises(ValueError, match=re.escape(words)):
             read_profile(text)

@@ -6,12 +6,11 @@ import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
-import tests.agents.node
+from tests.agents.node import node, require_node
 from tests.server.conftest import start_server
 from tests.waiting import until
 
@@ -69,18 +68,12 @@ def aircraft(served_aircraft: Aircraft) -> Aircraft:
 
 
 @pytest.fixture(scope="session")
-def node() -> ModuleType:
-    """Node.js, if it is installed."""
-    tests.agents.node.require_node()
-    return tests.agents.node
-
-
-@pytest.fixture(scope="session")
-def run_node(node: ModuleType) -> Callable[..., tuple[int, list[Any]]]:
+def run_node() -> Callable[..., tuple[int, list[Any]]]:
     """Return a function that runs a script of this folder on Node: its exit code and the JSON lines that it printed."""
+    require_node()
 
     def run(script: str, *arguments: str) -> tuple[int, list[Any]]:
-        command = node.node(HERE / script, *arguments)
+        command = node(HERE / script, *arguments)
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
         lines = [json.loads(line) for line in done.stdout.splitlines()]
         assert done.returncode == 0 or lines, done.stderr

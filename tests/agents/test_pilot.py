@@ -6,8 +6,6 @@ from typing import Any
 
 import httpx
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.agents import pilot
 from tests.agents.conftest import Aircraft
@@ -77,58 +75,3 @@ def test_a_pilot_who_comes_second_looks_again(aircraft: Aircraft) -> None:
     assert meddler.done
     assert log.writes[0] == ("POST", "start", 409)
     assert log.writes[1:] == [("PUT", "speed", 204), ("PUT", "speed", 204), ("POST", "stop", 200)]
-
-
-def test_an_engine_that_is_gone_is_started_again(aircraft: Aircraft) -> None:
-    meddler = Meddler("GET", "/engine/", lambda: aircraft.call("stop"))
-    log = fly(aircraft, meddler.client(), cruise=30.0, pause=0.05)
-    assert meddler.done
-    assert [write[:2] for write in log.writes].count(("POST", "start")) == 2
-    assert log[-1] == "landed"
-
-
-def test_an_order_that_somebody_overrules_is_given_again(aircraft: Aircraft) -> None:
-    aircraft.place("on", 40.0)
-    orders: list[httpx.Request] = []
-
-    def overrule(answer: httpx.Response) -> None:
-        if answer.request.method == "PUT":
-            orders.append(answer.request)
-            if len(orders) == 1:
-                aircraft.call("engine/set_speed", data=0.0)
-
-    http = httpx.Client(timeout=15, event_hooks={"response": [overrule]})
-    log = fly(aircraft, http, cruise=70.0, pause=0.05)
-    assert len(orders) >= 3  # it begins, is overruled, begins again, and ends
-    assert log[-1] == "landed"
-
-
-FORM = pilot.Form("POST", "http://robot/somewhere", "text/turtle")
-CONTROL = pilot.Control(FORM, pilot.demanded(pilot.Graph(), None))  # type: ignore[arg-type]
-SPEEDS = st.none() | st.sampled_from([0.0, 250.0, 500.0]) | st.floats(0, 1000)
-
-
-@given(
-    st.builds(pilot.Flight, st.just(500.0), st.booleans(), SPEEDS, SPEEDS),
-    st.builds(
-        pilot.Seen,
-        st.sampled_from([None, "on", "off"]),
-        SPEEDS,
-        *[st.sampled_from([None, FORM])] * 2,
-        st.sampled_from([None, CONTROL]),
-    ),
-)
-def test_only_what_is_offered_is_done(flight: pilot.Flight, seen: pilot.Seen) -> None:
-    flight = pilot.noted(flight, seen)
-    step = pilot.decide(flight, seen)
-    match step:
-        case pilot.Invoke():
-            assert step.form in (seen.stop if flight.cruised else seen.start,)
-        case pilot.Order():
-            assert step.control is seen.throttle
-            assert step.speed == flight.wanted != seen.speed
-        case pilot.Landed():
-            assert flight.cruised
-            assert seen.power == "off"
-        case _:
-            assert step == pilot.Look()

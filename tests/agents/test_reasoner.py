@@ -37,9 +37,3 @@ def test_rules_fly_the_aircraft(aircraft: Any, run_node: Callable[..., Any]) -> 
     assert steps(lines) == flown
     assert {line.get("status", 200) for line in lines} <= {200, 204}
     assert (aircraft.power, aircraft.speed) == ("off", 0.0)
-
-
-def test_no_request_follows_for_what_the_shape_forbids(aircraft: Any, run_node: Callable[..., Any]) -> None:
-    code, lines = run_node("reasoner.mjs", aircraft.url, str(RULES), cruise(1500), "3")
-    assert code == 1
-    assert steps(lines) == [("start", "")]

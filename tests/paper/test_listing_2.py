@@ -63,65 +63,46 @@ def listed(triples: Any, node: Any) -> list[str]:
     return items
 
 
-def test_power_joins_its_getter_and_its_setter(flight: Flight) -> None:
-    assert flight.said(POWER, ros.readsFrom) == {"/services/aircraft/get_power"}
-    assert flight.said(POWER, ros.writesTo) == {"/services/aircraft/set_power"}
-    assert flight.allowed(POWER) == {"GET", "PUT", "PATCH"}
-    flight.off()
-    for word in ("on", "off"):
-        written(flight.put(POWER, word))
-        assert flight.ask("/aircraft/get_power") == flight.json(POWER) == word
-        assert flight.said(POWER, rdf.value) == {word}
+JOINED: dict[str, tuple[str, str, tuple[Any, ...]]] = {
+    POWER: ("/services/aircraft/get_power", "/services/aircraft/set_power", ("off", "on")),
+    SPEED: ("/topics/aircraft/engine/speed", "/services/aircraft/engine/set_speed", (0.0, 1000.0, 10.0)),
+    DIRECTION: ("/services/aircraft/engine/get_direction", "/services/aircraft/engine/set_direction", (0.0, 123.25)),
+}
+"""What each resource reads from and writes to, and values of the whole range."""
+JUDGED: dict[str, tuple[dict[str, set[str]], object, tuple[object, ...]]] = {
+    POWER: ({"in": {"on", "off"}}, "on", ("maybe", "ON", "")),
+    SPEED: ({"minInclusive": {"0"}, "maxInclusive": {"1000"}}, 0.0, (-0.5, 1000.5, 5000, "NaN")),
+    DIRECTION: ({"minInclusive": {"0"}, "maxInclusive": {"360"}}, 45.0, (-0.5, 360.5)),
+}
+"""The constraints of each resource, a value, and values that it does not take."""
 
 
-def test_power_takes_nothing_but_on_and_off_and_its_shape_says_so(flight: Flight) -> None:
-    flight.off()
-    assert shape(flight, POWER)["in"] == {"on", "off"}
-    for value in ("maybe", "ON", ""):
-        refused(flight, POWER, value)
-    for value in (1, True, ["on"], {"data": "maybe"}, {"power": "on"}):
-        assert flight.put(POWER, value).status_code == 422
-    assert flight.ask("/aircraft/get_power") == "off"
-
-
-def test_speed_joins_its_topic_and_its_setter(flight: Flight) -> None:
+def test_a_getter_or_topic_and_a_setter_are_one_resource(flight: Flight) -> None:
     flight.standing()
-    assert flight.said(SPEED, ros.readsFrom) == {"/topics/aircraft/engine/speed"}
-    assert "/services/aircraft/engine/set_speed" in flight.said(SPEED, ros.writesTo)
-    for value in (0, 1000, 10):
-        written(flight.put(SPEED, value))
-    until(lambda: flight.json(SPEED) == 10.0, "the speed")
+    for url, (reads, writes, values) in JOINED.items():
+        assert flight.said(url, ros.readsFrom) == {reads}
+        assert writes in flight.said(url, ros.writesTo)
+        assert flight.allowed(url) == {"GET", "PUT", "PATCH"}
+        for value in values:
+            written(flight.put(url, value))
+        until(lambda url=url, value=values[-1]: flight.json(url) == value, url)
+        (shown,) = flight.said(url, rdf.value)
+        assert type(values[-1])(shown) == values[-1]
+    assert (flight.ask("/aircraft/get_power"), flight.ask("/aircraft/engine/get_direction")) == ("on", 123.25)
     assert flight.robot_speed() == 10.0
-    assert {float(value) for value in flight.said(SPEED, rdf.value)} == {10.0}
 
 
-def test_speed_takes_nothing_beyond_0_to_1000_and_its_shape_says_so(flight: Flight) -> None:
-    flight.flying()
-    found = shape(flight, SPEED)
-    assert (found["minInclusive"], found["maxInclusive"]) == ({"0"}, {"1000"})
-    for value in (-0.5, 1000.5, 5000, "NaN"):
-        refused(flight, SPEED, value)
-    assert flight.robot_speed() == 20.0
-
-
-def test_direction_joins_its_getter_and_its_setter(flight: Flight) -> None:
-    flight.standing()
-    assert flight.said(DIRECTION, ros.readsFrom) == {"/services/aircraft/engine/get_direction"}
-    assert flight.said(DIRECTION, ros.writesTo) == {"/services/aircraft/engine/set_direction"}
-    for value in (0, 360, 123.25):
-        written(flight.put(DIRECTION, value))
-        assert flight.json(DIRECTION) == flight.ask("/aircraft/engine/get_direction") == value
-    assert {float(value) for value in flight.said(DIRECTION, rdf.value)} == {123.25}
-
-
-def test_direction_takes_nothing_beyond_0_to_360_and_its_shape_says_so(flight: Flight) -> None:
+def test_a_resource_takes_nothing_beyond_its_range_and_its_shape_says_so(flight: Flight) -> None:
     flight.standing()
     written(flight.put(DIRECTION, 45))
-    found = shape(flight, DIRECTION)
-    assert (found["minInclusive"], found["maxInclusive"]) == ({"0"}, {"360"})
-    for value in (-0.5, 360.5):
-        refused(flight, DIRECTION, value)
-    assert flight.ask("/aircraft/engine/get_direction") == 45.0
+    for url, (constraints, value, others) in JUDGED.items():
+        found = shape(flight, url)
+        assert {name: found.get(name) for name in constraints} == constraints
+        for other in others:
+            refused(flight, url, other)
+        assert flight.json(url) == value
+    for other in (1, True, ["on"], {"data": "maybe"}, {"power": "on"}):
+        assert flight.put(POWER, other).status_code == 422
 
 
 def test_a_value_is_put_in_rdf_and_patched_with_sparql(flight: Flight) -> None:

@@ -7,7 +7,6 @@ from pyoxigraph import BlankNode, CanonicalizationAlgorithm, Dataset, Literal, N
 from rosld.ontology.vocab import ldp, rdf, ros, xsd
 from tests.paper.conftest import SERVICES, Flight
 from tests.server.robots.asking import SYNTAXES
-from tests.waiting import until
 
 SPEED, DISPLAY, POWER = "/topics/aircraft/engine/speed", "/topics/cockpit/display", "/resources/aircraft/power"
 FLOAT64 = "https://w3id.org/rosld/types/std_msgs/msg/Float64"
@@ -40,11 +39,6 @@ def test_distributed_application_the_entry_is_the_network_of_nodes_and_leads_to_
     assert rooms >= {"/nodes/", "/topics/", "/services/", "/parameters/", "/resources/"}
 
 
-def test_resource_a_topic_and_the_subscribers_of_it_share_one_url(flight: Flight) -> None:
-    assert flight.said(DISPLAY, ros.subscribedBy) >= {"/nodes/cockpit"}
-    assert flight.allowed(DISPLAY) >= {"GET", "PUT"}
-
-
 def test_representation_one_state_has_the_same_triples_in_every_syntax_of_rdf(flight: Flight) -> None:
     flight.off()
     expected = canonical(flight.triples(POWER))
@@ -54,20 +48,15 @@ def test_representation_one_state_has_the_same_triples_in_every_syntax_of_rdf(fl
         assert canonical(flight.triples(answer)) == expected, syntax
 
 
-def test_representation_json_is_the_message_or_the_tree_of_parameters(flight: Flight) -> None:
+def test_representation_json_is_the_message_or_the_tree_of_parameters_and_people_get_a_page(flight: Flight) -> None:
     flight.off()
+    assert "power" in flight.get(POWER, "text/html").text
     assert flight.json(SPEED) == {"data": 0.0}
     assert flight.json("/parameters/aircraft/") == {
         "registration": "RO-SLD",
         "seats": 2,
         "engine": {"cylinders": 6, "limits": {"oil_pressure": 4.5, "temperature": 230.0}},
     }
-
-
-def test_representation_people_get_a_page(flight: Flight) -> None:
-    page = flight.get(POWER, "text/html")
-    assert page.headers["content-type"].startswith("text/html")
-    assert "power" in page.text
 
 
 def test_data_model_the_message_format_is_a_class_with_a_property_a_field(flight: Flight) -> None:
@@ -107,13 +96,6 @@ def test_identifier_a_name_makes_a_url_and_its_namespaces_are_the_containers_abo
 def test_identifier_nothing_that_is_told_of_is_without_a_url(flight: Flight) -> None:
     for path in ("/", "/nodes/aircraft", SPEED, "/services/aircraft/start", "/parameters/aircraft/seats"):
         assert not [one for one in flight.triples(path) if isinstance(one.subject, BlankNode)]
-
-
-def test_transport_what_http_carries_came_from_the_robot_and_goes_to_it(flight: Flight) -> None:
-    flight.standing()
-    assert flight.post("/services/aircraft/engine/set_speed", {"data": 10.0}).status_code == 201
-    until(lambda: flight.json(SPEED) == {"data": 10.0}, "the speed")
-    assert flight.put(DISPLAY, {"data": "over HTTP"}).status_code == 204, "the cockpit heard it"
 
 
 def test_interaction_the_verbs_of_a_resource_are_what_ros_can_do_with_it(flight: Flight) -> None:

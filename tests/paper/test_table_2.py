@@ -65,15 +65,6 @@ def test_http_patch_updates_a_part_and_leaves_the_rest(flight: Flight) -> None:
 # Service: -, get*, set*, -
 
 
-def test_service_is_read_by_its_getter_and_updated_by_its_setter(flight: Flight) -> None:
-    flight.standing()
-    assert flight.said(POWER, ros.readsFrom) == {"/services/aircraft/get_power"}
-    assert flight.json(POWER) == flight.ask("/aircraft/get_power") == "on"
-    assert flight.said(DIRECTION, ros.writesTo) == {"/services/aircraft/engine/set_direction"}
-    assert flight.put(DIRECTION, 90).status_code == 204
-    assert flight.ask("/aircraft/engine/get_direction") == 90
-
-
 def test_service_cannot_be_created(flight: Flight) -> None:
     for path in ("/services/aircraft/land", "/resources/aircraft/land"):
         for method in ("PUT", "PATCH"):

@@ -18,8 +18,8 @@ from rosbags.highlevel import AnyReader
 from rosld.adapters.rover.graph import CMD_VEL, LATCHED, NAVIGATE_TO, PERIODIC, SET_LIGHTS
 from tests.adapters.ros1 import system as ros1
 from tests.rover.rovers import STANDSTILL, Rover, running
+from tests.rover.test_questions import check_questions
 from tests.server.history.mcap_files import decode, read
-from tests.server.sparql.laws import LAWS, Asked, keep
 from tests.stopping import release
 from tests.waiting import until
 
@@ -41,7 +41,7 @@ def rover(
     folder = tmp_path_factory.mktemp(request.param)
     history = [word for topic in TOPICS for word in ("--history", topic)]
     options = ("--data", str(folder / "data"), "--stop-cancels", "others", *history)
-    with running(request.param, start_server, folder / "ros", "", *options) as found:
+    with running(request.param, start_server, folder / "ros", "battery=0.4", *options) as found:
         if request.param == "rospy":
             found.system.node("tf_node.py", GRIPPER, "static")
         else:
@@ -53,11 +53,6 @@ def rover(
 def test_every_topic_that_it_publishes_has_a_message(rover: Rover) -> None:
     for topic in (*PERIODIC, *LATCHED):
         assert rover.hear(topic)
-
-
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
-def test_queries_keep_the_laws_of_sparql(rover: Rover, law: Callable[[Asked], None]) -> None:
-    keep(rover.http, law, turns=5)
 
 
 def test_it_is_driven_and_stands_when_its_hold_lapses_or_is_stopped(rover: Rover) -> None:
@@ -120,6 +115,10 @@ def test_parameters_and_services_take_effect(rover: Rover) -> None:
     for on in (True, False):
         assert rover.http.post(f"/services{SET_LIGHTS}", json={"data": on}).status_code == 201
         until(lambda wanted=on: rover.hear("/lights") == {"data": wanted}, "the lights")
+
+
+def test_what_people_ask_in_words_or_in_public_terms_is_found(rover: Rover) -> None:
+    check_questions(rover)
 
 
 def messages(rover: Rover, bag: str, topic: str) -> list[Any]:

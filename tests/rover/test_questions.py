@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import httpx
 import pytest
@@ -15,8 +18,8 @@ from rosld.adapters.model import Encoding, MessageSchema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.lower import lowerer
 from rosld.server.resources.find import MAX_BYTES
-from tests.rover.competency import ask, questions, unanswered
-from tests.rover.rovers import STANDSTILL, running
+from tests.rover.conftest import StartRover
+from tests.rover.rovers import STANDSTILL, Rover
 from tests.waiting import until
 
 pytestmark = pytest.mark.slow
@@ -108,7 +111,41 @@ MEASURED: dict[str, tuple[str, dict[str, object]]] = {
 }
 """Types and values of recorded topics."""
 OF_WRITES_FAULTS_AND_THE_BODY = frozenset({5, 7, 14, 16, 17, 18})
+DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "questions.md"
+_EXAMPLE = re.compile(r"^\*\*(\d+)\. (.*?)\*\*(.*?)\n\n```sparql\n(.*?)```", re.MULTILINE | re.DOTALL)
+_OF_ROS = ("ros:", "w3id.org/rosld")
 JSON = {"Accept": "application/json"}
+
+
+class Question(NamedTuple):
+    """A question: its number, its words, whether it claims to use public terms alone, and its query."""
+
+    number: int
+    words: str
+    is_public: bool
+    query: str
+
+    @property
+    def uses_public_terms(self) -> bool:
+        return not any(term in self.query for term in _OF_ROS)
+
+
+def questions() -> list[Question]:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    return [Question(int(n), words, "public terms" in note, query) for n, words, note, query in _EXAMPLE.findall(text)]
+
+
+def ask(http: httpx.Client, query: str) -> list[dict[str, str]]:
+    """Return the rows of a SELECT."""
+    answer = http.post("/sparql", data={"query": query}, headers={"Accept": "text/csv"})
+    assert answer.status_code == 200, answer.text
+    return list(csv.DictReader(io.StringIO(answer.text)))
+
+
+def unanswered(http: httpx.Client, without: frozenset[int] = frozenset()) -> dict[str, str]:
+    """Return the questions without an answer, except those `without` one on this robot."""
+    asked = (one for one in questions() if one.number not in without)
+    return {f"{one.number}. {one.words}": one.query for one in asked if not ask(http, one.query)}
 
 
 def results(http: httpx.Client, question: str) -> list[str]:
@@ -125,18 +162,19 @@ def missed(http: httpx.Client, expected: Mapping[str, str]) -> dict[str, list[st
     return {question: paths for question, paths in found.items() if expected[question] not in paths}
 
 
-@pytest.mark.parametrize("kind", ["embedded", "rospy", pytest.param("kilted", marks=pytest.mark.ros2)])
-def test_what_people_ask_of_a_rover_in_words_or_in_public_terms_is_found(
-    kind: str, serve: Callable[..., Any], tmp_path: Path
-) -> None:
-    with running(kind, serve, tmp_path, "battery=0.4", "--history", "/odom") as rover:
-        assert missed(rover.http, OF_A_ROVER | HELD_OUT_OF_A_ROVER) == {}
-        until(lambda: ask(rover.http, "SELECT ?m { <topics/odom> ros:past ?m } LIMIT 1"), "a recorded place")
-        assert rover.http.put("/parameters/rover/low_battery", json=0.5).status_code == 204
-        warning = "SELECT ?fault { ?fault a ros:Fault ; ros:severity 'warning' }"
-        until(lambda: ask(rover.http, warning), "the fault of the battery")
-        assert rover.http.put("/topics/cmd_vel", json=STANDSTILL).status_code == 204
-        assert unanswered(rover.http) == {}
+def check_questions(rover: Rover) -> None:
+    """Check the results of all questions to a rover with 40 % of its battery, which records its odometry."""
+    assert missed(rover.http, OF_A_ROVER | HELD_OUT_OF_A_ROVER) == {}
+    until(lambda: ask(rover.http, "SELECT ?m { <topics/odom> ros:past ?m } LIMIT 1"), "a recorded place")
+    assert rover.http.put("/parameters/rover/low_battery", json=0.5).status_code == 204
+    warning = "SELECT ?fault { ?fault a ros:Fault ; ros:severity 'warning' }"
+    until(lambda: ask(rover.http, warning), "the fault of the battery")
+    assert rover.http.put("/topics/cmd_vel", json=STANDSTILL).status_code == 204
+    assert unanswered(rover.http) == {}
+
+
+def test_what_people_ask_of_a_rover_in_words_or_in_public_terms_is_found(start_rover: StartRover) -> None:
+    check_questions(start_rover("battery=0.4", "--history", "/odom"))
 
 
 def recorded(folder: Path) -> Path:

@@ -13,14 +13,6 @@ speeds = st.floats(0, 1000)
 moments = st.integers(0, 3600 * SECOND)
 
 
-def test_speed_changes_by_a_hundred_a_second_and_reaches_the_commanded_one_exactly() -> None:
-    flight = set_speed(start(Flight(), 0), 250.0, 0)
-    assert flight.speed_at(SECOND) == 100.0
-    assert flight.speed_at(2 * SECOND) == 200.0
-    assert flight.speed_at(5 * SECOND // 2) == 250.0
-    assert flight.speed_at(3600 * SECOND) == 250.0
-
-
 @given(speeds, speeds, moments, moments)
 def test_no_command_makes_the_speed_jump(first: float, second: float, told: int, later: int) -> None:
     flight = set_speed(start(Flight(), 0), first, 0)

@@ -1,16 +1,22 @@
-"""Recordings for tests: the same lines in every format, written by rosbags' own writers."""
+"""Recordings for tests: the same lines in every format, written by rosbags' own writers, and read by rosld."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import asyncio
+from collections.abc import Coroutine, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
+
+from rosld.adapters.base import AdapterOptions, NullSink, RecordedMessage
+from rosld.adapters.recording import RecordingAdapter
 
 START_NS = 1_700_000_000_000_000_000
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
@@ -119,3 +125,26 @@ def write_hidden(folder: Path, recorded: Iterable[Hidden], storage: Literal["mca
             connection = writer.add_connection(one.topic, one.type, msgdef=one.definition, rihs01=one.hash)
             writer.write(connection, START_NS + number * 10**9, b"\0\1\0\0" + one.data)
     return folder
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Open the recording at a path, even inside a running loop."""
+    adapter = RecordingAdapter(path, AdapterOptions())
+
+    def run(work: Coroutine[Any, Any, None]) -> None:
+        with ThreadPoolExecutor(1) as thread:
+            thread.submit(asyncio.run, work).result()
+
+    run(adapter.open(NullSink(), deadline=float("inf")))
+    (bag,) = adapter.recordings.values()
+    try:
+        yield bag
+    finally:
+        run(adapter.close())
+
+
+def said(bag: Any, recorded: RecordedMessage) -> str:
+    """Return the text of a recorded `std_msgs/msg/String`."""
+    codec = bag.schema(recorded.sample.schema).codec
+    return str(codec.decode(recorded.sample.data, recorded.sample.encoding).data)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, asynccontextmanager
+from contextlib import asynccontextmanager
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -16,9 +15,7 @@ from rosld.adapters.base import Adapter, AdapterOptions, NullSink, Recording
 from rosld.adapters.catalogue import Catalogue, Event
 from rosld.adapters.model import NotFound, Unreachable
 from rosld.adapters.recording import RecordingAdapter, adapter
-from rosld.adapters.recording.bag import Bag
-
-Opened = Callable[[Path], AbstractContextManager[Bag]]
+from tests.adapters.recording import recorder
 
 
 @asynccontextmanager
@@ -32,7 +29,7 @@ async def collection(folder: Path, *more: str) -> AsyncIterator[Adapter]:
         await found.close()
 
 
-def write(recorder: ModuleType, folder: Path, name: str, words: str = "") -> Path:
+def write(folder: Path, name: str, words: str = "") -> Path:
     """Write a recording of ROS 1, or of ROS 2 for a name without a suffix."""
     lines = [recorder.Line(10 + each / 10, "/chatter", f"{name} {words} {each}") for each in range(5)]
     write = recorder.write_rosbag1 if name.endswith(".bag") else recorder.write_rosbag2
@@ -40,7 +37,7 @@ def write(recorder: ModuleType, folder: Path, name: str, words: str = "") -> Pat
     return path
 
 
-def test_summaries_say_what_opening_says(recorder: ModuleType, opened: Opened, tmp_path: Path) -> None:
+def test_summaries_say_what_opening_says(tmp_path: Path) -> None:
     lines = recorder.lines()
     paths = {
         "one": recorder.write_rosbag1(tmp_path / "one.bag", lines, compression="bz2", chunk=200),
@@ -74,11 +71,9 @@ def test_summaries_say_what_opening_says(recorder: ModuleType, opened: Opened, t
     asyncio.run(scenario())
 
 
-def test_no_more_than_eight_recordings_stay_open_and_none_is_closed_while_it_is_read(
-    recorder: ModuleType, tmp_path: Path
-) -> None:
+def test_no_more_than_eight_recordings_stay_open_and_none_is_closed_while_it_is_read(tmp_path: Path) -> None:
     for number in range(12):
-        write(recorder, tmp_path, f"run{number}.bag")
+        write(tmp_path, f"run{number}.bag")
 
     async def scenario() -> None:
         async with collection(tmp_path) as found:
@@ -95,12 +90,10 @@ def test_no_more_than_eight_recordings_stay_open_and_none_is_closed_while_it_is_
     asyncio.run(scenario())
 
 
-def test_annotations_follow_the_content_of_files_that_are_rotated_and_copies_have_none(
-    recorder: ModuleType, tmp_path: Path
-) -> None:
+def test_annotations_follow_the_content_of_files_that_are_rotated_and_copies_have_none(tmp_path: Path) -> None:
     folder = tmp_path / "runs"
     folder.mkdir()
-    write(recorder, folder, "run.bag", "first")
+    write(folder, "run.bag", "first")
 
     async def names() -> dict[str, tuple[str, tuple[str, ...]]]:
         async with collection(folder) as found:
@@ -113,7 +106,7 @@ def test_annotations_follow_the_content_of_files_that_are_rotated_and_copies_hav
 
     assert asyncio.run(names()) == {"run.bag": ("run", ("first",))}
     (folder / "run.bag").rename(folder / "run.1.bag")
-    write(recorder, folder, "run.bag", "second")
+    write(folder, "run.bag", "second")
     shutil.copy(folder / "run.1.bag", folder / "same.bag")
     assert asyncio.run(names()) == {
         "run.1.bag": ("run", ("first",)),
@@ -122,8 +115,8 @@ def test_annotations_follow_the_content_of_files_that_are_rotated_and_copies_hav
     }
 
 
-def test_a_source_that_is_missing_or_a_part_of_a_folder_is_refused(recorder: ModuleType, tmp_path: Path) -> None:
-    write(recorder, tmp_path, "run.bag")
+def test_a_source_that_is_missing_or_a_part_of_a_folder_is_refused(tmp_path: Path) -> None:
+    write(tmp_path, "run.bag")
 
     async def opens(*sources: str) -> None:
         async with collection(Path(sources[0]), *sources[1:]):

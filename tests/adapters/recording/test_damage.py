@@ -8,10 +8,9 @@ import os
 import socket
 import sqlite3
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -25,9 +24,9 @@ from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.recording import RecordingAdapter
 from rosld.adapters.recording.adapter import open_storage
 from rosld.adapters.recording.bag import Bag
+from tests.adapters.recording import recorder
+from tests.adapters.recording.recorder import opened, said
 
-Opened = Callable[[Path], Any]
-Said = Callable[[Any, Any], str]
 MESSAGE, CHUNK = 2, 5
 """Op codes of records of a bag."""
 
@@ -63,7 +62,7 @@ def refused(path: Path) -> str:
 # Unusual connections
 
 
-def test_the_old_header_is_read(tmp_path: Path, opened: Opened) -> None:
+def test_the_old_header_is_read(tmp_path: Path) -> None:
     path = tmp_path / "old.bag"
     with Writer1(path) as writer:
         connection = writer.add_connection(
@@ -79,9 +78,7 @@ def test_the_old_header_is_read(tmp_path: Path, opened: Opened) -> None:
         assert (message.header.seq, message.header.frame_id) == (7, "base")
 
 
-async def test_one_odd_connection_leaves_the_others_readable(
-    recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said, play: Any
-) -> None:
+async def test_one_odd_connection_leaves_the_others_readable(tmp_path: Path, play: Any) -> None:
     path = tmp_path / "odd.bag"
     with Writer1(path) as writer:
         kind = recorder.ROS1.types["std_msgs/msg/String"]
@@ -107,9 +104,7 @@ async def test_one_odd_connection_leaves_the_others_readable(
         assert [each.data for each in (await adapter.subscribe("/lacking")).latest()] == [b"whatever"]
 
 
-def test_channels_of_an_mcap_that_are_not_ros_are_listed_and_the_others_read(
-    recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said
-) -> None:
+def test_channels_of_an_mcap_that_are_not_ros_are_listed_and_the_others_read(tmp_path: Path) -> None:
     path = recorder.write_rosbag2(tmp_path / "run", recorder.lines(count=3)) / "run.mcap"
     data = path.read_bytes()
     path.write_bytes(_with_json_channel(data))
@@ -136,7 +131,7 @@ def _with_json_channel(data: bytes) -> bytes:
     return data[:end] + extra + record(2, bytes(20)) + b"\x89MCAP0\r\n"
 
 
-def test_a_type_defined_in_idl_is_read(recorder: ModuleType, tmp_path: Path, opened: Opened) -> None:
+def test_a_type_defined_in_idl_is_read(tmp_path: Path) -> None:
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     idl = f"{'=' * 80}\nIDL: my_msgs/msg/X\nmodule my_msgs {{ module msg {{ struct X {{ double x; }}; }}; }};\n"
@@ -151,9 +146,7 @@ def test_a_type_defined_in_idl_is_read(recorder: ModuleType, tmp_path: Path, ope
 # Truncated and damaged
 
 
-def test_a_bag_that_was_cut_short_or_never_finished_gives_all_whole_chunks(
-    recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said
-) -> None:
+def test_a_bag_that_was_cut_short_or_never_finished_gives_all_whole_chunks(tmp_path: Path) -> None:
     for compression in ("none", "lz4"):
         path = tmp_path / f"{compression}.bag.active"
         recorder.write_rosbag1(path, recorder.lines(count=100), compression=compression, chunk=1000)
@@ -172,9 +165,7 @@ def test_a_bag_that_was_cut_short_or_never_finished_gives_all_whole_chunks(
 
 
 @pytest.mark.parametrize("compression", ["none", "storage"])
-def test_an_mcap_cut_short_gives_all_whole_chunks(
-    recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said, compression: str
-) -> None:
+def test_an_mcap_cut_short_gives_all_whole_chunks(tmp_path: Path, compression: str) -> None:
     lines = [recorder.Line(each / 100, "/chatter", f"{each} {os.urandom(20_000).hex()}") for each in range(100)]
     path = recorder.write_rosbag2(tmp_path / "run", lines, compression=compression) / "run.mcap"
     whole = path.read_bytes()
@@ -185,9 +176,7 @@ def test_an_mcap_cut_short_gives_all_whole_chunks(
         assert bag.notes
 
 
-def test_a_folder_with_a_missing_or_broken_file_gives_the_others(
-    recorder: ModuleType, tmp_path: Path, opened: Opened
-) -> None:
+def test_a_folder_with_a_missing_or_broken_file_gives_the_others(tmp_path: Path) -> None:
     folder = recorder.write_rosbag2(tmp_path / "run", recorder.lines())
     metadata = (folder / "metadata.yaml").read_text()
     (folder / "metadata.yaml").write_text(metadata.replace("- run.mcap", "- run.mcap\n  - gone.mcap"))
@@ -211,9 +200,7 @@ def records(data: bytes | bytearray, at: int) -> Iterator[tuple[int, slice]]:
         at += 4 + length
 
 
-async def test_a_damaged_chunk_costs_only_its_own_messages(
-    recorder: ModuleType, tmp_path: Path, opened: Opened, said: Said, play: Any, clock: Any
-) -> None:
+async def test_a_damaged_chunk_costs_only_its_own_messages(tmp_path: Path, play: Any, clock: Any) -> None:
     path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=100), compression="bz2", chunk=1000)
     data = bytearray(path.read_bytes())
     first, second = islice((span for op, span in records(data, 13) if op == CHUNK), 2)
@@ -238,7 +225,7 @@ async def test_a_damaged_chunk_costs_only_its_own_messages(
 # Not recordings
 
 
-def test_what_is_no_recording_is_refused_in_a_sentence(recorder: ModuleType, tmp_path: Path) -> None:
+def test_what_is_no_recording_is_refused_in_a_sentence(tmp_path: Path) -> None:
     assert "there is no recording" in refused(tmp_path / "missing.bag")
     assert "neither metadata.yaml nor" in refused(tmp_path)
     with socket.socket(socket.AF_UNIX) as listener:
@@ -273,7 +260,7 @@ def encrypted(data: bytes) -> bytes:
     return data[:13] + struct.pack("<I", len(header)) + header + data[17 + size :]
 
 
-def test_a_chunk_that_claims_to_be_huge_is_not_believed(recorder: ModuleType, tmp_path: Path, opened: Opened) -> None:
+def test_a_chunk_that_claims_to_be_huge_is_not_believed(tmp_path: Path) -> None:
     path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(), compression="bz2")
     data = bytearray(path.read_bytes())
     at = data.index(b"size=") + 5
@@ -284,7 +271,7 @@ def test_a_chunk_that_claims_to_be_huge_is_not_believed(recorder: ModuleType, tm
 
 
 @pytest.fixture(scope="module")
-def small(recorder: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+def small(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """Return the bytes of a small recording of each format."""
     folder = tmp_path_factory.mktemp("small")
     lines = recorder.lines(count=8)

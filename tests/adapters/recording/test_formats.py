@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
 from rosld.adapters.model import Encoding, TypeRef
+from tests.adapters.recording import recorder
+from tests.adapters.recording.recorder import opened, said
 
 STRING = "std_msgs/msg/String"
-Opened = Callable[[Path], Any]
-Said = Callable[[Any, Any], str]
 
 
-def some_lines(recorder: ModuleType) -> list[Any]:
+def some_lines() -> list[Any]:
     """Return two topics whose messages interleave, written out of order."""
     one = recorder.lines("/one", 40, 0.1, "/a")
     two = [recorder.Line(0.05 + each * 0.2, "/two", f"two {each}", "/b") for each in range(20)]
@@ -26,10 +24,8 @@ def some_lines(recorder: ModuleType) -> list[Any]:
 
 
 @pytest.mark.parametrize(("compression", "chunk"), [("none", 1), ("bz2", 500), ("lz4", 1 << 20)])
-def test_a_ros1_bag_is_read_in_recorded_order(
-    recorder: ModuleType, opened: Opened, said: Said, tmp_path: Path, compression: str, chunk: int
-) -> None:
-    lines = some_lines(recorder)
+def test_a_ros1_bag_is_read_in_recorded_order(tmp_path: Path, compression: str, chunk: int) -> None:
+    lines = some_lines()
     path = recorder.write_rosbag1(tmp_path / "run.bag", lines, compression=compression, chunk=chunk)
     with opened(path) as bag:
         assert bag.notes == ()
@@ -41,10 +37,8 @@ def test_a_ros1_bag_is_read_in_recorded_order(
         assert (bag.topics["/one"].count, bag.topics["/two"].count) == (40, 20)
 
 
-def test_a_ros2_folder_of_any_storage_is_read_in_recorded_order_and_so_is_its_file_alone(
-    recorder: ModuleType, opened: Opened, said: Said, tmp_path: Path
-) -> None:
-    lines = some_lines(recorder)
+def test_a_ros2_folder_of_any_storage_is_read_in_recorded_order_and_so_is_its_file_alone(tmp_path: Path) -> None:
+    lines = some_lines()
     expected = [line.text for line in sorted(lines, key=lambda line: line.seconds)]
     for storage, compression, version in (
         ("mcap", "none", 9),
@@ -73,9 +67,7 @@ def test_a_ros2_folder_of_any_storage_is_read_in_recorded_order_and_so_is_its_fi
                 assert (bag.name, [said(bag, each) for each in bag.messages()]) == (name, expected)
 
 
-def test_a_folder_of_several_files_is_one_recording(
-    recorder: ModuleType, opened: Opened, said: Said, tmp_path: Path
-) -> None:
+def test_a_folder_of_several_files_is_one_recording(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     folder.mkdir()
     for number in range(3):
@@ -90,7 +82,7 @@ def test_a_folder_of_several_files_is_one_recording(
         assert "metadata.yaml" in bag.notes[0]
 
 
-def test_a_recording_may_hold_nothing(recorder: ModuleType, opened: Opened, tmp_path: Path) -> None:
+def test_a_recording_may_hold_nothing(tmp_path: Path) -> None:
     for path in (
         recorder.write_rosbag1(tmp_path / "empty.bag", []),
         recorder.write_rosbag2(tmp_path / "empty", []),
@@ -100,16 +92,7 @@ def test_a_recording_may_hold_nothing(recorder: ModuleType, opened: Opened, tmp_
             assert (bag.count, dict(bag.topics), list(bag.messages())) == (0, {}, [])
 
 
-async def test_nodes_are_known_where_connections_name_them(recorder: ModuleType, tmp_path: Path, play: Any) -> None:
-    path = recorder.write_rosbag1(tmp_path / "run.bag", some_lines(recorder))
-    async with play(path) as adapter:
-        assert set(adapter.graph.nodes) == {"/a", "/b"}
-        assert [each.node for each in adapter.graph.topics["/one"].publishers] == ["/a"]
-
-
-def test_messages_are_not_held_in_memory_but_read_when_asked_for(
-    recorder: ModuleType, opened: Opened, tmp_path: Path
-) -> None:
+def test_messages_are_not_held_in_memory_but_read_when_asked_for(tmp_path: Path) -> None:
     path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=2000))
     with opened(path) as bag:
         before = bag.message(10).sample.data
@@ -121,9 +104,7 @@ def test_messages_are_not_held_in_memory_but_read_when_asked_for(
         assert bag.message(10).sample.data == b"x" * len(before)
 
 
-def test_a_recording_can_be_read_by_several_threads_at_once(
-    recorder: ModuleType, opened: Opened, said: Said, tmp_path: Path
-) -> None:
+def test_a_recording_can_be_read_by_several_threads_at_once(tmp_path: Path) -> None:
     path = recorder.write_rosbag1(tmp_path / "run.bag", recorder.lines(count=300), compression="bz2", chunk=1000)
     with opened(path) as bag, ThreadPoolExecutor(4) as threads:
         readings = threads.map(lambda _: [said(bag, each) for each in bag.messages()], range(8))

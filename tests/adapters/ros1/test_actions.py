@@ -32,7 +32,7 @@ from rosld.adapters.ros1.graph import (
     read_goal,
     read_statuses,
 )
-from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.conftest import opened
 from tests.adapters.ros1.system import RosSystem
 from tests.adapters.session import Session
 
@@ -75,7 +75,7 @@ def run(scenario: Any) -> None:
     asyncio.run(asyncio.wait_for(scenario(), 60))
 
 
-async def test_an_action_is_five_topics_of_types_that_go_together(acting: RosSystem, opened: Opening) -> None:
+async def test_an_action_is_five_topics_of_types_that_go_together(acting: RosSystem) -> None:
     async with opened(acting) as session:
         await listed(session)
         action = session.graph.actions["/ways"]
@@ -93,7 +93,7 @@ async def test_an_action_is_five_topics_of_types_that_go_together(acting: RosSys
         ]
 
 
-async def test_a_goal_ends_in_every_way_with_the_servers_words(acting: RosSystem, opened: Opening) -> None:
+async def test_a_goal_ends_in_every_way_with_the_servers_words(acting: RosSystem) -> None:
     async with opened(acting) as session:
         for number, words in ((REJECT, "the arm is folded"), (REJECT_LATE, "thought twice")):
             with pytest.raises(Refused) as refusal:
@@ -112,7 +112,7 @@ async def test_a_goal_ends_in_every_way_with_the_servers_words(acting: RosSystem
             assert states(session, goal)[-3:] == [before, GoalStatus.CANCELING, GoalStatus.CANCELED]
 
 
-async def test_a_goal_whose_server_vanishes_is_lost(lone_ros: RosSystem, opened: Opening) -> None:
+async def test_a_goal_whose_server_vanishes_is_lost(lone_ros: RosSystem) -> None:
     lone_ros.node("action_node.py")
     async with opened(lone_ros) as session:
         goal = await send(session, VANISH)
@@ -122,9 +122,7 @@ async def test_a_goal_whose_server_vanishes_is_lost(lone_ros: RosSystem, opened:
             await send(session, SUCCEED, seconds=2.0)
 
 
-async def test_goals_of_others_are_seen_while_somebody_looks_and_without_a_trace(
-    acting: RosSystem, opened: Opening
-) -> None:
+async def test_goals_of_others_are_seen_while_somebody_looks_and_without_a_trace(acting: RosSystem) -> None:
     async with opened(acting) as session:
         await listed(session, "/simple")
         unseen = acting.node("action_client.py", "/simple", "1")
@@ -198,7 +196,7 @@ def subscribe(uri: str, node: str, topic: str, type: str) -> socket.socket:
 
 @pytest.mark.parametrize("name", ["/recorder", "/action_node"])
 def test_a_goal_reaches_its_server_whoever_else_reads_and_whichever_connection_it_drops(
-    lone_ros: RosSystem, opened: Opening, name: str
+    lone_ros: RosSystem, name: str
 ) -> None:
     """rospy connects twice when it is notified twice, and drops the first connection with its unread data."""
     server = lone_ros.node("action_node.py").process

@@ -10,7 +10,7 @@ import pytest
 
 from rosld.adapters.model import Kind, Operation, Ref, Refused
 from rosld.adapters.model.parameter import ParameterValue
-from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.conftest import opened
 from tests.adapters.ros1.system import RosSystem
 
 pytestmark = pytest.mark.slow
@@ -28,7 +28,7 @@ VALUES: dict[str, ParameterValue] = {
 }
 
 
-async def test_parameters_are_exchanged_with_rosparam_and_keep_their_types(ros: RosSystem, opened: Opening) -> None:
+async def test_parameters_are_exchanged_with_rosparam_and_keep_their_types(ros: RosSystem) -> None:
     async with opened(ros) as session:
         await session.set_parameters(VALUES)
         found = await session.get_parameters(list(VALUES))
@@ -48,7 +48,7 @@ async def test_parameters_are_exchanged_with_rosparam_and_keep_their_types(ros: 
         assert found == {"/blob": b"\0\1\2", "/when": datetime(2026, 11, 21, 1, 2, 3)}
 
 
-async def test_names_with_empty_segments_and_slashes_in_keys_survive(ros: RosSystem, opened: Opening) -> None:
+async def test_names_with_empty_segments_and_slashes_in_keys_survive(ros: RosSystem) -> None:
     ros.master.setParam("/test", "/even", 2)
     ros.master.setParam("/test", "/odd", {"a/b": 1, "": 2, "c": {"": {"d": 3}}, "none": {}})
     async with opened(ros) as session:
@@ -72,7 +72,7 @@ async def test_names_with_empty_segments_and_slashes_in_keys_survive(ros: RosSys
         assert ros.master.getParam("/test", "/odd")[2] == {"a/b": 1, "": 2, "c": {"": {"d": 3}}, "none": {}}
 
 
-async def test_changes_by_others_are_told_without_subscribing(ros: RosSystem, opened: Opening) -> None:
+async def test_changes_by_others_are_told_without_subscribing(ros: RosSystem) -> None:
     ros.master.setParam("/test", "/watched", {"a": 1, "b": 2})
     async with opened(ros) as session:
         session.told.parameters.clear()

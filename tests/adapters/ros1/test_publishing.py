@@ -17,7 +17,7 @@ from rosld.adapters.ros1.publications import Publications
 from rosld.adapters.ros1.tcpros import encode_header
 from rosld.adapters.ros1.types import Types, definition_folders
 from rosld.adapters.ros1.xmlrpc import Answer, XmlRpcClient, decode_answer, encode_call
-from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.conftest import opened
 from tests.adapters.ros1.system import RosSystem
 from tests.adapters.session import Session
 
@@ -32,9 +32,7 @@ def text(words: str) -> bytes:
     return len(data).to_bytes(4, "little") + data
 
 
-async def test_what_is_published_is_heard_from_the_first_message_on_and_in_order(
-    ros: RosSystem, opened: Opening
-) -> None:
+async def test_what_is_published_is_heard_from_the_first_message_on_and_in_order(ros: RosSystem) -> None:
     listening = [ros.node("listener.py", "/hear", "std_msgs/String") for _ in range(2)]
     async with opened(ros) as session:
         for number in range(500):
@@ -52,7 +50,7 @@ async def test_what_is_published_is_heard_from_the_first_message_on_and_in_order
 
 @pytest.mark.parametrize("seconds", [0.3, 1.2])
 def test_a_subscriber_that_is_slow_to_notice_the_end_of_a_connection_hears_the_next(
-    ros: RosSystem, opened: Opening, seconds: float
+    ros: RosSystem, seconds: float
 ) -> None:
     """Until it notices, it believes that it is connected; after a second rosld does not wait but notifies it again."""
     listener = ros.node("slow_hangup_node.py", "/slow", str(seconds))
@@ -71,7 +69,7 @@ def test_a_subscriber_that_is_slow_to_notice_the_end_of_a_connection_hears_the_n
         listener.stop()
 
 
-async def test_a_subscriber_that_comes_within_the_wait_gets_the_message(ros: RosSystem, opened: Opening) -> None:
+async def test_a_subscriber_that_comes_within_the_wait_gets_the_message(ros: RosSystem) -> None:
     async with opened(ros) as session:
         publishing = asyncio.ensure_future(session.publish("/late", STRING, text("worth the wait"), seconds=15))
         listener = await asyncio.to_thread(ros.node, "listener.py", "/late", "std_msgs/String")
@@ -80,7 +78,7 @@ async def test_a_subscriber_that_comes_within_the_wait_gets_the_message(ros: Ros
         await asyncio.to_thread(listener.stop)
 
 
-async def test_a_late_subscriber_hears_what_was_latched_and_nothing_else(ros: RosSystem, opened: Opening) -> None:
+async def test_a_late_subscriber_hears_what_was_latched_and_nothing_else(ros: RosSystem) -> None:
     async with opened(ros) as session:
         for topic, latch in (("/latched", True), ("/volatile", False)):
             await session.publish(topic, STRING, text("kept"), latch=latch, seconds=0.5)
@@ -89,7 +87,7 @@ async def test_a_late_subscriber_hears_what_was_latched_and_nothing_else(ros: Ro
             assert ("kept" if latch else "new") in await asyncio.to_thread(listener.line, "heard")
 
 
-async def test_an_address_that_does_not_answer_is_never_registered(ros: RosSystem, opened: Opening) -> None:
+async def test_an_address_that_does_not_answer_is_never_registered(ros: RosSystem) -> None:
     async with opened(ros, ros_ip="192.0.2.77") as session:
         with pytest.raises(Refused, match="--ros-ip"):
             await session.publish("/never", STRING, text("x"), seconds=10)
@@ -123,13 +121,13 @@ async def _tcp_port(session: Session, topic: str) -> int:
             raise AssertionError(other)
 
 
-async def test_subscribers_that_ask_for_udpros_alone_are_refused(ros: RosSystem, opened: Opening) -> None:
+async def test_subscribers_that_ask_for_udpros_alone_are_refused(ros: RosSystem) -> None:
     async with opened(ros) as session:
         await session.publish("/asked", STRING, text("x"), seconds=0.5)
         assert (await _requested(session, "/asked", "UDPROS")).code == 0
 
 
-async def test_a_subscriber_that_never_reads_costs_neither_memory_nor_time(ros: RosSystem, opened: Opening) -> None:
+async def test_a_subscriber_that_never_reads_costs_neither_memory_nor_time(ros: RosSystem) -> None:
     async with opened(ros) as session:
         await session.publish("/heavy", STRING, text("x"), seconds=0.5)
         with _handshake(await _tcp_port(session, "/heavy"), "/heavy") as sleeper:
@@ -147,9 +145,7 @@ async def test_a_subscriber_that_never_reads_costs_neither_memory_nor_time(ros: 
             assert len(received) < 60_000_000
 
 
-async def test_a_subscriber_we_cannot_serve_is_told_why_and_garbage_ends_that_connection_only(
-    ros: RosSystem, opened: Opening
-) -> None:
+async def test_a_subscriber_we_cannot_serve_is_told_why_and_garbage_ends_that_connection_only(ros: RosSystem) -> None:
     errors = (
         encode_header({"callerid": "/raw", "topic": "/strict", "md5sum": "0" * 32, "type": "std_msgs/Int32"}),
         encode_header({"callerid": "/raw", "topic": "/nothing_here", "md5sum": "*", "type": "*"}),
@@ -170,9 +166,7 @@ async def test_a_subscriber_we_cannot_serve_is_told_why_and_garbage_ends_that_co
             assert b"std_msgs/String" in fine.recv(4096)
 
 
-async def test_rosnode_kill_ends_what_we_publish_and_a_later_publish_begins_anew(
-    ros: RosSystem, opened: Opening
-) -> None:
+async def test_rosnode_kill_ends_what_we_publish_and_a_later_publish_begins_anew(ros: RosSystem) -> None:
     async with opened(ros) as session:
         await session.publish("/killed", STRING, text("x"), seconds=0.5)
         await asyncio.to_thread(ros.run, "/usr/bin/rosnode", "kill", session.graph.own_node)

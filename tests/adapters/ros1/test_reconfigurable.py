@@ -12,7 +12,7 @@ import pytest
 
 from rosld.adapters.model import Choice, Descriptor, Kind, Operation, ParameterType, Range, Ref, TypeRef
 from rosld.adapters.ros1.reconfigurable import read_config, read_descriptors, request_of
-from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.conftest import opened
 from tests.adapters.ros1.system import RosSystem, require
 from tests.adapters.session import Session
 
@@ -66,9 +66,7 @@ async def value(session: Session, *names: str) -> list[Any]:
     return [found[name] for name in full]
 
 
-async def test_what_a_node_declares_is_in_the_graph_and_looking_registers_nothing(
-    arm: RosSystem, opened: Opening
-) -> None:
+async def test_what_a_node_declares_is_in_the_graph_and_looking_registers_nothing(arm: RosSystem) -> None:
     before = arm.master.getSystemState("/test")[2]
     async with opened(arm) as session:
         await described(session)
@@ -80,7 +78,7 @@ async def test_what_a_node_declares_is_in_the_graph_and_looking_registers_nothin
         assert arm.master.getSystemState("/test")[2] == before
 
 
-async def test_a_tree_that_is_set_whole_takes_effect_too(arm: RosSystem, opened: Opening) -> None:
+async def test_a_tree_that_is_set_whole_takes_effect_too(arm: RosSystem) -> None:
     async with opened(arm) as session:
         await described(session)
         await session.set_parameters({"/arm/gripper": {"force": 30, "color": "red"}}, seconds=20)
@@ -90,7 +88,7 @@ async def test_a_tree_that_is_set_whole_takes_effect_too(arm: RosSystem, opened:
         assert [(one.name, one.value) for one in (await session.decoded(sample)).ints] == [("force", 30)]
 
 
-async def test_what_a_node_decides_by_itself_is_told(arm: RosSystem, opened: Opening) -> None:
+async def test_what_a_node_decides_by_itself_is_told(arm: RosSystem) -> None:
     async with opened(arm) as session:
         await described(session)
         await set_to(session, speed=0.0)
@@ -105,7 +103,7 @@ async def test_what_a_node_decides_by_itself_is_told(arm: RosSystem, opened: Ope
             read = await value(session, "speed")
 
 
-async def test_a_node_that_comes_later_and_goes_is_noticed(lone_ros: RosSystem, opened: Opening) -> None:
+async def test_a_node_that_comes_later_and_goes_is_noticed(lone_ros: RosSystem) -> None:
     require("a server of dynamic_reconfigure", "dynamic_reconfigure.server")
     async with opened(lone_ros) as session:
         node = await asyncio.to_thread(lone_ros.node, "reconfigurable_node.py")

@@ -13,7 +13,7 @@ import pytest
 from rosld.adapters.base import AdapterOptions, NullSink
 from rosld.adapters.model import Live, Stale, TimedOut, TypeRef, Unreachable
 from rosld.adapters.ros1 import adapter
-from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.conftest import opened
 from tests.adapters.ros1.system import RosSystem
 
 pytestmark = pytest.mark.slow
@@ -32,9 +32,7 @@ async def test_a_master_that_never_answers_is_waited_for_and_the_graph_says_so_i
         await mute.close()
 
 
-async def test_a_killed_node_is_unreachable_until_it_comes_back_under_its_name_in_a_new_epoch(
-    ros: RosSystem, opened: Opening
-) -> None:
+async def test_a_killed_node_is_unreachable_until_it_comes_back_under_its_name_in_a_new_epoch(ros: RosSystem) -> None:
     async with opened(ros) as session:
         first = await asyncio.to_thread(ros.node, "latched_node.py", "phoenix", "/phoenix", "first")
         subscription = await session.adapter.subscribe("/phoenix")
@@ -51,9 +49,7 @@ async def test_a_killed_node_is_unreachable_until_it_comes_back_under_its_name_i
         await session.until(lambda: session.graph.nodes["/phoenix"].unreachable is None, "it is reachable again")
 
 
-async def test_the_graph_goes_stale_with_the_master_and_everything_returns_with_a_new_one(
-    lone_ros: RosSystem, opened: Opening
-) -> None:
+async def test_the_graph_goes_stale_with_the_master_and_everything_returns_with_a_new_one(lone_ros: RosSystem) -> None:
     ros = lone_ros
     async with opened(ros) as session:
         talker = await asyncio.to_thread(ros.publish, "/chatter", "std_msgs/String", "data: x", rate=50)
@@ -91,7 +87,7 @@ def hang(ros: RosSystem) -> None:
     os.waitid(os.P_PID, ros.master_process.pid, os.WSTOPPED | os.WNOWAIT)
 
 
-async def test_a_hanging_master_makes_the_graph_stale_and_keeps_nobody_waiting(ros: RosSystem, opened: Opening) -> None:
+async def test_a_hanging_master_makes_the_graph_stale_and_keeps_nobody_waiting(ros: RosSystem) -> None:
     async with opened(ros) as session, opened(ros) as other:
         await other.publish("/ours", STRING, b"\1\0\0\0x", seconds=0.5)
         hang(ros)
@@ -106,9 +102,7 @@ async def test_a_hanging_master_makes_the_graph_stale_and_keeps_nobody_waiting(r
         await session.until(lambda: isinstance(session.graph.state, Live), "live")
 
 
-async def test_a_publisher_without_a_queue_keeps_its_rate_while_the_servers_loop_is_stopped(
-    ros: RosSystem, opened: Opening
-) -> None:
+async def test_a_publisher_without_a_queue_keeps_its_rate_while_the_servers_loop_is_stopped(ros: RosSystem) -> None:
     async with opened(ros) as session:
         steady = await asyncio.to_thread(ros.node, "steady_node.py", "/steady")
         subscription = await session.adapter.subscribe("/steady")

@@ -7,7 +7,7 @@ import socket
 import struct
 import time
 import tracemalloc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack
 from unittest import mock
 
@@ -65,41 +65,61 @@ def test_the_newest_whole_frames_of_a_buffer_are_found(frames: list[bytes], cut:
     assert [bytes(buffer[first + 4 : end_]) for first, end_ in spans] == whole[-depth:]
 
 
-async def _received(pieces: list[bytes], depth: int, count: int) -> tuple[dict[str, str], list[bytes], int]:
-    """Return the frames that a receiver delivers from these pieces, written in sequence to a real socket."""
-    header: dict[str, str] = {}
-    delivered: list[bytes] = []
-    total = 0
-    done = asyncio.Event()
+async def until(true: Callable[[], bool]) -> None:
+    """Wait for a state that a receiver does not report."""
+    end = time.monotonic() + 60
+    while not true():
+        assert time.monotonic() < end
+        await asyncio.sleep(0.001)
 
-    def deliver(frames: object, number: int) -> None:
-        nonlocal total
-        delivered.extend(bytes(each) for each in frames)  # type: ignore[attr-defined]
-        total += number
-        if total >= count:
-            done.set()
 
-    def accept(fields: object) -> object:
-        header.update(fields)  # type: ignore[call-overload]
-        return deliver
+class Peer:
+    """The publisher's end of a connection to a receiver, which has a header at once unless it `is_silent`."""
 
-    here, there = socket.socketpair()
-    here.setblocking(False)
-    there.setblocking(False)
-    loop = asyncio.get_running_loop()
-    transport, receiver = await loop.create_connection(lambda: FrameReceiver(b"hello", accept, MOST), sock=here)  # type: ignore[arg-type]
-    receiver.depth = depth
-    try:
+    def __init__(self, limit: int = MOST, *, depth: int = 1, is_silent: bool = False) -> None:
+        self.header: dict[str, str] = {}
+        self.delivered: list[bytes] = []
+        self.count = 0
+        self._limit, self._depth, self._is_silent = limit, depth, is_silent
+
+    async def __aenter__(self) -> Peer:
+        here, self._there = socket.socketpair()
+        here.setblocking(False)
+        self._there.setblocking(False)
+        loop = asyncio.get_running_loop()
+        receiving = loop.create_connection(lambda: FrameReceiver(b"hello", self.accept, self._limit), sock=here)
+        self._transport, self.receiver = await receiving
+        self.receiver.depth = self._depth
+        assert await loop.sock_recv(self._there, 100) == b"hello"
+        if not self._is_silent:
+            await self.sends(encode_header({"a": "b"}))
+            await asyncio.wait_for(self.receiver.ready, 5)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._transport.abort()
+        self._there.close()
+
+    async def sends(self, data: bytes) -> None:
+        await asyncio.wait_for(asyncio.get_running_loop().sock_sendall(self._there, data), 20)
+
+    def accept(self, fields: Mapping[str, str]) -> Callable[[Sequence[Frame], int], None]:
+        self.header.update(fields)
+        return self.deliver
+
+    def deliver(self, frames: Sequence[Frame], count: int) -> None:
+        self.delivered += map(bytes, frames)
+        self.count += count
+
+
+async def received(pieces: list[bytes], depth: int, count: int) -> Peer:
+    """Return a connection over which these pieces were sent, with this many frames."""
+    async with Peer(depth=depth, is_silent=True) as peer:
         for piece in pieces:
-            await loop.sock_sendall(there, piece)
+            await peer.sends(piece)
             await asyncio.sleep(0)
-        if count:
-            await asyncio.wait_for(done.wait(), 60)
-        assert await loop.sock_recv(there, 100) == b"hello"
-    finally:
-        transport.close()
-        there.close()
-    return header, delivered, total
+        await until(lambda: peer.count >= count)
+        return peer
 
 
 @given(
@@ -113,75 +133,29 @@ def test_frames_arrive_whole_however_the_stream_is_cut(sizes: list[int], parts: 
     cuts = sorted(data.draw(st.lists(st.integers(0, len(wire)), max_size=parts)))
     pieces = [wire[a:b] for a, b in zip([0, *cuts], [*cuts, len(wire)], strict=True)]
     with mock.patch.object(tcpros, "FIRST_PIECE", FIRST_BUFFER):  # large frames arrive in more than one piece
-        header, delivered, total = asyncio.run(_received(pieces, 10, len(frames)))
-    assert header == {"type": "std_msgs/String"}
-    assert total == len(frames)
-    assert delivered == frames
+        peer = asyncio.run(received(pieces, 10, len(frames)))
+    assert peer.header == {"type": "std_msgs/String"}
+    assert peer.count == len(frames)
+    assert peer.delivered == frames
 
 
 def test_of_a_batch_only_the_newest_is_delivered_and_all_are_counted() -> None:
     wire = encode_header({"a": "b"}) + b"".join(frame(b"%d" % number) for number in range(1000))
-    _, delivered, total = asyncio.run(_received([wire], 1, 1000))
-    assert total == 1000
-    assert delivered[-1] == b"999"
-    assert len(delivered) < 20
+    peer = asyncio.run(received([wire], 1, 1000))
+    assert peer.count == 1000
+    assert peer.delivered[-1] == b"999"
+    assert len(peer.delivered) < 20
 
 
 async def test_a_header_or_a_frame_that_claims_four_gigabytes_ends_the_connection() -> None:
     huge = encode_header({"a": "b"}) + b"\xff\xff\xff\xff"
     for data in (huge, b"\xff\xff\xff\xff", struct.pack("<II", 8, 100) + b"a=bc"):
-        here, there = socket.socketpair()
-        here.setblocking(False)
-        there.setblocking(False)
-        loop = asyncio.get_running_loop()
-        _, receiver = await loop.create_connection(
-            lambda: FrameReceiver(b"", lambda _: lambda frames, count: None, MOST),
-            sock=here,
-        )
-        with there:
-            await loop.sock_sendall(there, data)
-            await asyncio.wait_for(receiver.closed, 60)
+        async with Peer(is_silent=True) as peer:
+            await peer.sends(data)
+            await asyncio.wait_for(peer.receiver.closed, 60)
             if data is not huge:
                 with pytest.raises(BadFrame):
-                    await receiver.ready
-
-
-async def until(true: Callable[[], bool]) -> None:
-    """Wait for a state that a receiver does not report."""
-    end = time.monotonic() + 20
-    while not true():
-        assert time.monotonic() < end
-        await asyncio.sleep(0.001)
-
-
-class Peer:
-    """The publisher's end of a connection to a receiver."""
-
-    def __init__(self, limit: int = MOST) -> None:
-        self.delivered: list[bytes] = []
-        self._limit = limit
-
-    async def __aenter__(self) -> Peer:
-        here, self._there = socket.socketpair()
-        here.setblocking(False)
-        self._there.setblocking(False)
-        receiving = asyncio.get_running_loop().create_connection(
-            lambda: FrameReceiver(b"", lambda _: self.deliver, self._limit), sock=here
-        )
-        self._transport, self.receiver = await receiving
-        await self.sends(encode_header({"a": "b"}))
-        await asyncio.wait_for(self.receiver.ready, 5)
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self._transport.abort()
-        self._there.close()
-
-    async def sends(self, data: bytes) -> None:
-        await asyncio.wait_for(asyncio.get_running_loop().sock_sendall(self._there, data), 20)
-
-    def deliver(self, frames: Sequence[Frame], _: int) -> None:
-        self.delivered += map(bytes, frames)
+                    await peer.receiver.ready
 
 
 def test_what_a_peer_only_announces_costs_next_to_nothing_however_many_do() -> None:
@@ -201,18 +175,10 @@ def test_what_a_peer_only_announces_costs_next_to_nothing_however_many_do() -> N
 
 
 async def test_a_header_that_is_announced_costs_what_arrives() -> None:
-    async with Peer() as other:
-        here, there = socket.socketpair()
-        here.setblocking(False)
-        transport, receiver = await asyncio.get_running_loop().create_connection(
-            lambda: FrameReceiver(b"", lambda _: other.deliver, MOST), sock=here
-        )
-        with there:
-            there.setblocking(False)
-            await asyncio.get_running_loop().sock_sendall(there, struct.pack("<I", 1024 * 1024) + b"y")
-            await until(lambda: receiver.received >= 5)
-            assert len(receiver.get_buffer(-1)) <= FIRST_BUFFER
-        transport.abort()
+    async with Peer(is_silent=True) as peer:
+        await peer.sends(struct.pack("<I", 1024 * 1024) + b"y")
+        await until(lambda: peer.receiver.received >= 5)
+        assert len(peer.receiver.get_buffer(-1)) <= FIRST_BUFFER
 
 
 async def test_a_message_longer_than_the_limit_ends_the_connection_and_says_the_setting() -> None:

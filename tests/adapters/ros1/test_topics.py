@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from rosld.adapters.model import Kind, Live, MessageSchema, Operation, Ref, Refused, TypeRef, UnknownType
-from tests.adapters.ros1.conftest import Opening
+from tests.adapters.ros1.conftest import opened
 from tests.adapters.ros1.system import RosSystem
 from tests.processes import Process
 
@@ -57,7 +57,7 @@ def numbers(value: Any) -> Any:
     return float(value) if value in ("inf", "1e+300") else value
 
 
-async def test_a_topic_reads_as_rostopic_echo_prints_it(ros: RosSystem, opened: Opening, speaker: Process) -> None:
+async def test_a_topic_reads_as_rostopic_echo_prints_it(ros: RosSystem, speaker: Process) -> None:
     said = [line.split(" ", 2) for line in speaker.seen if line.startswith("says /read")]
     async with opened(ros) as session:
         for _, topic, text in said:
@@ -73,7 +73,7 @@ async def test_a_topic_reads_as_rostopic_echo_prints_it(ros: RosSystem, opened: 
 
 
 async def test_the_graph_is_what_the_master_says_and_reading_leaves_no_trace_there(
-    ros: RosSystem, opened: Opening, speaker: Process
+    ros: RosSystem, speaker: Process
 ) -> None:
     listening = ros.node("listener.py", "/read/text", "std_msgs/String")
     before = sorted(map(sorted, ros.master.getSystemState("/test")[2]))
@@ -102,7 +102,7 @@ async def test_the_graph_is_what_the_master_says_and_reading_leaves_no_trace_the
 
 
 @pytest.mark.usefixtures("speaker")
-async def test_a_node_in_cpp_is_read_and_hears_as_any_node(ros: RosSystem, opened: Opening) -> None:
+async def test_a_node_in_cpp_is_read_and_hears_as_any_node(ros: RosSystem) -> None:
     relays = [
         ros.start(["/usr/lib/topic_tools/relay", source, f"{source}/relayed"]) for source in ("/read/twist", "/said")
     ]
@@ -128,9 +128,7 @@ async def test_a_node_in_cpp_is_read_and_hears_as_any_node(ros: RosSystem, opene
         relay.stop()
 
 
-async def test_a_subscription_made_before_its_publisher_gets_the_latched_message(
-    ros: RosSystem, opened: Opening
-) -> None:
+async def test_a_subscription_made_before_its_publisher_gets_the_latched_message(ros: RosSystem) -> None:
     async with opened(ros) as session:
         subscription = await session.adapter.subscribe("/early")
         assert subscription.latest() == ()
@@ -149,9 +147,7 @@ async def test_a_subscription_made_before_its_publisher_gets_the_latched_message
         await asyncio.to_thread(node.stop)
 
 
-async def test_a_definition_that_cannot_be_read_leaves_the_topic_listed_and_says_why(
-    ros: RosSystem, opened: Opening
-) -> None:
+async def test_a_definition_that_cannot_be_read_leaves_the_topic_listed_and_says_why(ros: RosSystem) -> None:
     odd = ros.node("odd_type_node.py")
     async with opened(ros) as session:
         (sample,) = await session.first(await session.adapter.subscribe("/odd"))
@@ -163,7 +159,7 @@ async def test_a_definition_that_cannot_be_read_leaves_the_topic_listed_and_says
     odd.stop()
 
 
-def test_a_host_name_that_does_not_resolve_is_tried_at_the_masters_host(ros: RosSystem, opened: Opening) -> None:
+def test_a_host_name_that_does_not_resolve_is_tried_at_the_masters_host(ros: RosSystem) -> None:
     node = ros.node("latched_node.py", "lost_node", "/lost", "found", ROS_HOSTNAME="no-such-host.invalid", ROS_IP="")
 
     async def read() -> str:
@@ -176,7 +172,7 @@ def test_a_host_name_that_does_not_resolve_is_tried_at_the_masters_host(ros: Ros
     node.stop()
 
 
-async def test_a_host_that_does_not_resolve_is_shown_as_unreachable(ros: RosSystem, opened: Opening) -> None:
+async def test_a_host_that_does_not_resolve_is_shown_as_unreachable(ros: RosSystem) -> None:
     name, uri = "far-away.invalid", "http://far-away.invalid:9/"
     ros.master.registerPublisher("/ghost", "/ghosts", "std_msgs/String", uri)
     async with opened(ros, host_map={name: "127.7.7.7"}) as session:

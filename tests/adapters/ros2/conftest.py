@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from typing import Any, TypeAlias
+from collections.abc import Iterator
+from contextlib import AbstractAsyncContextManager
+from typing import Any
 
 import pytest
 
 from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Encoding, MessageSchema, ServiceSchema, TypeRef
 from rosld.adapters.ros2 import adapter
-from tests.adapters.session import Session, Told
+from tests.adapters.session import Session, opened_on
 from tests.ros2.system import System, running
 
 collect_ignore_glob = [] if "ROSLD_ROS2_PYTHON" in os.environ else ["test_live_*.py"]
@@ -42,9 +41,6 @@ class Ros2Session(Session):
         return str(schema.response.codec.decode(answer, Encoding.CDR).message)  # type: ignore[attr-defined]
 
 
-Opening: TypeAlias = "Callable[..., AbstractAsyncContextManager[Ros2Session]]"
-
-
 @pytest.fixture(scope="session")
 def ros() -> Iterator[System]:
     """A robot, its pilot, and nodes with a lifecycle, for all tests that end none of them."""
@@ -61,18 +57,6 @@ def lone_ros() -> Iterator[System]:
         yield system
 
 
-@pytest.fixture
-def opened() -> Opening:
-    """`async with opened(ros) as session`: rosld's adapter, open on a system, closed at the end."""
-
-    @asynccontextmanager
-    async def opening(system: System, more: str = "", **options: Any) -> AsyncIterator[Ros2Session]:
-        told = Told()
-        made = adapter(system.source + more, AdapterOptions(**options))
-        await made.open(told, deadline=asyncio.get_running_loop().time() + 60)
-        try:
-            yield Ros2Session(made, told)
-        finally:
-            await made.close()
-
-    return opening
+def opened(system: System, more: str = "", **options: Any) -> AbstractAsyncContextManager[Ros2Session]:
+    """Open rosld's adapter on a system; close it at the end."""
+    return opened_on(adapter(system.source + more, AdapterOptions(**options)), seconds=60, kind=Ros2Session)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from rosld.adapters.model import Descriptor, Operation, ParameterType, Range
-from rosld.adapters.parameter_messages import descriptor_of, operations_on
+from rosld.adapters.model import Descriptor, ParameterType, Range
+from rosld.adapters.parameter_messages import descriptor_of
 
 EMPTY = {
     "type": 0,
@@ -25,17 +25,6 @@ def message(**fields: Any) -> Any:
 
 def between(least: float, greatest: float, step: float = 0) -> list[Any]:
     return [SimpleNamespace(from_value=least, to_value=greatest, step=step)]
-
-
-def test_all_that_is_declared_is_there() -> None:
-    declared = message(
-        type=2, description="seats", additional_constraints="even", read_only=True, integer_range=between(2, 8, 2)
-    )
-    assert descriptor_of(declared) == Descriptor(
-        ParameterType.INTEGER, "seats", read_only=True, constraints="even", range=Range(2, 8, 2)
-    )
-    assert descriptor_of(message()) is None
-    assert descriptor_of(message(type=77)) is None
 
 
 def test_of_two_ranges_the_one_of_the_type_holds() -> None:
@@ -63,11 +52,3 @@ def test_endless_words_have_an_end_and_all_are_unicode() -> None:
     assert found is not None
     assert len(found.description) < 5000
     assert found.constraints == "?"
-
-
-def test_a_node_keeps_what_it_declared_and_does_not_change_what_is_read_only() -> None:
-    read, write = Operation.GET_PARAMETER, Operation.SET_PARAMETER
-    assert operations_on(None) == {read, write, Operation.DELETE_PARAMETER}
-    assert operations_on(Descriptor(dynamic_typing=True)) == {read, write, Operation.DELETE_PARAMETER}
-    assert operations_on(Descriptor(ParameterType.STRING)) == {read, write}
-    assert operations_on(Descriptor(ParameterType.STRING, read_only=True)) == {read}

@@ -21,6 +21,7 @@ from rosld.adapters.model import (
     ServiceSchema,
     TypeRef,
 )
+from tests.adapters.ros2.conftest import opened
 
 pytestmark = pytest.mark.slow
 
@@ -62,9 +63,7 @@ def statuses(told: list[GoalEvent]) -> list[GoalStatus]:
     return [each.status for each in told if each.status is not None]
 
 
-async def test_the_topics_of_an_action_are_read_and_its_services_are_known_but_not_called(
-    ros: Any, opened: Any
-) -> None:
+async def test_the_topics_of_an_action_are_read_and_its_services_are_known_but_not_called(ros: Any) -> None:
     async with opened(ros) as session:
         action = await session.until(lambda: session.graph.actions.get("/fly"))
         assert (action.type, action.servers, action.unusable) == (TypeRef(FLY), ("/pilot",), None)
@@ -98,23 +97,10 @@ async def test_the_topics_of_an_action_are_read_and_its_services_are_known_but_n
                 await session.call(service.name, schema.ref, b"")
 
 
-async def test_a_goal_tells_of_itself_until_it_succeeds_is_aborted_or_canceled(ros: Any, opened: Any) -> None:
+async def test_a_goal_that_is_aborted_or_canceled_has_a_result_too(ros: Any) -> None:
     async with opened(ros) as session:
-        goal = await send(session, 5.0)
-        assert (goal.action, len(bytes.fromhex(goal.id))) == ("/fly", 16)
-        told = await events(session, goal)
-        assert (told[0].status, told[0].goal is not None) == (GoalStatus.ACCEPTED, True)
-        assert statuses(told)[-1] is GoalStatus.SUCCEEDED
-        assert statuses(told).count(GoalStatus.SUCCEEDED) == 1
-        codec = (await schema_of(session)).feedback.codec
-        fed = [codec.decode(each.feedback, Encoding.CDR) for each in told if each.feedback is not None]
-        flown = [each.flown for each in fed]  # type: ignore[attr-defined]
-        assert flown == sorted(flown)
-        assert set(flown) <= {1.0, 2.0, 3.0, 4.0, 5.0}
-        assert len(flown) >= 3
-        assert (await result(session, told)).message == "arrived"
-
         told = await events(session, await send(session, 60.0))
+        assert (told[0].status, told[0].goal is not None) == (GoalStatus.ACCEPTED, True)
         assert statuses(told)[-1] is GoalStatus.ABORTED
         assert (await result(session, told)).message == "out of fuel"
 
@@ -130,7 +116,7 @@ async def test_a_goal_tells_of_itself_until_it_succeeds_is_aborted_or_canceled(r
             await session.adapter.send_goal("/fly", TypeRef(FLY), b"", deadline=session.deadline())
 
 
-async def test_a_goal_that_another_sends_is_followed_to_its_end_and_its_result(ros: Any, opened: Any) -> None:
+async def test_a_goal_that_another_sends_is_followed_to_its_end_and_its_result(ros: Any) -> None:
     async with opened(ros) as session:
         await session.until(lambda: "/fly" in session.graph.actions)
         watch = await session.adapter.follow_goals("/fly", deadline=session.deadline(2))
@@ -147,7 +133,7 @@ async def test_a_goal_that_another_sends_is_followed_to_its_end_and_its_result(r
         watch.close()
 
 
-async def test_a_goal_is_lost_when_its_server_is(lone_ros: Any, opened: Any) -> None:
+async def test_a_goal_is_lost_when_its_server_is(lone_ros: Any) -> None:
     pilot = lone_ros.node("pilot.py")
     async with opened(lone_ros) as session:
         goal = await send(session, 40.0)

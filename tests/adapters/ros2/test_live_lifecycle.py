@@ -8,6 +8,7 @@ import pytest
 
 from rosld.adapters.model import Kind, Lifecycle, NotFound, Operation, Ref, Refused, Sent, TimedOut
 from rosld.adapters.ros2 import message_classes
+from tests.adapters.ros2.conftest import opened
 
 pytestmark = pytest.mark.slow
 
@@ -28,7 +29,7 @@ async def change(session: Any, node: str, transition: str, seconds: float = 10.0
     await session.adapter.change_state(node, transition, deadline=session.deadline(seconds))
 
 
-async def test_a_managed_node_goes_through_its_life(ros: Any, opened: Any) -> None:
+async def test_a_managed_node_goes_through_its_life(ros: Any) -> None:
     camera = Ref(Kind.NODE, "/camera")
     async with opened(ros) as session, opened(ros) as other:
         unconfigured = ("unconfigured", ["configure", "shutdown"])
@@ -58,9 +59,7 @@ async def test_a_managed_node_goes_through_its_life(ros: Any, opened: Any) -> No
             await change(session, "/nobody", "configure")
 
 
-async def test_a_transition_that_fails_is_refused_and_one_that_hangs_is_told_as_being_made(
-    ros: Any, opened: Any
-) -> None:
+async def test_a_transition_that_fails_is_refused_and_one_that_hangs_is_told_as_being_made(ros: Any) -> None:
     async with opened(ros) as session:
         await session.until(lambda: standing(session, "/lidar"))
         with pytest.raises(Refused, match="did not make the transition 'configure'") as failed:
@@ -76,9 +75,7 @@ async def test_a_transition_that_fails_is_refused_and_one_that_hangs_is_told_as_
         await session.until(lambda: standing(session, "/lidar") == ("active", ["deactivate", "shutdown"]))
 
 
-async def test_a_managed_node_that_answers_nothing_holds_up_nobody_and_one_that_is_killed_is_gone(
-    ros: Any, opened: Any
-) -> None:
+async def test_a_managed_node_that_answers_nothing_holds_up_nobody_and_one_that_is_killed_is_gone(ros: Any) -> None:
     mute = ros.node("managed.py", "mute")
     async with opened(ros) as session:
         await session.until(lambda: standing(session, "/camera"))
@@ -95,7 +92,7 @@ async def test_a_managed_node_that_answers_nothing_holds_up_nobody_and_one_that_
 
 
 async def test_without_lifecycle_msgs_a_managed_node_is_told_with_the_reason(
-    ros: Any, opened: Any, monkeypatch: pytest.MonkeyPatch
+    ros: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(message_classes, "class_problem", lambda type: f"{type} is not installed")
     async with opened(ros) as session:

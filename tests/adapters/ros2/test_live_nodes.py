@@ -10,13 +10,12 @@ from typing import Any
 import pytest
 
 from rosld.adapters.model import TimedOut
+from tests.adapters.ros2.conftest import opened
 
 pytestmark = pytest.mark.slow
 
 
-async def test_a_node_that_is_killed_and_started_again_is_missed_and_found_and_counts_from_one(
-    lone_ros: Any, opened: Any
-) -> None:
+async def test_a_node_that_is_killed_and_started_again_is_missed_and_found_and_counts_from_one(lone_ros: Any) -> None:
     first = lone_ros.node("robot.py")
     lone_ros.node("odd.py", "twin", "bystander")
     async with opened(lone_ros) as session:
@@ -37,7 +36,7 @@ async def test_a_node_that_is_killed_and_started_again_is_missed_and_found_and_c
         )
 
 
-async def test_a_node_that_answers_nothing_is_told_as_such_and_holds_up_nobody(lone_ros: Any, opened: Any) -> None:
+async def test_a_node_that_answers_nothing_is_told_as_such_and_holds_up_nobody(lone_ros: Any) -> None:
     lone_ros.node("robot.py")
     lone_ros.node("odd.py", "silent", "silent")
     async with opened(lone_ros) as session:
@@ -65,7 +64,7 @@ def shared() -> set[str]:
     return {path.name for path in Path("/dev/shm").iterdir()}
 
 
-async def test_leaving_leaves_no_shared_memory_behind(lone_ros: Any, opened: Any) -> None:
+async def test_leaving_leaves_no_shared_memory_behind(lone_ros: Any) -> None:
     before = mapped() | shared()  # killed nodes leave theirs
     async with opened(lone_ros) as session:
         ref, data = await session.text("is anybody here?")
@@ -76,7 +75,7 @@ async def test_leaving_leaves_no_shared_memory_behind(lone_ros: Any, opened: Any
     assert not {name.removesuffix(" (deleted)") for name in ours} & shared()
 
 
-async def test_nothing_of_ours_stays_and_signals_are_left_alone(ros: Any, opened: Any) -> None:
+async def test_nothing_of_ours_stays_and_signals_are_left_alone(ros: Any) -> None:
     handlers = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     async with opened(ros) as onlooker:
         async with opened(ros) as session:

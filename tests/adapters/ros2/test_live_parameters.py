@@ -10,6 +10,7 @@ import pytest
 from rosld.adapters.model import Descriptor, Kind, Operation, ParameterType, Range, Ref, Refused, TimedOut
 from rosld.adapters.node_parameters import Parameters
 from rosld.adapters.ros2 import message_classes
+from tests.adapters.ros2.conftest import opened
 
 pytestmark = pytest.mark.slow
 
@@ -37,7 +38,7 @@ async def described(session: Any, name: str) -> Descriptor:
     return told
 
 
-async def test_parameters_of_all_kinds_are_named_by_their_node(ros: Any, opened: Any) -> None:
+async def test_parameters_of_all_kinds_are_named_by_their_node(ros: Any) -> None:
     async with opened(ros) as session:
         await session.until(lambda: "/listener/seats" in session.graph.parameters)
         wanted = {
@@ -58,7 +59,7 @@ async def test_parameters_of_all_kinds_are_named_by_their_node(ros: Any, opened:
         assert not any(name.startswith(f"{own}/") for name in session.graph.parameters)
 
 
-async def test_what_another_sets_comes_by_the_events_of_its_node(ros: Any, opened: Any) -> None:
+async def test_what_another_sets_comes_by_the_events_of_its_node(ros: Any) -> None:
     async with opened(ros) as one, opened(ros) as other:
         name = "/free/told.by.event"
         await one.until(lambda: Operation.SET_PARAMETER in one.adapter.allows(Ref(Kind.PARAMETER, name)))
@@ -70,7 +71,7 @@ async def test_what_another_sets_comes_by_the_events_of_its_node(ros: Any, opene
         await other.until(lambda: name not in other.graph.parameters)
 
 
-async def test_nodes_judge_as_they_declare_and_numbers_go_out_in_the_declared_type(ros: Any, opened: Any) -> None:
+async def test_nodes_judge_as_they_declare_and_numbers_go_out_in_the_declared_type(ros: Any) -> None:
     async with opened(ros) as session:
         assert {name: await described(session, name) for name in DECLARED} == DECLARED
         allows = {name: session.adapter.allows(Ref(Kind.PARAMETER, name)) for name in DECLARED}
@@ -88,7 +89,7 @@ async def test_nodes_judge_as_they_declare_and_numbers_go_out_in_the_declared_ty
             assert caught.value.words
 
 
-async def test_what_a_node_declares_later_or_anew_is_asked_for_soon(ros: Any, opened: Any) -> None:
+async def test_what_a_node_declares_later_or_anew_is_asked_for_soon(ros: Any) -> None:
     async with opened(ros) as session:
         assert (await described(session, "/lamp/changed")).description == "As it was."
         await session.trigger("/lamp/grow")

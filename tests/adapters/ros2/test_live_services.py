@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 
 from rosld.adapters.model import NotFound, Refused, Sent, TimedOut, TypeRef, Unreachable
+from tests.adapters.ros2.conftest import opened
 
 pytestmark = pytest.mark.slow
 
 
-async def test_a_hundred_services_are_called_at_once_while_one_hangs(lone_ros: Any, opened: Any) -> None:
+async def test_a_hundred_services_are_called_at_once_while_one_hangs(lone_ros: Any) -> None:
     lone_ros.node("robot.py", "100")
     async with opened(lone_ros) as session:
         names = [f"/many/service_{number}" for number in range(100)]
@@ -30,9 +31,7 @@ async def test_a_hundred_services_are_called_at_once_while_one_hangs(lone_ros: A
             assert caught.value.sent is Sent.NO
 
 
-async def test_a_server_that_goes_away_while_it_is_waited_for_is_unreachable_and_may_have_acted(
-    lone_ros: Any, opened: Any
-) -> None:
+async def test_a_server_that_goes_away_while_it_is_waited_for_is_unreachable_and_may_have_acted(lone_ros: Any) -> None:
     robot = lone_ros.node("robot.py")
     async with opened(lone_ros) as session:
         await session.until(lambda: "/hangs" in session.graph.services)

@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 
 from rosld.adapters.model import Mismatch, Qos, mismatches
+from tests.adapters.ros2.conftest import opened
 
 pytestmark = pytest.mark.slow
 
 
-async def test_the_quality_of_service_of_every_endpoint_is_in_the_graph(ros: Any, opened: Any) -> None:
+async def test_the_quality_of_service_of_every_endpoint_is_in_the_graph(ros: Any) -> None:
     async with opened(ros) as session:
         published = {"/counter", "/description", "/_hidden/topic"}
         await session.until(lambda: published <= {name for name, it in session.graph.topics.items() if it.publishers})
@@ -30,7 +31,7 @@ async def test_the_quality_of_service_of_every_endpoint_is_in_the_graph(ros: Any
         assert (shy.node, shy.qos.reliability, shy.qos.deadline_ns) == ("/listener", "best_effort", None)
 
 
-async def test_a_latched_message_reaches_a_late_look_and_a_second_look_and_counts_once(ros: Any, opened: Any) -> None:
+async def test_a_latched_message_reaches_a_late_look_and_a_second_look_and_counts_once(ros: Any) -> None:
     async with opened(ros) as session:
         one = await session.adapter.subscribe("/description")
         (early,) = await session.first(one)
@@ -48,7 +49,7 @@ async def test_a_latched_message_reaches_a_late_look_and_a_second_look_and_count
         assert again.data == sample.data
 
 
-async def test_two_nodes_that_do_not_hear_each_other_are_a_mismatch_and_both_are_read(ros: Any, opened: Any) -> None:
+async def test_two_nodes_that_do_not_hear_each_other_are_a_mismatch_and_both_are_read(ros: Any) -> None:
     odd = [ros.node("odd.py", way, way) for way in ("shouter", "strict", "late")]
     async with opened(ros) as session:
         topic = await session.until(
@@ -66,7 +67,7 @@ async def test_two_nodes_that_do_not_hear_each_other_are_a_mismatch_and_both_are
         node.stop()
 
 
-async def test_two_publishers_of_one_topic_are_both_read(ros: Any, opened: Any) -> None:
+async def test_two_publishers_of_one_topic_are_both_read(ros: Any) -> None:
     twins = [ros.node("odd.py", "twin", name) for name in ("castor", "pollux")]
     async with opened(ros) as session:
         await session.until(lambda: "/shared" in session.graph.topics)
@@ -84,9 +85,7 @@ async def test_two_publishers_of_one_topic_are_both_read(ros: Any, opened: Any) 
         node.stop()
 
 
-async def test_what_rosld_publishes_reaches_reliable_best_effort_and_latched_subscribers_at_once(
-    lone_ros: Any, opened: Any
-) -> None:
+async def test_what_rosld_publishes_reaches_reliable_best_effort_and_latched_subscribers_at_once(lone_ros: Any) -> None:
     robot = lone_ros.node("robot.py")
     async with opened(lone_ros) as session:
         for topic, heard in (("/cockpit/display", ""), ("/shy/display", "shy "), ("/latched/display", "latched ")):
@@ -99,7 +98,7 @@ async def test_what_rosld_publishes_reaches_reliable_best_effort_and_latched_sub
         assert ours.qos.durability == "transient_local"
 
 
-async def test_an_own_sample_is_one_sample_though_the_middleware_echoes_it(ros: Any, opened: Any) -> None:
+async def test_an_own_sample_is_one_sample_though_the_middleware_echoes_it(ros: Any) -> None:
     async with opened(ros) as session:
         subscription = await session.adapter.subscribe("/cockpit/display", depth=10)
         for number in range(5):
@@ -119,7 +118,7 @@ async def test_an_own_sample_is_one_sample_though_the_middleware_echoes_it(ros: 
         assert [(each.publisher, each.latched) for each in latched.latest()] == [(session.graph.own_node, True)]
 
 
-async def test_two_that_begin_to_publish_before_they_know_each_other_have_two_names(ros: Any, opened: Any) -> None:
+async def test_two_that_begin_to_publish_before_they_know_each_other_have_two_names(ros: Any) -> None:
     async def publish(session: Any) -> None:
         ref, data = await session.text(f"hello from {session.graph.own_node}")
         await session.publish("/shared/topic", ref, data, seconds=0.3)
@@ -141,7 +140,7 @@ async def test_two_that_begin_to_publish_before_they_know_each_other_have_two_na
         await hears(second, heard[1], first)
 
 
-async def test_the_source_says_the_namespace_and_the_user_the_quality_of_service(ros: Any, opened: Any) -> None:
+async def test_the_source_says_the_namespace_and_the_user_the_quality_of_service(ros: Any) -> None:
     qos = (("/brand/*", Qos("best_effort", "transient_local", depth=3)),)
     async with opened(ros, "&namespace=/robot1", qos=qos) as session:
         ref, data = await session.text("hello")
@@ -152,7 +151,7 @@ async def test_the_source_says_the_namespace_and_the_user_the_quality_of_service
         assert (ours.qos.reliability, ours.qos.durability) == ("best_effort", "transient_local")
 
 
-async def test_names_that_ros_2_does_not_allow_are_refused_and_harm_nobody(ros: Any, opened: Any) -> None:
+async def test_names_that_ros_2_does_not_allow_are_refused_and_harm_nobody(ros: Any) -> None:
     async with opened(ros) as session:
         ref, data = await session.text("hello")
         for name in ("/with space", "/ü", "/a//b", "/1a", "/a/"):

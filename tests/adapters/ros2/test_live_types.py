@@ -12,6 +12,7 @@ import pytest
 
 from rosld.adapters.model import MessageSchema, Primitive, TypeRef, library
 from rosld.adapters.ros2 import types
+from tests.adapters.ros2.conftest import opened
 
 pytestmark = pytest.mark.slow
 
@@ -38,7 +39,7 @@ def test_every_type_installed_here_has_the_hash_that_came_with_it() -> None:
 
 
 async def test_a_topic_whose_package_is_not_installed_here_is_listed_with_the_reason(
-    lone_ros: Any, opened: Any, monkeypatch: pytest.MonkeyPatch
+    lone_ros: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lone_ros.node("odd.py", "foreign", "foreign")
     for name in ("visualization_msgs", "visualization_msgs.msg", "visualization_msgs.srv"):
@@ -56,7 +57,7 @@ async def test_a_topic_whose_package_is_not_installed_here_is_listed_with_the_re
 
 @pytest.mark.parametrize("way", ["foreign", "idl"])
 async def test_a_type_that_lies_nowhere_here_is_asked_of_the_node_that_uses_it_however_it_is_written(
-    lone_ros: Any, opened: Any, monkeypatch: pytest.MonkeyPatch, way: str
+    lone_ros: Any, monkeypatch: pytest.MonkeyPatch, way: str
 ) -> None:
     lone_ros.node("odd.py", way, way)
     monkeypatch.setattr(sys.modules["rosld.adapters.ros2.adapter"], "definition_folders", lambda given: [])

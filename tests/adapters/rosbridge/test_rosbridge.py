@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager
 import pytest
 
 from rosld.adapters.aircraft import adapter as aircraft
-from rosld.adapters.base import Adapter, AdapterOptions
+from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Encoding, MessageSchema, Stale, TypeRef, UnknownType
 from rosld.adapters.model.library import TypeLibrary
 from rosld.adapters.model.plain import message_of, plain_of
@@ -18,19 +18,17 @@ from rosld.adapters.rosbridge import adapter
 from rosld.adapters.rosbridge.protocol import decode_message, definition_of
 from rosld.adapters.rover import rover_adapter
 from tests.adapters.rosbridge.bridge import Bridge, cbor
-from tests.adapters.session import Told
+from tests.adapters.session import Session, opened_on
 
 
 @asynccontextmanager
-async def opened(bridge: Bridge, query: str = "") -> AsyncIterator[Adapter]:
+async def opened(bridge: Bridge, query: str = "") -> AsyncIterator[Session]:
     """Run the bridge and open an adapter."""
     bridge.start()
-    found = adapter(bridge.source + query, AdapterOptions())
     try:
-        await found.open(Told(), deadline=asyncio.get_running_loop().time() + 10)
-        yield found
+        async with opened_on(adapter(bridge.source + query, AdapterOptions())) as session:
+            yield session
     finally:
-        await found.close()
         bridge.stop()
 
 
@@ -39,47 +37,45 @@ def rover(*, raw: bool = True) -> Bridge:
 
 
 async def test_the_version_of_ros_is_the_bridges() -> None:
-    async with opened(Bridge(lambda: aircraft("aircraft", AdapterOptions()))) as found:
-        assert (found.capabilities.system, found.capabilities.encoding) == ("ROS 1", Encoding.ROS1)
-        assert "/aircraft/engine/speed" in found.graph.topics
-    async with opened(rover()) as found:
-        assert (found.capabilities.system, found.capabilities.encoding) == ("ROS 2", Encoding.CDR)
-    async with opened(rover(), "?ros=1") as found:
-        assert isinstance(found.graph.state, Stale)
-        assert "?ros=2" in found.graph.state.why
+    async with opened(Bridge(lambda: aircraft("aircraft", AdapterOptions()))) as session:
+        can = session.adapter.capabilities
+        assert (can.system, can.encoding) == ("ROS 1", Encoding.ROS1)
+        assert "/aircraft/engine/speed" in session.graph.topics
+    async with opened(rover()) as session:
+        can = session.adapter.capabilities
+        assert (can.system, can.encoding) == ("ROS 2", Encoding.CDR)
+    async with opened(rover(), "?ros=1") as session:
+        assert isinstance(session.graph.state, Stale)
+        assert "?ros=2" in session.graph.state.why
 
 
 async def test_what_rosld_publishes_is_not_received_again_from_the_bridge() -> None:
-    async with opened(rover()) as found:
-        loop = asyncio.get_running_loop()
-        schema = await found.schema(TypeRef("geometry_msgs/msg/Twist"), deadline=loop.time() + 5)
-        assert isinstance(schema, MessageSchema)
+    async with opened(rover()) as session:
+        schema = await session.schema(TypeRef("geometry_msgs/msg/Twist"))
         data = schema.codec.encode(message_of(schema, {"linear": {"x": 0.125}}), Encoding.CDR)
-        subscription = await found.subscribe("/cmd_vel", depth=10)
+        subscription = await session.adapter.subscribe("/cmd_vel", depth=10)
         for _ in range(3):
-            await found.publish("/cmd_vel", schema.ref, data, deadline=loop.time() + 5)
+            await session.publish("/cmd_vel", schema.ref, data)
         await asyncio.sleep(0.2)  # the echoes arrive meanwhile
-        assert [each.publisher for each in subscription.latest()] == [found.graph.own_node] * 3
-        publishers = found.graph.topics["/cmd_vel"].publishers
-        assert [each.node for each in publishers] == [found.graph.own_node]
+        assert [each.publisher for each in subscription.latest()] == [session.graph.own_node] * 3
+        publishers = session.graph.topics["/cmd_vel"].publishers
+        assert [each.node for each in publishers] == [session.graph.own_node]
 
 
 async def test_a_type_that_is_not_known_here_is_described_by_the_bridge() -> None:
-    async with opened(rover()) as found:
-        deadline = asyncio.get_running_loop().time() + 5
-        schema = await found.schema(TypeRef("odd_msgs/msg/Odd"), deadline=deadline)
-        assert isinstance(schema, MessageSchema)
+    async with opened(rover()) as session:
+        schema = await session.schema(TypeRef("odd_msgs/msg/Odd"))
         assert [each.name for each in schema.type.fields] == ["stamp", "names", "pair"]
         with pytest.raises(UnknownType, match="rosapi"):
-            await found.schema(TypeRef("no_such_msgs/msg/Thing"), deadline=deadline)
+            await session.schema(TypeRef("no_such_msgs/msg/Thing"))
 
 
 async def test_a_bridge_without_rosapi_is_stale_and_the_reason_says_what_to_start() -> None:
     bridge = rover()
     bridge.without_rosapi = True
-    async with opened(bridge) as found:
-        assert isinstance(found.graph.state, Stale)
-        assert "rosapi" in found.graph.state.why
+    async with opened(bridge) as session:
+        assert isinstance(session.graph.state, Stale)
+        assert "rosapi" in session.graph.state.why
 
 
 def test_an_unknown_version_of_ros_is_refused() -> None:

@@ -6,7 +6,7 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from rosld.adapters.rover.drive import RADIUS
@@ -37,6 +37,7 @@ def flooded(start: Point) -> np.ndarray:
         reached = grown
 
 
+@settings(max_examples=30)
 @given(PLACES, PLACES)
 def test_a_way_is_free_and_no_shorter_than_the_straight_line(start: Point, goal: Point) -> None:
     assume(is_free(start) and is_free(goal))
@@ -50,6 +51,7 @@ def test_a_way_is_free_and_no_shorter_than_the_straight_line(start: Point, goal:
             assert clearance >= RADIUS + MARGIN - 2 * RESOLUTION
 
 
+@settings(max_examples=30)
 @given(PLACES)
 def test_there_is_a_way_wherever_a_flood_gets_to(goal: Point) -> None:
     assume(is_free(goal))

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import asyncio
 import io
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from rosld.adapters.base import Adapter, AdapterOptions
+from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import (
     Encoding,
     GoalStatus,
-    Kind,
     MessageSchema,
     NotFound,
-    Operation,
-    ParameterType,
-    Range,
-    Ref,
     Refused,
     TypeRef,
 )
@@ -32,19 +25,12 @@ from rosld.adapters.rover.graph import CMD_VEL, LATCHED, PERIODIC
 from rosld.adapters.rover.messages import HEIGHT, WIDTH, pose_stamped
 from rosld.adapters.rover.navigation import Pose
 from rosld.adapters.rover.simulation import read_source
-from tests.adapters.session import Session, Told
+from tests.adapters.session import Session, opened_on
 
 
-@asynccontextmanager
-async def live(told: Told | None = None) -> AsyncIterator[Session]:
+def live() -> AbstractAsyncContextManager[Session]:
     """Open a rover."""
-    opened: Adapter = rover_adapter("rover", AdapterOptions())
-    sink = told or Told()
-    await opened.open(sink, deadline=asyncio.get_running_loop().time() + 5)
-    try:
-        yield Session(opened, sink)
-    finally:
-        await opened.close()
+    return opened_on(rover_adapter("rover", AdapterOptions()))
 
 
 async def said(session: Session, topic: str) -> Any:
@@ -93,18 +79,6 @@ async def test_the_image_is_brighter_with_the_lights_on() -> None:
         assert np.mean((await session.decoded(subscription.latest()[-1])).data) > dark
 
 
-async def test_parameters_are_declared_with_their_types_ranges_and_words() -> None:
-    async with live() as session:
-        declared = {name: each.descriptor for name, each in session.graph.parameters.items()}
-        assert declared["/rover/max_speed"].range == Range(0.1, 1.0)
-        assert declared["/rover/scan_rate"].type is ParameterType.INTEGER
-        assert [choice.value for choice in declared["/rover/drive_mode"].choices] == ["eco", "normal", "sport"]
-        assert declared["/rover/wheel_separation"].read_only
-        allowed = session.adapter.allows(Ref(Kind.PARAMETER, "/rover/wheel_separation"))
-        assert allowed == {Operation.GET_PARAMETER}
-        assert session.adapter.allows(Ref(Kind.PARAMETER, "/rover/colour")) == frozenset()
-
-
 async def test_parameters_take_what_they_declare_and_of_several_none_where_one_is_refused() -> None:
     async with live() as session:
         for bad in ({"/rover/scan_rate": 99}, {"/rover/colour": "red"}, {"/rover/wheel_separation": 1.0}):
@@ -133,12 +107,11 @@ async def test_a_velocity_that_cannot_be_read_is_refused_and_not_published() -> 
 
 
 async def test_a_goal_that_is_pursued_is_lost_when_the_rover_ends() -> None:
-    told = Told()
-    async with live(told) as session:
+    async with live() as session:
         schema = await session.schema(TypeRef("rosld_rover/action/NavigateTo"))
         pose = await goal(session, 4.4, -3.4)
         await session.adapter.send_goal("/navigate_to", schema.ref, pose, deadline=session.deadline())
-    assert told.goals[-1][1].status is GoalStatus.LOST
+    assert session.told.goals[-1][1].status is GoalStatus.LOST
 
 
 async def goal(session: Session, x: float, y: float) -> bytes:

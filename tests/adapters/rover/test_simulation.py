@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rosld.adapters.model import GoalStatus
@@ -34,6 +34,7 @@ def ended(simulation: Simulation, now: float, patience: float = 60.0) -> tuple[G
     raise AssertionError("the goal never ended")
 
 
+@settings(max_examples=30)
 @given(st.lists(st.floats(0.001, 0.5), max_size=30))
 def test_looking_often_changes_nothing(pauses: list[float]) -> None:
     once, often = begun(), begun()
@@ -48,35 +49,6 @@ def test_looking_often_changes_nothing(pauses: list[float]) -> None:
         each.advance(now + 2 * STEP)
     behind = abs(once.state.motion.driven - often.state.motion.driven)
     assert behind <= 0.5 * STEP + 1e-9
-
-
-def test_the_same_commands_lead_to_the_same_state() -> None:
-    states = []
-    for _ in range(2):
-        simulation = begun()
-        simulation.command(AHEAD, 0.5)
-        simulation.navigate("a", Pose(3.0, 0.0, 1.0), 2.0)
-        for turn in range(200):
-            simulation.advance(2.0 + turn * 0.05)
-        states.append(simulation.state)
-    assert states[0] == states[1]
-
-
-def test_it_drives_on_without_any_further_command() -> None:
-    simulation = begun()
-    simulation.command(Velocity(0.2, 0.8), 0.0)
-    for now in range(1, 300):
-        simulation.advance(float(now))
-    assert simulation.state.motion.velocity == Velocity(0.2, 0.8)
-
-
-def test_time_passes_faster_at_a_higher_rate() -> None:
-    slow, fast = begun(), begun(rate=10.0)
-    slow.command(AHEAD, 0.0)
-    fast.command(AHEAD, 0.0)
-    slow.advance(10.0)
-    fast.advance(1.0)
-    assert math.isclose(slow.state.motion.driven, fast.state.motion.driven, abs_tol=0.5 * STEP + 1e-9)
 
 
 def test_a_machine_that_was_asleep_catches_up_with_seconds_and_not_with_hours() -> None:
@@ -185,9 +157,3 @@ def test_it_stops_by_itself_where_it_is_set_to() -> None:
         simulation.advance(float(now))
     assert not simulation.state.motion.is_bumped
     assert 4.3 < simulation.state.motion.x < 4.6
-
-
-def test_it_does_not_begin_where_something_stands() -> None:
-    for place in ((4.95, 0.0), (0.0, 2.6), (50.0, 0.0)):
-        with pytest.raises(ValueError, match="cannot start"):
-            begun(pose=Pose(*place, 0.0))

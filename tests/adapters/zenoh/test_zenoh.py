@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import pytest
 
 from rosld.adapters.base import AdapterOptions
-from rosld.adapters.model import Encoding, MessageSchema, Qos, TypeRef
+from rosld.adapters.model import Encoding, Qos, TypeRef
 from rosld.adapters.ros2.zenoh_adapter import adapter
 from rosld.adapters.ros2.zenoh_keys import (
     PUBLISHER,
@@ -22,7 +20,7 @@ from rosld.adapters.ros2.zenoh_keys import (
     write_attachment,
 )
 from tests.adapters.ros1.system import free_port
-from tests.adapters.session import Told
+from tests.adapters.session import opened_on
 from tests.adapters.zenoh.robot import Robot
 
 HASH = "RIHS01_" + "ab" * 32
@@ -64,28 +62,17 @@ def test_attachments_have_the_length_of_the_id() -> None:
 async def test_latched_messages_are_received_and_messages_arrive_with_their_attachment() -> None:
     robot = Robot(free_port())
     robot.start()
-    found = adapter(robot.source, AdapterOptions())
-    deadline = asyncio.get_running_loop().time() + 20
     try:
-        await found.open(Told(), deadline=deadline)
-        subscription = await found.subscribe("/description")
-        while not subscription.latest():
-            assert asyncio.get_running_loop().time() < deadline
-            await asyncio.sleep(0.01)
-        [sample] = subscription.latest()
-        assert (sample.publisher, sample.latched) == ("/counter", True)
-        assert b"a robot" in sample.data
-        schema = await found.schema(TypeRef("std_msgs/msg/String"), deadline=deadline)
-        assert isinstance(schema, MessageSchema)
-        data = schema.codec.encode(schema.codec.build(schema.ref.name, {"data": "hello"}), Encoding.CDR)
-        published = await found.publish("/cockpit/display", schema.ref, data, deadline=deadline)
-        assert published.matched == 1
-        while not robot.received:
-            assert asyncio.get_running_loop().time() < deadline
-            await asyncio.sleep(0.01)
-        assert robot.received == [data]
+        async with opened_on(adapter(robot.source, AdapterOptions()), seconds=20) as session:
+            [sample] = await session.first(await session.adapter.subscribe("/description"))
+            assert (sample.publisher, sample.latched) == ("/counter", True)
+            assert b"a robot" in sample.data
+            schema = await session.schema(TypeRef("std_msgs/msg/String"))
+            data = schema.codec.encode(schema.codec.build(schema.ref.name, {"data": "hello"}), Encoding.CDR)
+            assert (await session.publish("/cockpit/display", schema.ref, data, seconds=20)).matched == 1
+            await session.until(lambda: robot.received)
+            assert robot.received == [data]
     finally:
-        await found.close()
         robot.stop()
 
 

@@ -1,4 +1,4 @@
-"""Random queries compared to each other, on embedded robots; `tests/rover/test_on_ros.py` does so on real ones."""
+"""Random queries compared to each other, on embedded robots."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 from urllib.parse import quote
 
@@ -181,12 +182,13 @@ def test_oversized_and_compressed_bodies(target: Target) -> None:
     large = b'{"data": "' + b"a" * 11 * 1024 * 1024 + b'"}'
     bomb = gzip.compress(large)
     deep = b'{"data": ' + b"[" * 100_000 + b"]" * 100_000 + b"}"
+    codings = cycle(("gzip", "deflate", "br", "gzip, gzip"))
     for path in (DISPLAY, START, SEATS, POWER, "/sparql", "/data/file"):
         method = "POST" if path in (START, "/sparql") else "PUT"
         kind = {"Content-Type": "application/sparql-query"} if path == "/sparql" else JSON
-        for coding in ("gzip", "deflate", "br", "gzip, gzip"):
-            answer = target.http.request(method, path, headers={**kind, "Content-Encoding": coding}, content=bomb)
-            assert answer.status_code == 415, answer.text
+        coding = next(codings)
+        answer = target.http.request(method, path, headers={**kind, "Content-Encoding": coding}, content=bomb)
+        assert answer.status_code == 415, answer.text
         if path != "/data/file":  # files may be this large, and have any bytes
             assert target.http.request(method, path, headers=kind, content=large).status_code == 413
             answer = target.http.request(method, path, headers=kind, content=deep)

@@ -104,12 +104,6 @@ def test_allow_forms_and_openapi_tell_the_truth(client: httpx.Client) -> None:
         assert {verb for verb in item if verb in ("put", "patch", "delete")} == set(map(str.lower, methods))
 
 
-def test_what_fits_is_set(lamp: MadeUp, client: httpx.Client) -> None:
-    for value in (0, 20, 15.0):
-        assert client.put("/parameters/lamp/level", json=value).status_code == 204
-    assert lamp.sets == [{"/lamp/level": 0}, {"/lamp/level": 20}, {"/lamp/level": 15.0}]
-
-
 MISFITS = (
     ("level", -5, SH.MinInclusiveConstraintComponent, "must be at least 0, not -5"),
     ("level", 25, SH.MaxInclusiveConstraintComponent, "must be at most 20, not 25"),

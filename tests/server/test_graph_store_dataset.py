@@ -68,10 +68,7 @@ def test_a_name_that_is_spelt_otherwise_is_no_graph(http: httpx.Client) -> None:
     assert '"1"' in http.get("/data/spelt/1", headers=NTRIPLES).text
 
 
-def test_what_names_no_graph_is_refused_and_the_endpoint_names_the_graph_store(http: httpx.Client) -> None:
-    unclear = ("graph=a&graph=a", "graph=a&default", "default&default", "graph=a%20b", "graph=http://[", "graph=%FF")
-    for query in (*unclear, "graph=a&" + "&".join(["a=b"] * 300)):
-        assert http.get(f"/graphs?{query}").status_code == 400, query
+def test_the_endpoint_of_queries_names_the_graph_store(http: httpx.Client) -> None:
     for query in ("graph=http://127.0.0.1/data/x", "default", "all"):
         answer = http.get(f"/sparql?{query}")
         assert answer.status_code == 400
@@ -113,18 +110,17 @@ def said(http: httpx.Client, room: str) -> set[Quad]:
     return {*found}
 
 
-@pytest.mark.parametrize("media_type", ["application/n-quads", "application/trig"])
-def test_what_all_told_is_put_back(http: httpx.Client, media_type: str) -> None:
-    room = f"/data/round-{media_type[-4:]}/"
+def test_what_all_told_is_put_back(http: httpx.Client) -> None:
+    room, trig = "/data/round/", "application/trig"
     keep(http, room)
-    before, dump = said(http, room), http.get("/graphs?all", headers={"Accept": media_type}).content
+    before, dump = said(http, room), http.get("/graphs?all", headers={"Accept": trig}).content
     assert len(before) > 20
-    assert http.put("/graphs?all", content=dump, headers={"Content-Type": media_type}).status_code == 204
+    assert http.put("/graphs?all", content=dump, headers={"Content-Type": trig}).status_code == 204
     assert said(http, room) == before
     assert http.put(f"{room}thing", content="<> <urn:p> 'changed' .", headers=TURTLE).status_code == 204
     assert http.delete(f"{room}box/member").status_code == 204
     assert said(http, room) != before
-    assert http.put("/graphs?all", content=dump, headers={"Content-Type": media_type}).status_code == 204
+    assert http.put("/graphs?all", content=dump, headers={"Content-Type": trig}).status_code == 204
     assert said(http, room) == before
 
 

@@ -7,7 +7,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -322,7 +322,8 @@ def test_a_writable_topic_says_how_it_is_held_and_a_sensor_does_not(http: httpx.
     assert held(http, SENSOR, {"data": "x"}).status_code == 405
     affordance = "https://www.w3.org/2019/wot/td#hasActionAffordance"
     assert says(http, f"/topics{DRIVE}", affordance) == [f"<{http.base_url}topics/drive#hold>"]
-    assert says(http, f"/topics{SENSOR}", affordance) == []
+    assert says(http, f"/resources{DRIVE}", affordance) == [f"<{http.base_url}resources/drive#hold>"]
+    assert says(http, f"/topics{SENSOR}", affordance) == says(http, f"/resources{SENSOR}", affordance) == []
     assert set(says(http, f"/topics{DRIVE}", "https://w3id.org/rosld#uriTemplate")) == {
         f'"{http.base_url}topics/drive{{?rate,lease,for,then}}"'
     }
@@ -509,25 +510,3 @@ def test_the_server_ends_its_holds_before_it_ends_also_with_a_request_under_way(
         driven.until(lambda: len(driven.told) > 2, "messages")
     assert driven.on(DRIVE)[-1] == STILL
     assert driven.on(DRIVE).count(STILL) == 1
-
-
-def test_a_velocity_can_be_held_by_what_its_resource_and_the_thing_description_offer(serve: Callable[..., Any]) -> None:
-    http = serve("rover").http
-    said = rdflib.Graph().parse(data=http.get("/resources/cmd_vel", headers={"Accept": "text/turtle"}).text)
-    document = rdflib.URIRef(f"{http.base_url}resources/cmd_vel")
-    action = said.value(document, TD.hasActionAffordance)
-    targets = {str(said.value(form, HCTL.hasTarget)) for form in said.objects(action, TD.hasForm)}
-    described = http.get("/.well-known/wot").json()["actions"]["cmd_vel/hold"]
-    [form] = described["forms"]
-    assert {f"{target}{{?rate,lease,for,then}}" for target in targets} == {form["href"]}
-    assert set(described["uriVariables"]) == {"rate", "lease", "for", "then"}
-    assert set(described["input"]["properties"]) == {"linear", "angular"}
-    held = http.request(form["htv:methodName"], *targets, json={"linear": {"x": 0.1}})
-    assert held.status_code == 201
-    hold = http.get(held.headers["location"], headers={"Accept": "application/json"}).json()
-    assert (hold["topic"], hold["rate"], hold["lease"], hold["then"]) == ("/cmd_vel", 10.0, 1.0, "zero")
-    assert http.post("/stop").status_code == 200
-    stopped = http.get("/resources/cmd_vel", headers={"Accept": "text/turtle"}).text
-    assert "hasActionAffordance" not in stopped
-    assert "cmd_vel/hold" in http.get("/.well-known/wot").json()["actions"]
-    assert "hasActionAffordance" not in http.get("/resources/odom", headers={"Accept": "text/turtle"}).text

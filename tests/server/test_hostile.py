@@ -128,7 +128,6 @@ def test_a_body_whose_prefixes_expand_too_far_is_413(http: httpx.Client) -> None
     patch = f"[ a <{SOLID}InsertDeletePatch> ; <{SOLID}inserts> {{ {TRIPLES} }} ] ."
     for method, path, media_type, body in (
         ("PUT", "/data/expanded", "text/turtle", f"@prefix x: <{LONG}> . {TRIPLES} ."),
-        ("PUT", DISPLAY, "text/turtle", f"@prefix x: <{LONG}> . {TRIPLES} ."),
         ("POST", "/sparql", "application/sparql-update", f"PREFIX x: <{LONG}> INSERT DATA {{ {TRIPLES} }}"),
         (
             "POST",

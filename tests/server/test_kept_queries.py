@@ -169,22 +169,6 @@ def test_a_query_is_described_as_rdf(shared: httpx.Client, triples_of: Reader) -
         } <= said
 
 
-def test_its_description_can_say_more(stored: httpx.Client) -> None:
-    description = stored.get("/queries/mine.meta", headers={"Accept": "text/turtle"})
-    added = description.text + '\n<mine> <http://ex.org/by> "me" .'
-    answer = stored.put(
-        "/queries/mine.meta",
-        content=added,
-        headers={"Content-Type": "text/turtle", "If-Match": description.headers["etag"]},
-    )
-    assert answer.status_code == 204, answer.text
-    assert ask(stored, 'SELECT ?q ?d { ?q <http://ex.org/by> "me" ; dcterms:description ?d }') == [
-        [f"{stored.base_url}queries/mine", "Which topics have a name that begins so."]
-    ]
-    assert put(stored, "mine", ONE).status_code == 204
-    assert ask(stored, 'SELECT ?d { ?q <http://ex.org/by> "me" ; dcterms:description ?d }') == [["One number."]]
-
-
 def test_queries_are_in_the_dataset_each_once(stored: httpx.Client) -> None:
     found = ask(stored, "SELECT ?q { ?q a ros:Query ; dcterms:description ?d ; ros:text ?t }")
     names = sorted(url.rpartition("/")[2] for (url,) in found)
@@ -282,9 +266,6 @@ def test_only_sparql_is_taken(http: httpx.Client) -> None:
         for method, url in (("PUT", "/queries/mine"), ("POST", "/queries/")):
             answer = http.request(method, url, content=ONE.encode(), headers=headers)
             assert answer.status_code == status, (method, headers, answer.text)
-    for method, url, name in (("PUT", "/queries/mine", "accept-put"), ("POST", "/queries/", "accept-post")):
-        answer = http.request(method, url, content=ONE.encode(), headers={"Content-Type": "text/plain"})
-        assert (answer.status_code, answer.headers[name]) == (415, "application/sparql-query")
     assert contained(http) == before
 
 
@@ -311,22 +292,6 @@ def test_what_comes_with_rosld_stays_as_it_is(http: httpx.Client) -> None:
     assert "How many" in http.get("/queries/inventory", headers=TEXT).text
 
 
-def test_queries_survive_a_restart(tmp_path: Path) -> None:
-    with running(tmp_path, 0) as client:
-        port = client.base_url.port
-        assert put(client, "mine", TOPICS).status_code == 201
-        assert put(client, "gone", ONE).status_code == 201
-        listed = client.get("/queries/", headers=NT).headers["etag"]
-        assert client.delete("/queries/gone").status_code == 204
-    with running(tmp_path, port) as client:
-        assert client.get("/queries/mine", headers=TEXT).text == TOPICS
-        run = client.get("/queries/mine", params={"start": "/cock"}, headers=CSV)
-        assert run.text.splitlines() == ["name", "/cockpit/display"]
-        assert client.get("/queries/gone").status_code == 410
-        assert client.get("/queries/", headers=NT).headers["etag"] != listed
-        assert [f"{client.base_url}queries/mine"] in ask(client, "SELECT ?q { ?q a ros:Query }")
-
-
 async def test_a_query_that_is_none_any_more_is_listed_and_says_why(tmp_path: Path) -> None:
     bad = b"# It was good once.\nSELECT * { ?s ?p }"
 
@@ -345,6 +310,7 @@ async def test_a_query_that_is_none_any_more_is_listed_and_says_why(tmp_path: Pa
         assert "old:2: it is not a valid query with its parameters bound" in answer.json()["detail"]
         assert client.get("/queries/old", headers={"Accept": "text/html"}).status_code == 409
         assert client.get("/queries/old", headers=TEXT).content == bad
+        assert [f"{client.base_url}queries/old"] in ask(client, "SELECT ?q { ?q a ros:Query }")
         assert "It was good once." in client.get("/queries/old.meta", headers=NT).text
         assert client.get("/queries/inventory", headers=TEXT).content == bad
         assert client.get("/openapi.json").status_code == 200

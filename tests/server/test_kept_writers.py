@@ -37,18 +37,6 @@ def test_words_that_look_like_the_servers_are_kept_where_they_are_none(http: htt
         assert set(said) <= set(kept(http, "/data/x"))
 
 
-def test_what_is_the_servers_to_say_is_said_once(http: httpx.Client) -> None:
-    url = f"{http.base_url}data/x"
-    said = f'<> {CREATED} "yesterday" ; a <{LDP}RDFSource> ; {TITLE} "x" .'
-    for status in (201, 204):
-        assert http.put("/data/x", content=said, headers=TURTLE).status_code == status
-        found = kept(http, "/data/x")
-        assert f'<{url}> {TITLE} "x" .' in found
-        assert [line for line in found if CREATED in line] == [f'<{url}> {CREATED} "yesterday" .']
-        assert len([line for line in found if f"{LDP}RDFSource" in line]) == 1
-    assert http.put("/data/x", content=f"<> a <{LDP}Container> .", headers=TURTLE).status_code == 409
-
-
 def test_containment_and_triples_about_triples_are_refused(http: httpx.Client) -> None:
     assert http.put("/data/x", content="", headers=TURTLE).status_code == 201
     assert http.put("/data/x", content=f"<> <{LDP}contains> <#y> .", headers=TURTLE).status_code == 409

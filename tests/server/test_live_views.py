@@ -74,11 +74,11 @@ def test_a_message_is_never_seen_torn(robot: MadeUp, serving: Serving) -> None:
     )
     seen = set()
     with meanwhile(lambda count: robot.publishes("/place", all_equal(count))):
-        for query in (*[by_name] * 100, *[by_type] * 15, *[in_sum] * 15):
+        for query in (*[by_name] * 30, *[by_type] * 8, *[in_sum] * 8):
             [values] = rows(http, query)
             assert len(set(map(float, values))) == 1, values
             seen.add(values[0])
-    assert len(seen) > 10
+    assert len(seen) > 5
 
 
 def test_topics_that_change_together_are_seen_together(robot: MadeUp, serving: Serving) -> None:
@@ -94,18 +94,18 @@ def test_topics_that_change_together_are_seen_together(robot: MadeUp, serving: S
     assert len(rows(http, query)) == len(names)
     seen = set()
     with meanwhile(publish_all):
-        for _ in range(50):
+        for _ in range(20):
             found = rows(http, query)
             assert len(found) == len(names)
             assert len({x for _, x in found}) == 1, found
             seen.add(found[0][1])
-    assert len(seen) > 10
+    assert len(seen) > 5
 
 
 def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(
     robot: MadeUp, serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    every, size = 100, 1000
+    every, size = 30, 300
     robot.topics((f"/t{number}" for number in range(size)), "geometry_msgs/msg/Vector3")
     for number in range(0, size, every):
         robot.publishes(f"/t{number}", all_equal(number))
@@ -130,10 +130,10 @@ def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(
     lifted.clear()
     rows(http, query)
     assert lifted == []  # nothing has changed
-    robot.publishes("/t400", all_equal(-1))
-    robot.publishes("/t401", all_equal(-1))
+    robot.publishes("/t60", all_equal(-1))
+    robot.publishes("/t61", all_equal(-1))
     assert "-1.0" in [x for _, x in rows(http, query)]
-    assert lifted == ["/t400"]
+    assert lifted == ["/t60"]
     assert robot.subscribed() == wanted
 
 

@@ -19,7 +19,7 @@ SPARQL = {"Content-Type": "application/sparql-update"}
 ROS = "https://w3id.org/rosld#"
 DISPLAY = "/topics/cockpit/display"
 STRING = "https://w3id.org/rosld/types/std_msgs/msg/String#data"
-TIMES = 4
+TIMES = 2
 """Number of consecutive writes, each queried immediately: within the validity of a synchronization."""
 Write = Callable[[httpx.Client, str], httpx.Response]
 

@@ -1,4 +1,4 @@
-/* A disk whose syncs fail: of files whose path holds SYNC_OF, as often as the number in the file SYNC_FAILS says.
+/* A disk whose syncs fail: as often as the number in the file SYNC_FAILS says, of files whose path holds the word there.
    As a real one, it fails a sync once, and the next one finds nothing to complain of. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -10,20 +10,22 @@
 
 static int fails(int fd)
 {
-    const char *of = getenv("SYNC_OF"), *control = getenv("SYNC_FAILS");
-    char link[64], path[4096] = "";
+    const char *control = getenv("SYNC_FAILS");
+    char link[64], of[64] = "", path[4096] = "";
     int left = 0, saved = errno;
     FILE *file;
-    if (!of || !control)
+    if (!control)
         return 0;
     snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
-    if (readlink(link, path, sizeof path - 1) < 0 || !strstr(path, of))
+    if (readlink(link, path, sizeof path - 1) < 0)
         return 0;
     file = fopen(control, "r+");
     if (file) {
-        if (fscanf(file, "%d", &left) == 1 && left > 0) {
+        if (fscanf(file, "%d %63s", &left, of) == 2 && left > 0 && strstr(path, of)) {
             rewind(file);
             fprintf(file, "%-9d", left - 1);
+        } else {
+            left = 0;
         }
         fclose(file);
     }

@@ -181,8 +181,8 @@ def test_a_query_that_needs_too_much_memory_is_stopped_and_says_so(serve: Callab
 def test_an_answer_has_at_most_the_permitted_rows(serve: Callable[..., Served]) -> None:
     http = serve("aircraft", "--query-row-limit", "100").http
     for limit, status in ((100, 200), (101, 503)):
-        for pattern in ("?s ?p ?o", "?a ?b ?c . ?d ?e ?f"):
-            for kind in ("json", "xml", "csv", "tsv"):
+        for pattern, kinds in (("?s ?p ?o", ("json",)), ("?a ?b ?c . ?d ?e ?f", ("json", "xml", "csv", "tsv"))):
+            for kind in kinds:
                 query = f"SELECT * {{ {pattern} }} LIMIT {limit}"
                 answer = http.get("/sparql", params={"query": query, "format": kind})
                 assert answer.status_code == status, answer.text[:500]
@@ -290,6 +290,16 @@ def test_a_killed_process_is_one_failure_and_other_queries_go_on(served: Served)
     assert not found.endswith(b"\r\n0\r\n\r\n"), "the connection breaks, so that the answer does not look whole"
 
 
+def test_a_query_whose_process_dies_is_named_in_the_log(
+    serve: Callable[..., Served], capfd: pytest.CaptureFixture[str]
+) -> None:
+    served = until_ready(serve("aircraft", environment={**os.environ}))
+    with closing(asked(served, HEAVY)) as connection:
+        os.kill(worker_of(served), signal.SIGABRT)
+        assert everything(connection).startswith(b"HTTP/1.1 500")
+    assert HEAVY in capfd.readouterr().err
+
+
 def test_the_limits_are_in_the_description_of_the_service(served: Served) -> None:
     answer = served.http.get("/sparql", headers={"Accept": "text/turtle"})
     ros = "https://w3id.org/rosld#"
@@ -305,7 +315,7 @@ def test_the_limits_are_in_the_description_of_the_service(served: Served) -> Non
 
 
 def test_a_long_query_is_read_without_keeping_others_waiting(aircraft: Served) -> None:
-    query = "SELECT (COUNT(*) AS ?n) { VALUES ?x { " + "1 " * 60_000 + "} }"
+    query = "SELECT (COUNT(*) AS ?n) { VALUES ?x { " + "1 " * 20_000 + "} }"
     text = query.encode()
     address = urlsplit(aircraft.url)
     with closing(socket.create_connection((address.hostname, address.port), timeout=PATIENCE * 3)) as connection:

@@ -11,7 +11,6 @@ import pytest
 
 from tests.server.robots import asking
 from tests.server.robots.made_up import MadeUp, Serving
-from tests.waiting import until
 
 pytestmark = pytest.mark.slow
 
@@ -76,40 +75,14 @@ def test_resources_are_found_by_class_predicate_and_name(arm: MadeUp, serving: S
         assert str(number) in found(http, "?p a ros:Property ; rdf:value ?x"), "values are as of each query"
 
 
-def test_queries_about_something_else_call_no_getter(arm: MadeUp, serving: Serving) -> None:
+def test_a_resource_whose_condition_does_not_hold_is_in_no_answer(arm: MadeUp, serving: Serving) -> None:
     http = serving()
-    for where in (
-        "?x a ros:Topic ; ros:name ?name",
-        "?x a ros:Goal ; td:hasActionAffordance ?a",
-        "<topics/arm/state> rdf:value ?x",
-        "GRAPH <topics/arm/state> { ?x a ros:ComplexResource }",
-    ):
-        query = f"PREFIX td: <https://www.w3.org/2019/wot/td#> ASK {{ {where} }}"
-        http.get("/sparql", params={"query": query}).raise_for_status()
-        assert getters(arm) == set(), where
-
-
-def test_a_relation_of_a_mapping_finds_the_resources_that_have_it(arm: MadeUp, serving: Serving) -> None:
-    http = serving()
-    assert found(http, "?hand ex:width ?x") == set(), "no mapping says so yet"
     mapped(http, HAND)
-    assert found(http, "GRAPH <mappings/mine> { ?c <https://w3id.org/rosld/mapping#path> ?x }") == {"/arm/hand/"}
-    arm.calls.clear()
-    assert found(http, "?hand ex:width ?x") == {"9"}
-    assert found(http, "?x ex:greet ?action") == {"resources/arm/hand/"}
-    assert getters(arm) >= {"/arm/hand/get_width", "/arm/get_mode"}
-    update = f"""PREFIX ex: <{EX}> DELETE {{ GRAPH ?g {{ ?h ex:width ?old }} }}
-        INSERT {{ GRAPH ?g {{ ?h ex:width 12 }} }} WHERE {{ GRAPH ?g {{ ?h ex:width ?old }} }}"""
-    answer = http.post("/sparql", content=update, headers={"Content-Type": "application/sparql-update"})
-    assert answer.status_code in (200, 204), answer.text
-    assert asking.value(http, "/resources/arm/hand/width") == 12
-    assert "resources/arm/hand/" in found(http, "?x a ros:ComplexResource")
-    assert http.put("/resources/arm/mode", json="automatic").status_code == 204
-    assert "resources/arm/hand/" not in found(http, "?x a ros:ComplexResource")
-    assert found(http, "?hand ex:width ?x") == set()
-    assert http.put("/resources/arm/mode", json="manual").status_code == 204
-    assert http.delete("/mappings/mine").status_code == 204
-    assert found(http, "?hand ex:width ?x") == set()
+    for word, width, greeting in (("manual", {"9"}, {"resources/arm/hand/"}), ("automatic", set(), set())):
+        assert http.put("/resources/arm/mode", json=word).status_code == 204
+        assert found(http, "?hand ex:width ?x") == width
+        assert found(http, "?x ex:greet ?action") == greeting
+        assert ("resources/arm/hand/" in found(http, "?x a ros:ComplexResource")) is (word == "manual")
 
 
 def stuck(arm: MadeUp) -> list[str]:
@@ -131,25 +104,3 @@ def test_getters_that_hang_are_waited_for_together_and_then_left_out(arm: MadeUp
     assert len(found(http, "?x a ros:Property ; ros:unreadable ?why")) == 30
     for name in names:
         arm.release(name)
-
-
-def test_one_query_tells_an_agent_what_may_be_done_now(own_aircraft: httpx.Client) -> None:
-    http = own_aircraft
-
-    def offers(**given: str) -> set[tuple[str, str, str]]:
-        answer = http.get("/queries/what-can-be-done", params={"format": "csv", **given})
-        assert answer.status_code == 200, answer.text
-        rows = list(csv.reader(io.StringIO(answer.text)))[1:]
-        return {(name, method, target.removeprefix(str(http.base_url))) for _, name, method, target, _ in rows}
-
-    start, stop = (("start", "POST", "resources/aircraft/start"), ("stop", "POST", "resources/aircraft/stop"))
-    speed = ("speed", "PUT", "resources/aircraft/engine/speed")
-    assert {start, ("stop", "POST", "stop"), ("send", "POST", "actions/aircraft/fly")} <= offers()
-    assert offers().isdisjoint({stop, speed})
-    for name, method, target in offers(below="/resources/aircraft/"):
-        if name == "start":
-            assert http.request(method, f"/{target}").is_success
-    assert start not in offers(below="/resources/")
-    assert {stop, speed} <= offers(below="/resources/")
-    assert http.put(f"/{speed[2]}", json=300).is_success
-    until(lambda: stop not in offers(below="/resources/"), "its engine turns, so it may not be stopped")

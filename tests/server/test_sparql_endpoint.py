@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import io
-from typing import Any
 from xml.etree import ElementTree
 
 import httpx
@@ -13,54 +11,11 @@ import pytest
 from pyarrow import parquet
 from pyoxigraph import RdfFormat, parse
 
-TYPES = "https://w3id.org/rosld/types/"
-DISPLAY = "/topics/cockpit/display"
-CSV = {"Accept": "text/csv"}
 XML, JSON = "application/sparql-results+xml", "application/sparql-results+json"
 RDF_XML, TURTLE = "application/rdf+xml", "text/turtle"
 RESULTS = "{http://www.w3.org/2005/sparql-results#}"
 CONTROL = r"SELECT ('\u0001' AS ?x) {}"
 SHORT = "{ GRAPH </data/there> { <urn:a> <urn:p> ?x } }"
-LATEST = f"""PREFIX ros: <https://w3id.org/rosld#>
-SELECT ?topic ?text WHERE {{ ?topic a ros:Topic ; ros:latest ?m . ?m <{TYPES}std_msgs/msg/String#data> ?text }}"""
-
-
-def rows(answer: httpx.Response) -> list[list[str]]:
-    """Return the rows of a CSV result, without the heading."""
-    assert answer.status_code == 200, answer.text
-    return list(csv.reader(io.StringIO(answer.text)))[1:]
-
-
-def test_a_query_sees_what_was_published_just_before(http: httpx.Client) -> None:
-    direct = {"content": LATEST, "headers": {"Content-Type": "application/sparql-query", "Accept": "text/csv"}}
-    ways: tuple[tuple[str, dict[str, Any]], ...] = (
-        ("GET", {"params": {"query": LATEST}, "headers": CSV}),
-        ("POST", {"data": {"query": LATEST}, "headers": CSV}),
-        ("POST", direct),
-    )
-    for number, (method, sent) in enumerate(ways):
-        http.put(DISPLAY, json={"data": f"written {number}"})
-        assert rows(http.request(method, "/sparql", **sent)) == [
-            [str(http.base_url.join(DISPLAY)), f"written {number}"]
-        ]
-
-
-def test_every_resource_is_found_once_and_as_it_is_now(http: httpx.Client) -> None:
-    query = {"query": "SELECT ?t WHERE { ?t a ros:Topic ; ros:name ?n ; ros:hasMessageType ?y }"}
-    found = [row[0] for row in rows(http.get("/sparql", params=query, headers=CSV))]
-    assert len(found) == len(set(found)) >= 2
-    http.put("/parameters/queried", json=41)
-    http.put("/parameters/queried", json=42)
-    query = {"query": f"SELECT ?v WHERE {{ <{http.base_url.join('/parameters/queried')}> ros:value ?v }}"}
-    assert rows(http.get("/sparql", params=query, headers=CSV)) == [["42"]]
-
-
-def test_a_query_subscribes_to_what_it_names_though_it_also_looks_at_anything(own_aircraft: httpx.Client) -> None:
-    data = f"<{TYPES}std_msgs/msg/Float64#data>"
-    query = f"SELECT ?v WHERE {{ {{ ?m {data} ?v }} UNION {{ ?t ros:words ?v }} UNION {{ ?a ?b ?v }} }} LIMIT 1"
-    assert own_aircraft.get("/sparql", params={"query": query}).status_code == 200
-    typed = {"query": f"SELECT ?v WHERE {{ ?m {data} ?v }}"}
-    assert rows(own_aircraft.get("/sparql", params=typed, headers=CSV)) == [["0.0"]]
 
 
 def ask(http: httpx.Client, query: str, accept: str) -> httpx.Response:
@@ -80,18 +35,6 @@ def test_characters_that_xml_cannot_carry_are_406_where_only_xml_is_accepted(htt
     construct = r"CONSTRUCT { <urn:s> <urn:p> '\u0001' } {}"
     assert ask(http, construct, RDF_XML).status_code == 406
     assert ask(http, construct, f"{RDF_XML}, {TURTLE};q=0.1").headers["content-type"] == f"{TURTLE}; charset=utf-8"
-
-
-@pytest.mark.slow
-def test_a_client_that_prefers_xml_gets_everything_of_a_server(own_aircraft: httpx.Client) -> None:
-    http = own_aircraft
-    answer = ask(http, "SELECT * { ?s ?p ?o }", f"{XML}, {JSON};q=0.8")
-    assert answer.headers["content-type"] == XML
-    assert len([*ElementTree.fromstring(answer.content).iter(f"{RESULTS}result")]) > 500
-    assert http.put("/data/control", content=b"<> <urn:p> '\\u0001' .", headers={"Content-Type": TURTLE}).is_success
-    answer = ask(http, "SELECT * { ?s ?p ?o }", f"{XML}, {JSON};q=0.8")
-    assert answer.headers["content-type"] == JSON
-    assert len(answer.json()["results"]["bindings"]) > 500
 
 
 def test_carriage_returns_arrive_through_xml(http: httpx.Client) -> None:
@@ -145,30 +88,19 @@ def test_a_graph_names_the_prefixes_that_it_uses(http: httpx.Client) -> None:
 
 @pytest.mark.slow
 def test_a_large_graph_is_whole_whatever_prefixes_come_late(http: httpx.Client) -> None:
-    digits = "VALUES ?a { 0 1 2 3 4 5 6 7 8 9 }"
-    numbers = " ".join(digits.replace("?a", f"?{name}") for name in "abcde")
+    digits = "{ 0 1 2 3 4 5 6 7 8 9 }"
+    numbers = "VALUES ?a { 0 1 } " + " ".join(f"VALUES ?{name} {digits}" for name in "bcde")
     query = (
         "CONSTRUCT { ?s ?p ?n } { { SELECT * { "
         + numbers
         + " } } BIND(?a * 10000 + ?b * 1000 + ?c * 100 + ?d * 10 + ?e AS ?n) "
-        "BIND(IRI(CONCAT('urn:s', STR(?n))) AS ?s) BIND(IF(?n < 99990, ros:name, rdfs:label) AS ?p) }"
+        "BIND(IRI(CONCAT('urn:s', STR(?n))) AS ?s) BIND(IF(?n < 19990, ros:name, rdfs:label) AS ?p) }"
     )
     answer = ask(http, query, TURTLE)
     assert answer.status_code == 200
     found = {quad.predicate.value for quad in parse(answer.content, RdfFormat.TURTLE)}
     assert found == {"https://w3id.org/rosld#name", "http://www.w3.org/2000/01/rdf-schema#label"}
-    assert len(list(parse(answer.content, RdfFormat.TURTLE))) == 100_000
-
-
-@pytest.mark.slow
-def test_no_two_queries_draw_the_same(own_aircraft: httpx.Client) -> None:
-    there = {"content": "<urn:a> <urn:p> 1 .", "headers": {"Content-Type": TURTLE}}
-    own_aircraft.put("/data/there", **there).raise_for_status()
-    for function in ("UUID()", "STRUUID()", "RAND()"):
-        texts = [f"SELECT ({function} AS ?y) {SHORT}"] * 4
-        answers = [own_aircraft.get("/sparql", params={"query": text}, headers=CSV).text for text in texts]
-        assert len(set(answers)) == len(texts), function
-        assert all(answer.count("\n") == 2 for answer in answers)
+    assert len(list(parse(answer.content, RdfFormat.TURTLE))) == 20_000
 
 
 @pytest.mark.slow

@@ -12,23 +12,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from rosld.server.cli.data_folder import bind_base, lock, read_base
+from rosld.server.cli.data_folder import lock, read_base
 from rosld.server.cli.main import main
-
-BASE = "http://127.0.0.1:8080/"
-
-
-def test_a_folder_is_made_and_remembers_its_base(tmp_path: Path) -> None:
-    bind_base(tmp_path / "new" / "data", BASE)
-    bind_base(tmp_path / "new" / "data", BASE)
-    assert [path.name for path in (tmp_path / "new" / "data").iterdir()] == ["base-url"]
-
-
-def test_another_base_is_refused_and_told_the_owner(tmp_path: Path) -> None:
-    bind_base(tmp_path, BASE)
-    with pytest.raises(ValueError, match=f"--base-url {BASE}"):
-        bind_base(tmp_path, "http://127.0.0.1:8081/")
-
 
 HOLDER = """
 import os, sys
@@ -56,18 +41,6 @@ def holding(folder: Path, *more: str, pass_fds: tuple[int, ...] = ()) -> Iterato
             yield process
         finally:
             process.kill()
-
-
-def test_a_folder_is_held_by_one_process_at_a_time(tmp_path: Path) -> None:
-    folder = tmp_path / "data"
-    with (
-        lock(folder),
-        pytest.raises(ValueError, match=rf"another rosld \(process {os.getpid()}\).*--data"),
-        lock(folder),
-    ):
-        pass
-    with lock(folder):
-        pass
 
 
 @pytest.mark.slow

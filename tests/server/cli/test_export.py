@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import pytest
@@ -129,11 +128,3 @@ def test_files_of_the_same_topic_and_run_are_replaced_and_others_remain(
         "notes.txt",
         *(name for name in before if "odom" not in name),
     }
-
-
-def test_messages_are_selected_by_topic_and_time(folder: Path, tmp_path: Path) -> None:
-    found = exported(folder, "--topic", "odom", "--from", "1", "--to", "-0.5", "--format", "csv", tmp_path / "tables")
-    assert sorted(found) == [f"topic=odom/run={run}/part-0.csv" for run in ("long", "short 1")]
-    rows = list(csv.DictReader(found["topic=odom/run=short 1/part-0.csv"].decode().splitlines()))
-    assert 5 <= len(rows) <= 10
-    assert all("2023-11-14T22:13:21" <= row["received"] < "2023-11-14T22:13:22" for row in rows)

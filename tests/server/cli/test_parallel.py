@@ -65,16 +65,6 @@ def test_a_cut_covers_all_messages_once_in_parts_of_whole_blocks() -> None:
             assert not halves or (halves[0].start, halves[-1].end) == (part.start, part.end)
 
 
-def test_parts_are_valid_in_each_syntax_and_give_the_same_statements(
-    run: Path, tmp_path: Path, small_parts: None
-) -> None:
-    quads = lines(lifted(tmp_path / "x.nq", run))
-    for name, format in (("x.ttl", RdfFormat.TURTLE), ("x.trig", RdfFormat.TRIG), ("x.nq.gz", RdfFormat.N_QUADS)):
-        text = lifted(tmp_path / name, run)
-        plain = gzip.decompress(text) if name.endswith(".gz") else text
-        assert {str(quad.subject) for quad in parse(plain, format=format)} >= {s for s in quads if s.startswith("<")}
-
-
 def test_a_part_for_which_there_is_too_little_memory_is_cut_in_two_which_leaves_no_trace(
     run: Path, tmp_path: Path, small_parts: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

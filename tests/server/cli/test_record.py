@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,12 +10,11 @@ from click.testing import CliRunner, Result
 from rosbags import rosbag2
 
 from rosld.server.cli.main import main
+from tests.forked import ForkedCommand
 from tests.server.history.mcap_files import decode, read
 from tests.waiting import until
 
 pytestmark = pytest.mark.slow
-
-RECORD = [sys.executable, "-m", "rosld", "record"]
 
 
 def record(*arguments: object, code: int = 0) -> Result:
@@ -63,7 +60,7 @@ def test_a_pipe_gets_mcap(tmp_path: Path) -> None:
 
 def test_a_signal_ends_it_and_the_file_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    process = subprocess.Popen([*RECORD, "rover", "-o", str(path)], stderr=subprocess.PIPE, text=True)
+    process = ForkedCommand("record", "rover", "-o", str(path))
     active = tmp_path / "run.mcap.active"
     until(lambda: active.exists() and active.stat().st_size > 10_000, "some messages on the disk")
     process.send_signal(signal.SIGTERM)

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 import httpx
@@ -21,6 +20,8 @@ from click.testing import CliRunner, Result
 
 from rosld.server.cli.main import main
 from rosld.server.runtime.tasks import end_tasks
+from tests.forked import ForkedCommand
+from tests.server.conftest import Served
 
 pytestmark = pytest.mark.slow
 
@@ -52,19 +53,21 @@ def failure(*arguments: str, code: int = 1) -> Result:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
-def test_it_prints_its_url_and_nothing_else_and_ends_in_time_with_clients_connected(number: signal.Signals) -> None:
-    with serving("aircraft", "--port", "0") as (process, url), httpx.Client(base_url=url, timeout=10) as idle:
-        assert idle.get("/", headers={"Accept": "text/turtle"}).status_code == 200
-        parts = urlsplit(url)
-        with closing(socket.create_connection((parts.hostname, parts.port))) as unfinished:
-            head = f"PUT /topics/cockpit/display HTTP/1.1\r\nHost: {parts.netloc}\r\nContent-Type: application/json\r\n"
-            unfinished.sendall(f"{head}Content-Length: 100\r\n\r\n{{".encode())
-            assert idle.get("/").status_code == 200  # so that the server has received the unfinished request
-            process.send_signal(number)
-            rest, errors = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, errors
-    assert rest == ""
-    assert "Traceback" not in errors
+def test_it_prints_its_url_and_nothing_else_and_ends_in_time_with_clients_connected(
+    serve: Callable[..., Served], capfd: pytest.CaptureFixture[str], number: signal.Signals
+) -> None:
+    served = serve("aircraft", process=True)
+    assert isinstance(served.process, ForkedCommand)
+    assert served.http.get("/", headers={"Accept": "text/turtle"}).status_code == 200
+    parts = urlsplit(served.url)
+    with closing(socket.create_connection((parts.hostname, parts.port))) as unfinished:
+        head = f"PUT /topics/cockpit/display HTTP/1.1\r\nHost: {parts.netloc}\r\nContent-Type: application/json\r\n"
+        unfinished.sendall(f"{head}Content-Length: 100\r\n\r\n{{".encode())
+        assert served.http.get("/").status_code == 200  # so that the server has received the unfinished request
+        served.process.send_signal(number)
+        assert served.process.stdout.read() == ""
+        assert served.process.wait(PATIENCE) == 0
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_started_by_nohup_it_outlives_its_terminal() -> None:
@@ -81,24 +84,19 @@ def test_started_by_nohup_it_outlives_its_terminal() -> None:
             process.kill()
 
 
-def test_a_base_url_is_what_is_printed(serve: Callable[..., Any]) -> None:
-    assert serve("aircraft", "--base-url", "https://robot.example/x").url == "https://robot.example/x/"
-
-
-def test_it_may_be_told_to_end_before_it_has_begun() -> None:
+def test_it_may_be_told_to_end_before_it_has_begun(capfd: pytest.CaptureFixture[str]) -> None:
     with closing(socket.create_server(("127.0.0.1", 0))) as silent:
         silent.settimeout(20)
-        command = [sys.executable, "-m", "rosld", "serve", f"ros1://127.0.0.1:{silent.getsockname()[1]}", "--port", "0"]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-            try:
-                connection, _ = silent.accept()  # it is opening its source now
-                with closing(connection):
-                    process.send_signal(signal.SIGTERM)
-                    out, errors = process.communicate(timeout=PATIENCE)
-            finally:
-                process.kill()
-    assert out == ""
-    assert "Traceback" not in errors
+        process = ForkedCommand("serve", f"ros1://127.0.0.1:{silent.getsockname()[1]}", "--port", "0")
+        try:
+            connection, _ = silent.accept()  # it is opening its source now
+            with closing(connection):
+                process.send_signal(signal.SIGTERM)
+                assert process.stdout.read() == ""
+        finally:
+            process.kill()
+            process.wait(PATIENCE)
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_a_ros_1_robot_that_is_off_is_waited_for_which_is_said_everywhere(tmp_path: Path) -> None:

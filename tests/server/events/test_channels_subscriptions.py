@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosld.ontology.body import BodyError
-from rosld.ontology.notifications import CONTEXT, DEFINITIONS, duration
+from rosld.ontology.notifications import CONTEXT, DEFINITIONS
 from rosld.server.events.channel_request import (
     MAX_INTERVAL,
-    MIN_INTERVAL,
     ChannelRequest,
     check_profile,
     read_subscription,
@@ -64,12 +63,6 @@ def test_all_features_are_read() -> None:
     assert wish.start_at == NOW
     assert wish.end_at == NOW + 5_400_250_000_000
     assert wish.accept == "text/turtle"
-
-
-@given(st.integers(0, 86_399), st.integers(0, 999_999))
-def test_a_rate_is_read_as_it_is_written(seconds: int, micros: int) -> None:
-    wanted = seconds + micros / 1_000_000
-    assert read(WISH | {"rate": duration(wanted)}).interval == pytest.approx(max(wanted, MIN_INTERVAL), abs=1e-6)
 
 
 def test_rates_have_all_units_and_a_least() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import shutil
@@ -84,14 +83,6 @@ class Tab:
     def crash(self) -> None:
         """Crash the process that shows the page; the page does not respond afterwards."""
         self._window.post("Page.crash", self._session)
-
-    def photograph(self, target: Path, width: int, height: int, **features: str) -> None:
-        """Save the page as a PNG file; `features` are those of the media, such as prefers-color-scheme."""
-        media = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
-        self.send("Emulation.setEmulatedMedia", features=media)
-        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        self.send("Emulation.setDeviceMetricsOverride", **metrics)
-        target.write_bytes(base64.b64decode(self.send("Page.captureScreenshot", format="png")["data"]))
 
     def take(self, method: str, params: dict[str, Any]) -> None:
         """Process an event of the protocol."""

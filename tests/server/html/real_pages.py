@@ -26,24 +26,23 @@ STOPPED = {
     "find": "/find?q=speed",
 }  # fmt: skip
 STARTED = {
-    "speed": "/topics/aircraft/engine/speed", "aircraft_started": "/resources/aircraft/",
+    "aircraft_started": "/resources/aircraft/",
     "engine": "/resources/aircraft/engine/", "number": "/resources/aircraft/engine/speed",
 }  # fmt: skip
 ROVER = {
     "rover_camera": "/topics/camera/image_raw", "graph": "/graph",
     "space": "/space", "frames": "/frames", "rover_map": "/topics/map",
     "diagnostics": "/diagnostics", "diagnostic": "/diagnostics?name=rover%3A%20battery",
-    "rover": "/", "twist": "/topics/cmd_vel", "rover_scan": "/topics/scan", "nodes": "/nodes/",
+    "twist": "/topics/cmd_vel", "rover_scan": "/topics/scan",
     "node": "/nodes/rover",
     "rover_resources": "/resources/rover/", "actions": "/actions/", "action": "/actions/navigate_to",
 }  # fmt: skip
 TURTLE = {
-    "odometry": "/topics/odom", "image": "/topics/camera/image_raw", "scan": "/topics/front_laser_scan",
+    "odometry": "/topics/odom",
     "transforms": "/topics/tf", "topics": "/topics/", "camera": "/topics/camera/",
     "unmapped": "/resources/turtle1/", "pose": "/resources/arm/goal",
     "gains": "/parameters/turtle1/gains/", "wing": "/resources/wing/",
 }  # fmt: skip
-NAMES = (*STOPPED, *STARTED, *ROVER, *TURTLE, "call", "limited", "refused", "declined", "stale")
 POSE = "geometry_msgs/msg/PoseStamped"
 MAPPING = """
 <#wing> a map:ComplexResource ; map:path "/wing/" ; map:property [

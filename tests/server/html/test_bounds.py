@@ -12,7 +12,7 @@ from pyoxigraph import Literal
 from rosld.adapters.model import Primitive
 from rosld.ontology.coercion import RANGES
 from rosld.server.html.inputs import browser_pattern, describe_bounds, number_range, option_texts, same_value
-from rosld.shapes.value import UNBOUNDED, Bounds
+from rosld.shapes.value import Bounds
 
 FLOAT, INT8, TEXT = Primitive("float64"), Primitive("int8"), Primitive("string")
 NUMBERS = st.decimals(-1000, 1000, places=2) | st.integers(-200, 200).map(Decimal)
@@ -56,19 +56,6 @@ def test_a_bound_that_no_input_knows_or_beyond_the_type_changes_nothing() -> Non
         assert number_range(FLOAT, Bounds(minimum=Literal(text), exclusive_maximum=Literal(text))) == ("", "")
         assert number_range(INT8, Bounds(minimum=Literal(text))) == ("-128", "127")
     assert number_range(INT8, Bounds(minimum=Literal(-1000), maximum=Literal(1000))) == ("-128", "127")
-
-
-def test_bounds_are_described_by_a_sentence() -> None:
-    for bounds, sentence in (
-        (UNBOUNDED, ""),
-        (Bounds(minimum=Literal(0), maximum=Literal(1000)), "From 0 to 1000."),
-        (Bounds(minimum=Literal(0), exclusive_maximum=Literal(360)), "At least 0, less than 360."),
-        (Bounds(exclusive_minimum=Literal("0.5")), "More than 0.5."),
-        (Bounds(min_length=1, max_length=3), "At least 1 character, at most 3 characters."),
-        (Bounds(pattern="^[a-z]+$"), "Must match ^[a-z]+$."),
-        (Bounds(choices=(Literal("on"), Literal("off"))), ""),
-    ):
-        assert describe_bounds(bounds) == sentence
 
 
 @given(st.from_regex(r"\A[a-c]{0,4}\Z"))

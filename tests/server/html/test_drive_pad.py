@@ -294,11 +294,11 @@ def test_losing_the_focus_the_sight_or_the_pad_is_zero(base: Base, http: httpx.C
         f"{STICK}.dispatchEvent(new PointerEvent('pointercancel', {{pointerId: 1}}))",
         f"{STICK}.closest('section').remove()",
     ):
-        press(opened(pad, http, "/cmd_vel"))
+        mouse(opened(pad, http, "/cmd_vel"), "mouseReleased", 0.0, 0.0)
+        press(pad)
         base.drives()
         pad.run(f"void ({loses})")
         base.stands()
-        mouse(opened(pad, http, "/cmd_vel"), "mouseReleased", 0.0, 0.0)
 
 
 def test_a_stop_ends_it_takes_the_pad_away_and_a_release_brings_it_back(
@@ -372,20 +372,3 @@ def test_without_scripts_a_form_holds_and_its_page_renews_and_ends(base: Base, h
     tab.leave(f"{renew.replace('Renew', 'End')}.click()")
     base.stands()
     assert is_free(http)
-
-
-def test_any_topic_that_can_be_written_has_a_form_that_holds_it(base: Base, http: httpx.Client) -> None:
-    html = {"Accept": "text/html"}
-    page = http.get("/topics/say", headers=html).text
-    assert "Hold the topic" in page
-    assert "drive.js" not in page
-    form = page.split('class="form hold"')[1]
-    token = form.split('name="csrf" value="')[1].partition('"')[0]
-    sent = {"csrf": token, "method": "POST", "data": "hi", "?rate": "20", "?lease": "0.5", "?then": "none"}
-    answer = http.post("/topics/say", data=sent, headers=html)
-    assert answer.status_code == 303
-    told = http.get(answer.headers["location"], headers={"Accept": "application/json"}).json()
-    assert (told["rate"], told["lease"], told["then"], told["message"]) == (20.0, 0.5, "none", {"data": "hi"})
-    wrong = http.post("/topics/say", data={**sent, "?rate": "1000"}, headers=html)
-    assert wrong.status_code == 400
-    assert "?rate=1000" in wrong.text

@@ -6,8 +6,6 @@ from rosld.adapters.model import Endpoint, Graph, Node, Qos, Topic, TypeRef
 from rosld.ontology.describe_graph import node_document, node_views
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import ros, td
-from rosld.server.html.description import describe
 from rosld.server.html.sections import endpoint_table
 from rosld.server.html.site import Site
 
@@ -36,10 +34,3 @@ def test_columns_that_nobody_fills_are_left_out_and_so_is_a_table_of_nothing() -
     assert of_topic is not None
     assert of_topic.columns == ("Role",)
     assert endpoint_table(node_document(node_views(GRAPH)["/b"], SPACE), SITE) is None
-
-
-def test_what_is_drawn_elsewhere_is_left_out_of_the_description_with_its_parts() -> None:
-    document = node_document(node_views(GRAPH)["/a"], SPACE)
-    assert len(describe(document, SITE)) > 1
-    (own,) = describe(document, SITE, without=(ros.hasEndpoint, td.hasActionAffordance))
-    assert own.title == "Description"

@@ -80,13 +80,6 @@ def test_resources_are_a_line_each_and_unfolded_at_will(rover: httpx.Client) -> 
     assert "<details" not in lights
 
 
-def test_what_is_found_has_the_width_of_a_phone(tab: Any, rover: httpx.Client) -> None:
-    tab.send("Emulation.setDeviceMetricsOverride", width=390, height=800, deviceScaleFactor=1, mobile=True)
-    tab.open(f"{rover.base_url}find?q=battery")
-    cells = "[...document.querySelectorAll('.found tbody > tr > *')].filter((each) => each.textContent)"
-    assert min(tab.run(f"{cells}.map((each) => each.clientWidth)")) > 330
-
-
 def test_a_plot_of_what_stands_still_is_as_near_as_its_numbers(tab: Any, rover: httpx.Client) -> None:
     tab.open(f"{rover.base_url}plot?y=topics/odom%23twist.twist.linear.x")
     of = "((one, other) => chart.scales.y.range(null, one, other))"

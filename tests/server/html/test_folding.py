@@ -32,13 +32,6 @@ def test_the_vocabulary_is_folded_by_kind_and_all_of_it_is_there(http: httpx.Cli
     assert '<p class="filter" hidden>' in page, "a field that does nothing without scripts is not shown"
 
 
-def test_few_things_are_not_folded(http: httpx.Client) -> None:
-    for path in ("/topics/cockpit/display", "/topics/"):
-        page = http.get(path, headers={"Accept": "text/html"}).text
-        assert "filter.js" not in page
-        assert 'class="group"' not in page
-
-
 def test_the_vocabulary_is_short_found_in_by_typing_and_unfolded_by_a_link(tab: Any, http: httpx.Client) -> None:
     tab.open(f"{http.base_url}ontology")
     assert tab.run(TALL) < 4000

@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from html.parser import HTMLParser
-from itertools import product
 
 import pytest
 from hypothesis import given, settings
@@ -35,7 +34,7 @@ from rosld.ontology.lift import lifter
 from rosld.ontology.lower import lowerer
 from rosld.ontology.violations import LoweringError, Violation
 from rosld.server.html.form_parser import JsonValue, parse_value, split_hidden
-from rosld.server.html.forms import DeleteForm, Form, ValueForm, message_form
+from rosld.server.html.forms import Form, ValueForm, message_form
 from rosld.server.html.inputs import Json
 from rosld.server.html.page import Page
 from rosld.server.html.render import render_page
@@ -296,22 +295,6 @@ def test_inputs_follow_the_type_of_their_field() -> None:
         assert {key: found.get(key) for key in attributes} == attributes, name
 
 
-def forms() -> Iterator[Form]:
-    kind = schema("std_msgs/msg/String")
-    yield message_form(kind, "PUT")
-    yield message_form(kind, "POST", "Call", "Call")
-    yield ValueForm(OpenShape(), value=1.5)
-    yield DeleteForm()
-
-
-def test_forms_are_there_exactly_as_far_as_allow_permits() -> None:
-    for allow, form in product((("GET",), ("GET", "PUT"), ("GET", "POST"), ("PUT", "DELETE")), forms()):
-        drawn = page(form, allow=allow)
-        assert drawn.forms == (form.method in allow)
-        assert (("method", form.method) in drawn.pairs) == (form.method in allow)
-        assert (("csrf", "token") in drawn.pairs) == (form.method in allow)
-
-
 JSON = st.recursive(
     st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | texts(),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(texts(), inner, max_size=3),
@@ -328,14 +311,6 @@ def test_a_parameter_form_sent_untouched_means_the_present_value(value: object) 
     assert (read, type(read)) == (value, type(value))
 
 
-def test_violations_of_the_elements_of_an_array_stand_beside_the_array() -> None:
-    kind = schema("sensor_msgs/msg/JointState")
-    pairs = sent(message_form(kind))
-    form = refilled(message_form(kind), pairs, [Violation("position.3", "expected a float64", "x")])
-    body = render_page(Page(SITE, "Topic", "/x", Document(URL, ()), ("PUT",), (form,))).decode()
-    assert "position.3: expected a float64" in body
-
-
 # Values of properties
 
 PRIMITIVES = st.sampled_from([Primitive(name) for name in ("bool", "int8", "uint64", "float32", "float64", "string")])
@@ -350,18 +325,6 @@ def test_a_scalars_form_sent_untouched_means_the_present_value(data: st.DataObje
     one = LIBRARY.learn_message(f"odd_msgs/msg/One{kind.name.capitalize()}", f"{kind.name} data\n")
     as_read, as_it_was = (lowerer(one).from_json({"data": each}) for each in (read, value))
     assert octets(one, as_read) == octets(one, as_it_was)
-
-
-@settings(max_examples=30)
-@given(st.data())
-def test_a_form_for_some_fields_means_these_alone(data: st.DataObject) -> None:
-    kind = schema(data.draw(st.sampled_from(TYPES)))
-    fields = kind.type.fields
-    chosen = tuple(data.draw(st.lists(st.sampled_from(fields), unique=True)) if fields else ())
-    form = ValueForm(MessageShape(kind, chosen))
-    read = parse_value(form.shape, sent(form))
-    assert isinstance(read, dict)
-    assert set(read) == {each.name for each in chosen}
 
 
 CHOICES = (Literal("on"), Literal(2), Literal(0.5), Literal(True))

@@ -370,16 +370,7 @@ def test_what_has_gone_while_nobody_looked_is_told(window: Any, site: Site) -> N
         assert tab.run(MARK).startswith("Gone")
 
 
-def test_a_page_that_nobody_sees_costs_nothing(tab: Any, site: Site) -> None:
-    shown(tab, site, "<p>1</p>")
-    see = "Object.defineProperty(document, 'hidden', {configurable: true, get: () => %s})"
-    tab.run(f"void ({see % 'true'}, document.dispatchEvent(new Event('visibilitychange')))")
-    site.until_readers(0)
-    tab.run(f"void ({see % 'false'}, document.dispatchEvent(new Event('visibilitychange')))")
-    site.until_readers(1)
-
-
-def test_it_can_be_paused(tab: Any, site: Site) -> None:
+def test_a_page_that_is_paused_or_that_nobody_sees_costs_nothing(tab: Any, site: Site) -> None:
     shown(tab, site, "<p>1</p>")
     tab.run("document.querySelector('.liveness button').click()")
     site.until_readers(0)
@@ -387,6 +378,11 @@ def test_it_can_be_paused(tab: Any, site: Site) -> None:
     tab.run("document.querySelector('.liveness button').click()")
     site.until_readers(1)
     tab.until(LIVE)
+    see = "Object.defineProperty(document, 'hidden', {configurable: true, get: () => %s})"
+    tab.run(f"void ({see % 'true'}, document.dispatchEvent(new Event('visibilitychange')))")
+    site.until_readers(0)
+    tab.run(f"void ({see % 'false'}, document.dispatchEvent(new Event('visibilitychange')))")
+    site.until_readers(1)
 
 
 def test_a_large_page_comes_less_often(tab: Any, site: Site) -> None:

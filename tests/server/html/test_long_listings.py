@@ -75,7 +75,7 @@ def tall(tab: Any, http: httpx.Client, *paths: str) -> list[str]:
 def test_pages_of_hundreds_are_three_screens_at_most_and_filtered_by_typing_while_values_go_on(
     tab: Any, robot: MadeUp, http: httpx.Client
 ) -> None:
-    paths = ("services/", "parameters/", "resources/", "nodes/robot", "types/", "queries/", "topics/")
+    paths = ("services/", "resources/", "nodes/robot", "types/", "topics/")
     assert tall(tab, http, *paths) == []
     tab.until("document.querySelector('.liveness').dataset.state === 'live'")
     assert tab.run(f"{SHOWN}.length") == 0
@@ -95,11 +95,3 @@ def test_pages_of_hundreds_are_three_screens_at_most_and_filtered_by_typing_whil
     keys = re.findall(r'<tr data-key="([^"]+)"', page)
     assert (len(keys), len(set(keys))) == (COUNT, COUNT), "all rows are there without scripts"
     assert '<p class="filter" hidden>' in page
-
-
-@pytest.mark.slow
-def test_a_fleet_and_a_flat_robot_are_three_screens_at_most(tab: Any, robot: MadeUp, serving: Serving) -> None:
-    for number in range(COUNT):
-        robot.topic(f"/robot_{number:03}/odom", "nav_msgs/msg/Odometry")
-        robot.offer(f"/service_{number:03}", "std_srvs/srv/Trigger", lambda _: {"success": True})
-    assert tall(tab, serving(), "topics/", "services/", "resources/") == []

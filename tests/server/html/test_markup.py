@@ -91,34 +91,13 @@ def test_nothing_is_run_and_nothing_is_styled_in_place(read: Mapping[str, Reader
             ], where
 
 
-OF_SOME = ("/ages.js", "/filter.js", "/spark.js", "/drive.js", "/picture.js", "/space_view.js", "/space.js")
-"""Scripts of pages with the elements that they serve."""
-OF_QUERIES = tuple(
-    f"/{name}.js"
-    for name in ("yasgui", "uplot", "chart", "query_terms", "query_parameters", "query_views", "query_editor")
-)
-"""Scripts of the page with the query editor."""
-
-
 def test_scripts_are_our_own_files_and_wait_for_the_page(read: Mapping[str, Reader]) -> None:
     for where, page in read.items():
-        if re.search("/(cockpit|plot|space)", where):
-            continue  # their scripts have separate tests
-        live = [each for each in page.all("main") if "data-live" in each]
-        pads = [each for each in page.all("div") if "data-drive" in each]
         scripts = [each for each in page.all("script") if each.get("type") != "application/ld+json"]  # data
-        names = [re.sub(r"\?v=[0-9a-f]{8}", "", each["src"] or "") for each in scripts]
-        assert [name for name in names if name not in OF_SOME] == [
-            *["/live.js" for _ in live],
-            "/find.js",
-            *(OF_QUERIES if any(each.get("id") == "editor" for each in page.all("section")) else ()),
-        ]
-        assert names.count("/picture.js") == len([each for each in page.all("img") if "data-motion" in each]), where
-        spaces = [each for each in page.all("figure") if "data-space" in each]
-        assert names.count("/space_view.js") == names.count("/space.js") == len(spaces), where
-        assert "/spark.js" in names or not live or not any(each.get("class") == "plot" for each in page.all("a")), where
-        assert names.count("/drive.js") >= len(pads), where
-        assert all(each.keys() == {"src", "defer"} for each in scripts), where
+        names = [re.sub(r"\?v=[0-9a-f]{8}$", "", each["src"] or "").removeprefix("/") for each in scripts]
+        assert set(names) <= ASSETS.keys(), where
+        assert len(names) == len(set(names)), where
+        assert all(each.get("type") == "module" or "defer" in each for each in scripts), where
 
 
 def test_only_http_and_local_references_are_links(read: Mapping[str, Reader]) -> None:
@@ -152,21 +131,6 @@ def test_landmarks_and_one_heading_of_the_first_level(read: Mapping[str, Reader]
         assert len(labels) == len(set(labels)), where
         levels = [int(tag[1]) for tag, _, _ in page.elements if re.fullmatch("h[1-6]", tag)]
         assert all(below - above <= 1 for above, below in pairwise(levels)), where
-
-
-def test_every_input_has_a_label_and_every_description_is_there(read: Mapping[str, Reader]) -> None:
-    for where, page in read.items():
-        labelled = {each.get("for") for each in page.all("label")}
-        for tag, each, place in page.elements:
-            if tag in ("input", "textarea", "select") and each.get("type") != "hidden":
-                assert each.get("aria-label") or "label" in place or each["id"] in labelled, where
-        references = [each for _, attributes, _ in page.elements for each in _references(attributes)]
-        assert set(references) <= set(page.ids), where
-
-
-def _references(attributes: dict[str, str | None]) -> list[str]:
-    named = [attributes.get("aria-labelledby"), attributes.get("aria-describedby"), attributes.get("for")]
-    return [each for name in named if name for each in name.split()]
 
 
 def test_a_hostile_robot_is_shown_as_text_and_never_linked(pages: Mapping[str, bytes]) -> None:

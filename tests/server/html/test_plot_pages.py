@@ -67,13 +67,6 @@ def test_dragging_and_a_pause_hold_what_is_seen_which_goes_on_and_is_saved_as_a_
     assert (kind, size > 1000) == ("image/png", True)
 
 
-def test_the_elements_of_an_array_are_lines_of_their_own(tab: Any, rover: httpx.Client) -> None:
-    tab.open(f"{rover.base_url}plot?y=topics/scan%23ranges")
-    tab.until(f"{LABELS}.length === 16")
-    assert tab.run(LABELS)[:2] == ["ranges.0 (m)", "ranges.1 (m)"]
-    tab.until(f"{POINTS} > 5")
-
-
 def test_joints_have_their_names_beside_their_lines(tab: Any, robot: Any, serving: Any) -> None:
     robot.topic("/joints", "sensor_msgs/msg/JointState", {"name": ["<b>", "right"], "position": [1, 2]})
     tab.open(f"{serving().base_url}plot?y=topics/joints%23position")

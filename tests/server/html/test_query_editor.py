@@ -22,9 +22,8 @@ PAST = """SELECT ?time ?charge WHERE {
     <https://w3id.org/rosld/types/sensor_msgs/msg/BatteryState#percentage> ?charge .
 }"""
 PAGES = (
-    "/", "/resources/", "/resources/rover/", "/nodes/", "/nodes/rover", "/topics/", "/topics/odom", "/topics/scan",
-    "/topics/cmd_vel", "/topics/camera/image_raw", "/services/", "/actions/", "/actions/navigate_to", "/parameters/",
-    "/types/", "/types/nav_msgs/msg/Odometry", "/mappings/", "/data/", "/queries/", "/queries/silent-topics", "/bags/",
+    "/", "/resources/rover/", "/nodes/rover", "/topics/", "/topics/odom", "/topics/scan", "/topics/cmd_vel",
+    "/topics/camera/image_raw", "/actions/navigate_to", "/types/nav_msgs/msg/Odometry", "/queries/silent-topics",
     "/bags/history/", "/graph", "/diagnostics", "/plot?y=topics/odom%23twist.twist.linear.x", "/find?q=speed", "/stop",
 )  # fmt: skip
 """The rover's pages, without `/ontology`, which is a whole vocabulary of 490 kB."""
@@ -55,7 +54,7 @@ def answer(tab: Any, view: str = "") -> None:
         tab.run(f"document.querySelector('.yasr .select_{view}').click()")
 
 
-def test_a_query_is_typed_and_its_rows_lead_to_what_they_name(editor: Any, rover: httpx.Client) -> None:
+def test_a_typed_query_is_answered_by_links_by_yes_or_by_an_error_in_words(editor: Any, rover: httpx.Client) -> None:
     write(editor, "SELECT ?topic ?type ?class { ?topic ros:hasMessageType ?type ; a ?class }")
     assert editor.run("document.querySelectorAll('.cm-error, .cm-sp-error, .parseErrorIcon').length") == 0
     answer(editor)
@@ -67,6 +66,15 @@ def test_a_query_is_typed_and_its_rows_lead_to_what_they_name(editor: Any, rover
     address = editor.run("location.href")
     assert "?query=SELECT" in address
     assert "/odom" in rover.get(address, headers=HTML).text.partition('id="results"')[2]
+    editor.run(f"{MIRROR}.setValue('')")
+    write(editor, "ASK { ?topic a ros:Topic }")
+    answer(editor)
+    assert "true" in editor.until("document.querySelector('.booleanResult')?.textContent").lower()
+    editor.run(f"{MIRROR}.setValue('')")
+    write(editor, "SELECT ?topic { ?topic a ros:Topic")
+    answer(editor)
+    editor.until("document.querySelector('.errorResult [role=alert]')")
+    assert "at 2:15 is not closed" in editor.run("document.querySelector('.errorResult').textContent")
 
 
 def test_numbers_over_time_are_drawn_and_the_address_opens_the_plot_again(editor: Any) -> None:
@@ -104,17 +112,6 @@ def test_a_stored_query_is_loaded_with_fields_for_its_parameters(editor: Any) ->
     editor.until(f"{LINKS}.includes('/topics/odom')")
 
 
-def test_a_question_is_answered_by_yes_or_no_and_an_error_in_words(editor: Any) -> None:
-    write(editor, "ASK { ?topic a ros:Topic }")
-    answer(editor)
-    assert "true" in editor.until("document.querySelector('.booleanResult')?.textContent").lower()
-    editor.run(f"{MIRROR}.setValue('')")
-    write(editor, "SELECT ?topic { ?topic a ros:Topic")
-    answer(editor)
-    editor.until("document.querySelector('.errorResult [role=alert]')")
-    assert "at 2:15 is not closed" in editor.run("document.querySelector('.errorResult').textContent")
-
-
 def test_terms_of_the_robot_are_completed(editor: Any) -> None:
     for text, typed, hint in (
         ("SELECT * { ?x a ", "ros:Top", "ros:Topic"),
@@ -131,12 +128,6 @@ def test_terms_of_the_robot_are_completed(editor: Any) -> None:
         editor.until(f"{HINTS}.includes({json.dumps(hint)})")
         if typed.startswith("ros:"):
             assert editor.run(f"{MIRROR}.getLine(0)") == "PREFIX ros: <https://w3id.org/rosld#>"
-
-
-def test_the_editor_is_dark_where_the_page_is(editor: Any) -> None:
-    editor.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
-    colour = "getComputedStyle(document.querySelector('.yasqe .CodeMirror')).backgroundColor"
-    editor.until(f"{colour} === 'rgb(26, 32, 35)'")
 
 
 def test_a_link_carries_out_no_update(tab: Any, rover: httpx.Client) -> None:

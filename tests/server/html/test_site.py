@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -60,9 +59,3 @@ def test_a_breadcrumb_leads_from_the_entry_to_the_page(name: str) -> None:
     assert [crumbs[0].url, crumbs[1].url, crumbs[-1].url] == [SITE.base, f"{SITE.base}topics/", url]
     assert len(crumbs) == 2 + name.count("/")
     assert all(url.startswith(crumb.url) for crumb in crumbs)
-
-
-def test_a_base_that_is_none_is_refused() -> None:
-    for base in ("http://h", "ftp://h/", "/", "javascript:/"):
-        with pytest.raises(ValueError, match="base"):
-            Site(base, "x")

@@ -34,13 +34,6 @@ def test_all_is_drawn_goes_on_and_can_be_hidden_and_followed(tab: Any, rover: ht
     assert tab.run("[...document.querySelectorAll('.why')].map((each) => each.textContent).join('')") == ""
 
 
-def test_the_page_of_a_scan_has_its_view_which_lives_with_the_page(tab: Any, rover: httpx.Client) -> None:
-    tab.open(f"{rover.base_url}topics/scan")
-    tab.until(f"{DATA}.things === '/scan' && Number({DATA}.messages) > 20")
-    assert tab.run("document.querySelectorAll('.space canvas').length") == 1
-    assert tab.run("document.querySelector('.space figcaption a').getAttribute('href')") == "/space?show=topics/scan"
-
-
 def drag(tab: Any, start: tuple[float, float], end: tuple[float, float]) -> None:
     for kind, (x, y) in (("mouseMoved", start), ("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end)):
         tab.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)

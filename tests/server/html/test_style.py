@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-from importlib.resources import files
 
 from rosld.server.html.frame import ASSETS
-from rosld.server.resources.entry_point import FILES
 
 TEXT = ASSETS["style.css"].decode()
 LIGHT, DARK = (
@@ -38,22 +36,3 @@ def test_text_stands_out_by_at_least_4_5_to_1_and_edges_of_inputs_by_3_to_1() ->
         assert not [pair for pair in PAIRS if contrast(colours[pair[0]], colours[pair[1]]) < 4.5]
         assert contrast(colours["edge"], colours["paper"]) >= 3
     assert DARK.keys() == LIGHT.keys()
-
-
-def test_every_class_in_the_stylesheet_is_used_by_a_template() -> None:
-    templates = "".join(each.read_text() for each in (files("rosld.server.html") / "templates").iterdir())
-    sources = "".join(
-        each.read_text()
-        for folder in ("html", "html/vendor", "diagrams")
-        for each in (files("rosld.server") / folder).iterdir()
-        if each.name.endswith((".py", ".js"))
-    )
-    classes = set(re.findall(r"\.([a-z][a-z-]+)(?=[^{}]*\{)", re.sub(r"/\*.*?\*/|@media[^{]*", "", TEXT, flags=re.S)))
-    assert not [name for name in sorted(classes) if not re.search(rf"\b{name}\b", templates + sources)]
-
-
-def test_each_file_that_a_template_names_is_served_and_no_other_is_read() -> None:
-    templates = (each.read_text("utf-8") for each in (files("rosld.server.html") / "templates").iterdir())
-    named = {name for text in templates for name in re.findall(r"'(\w+\.(?:js|css|svg))'", text)}
-    assert named <= ASSETS.keys() <= FILES.keys()
-    assert ASSETS.keys() - named == {"three.js"}  # `space3d.js` imports it

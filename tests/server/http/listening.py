@@ -5,23 +5,18 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from pathlib import Path
 
 from starlette.types import ASGIApp
 
 from rosld.server.serving.connection import ConnectionBounds
-from rosld.server.serving.http_server import Server, bind, configure_tls
+from rosld.server.serving.http_server import Server, bind
 
 
 @asynccontextmanager
-async def listening(
-    app: ASGIApp, bounds: ConnectionBounds | None = None, tls_files: tuple[Path, Path] | None = None
-) -> AsyncIterator[int]:
+async def listening(app: ASGIApp, bounds: ConnectionBounds | None = None) -> AsyncIterator[int]:
     """Yield the port of a server, which has ended afterwards."""
     listens = asyncio.Event()
     server = Server(app, listens.set, bounds)
-    if tls_files is not None:
-        configure_tls(server.config, *tls_files)
     sock = bind("127.0.0.1", 0)
     serving = asyncio.create_task(server.serve(sockets=[sock]))
     try:

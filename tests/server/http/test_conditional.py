@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from rosld.server.http.conditional import (
     MAX_RANGES,
-    MIN_GAP,
     ETag,
     PreconditionResult,
     ReceivedTag,
@@ -118,14 +117,6 @@ def test_what_no_byte_satisfies_is_416_and_tells_the_size() -> None:
             parse_ranges(text, SIZE)
         assert refused.value.status == 416
         assert refused.value.headers == {"Content-Range": "bytes */10000"}
-
-
-def test_ranges_that_overlap_or_nearly_touch_become_one() -> None:
-    assert parse_ranges("bytes=0-99, 50-149", SIZE) == (Span(0, 150),)
-    assert parse_ranges("bytes=100-199, 0-99", SIZE) == (Span(0, 200),)
-    assert parse_ranges(f"bytes=0-99, {100 + MIN_GAP}-299", SIZE) == (Span(0, 300),)
-    assert parse_ranges(f"bytes=0-99, {101 + MIN_GAP}-299", SIZE) == (Span(0, 100), Span(101 + MIN_GAP, 300))
-    assert parse_ranges("bytes=9000-, 0-9, 0-, 5-6", SIZE) == (Span(0, 10_000),)
 
 
 def test_too_many_ranges_are_ignored() -> None:

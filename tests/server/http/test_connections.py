@@ -78,14 +78,3 @@ def test_a_websocket_that_was_sent_nothing_for_long_makes_room_when_no_connectio
     clock.now += SILENT_SECONDS / 2
     assert of.start_request(opened(of, 1)[0])
     assert ended(websockets) == [1]
-
-
-def test_what_has_ended_is_forgotten() -> None:
-    of = Connections(2)
-    held = opened(of, 2)
-    for one in held:
-        of.close(one)
-        of.end_request(one)
-    assert len(of) == 0
-    opened(of, 2)
-    assert ended(held) == []

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import TypeAlias
 
 import pytest
@@ -15,7 +13,6 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from rosld.server.serving.connection import ConnectionBounds
-from tests.server.auth.test_files import certificate
 from tests.server.http.listening import listening
 
 Seen: TypeAlias = list[tuple[str, str, bytes]]
@@ -31,8 +28,6 @@ WEBSOCKET = (
     b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
 )
 DELETE = b"DELETE /data/x HTTP/1.1\r\nHost: a\r\n\r\n"
-CHUNKED = b"Transfer-Encoding: chunked\r\n\r\n%x\r\n%b\r\n0\r\n\r\n" % (len(DELETE), DELETE)
-LENGTH = b"Content-Length: %d\r\n\r\n%b" % (len(DELETE), DELETE)
 NEXT = b"GET /next?a=b HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"
 LAST = ("GET", "/next?a=b", b"")
 
@@ -61,17 +56,14 @@ Talk: TypeAlias = Callable[..., Awaitable[tuple[Seen, bytes]]]
 
 
 @asynccontextmanager
-async def listener(tls_files: tuple[Path, Path] | None = None) -> AsyncIterator[Talk]:
+async def listener() -> AsyncIterator[Talk]:
     """Yield a function that sends pieces on a new connection; it returns the requests and the response."""
     app = Application()
-    context = None if tls_files is None else ssl.create_default_context(cafile=str(tls_files[0]))
-    async with listening(app, ConnectionBounds(), tls_files) as port:
+    async with listening(app, ConnectionBounds()) as port:
 
         async def talk(*pieces: bytes) -> tuple[Seen, bytes]:
             app.seen = []
-            reader, writer = await asyncio.open_connection(
-                "127.0.0.1", port, ssl=context, server_hostname=context and "localhost"
-            )
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
             for piece in pieces:
                 writer.write(piece)
                 for _ in range(4):  # iterations of the common loop, in which the server reads the piece
@@ -81,46 +73,6 @@ async def listener(tls_files: tuple[Path, Path] | None = None) -> AsyncIterator[
             return app.seen, answers
 
         yield talk
-
-
-PUT = ("PUT", "/data/a", DELETE)
-MESSAGES: dict[str, tuple[bytes, Seen]] = {
-    "a body of known length": (b"PUT /data/a HTTP/1.1\r\nHost: a\r\n" + H2C + LENGTH, [PUT]),
-    "a body in chunks": (b"PUT /data/a HTTP/1.1\r\nHost: a\r\n" + H2C + CHUNKED, [PUT]),
-    "chunks and trailers": (
-        b"PUT /data/a HTTP/1.1\r\nHost: a\r\n" + H2C + CHUNKED[:-2] + b"Connection: upgrade\r\nUpgrade: h2c\r\n\r\n",
-        [PUT],
-    ),
-    "no body": (b"GET / HTTP/1.1\r\nHost: a\r\n" + H2C + b"\r\n", [("GET", "/", b"")]),
-    "fields twice": (
-        b"PUT /data/a HTTP/1.1\r\nHost: a\r\nConnection: upgrade\r\nConnection: a\r\nUpgrade: b\r\n" + H2C + LENGTH,
-        [PUT],
-    ),
-    "a WebSocket with a body": (b"GET /data/a HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + LENGTH, [("GET", *PUT[1:])]),
-    "a WebSocket with chunks": (b"GET /data/a HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + CHUNKED, [("GET", *PUT[1:])]),
-    "a WebSocket by PUT": (b"PUT /data/a HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET + LENGTH, [PUT]),
-    "a WebSocket without a key": (
-        b"GET / HTTP/1.1\r\nHost: a\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n",
-        [("GET", "/", b"")],
-    ),
-    "a list with a WebSocket": (
-        b"GET /data/a HTTP/1.1\r\nHost: a\r\n" + WEBSOCKET.replace(b"websocket", b"h2c, websocket") + LENGTH,
-        [("GET", *PUT[1:])],
-    ),
-    "a list in two fields": (
-        b"GET /data/a HTTP/1.1\r\nHost: a\r\nUpgrade: h2c\r\n" + WEBSOCKET + CHUNKED,
-        [("GET", *PUT[1:])],
-    ),
-}  # fmt: skip
-
-
-async def test_an_upgrade_over_tls_is_ignored(tmp_path: Path) -> None:
-    async with listener(certificate(tmp_path)) as talk:
-        for name in ("a body of known length", "a body in chunks", "a WebSocket with chunks"):
-            message, expected = MESSAGES[name]
-            for cut in (0, 1, message.index(b"\r\n\r\n") + 4, len(message) - 20, len(message)):
-                seen, answers = await talk(message[:cut], message[cut:] + NEXT)
-                assert seen == [*expected, LAST], (cut, answers)
 
 
 async def test_a_client_that_upgrades_is_told_to_continue() -> None:

@@ -16,7 +16,6 @@ from rosld.adapters.model import Encoding, Graph, ServiceSchema, TypeRef
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.lift import LiftSettings
 from rosld.ontology.lower import lowerer
-from rosld.ontology.urls import Space
 from rosld.server.hypermedia.catalogue import Getter, Property
 from rosld.server.hypermedia.property_reader import PropertyReader
 from rosld.server.hypermedia.type_inference import value_fields
@@ -25,7 +24,6 @@ from rosld.server.robot.session import Session
 from rosld.server.settings import Settings
 from rosld.shapes.value import OpenShape
 
-SPACE = Space("http://127.0.0.1:8080/")
 LIFTING = LiftSettings()
 LIBRARY = TypeLibrary(ros_version=1)
 

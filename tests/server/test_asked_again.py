@@ -55,6 +55,18 @@ def test_what_a_topic_says_is_never_what_it_said_before(robot: MadeUp, serving: 
         assert said == dict.fromkeys(WAYS, [[str(number)]] * 3)
 
 
+def test_getters_are_called_again_once_what_they_said_is_no_longer_fresh(robot: MadeUp, serving: Serving) -> None:
+    grip = robot.variable("/arm/grip", "Byte", value=1)
+    http = serving(freshness=0.05)
+    for number in range(2, 6):
+        grip["value"] = number
+        time.sleep(0.06)  # nothing reports by itself that it has changed
+        for path in ("/resources/arm/grip", "/resources/arm/"):
+            assert [f"{number}" in http.get(path, headers=asking.JSON).text for _ in range(5)] == [True] * 5
+    assert http.put("/resources/arm/grip", json=9).status_code == 204
+    assert http.get("/resources/arm/grip", headers=asking.JSON).json() == 9
+
+
 def test_a_state_that_has_not_changed_is_304_and_its_age_and_date_go_on(robot: MadeUp, serving: Serving) -> None:
     robot.topic("/place", PLACE, place(1))
     http = serving()

@@ -7,11 +7,13 @@ import socket
 from collections.abc import Callable, Iterator
 from urllib.parse import quote
 
+import httpx
 import pytest
 
 from rosld.server.html.forms import METHOD_FIELD
 from rosld.server.http.origin import CSRF_FIELD
-from tests.server.auth.conftest import RULES, TURTLE, Guarded, guard, token, tokens
+from tests.server.auth.conftest import RULES, TURTLE, Guarded, clients, guard, token, tokens
+from tests.server.conftest import Served
 
 pytestmark = pytest.mark.slow
 
@@ -133,3 +135,12 @@ def test_guessing_tokens_gets_nobody_in_and_tells_nothing_apart(guarded: Guarded
     tries = [near[:-1], near + "x", near.upper(), near[:3], "rosld_" + "A" * 43]
     answers = {guarded["anybody"].get("/", headers={"Authorization": f"Bearer {each}"}).text for each in tries}
     assert len(answers) == 1
+
+
+def test_without_auth_a_server_takes_no_heed_of_tokens(aircraft: Served) -> None:
+    with httpx.Client(base_url=aircraft.url, headers={"Authorization": "Bearer x"}) as client:
+        answer = client.get("/")
+        assert answer.status_code == 200
+        assert "wac-allow" not in answer.headers
+        assert client.get("/acl").status_code == 404
+    assert set(clients(aircraft.url)) == {"anybody"}

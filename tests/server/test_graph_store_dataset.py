@@ -68,7 +68,9 @@ def test_a_name_that_is_spelt_otherwise_is_no_graph(http: httpx.Client) -> None:
     assert '"1"' in http.get("/data/spelt/1", headers=NTRIPLES).text
 
 
-def test_the_endpoint_of_queries_names_the_graph_store(http: httpx.Client) -> None:
+def test_what_cannot_be_read_is_refused_and_the_endpoint_of_queries_names_the_graph_store(http: httpx.Client) -> None:
+    for query in ("graph=%FF", "graph=a&" + "&".join(["a=b"] * 300)):
+        assert http.get(f"/graphs?{query}").status_code == 400, query
     for query in ("graph=http://127.0.0.1/data/x", "default", "all"):
         answer = http.get(f"/sparql?{query}")
         assert answer.status_code == 400

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -17,6 +16,7 @@ import pytest
 
 from tests import waiting
 from tests.adapters.ros1.system import RosSystem, running
+from tests.forked import ForkedCommand
 from tests.processes import Process
 from tests.server.disks.server import Server, server_on
 from tests.server.test_holds import KEEPER, STILL, ahead
@@ -172,11 +172,11 @@ def test_a_hold_that_was_interrupted_is_only_told_of_where_another_node_commands
 
 
 def test_a_guard_stops_the_base_as_soon_as_rosld_is_killed(ros: RosSystem, wheels: Process, tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    command = [sys.executable, "-m", "rosld", "guard", ros.source, "--data", str(data)]
-    with server_on(data, tmp_path / "log", source=ros.source, forked=True) as server:
+    data, log = tmp_path / "data", tmp_path / "guard.log"
+    command = ("guard", ros.source, "--data", str(data))
+    with server_on(data, tmp_path / "log", source=ros.source, forked=True) as server, log.open("w") as errors:
         server.start()
-        guard = Process(command, os.environ, patience=30)
+        guard = ForkedCommand(*command, errors=errors.fileno())
         try:
             waiting.until(lambda: "POST" in server.http.options(TOPIC).headers.get("allow", ""), "the base")
             hold = server.http.post(TOPIC, params={"rate": 10, "lease": 5}, json=ahead(1)).headers["location"]
@@ -188,13 +188,14 @@ def test_a_guard_stops_the_base_as_soon_as_rosld_is_killed(ros: RosSystem, wheel
             waiting.until(lambda: not note.exists(), "the note of a hold that has ended is gone")
             ended = held_and_killed(server, wheels, 8)
             hears(wheels, STILL)
-            guard.line("WARNING rosld: the hold")
+            waiting.until(lambda: "WARNING rosld: the hold" in log.read_text(), "a warning of the guard")
             server.start()
             waiting.until(lambda: "rosld guard: zero was published" in server.http.get(ended).text, "what became of it")
             waiting.until(lambda: "POST" in server.http.options(TOPIC).headers["allow"], "the base can be commanded")
             assert server.stop() == 0
         finally:
-            guard.stop()
-    assert guard.process.returncode == 0
-    once = subprocess.run([*command, "--once"], capture_output=True, text=True, timeout=30, check=True)
-    assert "holds that could not be ended: 0" in once.stderr
+            guard.send_signal(signal.SIGTERM)
+            code = guard.wait(30)
+        assert code == 0
+        assert ForkedCommand(*command, "--once", errors=errors.fileno()).wait(30) == 0
+        assert "holds that could not be ended: 0" in log.read_text()

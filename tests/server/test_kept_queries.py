@@ -178,8 +178,11 @@ def test_queries_are_in_the_dataset_each_once(stored: httpx.Client) -> None:
     assert ask(stored, f"SELECT ?d {{ GRAPH <{graph}> {{ ?q dcterms:description ?d }} }}") == [
         ["Which topics have a name that begins so."]
     ]
+    more = stored.get(graph, headers={"Accept": "text/turtle"}).text + '<mine> <http://ex.org/by> "me" .'
+    assert stored.put(graph, content=more, headers={"Content-Type": "text/turtle"}).status_code == 204
     assert put(stored, "mine", ONE).status_code == 204
     assert ask(stored, f"SELECT ?d {{ GRAPH <{graph}> {{ ?q dcterms:description ?d }} }}") == [["One number."]]
+    assert ask(stored, 'SELECT ?d { ?q <http://ex.org/by> "me" ; dcterms:description ?d }') == [["One number."]]
     container = f"SELECT ?q {{ GRAPH <{stored.base_url}queries/> {{ ?c ldp:contains ?q }} }}"
     assert len(ask(stored, container)) == len(names)
     assert stored.delete("/queries/mine").status_code == 204

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from typing import Any
 
 import httpx
@@ -186,17 +185,6 @@ def test_a_goal_is_filled_up(own_aircraft: httpx.Client) -> None:
     assert refused.status_code == 409, "the aircraft is off: it is asked all the same"
     goal = plane.get(refused.headers["location"], headers={"Accept": "application/json"}).json()
     assert goal["goal"] == {"distance": 0.0}
-
-
-def test_a_form_is_filled_with_the_defaults(http: httpx.Client) -> None:
-    page = http.get(f"/topics{GOAL}", headers={"Accept": "text/html"}).text
-    found = [each for each in page.split("<input") if 'name="pose.orientation.w"' in each]
-    assert len(found) == 2  # for publishing once, and for a hold
-    assert all('value="1.0"' in each.partition(">")[0] for each in found)
-    page = http.get(f"/services{TURN}", headers={"Accept": "text/html"}).text
-    assert 'value="0.5"' in page
-    assert 'value="all of it"' in page
-    assert re.search(r">\s*AQI=</textarea>", page)
 
 
 def test_the_description_says_what_may_be_left_out_and_what_it_is_then(http: httpx.Client, robot: MadeUp) -> None:

@@ -186,18 +186,3 @@ def test_the_entry_links_to_the_description_which_has_two_media_types(http: http
         assert answer.status_code == 200
         assert answer.headers["content-type"] == media_type
     assert http.get("/openapi.json", headers={"Accept": "text/turtle"}).status_code == 406
-
-
-def test_messages_and_parameters_of_queries_are_described_by_the_schemas_of_their_types(http: httpx.Client) -> None:
-    description = described(http)
-    put = inlined(description)["/topics/cockpit/display"]["put"]
-    sent = put["requestBody"]["content"]["application/json"]["schema"]
-    assert sent == {"$ref": "#/components/schemas/std_msgs.msg.String.sent"}
-    schemas, text = description["components"]["schemas"], {"type": "string"}
-    written = {"type": "object", "properties": {"data": {**text, "default": ""}}}
-    assert schemas["std_msgs.msg.String.sent"] == written
-    assert schemas["std_msgs.msg.String"] == {"type": "object", "properties": {"data": text}, "required": ["data"]}
-    parameters = inlined(description)["/queries/silent-topics"]["get"]["parameters"]
-    own = {one["name"]: one["schema"] for one in parameters if one.get("in") == "query"}
-    assert own.items() >= {"seconds": {"type": "number"}}.items()
-    assert own.keys() == {"seconds", "format", "partial", "timeout"}

@@ -63,3 +63,20 @@ def test_nothing_is_published_when_the_lease_is_over(
     waiting = schedule.step(origin - 1.0)
     assert isinstance(waiting, Wait)
     assert waiting.until <= origin + lease
+
+
+@given(periods, origins, st.floats(0.0, 100.0))
+def test_renewing_the_lease_does_not_move_a_beat(period: float, origin: float, more: float) -> None:
+    schedule = Schedule(period, origin, origin + 1.0, tick=3)
+    assert schedule.with_lease(origin + more).due == schedule.due
+
+
+@given(periods, periods, origins, st.integers(1, 1000))
+def test_another_rate_counts_from_the_beat_that_came_last(
+    period: float, other: float, origin: float, beat: int
+) -> None:
+    schedule = Schedule(period, origin, math.inf, beat)
+    last = origin + (beat - 1) * period
+    changed = schedule.with_period(other)
+    assert changed.due == pytest.approx(last + other)
+    assert schedule.with_period(period) == schedule

@@ -5,8 +5,10 @@ from __future__ import annotations
 import httpx
 import pytest
 
+from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import Action, TypeRef
-from tests.server.robots.made_up import MadeUp, Serving
+from rosld.adapters.rover import rover_adapter
+from tests.server.robots.made_up import MadeUp, Serving, served
 
 HTML = {"Accept": "text/html"}
 
@@ -47,6 +49,24 @@ def test_a_misspelt_name_is_answered_with_those_near_it(http: httpx.Client) -> N
         assert "near" not in http.get(f"/{asked}").text, asked
     field = http.get("/topics/battery_state?field=no.such.field")
     assert (field.status_code, field.json().get("near")) == (404, None)
+
+
+def test_topics_of_the_rover_are_found_by_misspelt_words() -> None:
+    meant = {
+        "batery": "battery_state",
+        "cmdvel": "cmd_vel",
+        "camra_info": "camera/camera_info",
+        "diagnostcs": "diagnostics",
+        "imgae": "camera/image_raw",
+        "comprssed": "camera/image_raw/compressed",
+    }
+    with served(rover_adapter("rover", AdapterOptions())) as http:
+        for misspelt, name in meant.items():
+            near = http.get(f"/topics/{misspelt}").json()["near"]
+            assert near[0] == f"{http.base_url}topics/{name}", misspelt
+            assert len(near) <= 3, near
+        for unlike in ("laser", "battery_level"):
+            assert "near" not in http.get(f"/topics/{unlike}").json()
 
 
 ABSENT = (

@@ -25,6 +25,7 @@ from rosld.server.serving.lifespan import lifespan
 from rosld.server.settings import Settings
 from tests.adapters.ros1.system import running
 from tests.server.conftest import Served
+from tests.server.dataset.conftest import Oxigraph
 
 CONTAINS = NamedNode("http://www.w3.org/ns/ldp#contains")
 JSON = {"accept": "application/json"}
@@ -343,6 +344,28 @@ async def test_robots_are_served_below_the_path_of_a_proxy() -> None:
         assert "mine" in (await site.http.get("robots/one/data/note", headers={"accept": "text/turtle"})).text
         assert site.robots.is_urgent(b"POST", b"/site/robots/one/stop")
         assert not site.robots.is_urgent(b"POST", b"/robots/one/stop")
+
+
+@pytest.mark.slow
+async def test_the_robots_share_another_store() -> None:
+    store = Oxigraph()
+    await asyncio.to_thread(store.start)
+    try:
+        site = Site("one", "two", store=store.url, store_rate=20.0)
+        async with lifespan(site.robots):
+            for name in ("one", "two"):
+                turtle = {"content-type": "text/turtle"}
+                await site.http.put(f"robots/{name}/data/x", content=f"<> <http://e.x/p> '{name}' .", headers=turtle)
+            query = "SELECT ?g ?o { GRAPH ?g { ?s <http://e.x/p> ?o } } ORDER BY ?o"
+            expected = [{"g": f"http://127.0.0.1:8080/robots/{name}/data/x", "o": name} for name in ("one", "two")]
+            for _ in range(200):
+                if (found := await asyncio.to_thread(store.select, query)) == expected:
+                    break
+                await asyncio.sleep(0.05)
+            assert found == expected
+            assert (await site.get("robots/one/mirror"))["pending"] == 0
+    finally:
+        await asyncio.to_thread(store.stop)
 
 
 def open_files() -> int:

@@ -18,12 +18,14 @@ from rosld.adapters.model import (
 )
 from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.describe_activities import Receipt, activity_document
+from rosld.ontology.describe_graph import namespace_document, type_container_document
 from rosld.ontology.describe_topics import topic_document
 from rosld.ontology.describe_types import type_document
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import lifter
+from rosld.ontology.names import Members, members_of
 from rosld.ontology.urls import Space
-from rosld.ontology.vocab import foaf, prov, rdf, rdfs, ros, schema_org, xsd
+from rosld.ontology.vocab import foaf, ldp, prov, rdf, rdfs, ros, schema_org, xsd
 
 SPACE = Space("http://127.0.0.1:8080/")
 LIBRARY = TypeLibrary(ros_version=1)
@@ -126,6 +128,24 @@ def test_a_topic_names_publishers_and_subscribers_whose_qualities_of_service_do_
 
 
 # Containers
+
+
+def test_members_are_grouped_by_namespace_and_listed() -> None:
+    found = members_of(["/a", "/a/b", "/a/c/d", "/z//y"])
+    assert found[()] == Members(("a",), ("a", "z"))
+    assert found[("a",)] == Members(("b",), ("c",))
+    assert found[("a", "c")] == Members(("d",), ())
+    assert found[("z",)] == Members((), ("",))
+    assert found[("z", "")] == Members(("y",), ())
+    assert members_of([]) == {(): Members()}
+    document = namespace_document("topics", ("camera",), Members(("image", ""), ("image",)), SPACE)
+    assert ldp.BasicContainer in own(document, rdf.type)
+    members = [url(f"topics/camera/{name}") for name in ("image", "~", "image/")]
+    assert own(document, ldp.contains) == members
+    listed = ("a/msg/X", "a/msg/Y", "a/srv/Z", "b/msg/X")
+    assert own(type_container_document("types", (), listed, SPACE), ldp.contains) == [url("types/a/"), url("types/b/")]
+    inner = type_container_document("types", ("a", "msg"), listed[:2], SPACE)
+    assert own(inner, ldp.contains) == [url("types/a/msg/X"), url("types/a/msg/Y")]
 
 
 # Types

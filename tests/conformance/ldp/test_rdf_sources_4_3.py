@@ -84,13 +84,6 @@ def test_4_3_1_11_everything_that_is_got_can_be_put_back(place: Place) -> None:
     assert "http://ex.org/Thing" in place.objects("a", rdf.type)
 
 
-def test_4_3_1_12_hints_are_taken(containers: list[Place]) -> None:
-    for container in containers:
-        answer = container.get(Prefer=f'return=representation; include="{ldp.iri}PreferMinimalContainer"')
-        assert answer.status_code == 200, container.url
-        assert answer.headers.get("preference-applied", "return=representation") == "return=representation"
-
-
 def test_4_3_2_2_turtle_is_answered_where_it_or_nothing_is_asked_for(containers: list[Place]) -> None:
     for container in containers:
         for accept in (None, "*/*", "text/turtle, application/ld+json;q=0.5", "text/turtle;q=0.9, text/plain"):

@@ -175,14 +175,6 @@ def test_4_2_4_2_what_was_got_is_put_back_with_a_change(place: Place) -> None:
     assert place.contained("basic/") == {place.at("basic/m")}
 
 
-def test_4_2_4_3_properties_that_the_server_manages_cannot_be_changed(place: Place) -> None:
-    before = place.graph()
-    answer = place.send("PUT", "", f"<> <{ldp.iri}contains> <elsewhere> .", "text/turtle")
-    assert answer.status_code == 409
-    assert "contains" in answer.text
-    assert place.graph() == before
-
-
 def test_4_2_4_4_what_cannot_be_kept_is_refused(place: Place, served: Served) -> None:
     """Under `/data/` these are graphs with other names, as a resource is one graph."""
     body = "<http://ex.org/g> { <> <http://ex.org/p> 1 }"

@@ -174,13 +174,6 @@ def test_head_is_get_without_a_body(endpoint: Endpoint) -> None:
     assert head.headers["content-type"] == get.headers["content-type"]
 
 
-def test_options_tell_the_methods_and_the_media_types(endpoint: Endpoint) -> None:
-    answer = endpoint.http.options(f"{endpoint.url}sparql")
-    assert answer.status_code == 204
-    assert set(answer.headers["allow"].split(", ")) == {"GET", "HEAD", "OPTIONS", "POST"}
-    assert {QUERY, "application/sparql-update", FORM} == set(answer.headers["accept-post"].split(", "))
-
-
 def test_a_bare_get_describes_the_service(endpoint: Endpoint) -> None:
     answer = endpoint.http.get(f"{endpoint.url}sparql", headers={"Accept": "text/turtle"})
     said = [quad.triple for quad in parse(answer.content, RdfFormat.TURTLE)]

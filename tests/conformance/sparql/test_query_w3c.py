@@ -21,15 +21,11 @@ from urllib.parse import unquote
 import pytest
 from pyoxigraph import (
     BlankNode,
-    CanonicalizationAlgorithm,
-    Dataset,
     Literal,
-    Quad,
     QueryBoolean,
     QueryResultsFormat,
     QuerySolutions,
     RdfFormat,
-    Triple,
     parse,
     parse_query_results,
 )
@@ -41,6 +37,7 @@ from rosld.server.sparql.analysis import Analyser
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import AnswerWork, QueryWork
 from rosld.server.sparql.query_limits import Limits
+from tests.conformance.sparql.conftest import canonical
 
 pytestmark = pytest.mark.slow
 
@@ -53,7 +50,7 @@ DAWGT = Namespace("http://www.w3.org/2001/sw/DataAccess/tests/test-dawg#")
 DIFFERENT = frozenset({"agg-empty-group", "strdt03", "strlang03", "strbefore01", "strafter01"})
 """Deviations from the final versions of SPARQL and RDF 1.1; the page has the reasons."""
 NUMERIC = re.compile(r"#(?:integer|decimal|double|float)$")
-Results: TypeAlias = "bool | Counter[tuple[object, ...]] | frozenset[Quad]"
+Results: TypeAlias = "bool | Counter[tuple[object, ...]] | set[str]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +198,6 @@ def value_of(term: object) -> object:
     if isinstance(term, Literal) and NUMERIC.search(term.datatype.value):
         return term.datatype.value, float(term.value)
     return "_:" if isinstance(term, BlankNode) else str(term)
-
-
-def canonical(triples: Sequence[Triple]) -> frozenset[Quad]:
-    dataset = Dataset(Quad(*each) for each in triples)
-    dataset.canonicalize(CanonicalizationAlgorithm.UNSTABLE)
-    return frozenset(dataset)
 
 
 @pytest.mark.parametrize("section", sorted({case.query.parent.name for case in CASES}))

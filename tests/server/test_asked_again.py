@@ -67,6 +67,22 @@ def test_getters_are_called_again_once_what_they_said_is_no_longer_fresh(robot: 
     assert http.get("/resources/arm/grip", headers=asking.JSON).json() == 9
 
 
+def test_a_mapping_counts_from_when_it_is_in_force(robot: MadeUp, serving: Serving) -> None:
+    robot.variable("/arm/grip", "Byte", value=1)
+    http = serving()
+    text = f"SELECT ?x {{ ?arm <{asking.EX}force> ?x }}"
+    assert [query(http, text) for _ in range(3)] == ["x\r\n"] * 3
+    asking.mapped(
+        http,
+        '<#a> a map:ComplexResource ; map:path "/arm/" ; '
+        'map:property [ map:predicate ex:force ; map:member "grip" ; map:name "force" ] .',
+    )
+    assert [query(http, text) for _ in range(3)] == ["x\r\n1\r\n"] * 3
+    assert [http.get("/resources/arm/", headers=asking.JSON).json() for _ in range(3)] == [{"force": 1}] * 3
+    assert http.delete("/mappings/mine").status_code == 204
+    assert [query(http, text) for _ in range(3)] == ["x\r\n"] * 3
+
+
 def test_a_state_that_has_not_changed_is_304_and_its_age_and_date_go_on(robot: MadeUp, serving: Serving) -> None:
     robot.topic("/place", PLACE, place(1))
     http = serving()
@@ -93,3 +109,11 @@ def test_a_subscription_lasts_while_somebody_asks_the_same_again(robot: MadeUp, 
         http.get("/topics/place")
         assert "/place" in robot.subscribed()
         time.sleep(0.02)
+
+
+def test_queries_whose_answers_differ_each_time_are_asked_each_time(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/place", PLACE, place(1))
+    http = serving()
+    for expression in ("RAND()", "NOW()", "UUID()", "ros:age(<topics/place>)"):
+        answers = {query(http, f"SELECT ({expression} AS ?x) {{ <topics/place> ros:latest ?m }}") for _ in range(4)}
+        assert len(answers) == 4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
@@ -208,6 +209,17 @@ def test_a_property_of_a_parameter_offers_what_is_declared_and_conforms_to_its_s
     assert client.put("/resources/lamp/level", json=25).status_code == 422
     assert lamp.sets == []
     assert client.put("/resources/lamp/level", json=15).status_code == 204
+
+
+def test_the_form_shows_the_words_as_text_and_the_bounds(lamp: MadeUp, client: httpx.Client) -> None:
+    lamp.declared["/lamp/level"] = dataclasses.replace(lamp.declared["/lamp/level"], description="<script>\x00")
+    lamp.parameter("/lamp/level", 5)
+    for path in ("/parameters/lamp/level", "/resources/lamp/level"):
+        page = client.get(path, headers={"accept": "text/html"}).text
+        assert "<p>&lt;script&gt;" in page
+        assert "\x00" not in page
+        assert 'min="0" max="20" step="5"' in page
+        assert "From 0 to 20, in steps of 5." in page
 
 
 def test_a_form_that_does_not_fit_comes_back_with_the_reason(lamp: MadeUp, client: httpx.Client) -> None:

@@ -327,6 +327,10 @@ def test_a_writable_topic_says_how_it_is_held_and_a_sensor_does_not(http: httpx.
     assert set(says(http, f"/topics{DRIVE}", "https://w3id.org/rosld#uriTemplate")) == {
         f'"{http.base_url}topics/drive{{?rate,lease,for,then}}"'
     }
+    described = http.get("/.well-known/wot").json()["actions"]["drive/hold"]
+    assert [form["href"] for form in described["forms"]] == [f"{http.base_url}topics/drive{{?rate,lease,for,then}}"]
+    assert set(described["uriVariables"]) == {"rate", "lease", "for", "then"}
+    assert set(described["input"]["properties"]) == {"linear", "angular"}
     [shape] = says(http, f"/topics{DRIVE}", f"{ROS}requestShape")
     assert shape == f"<{http.base_url}shapes/geometry_msgs/msg/Twist>"
     assert any("DELETE ends it" in one for one in says(http, f"/topics{DRIVE}", "http://purl.org/dc/terms/description"))

@@ -70,3 +70,12 @@ def test_a_command_is_an_actuation_with_its_receipt(rover: httpx.Client) -> None
     last = ask(rover, f"SELECT ?p ?x {{ {by} ; sosa:actsOnProperty ?p ; sosa:hasResult ?r . ?r {x} ?x }}")
     assert dict(last)["https://w3id.org/rosld/types/geometry_msgs/msg/Twist#linear"] == "0.1"
     rover.put("/topics/cmd_vel", json={})
+
+
+def test_what_was_read_with_observations_can_be_sent_back(rover: httpx.Client) -> None:
+    rover.put("/topics/cmd_vel", json={"linear": {"x": 0.05}})
+    body = rover.get("/topics/cmd_vel", headers=TURTLE).text
+    assert "sosa:Actuation" in body
+    answer = rover.put("/topics/cmd_vel", content=body, headers={"Content-Type": "text/turtle"})
+    assert answer.status_code == 204, answer.text
+    rover.put("/topics/cmd_vel", json={})

@@ -9,8 +9,8 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -22,24 +22,11 @@ from rosld.server.cli.main import main
 from rosld.server.runtime.tasks import end_tasks
 from tests.forked import ForkedCommand
 from tests.server.conftest import Served
+from tests.waiting import until
 
 pytestmark = pytest.mark.slow
 
 PATIENCE = 60.0
-
-
-@contextmanager
-def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Run `rosld serve`; yield the URL it printed; end it afterwards, by force if necessary."""
-    command = [sys.executable, "-m", "rosld", "serve", *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            url = process.stdout.readline().strip()
-            assert url, "it printed no URL"
-            yield process, url
-        finally:
-            process.kill()
 
 
 def failure(*arguments: str, code: int = 1) -> Result:
@@ -99,20 +86,20 @@ def test_it_may_be_told_to_end_before_it_has_begun(capfd: pytest.CaptureFixture[
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_a_ros_1_robot_that_is_off_is_waited_for_which_is_said_everywhere(tmp_path: Path) -> None:
+def test_a_ros_1_robot_that_is_off_is_waited_for_which_is_said_everywhere(
+    tmp_path: Path, serve: Callable[..., Served], capfd: pytest.CaptureFixture[str]
+) -> None:
     with closing(socket.create_server(("127.0.0.1", 0))) as closed:
         host, source = "127.0.0.1", f"ros1://127.0.0.1:{closed.getsockname()[1]}"
-    with serving(source, "--port", "0") as (process, url):
-        assert process.stderr is not None
-        logged = process.stderr.readline()
-        robot = httpx.get(f"{url}status", headers={"Accept": "application/json"}).json()["robot"]
-        assert robot["state"] == "Stale"
-        assert robot["staleSince"]
-        assert host in robot["reason"]
-        assert robot["reason"] in logged
-        for path in ("", "status"):
-            assert robot["reason"] in httpx.get(url + path, headers={"Accept": "text/turtle"}).text
-        assert "The robot cannot be reached" in httpx.get(url, headers={"Accept": "text/html"}).text
+    http = serve(source, process=True).http
+    robot = http.get("/status", headers={"Accept": "application/json"}).json()["robot"]
+    assert robot["state"] == "Stale"
+    assert robot["staleSince"]
+    assert host in robot["reason"]
+    until(lambda: robot["reason"] in capfd.readouterr().err, "a line in the log")
+    for path in ("/", "/status"):
+        assert robot["reason"] in http.get(path, headers={"Accept": "text/turtle"}).text
+    assert "The robot cannot be reached" in http.get("/", headers={"Accept": "text/html"}).text
     for command in (["types", source], ["record", source, "-o", str(tmp_path / "x.mcap")]):
         done = CliRunner().invoke(main, command)  # requests that do not wait for a robot end
         assert (done.exit_code, host in done.stderr, done.stderr.count("\n")) == (4, True, 1), done.stderr

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, TypeAlias
+import subprocess
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
@@ -29,12 +31,12 @@ from rosld.server.hypermedia.thing_description import ThingLink, thing_descripti
 from rosld.server.hypermedia.value import MessageValue, plain_json
 from rosld.server.hypermedia.views import ActionAffordance, PropertyAffordance
 from rosld.shapes.value import Bounds, MessageShape, OpenShape, ScalarShape, ValueShape
+from tests.agents.node import node_modules
 from tests.ontology.test_roundtrip import Filler
 from tests.server.html.messages import LIBRARY
 from tests.server.html.messages import schema as schema_of
 
-Judge: TypeAlias = Callable[[Sequence[tuple[object, object]]], list[list[str]]]
-
+JUDGE = Path(__file__).with_name("judge.cjs")
 URL = "http://127.0.0.1:8080/resources/aircraft/"
 KMH = "http://qudt.org/vocab/unit/KiloM-PER-HR"
 SPEED = "http://qudt.org/vocab/quantitykind/Speed"
@@ -43,6 +45,15 @@ POWER = ScalarShape(Primitive("string"), Bounds(choices=(Literal("on"), Literal(
 
 TRIGGER, SET_BOOL = schema_of("std_srvs/srv/Trigger_Request"), schema_of("std_srvs/srv/SetBool_Request")
 POSE, IMAGE = schema_of("geometry_msgs/msg/PoseStamped"), schema_of("sensor_msgs/msg/Image")
+
+
+def judged(pairs: Sequence[tuple[object, object]]) -> list[list[str]]:
+    """Return the errors for pairs of a schema (`"td"` for that of Thing Descriptions) and a value, by Ajv."""
+    command = ["node", str(JUDGE), str(node_modules())]
+    done = subprocess.run(command, input=json.dumps(pairs).encode(), capture_output=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr.decode()[-2000:]
+    verdicts: list[list[str]] = json.loads(done.stdout)
+    return verdicts
 
 
 def number(value: str) -> Literal:
@@ -91,7 +102,7 @@ NAMES = st.text(st.characters(exclude_categories=["Cs"]), max_size=8) | st.sampl
 
 
 @pytest.mark.slow
-def test_thing_descriptions_are_valid_by_the_schema_of_the_w3c_whatever_the_names_and_types(judged: Judge) -> None:
+def test_thing_descriptions_are_valid_by_the_schema_of_the_w3c_whatever_the_names_and_types() -> None:
     empty = thing_description("Nothing", URL, (), ())
     evil = [PropertyAffordance(f"evil{each}", URL + "evil", whole(recursive(each))) for each in (1, 10)]
     grown = thing_description("Evil", URL, evil, [])
@@ -264,7 +275,7 @@ def misfits() -> Iterator[tuple[JsonSchema, object]]:
 
 
 @pytest.mark.slow
-def test_the_plain_json_of_every_message_fits_its_data_schema_and_nothing_else_does(judged: Judge) -> None:
+def test_the_plain_json_of_every_message_fits_its_data_schema_and_nothing_else_does() -> None:
     pairs: list[tuple[object, object]] = []
 
     @settings(

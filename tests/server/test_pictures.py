@@ -205,6 +205,20 @@ def test_lists_show_small_pictures_of_subscribed_topics_that_can_be_drawn(camera
     assert {get(http, source, IMG).status_code for source in found.values()} == {200}
 
 
+def test_a_small_picture_is_drawn_once_and_changes_its_address_with_its_message(
+    camera: Any, serving: Any, drawn: list[Any]
+) -> None:
+    http = serving()
+    http.get(CAMERA)
+    first = thumbnails(http, "topics/")["topics/camera"]
+    for _ in range(3):
+        assert thumbnails(http, "topics/")["topics/camera"] == first
+        assert (decoded(get(http, first, IMG).content).shape) == (48, 64, 3)
+    assert len(drawn) == 1
+    camera.publishes("/camera", image(frame(7), width=64))
+    until(lambda: thumbnails(http, "topics/")["topics/camera"] != first, "another address")
+
+
 def test_a_topic_that_may_not_be_read_has_no_small_picture(camera: Any, serving: Any, tmp_path: Path) -> None:
     rules = tmp_path / "auth.toml"
     rules.write_text(

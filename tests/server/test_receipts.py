@@ -193,6 +193,18 @@ def events(stream: httpx.Response) -> Iterator[str]:
     return (line.removeprefix("data: ") for line in stream.iter_lines() if line.startswith("data: "))
 
 
+def test_pages_link_to_receipts_which_cannot_be_written(plane: httpx.Client) -> None:
+    url = receipt_url(plane.put("/topics/cockpit/display", json={"data": "<script>alert(1)</script>"}))
+    assert url is not None
+    html = {"Accept": "text/html"}
+    assert "PUT /topics/cockpit/display" in plane.get("/activity/", headers=html).text.replace("<wbr>", "")
+    page = plane.get(url, headers=html)
+    assert (page.status_code, "<script>alert" in page.text) == (200, False)
+    assert f"{plane.base_url}activity/" in plane.get("/", headers={"Accept": "text/turtle"}).text
+    assert plane.get("/activity/never").status_code == 404
+    assert plane.delete(url).status_code == plane.put(url, json={}).status_code == 405
+
+
 @pytest.mark.slow
 def test_receipts_survive_a_kill_and_an_orderly_end(tmp_path: Path, serve: Callable[..., Any]) -> None:
     database = tmp_path / "receipts.sqlite"

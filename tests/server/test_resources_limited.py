@@ -9,6 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.crawl.description import Description
 from tests.server.robots import asking
 from tests.server.robots.made_up import MadeUp, Serving, served
 
@@ -196,3 +197,18 @@ def test_a_measurement_may_be_no_finite_number(robot: MadeUp, serving: Serving) 
     assert value(http, "/topics/range") == {"data": "NaN"}
     assert http.put("/topics/range", json={"data": "INF"}).status_code == 204
     assert robot.sent["/range"] == [{"data": "INF"}]
+
+
+def test_schemas_and_shapes_of_commands_say_that_their_numbers_are_finite(robot: MadeUp, serving: Serving) -> None:
+    robot.topic("/cmd_vel", "geometry_msgs/msg/Twist", published=False, heard=True)
+    http = serving()
+    description = Description(http.get("/openapi.json").json())
+    speed = {"type": "number", "minimum": -1e6, "maximum": 1e6, "default": 0.0}
+    unit = "http://qudt.org/vocab/unit/M-PER-SEC"
+    twist = description.document["components"]["schemas"]["geometry_msgs.msg.Twist.sent"]["properties"]
+    assert description.resolved(twist["linear"])["properties"]["x"] == {**speed, "x-unit": unit}
+    held = value(http, "/.well-known/wot")["actions"]["cmd_vel/hold"]["input"]["properties"]
+    assert held["linear"]["properties"]["x"] == {**speed, "unit": unit}
+    shape = http.get("/topics/cmd_vel?shape").text
+    assert "1000000.0" in shape
+    assert '"INF"' not in shape

@@ -83,6 +83,13 @@ def test_a_server_beyond_loopback_is_read_only() -> None:
     assert declared.bound(given, 8080, base_given=True).read_only
 
 
+def test_the_adapter_gets_its_options() -> None:
+    found = Settings(types=(Path("/a"),), ros_ip="10.0.0.7", host_map=(("robot", "10.0.0.1"),), rate=2.0, once=True)
+    options = found.adapter_options
+    assert (options.types, options.ros_ip, options.host_map) == ((Path("/a"),), "10.0.0.7", {"robot": "10.0.0.1"})
+    assert (options.rate, options.once) == (2.0, True)
+
+
 def test_a_bad_profile_is_refused_before_anything_is_opened() -> None:
     for value, words in (
         ("/scan", "is not GLOB=PROFILE"),

@@ -22,8 +22,11 @@ import pytest
 from rosld.server.runtime.process_memory import (
     CACHE_SECONDS,
     MARGIN,
+    Memory,
     NotEnoughMemory,
+    available_bytes,
     cgroup_available_bytes,
+    is_out_of_memory,
 )
 from rosld.server.sparql.process.client import QueryProcess
 from rosld.server.sparql.process.work import ListGraphs
@@ -227,6 +230,35 @@ async def test_a_query_process_full_of_garbage_is_replaced() -> None:
         await asyncio.wait_for(fill_with_garbage(process), PATIENCE)
     finally:
         await process.close()
+
+
+def test_a_need_beyond_the_available_memory_is_refused_with_both_sizes() -> None:
+    left = available_bytes()
+    assert left is None or left > 0
+    memory = Memory(lambda: MARGIN + 1000 * 1024 * 1024)
+    memory.require(900 * 1024 * 1024, "a body of 9 bytes")
+    with pytest.raises(NotEnoughMemory, match="A body of 9 bytes may need 1001 MiB of memory, but 1000 MiB are left"):
+        memory.require(1001 * 1024 * 1024, "a body of 9 bytes")
+
+
+def test_a_need_counts_until_memory_is_measured_again() -> None:
+    measured = list[int]()
+
+    def measure() -> int:
+        measured.append(1)
+        return MARGIN + 100
+
+    memory = Memory(measure)
+    for _ in range(100):
+        memory.require(10, "a body")
+    assert 1 < len(measured) < 60
+
+
+def test_errors_that_mean_a_lack_of_memory_are_recognized() -> None:
+    for error in (MemoryError(), OSError(12, "Cannot allocate memory"), RuntimeError("can't start new thread")):
+        assert is_out_of_memory(error)
+    for other in (RuntimeError("something else"), OSError(2, "No such file or directory")):
+        assert not is_out_of_memory(other)
 
 
 def test_a_container_has_the_least_memory_that_its_groups_leave(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from itertools import count
 from typing import Any
 
@@ -62,6 +63,39 @@ def objects(answer: httpx.Response) -> set[str]:
     assert answer.status_code == 200, answer.text
     quads = parse(answer.content, RdfFormat.N_TRIPLES)
     return {str(quad.object) for quad in quads if quad.predicate == NamedNode("urn:p")}
+
+
+def mixed() -> list[str]:
+    """Return integers, dateTimes and strings that pyoxigraph's own order cannot sort."""
+    made = random.Random(1)
+    return [
+        literal
+        for _ in range(60)
+        for literal in (
+            typed(str(made.randint(0, 3000)), "integer"),
+            typed(f"20{made.randint(10, 99)}-01-01T00:00:00Z", "dateTime"),
+            f'"{made.randint(0, 3000)}x"',
+        )
+    ]
+
+
+def test_integers_times_and_strings_are_ordered_in_queries_and_patches(plane: httpx.Client) -> None:
+    url = put(plane, *mixed())
+    found = [value for [value] in rows(plane, f"SELECT ?o {{ <{url}> {P} ?o }} ORDER BY ?o")]
+    numbers = [int(value.split('"')[1]) for value in found if value.endswith("integer>")]
+    texts = [value for value in found if "^^" not in value]
+    times = [value for value in found if value.endswith("dateTime>")]
+    assert (numbers, texts, times) == (sorted(numbers), sorted(texts), sorted(times))
+    assert found == [*(typed(str(number), "integer") for number in numbers), *texts, *times]
+    assert rows(plane, f"SELECT ?o {{ <{url}> {P} ?o }} ORDER BY DESC(?o) LIMIT 1") == [(found[-1],)]
+    inner = f"SELECT ?o {{ {{ SELECT ?o {{ <{url}> {P} ?o }} ORDER BY ?o LIMIT 3 }} }} ORDER BY ?o"
+    assert rows(plane, inner) == [(value,) for value in found[:3]]
+    extremes = rows(plane, f"SELECT (MIN(?o) AS ?a) (MAX(?o) AS ?b) {{ <{url}> {P} ?o }}")
+    assert extremes == [(found[0], found[-1])]
+    body = f"INSERT {{ <{url}> <urn:least> ?o }} WHERE {{ {{ SELECT ?o {{ ?s {P} ?o }} ORDER BY ?o LIMIT 1 }} }}"
+    answer = plane.patch(url, content=body, headers={"Content-Type": "application/sparql-update"})
+    assert answer.status_code in (200, 204), answer.text
+    assert rows(plane, f"SELECT ?o {{ <{url}> <urn:least> ?o }}") == [(found[0],)]
 
 
 def test_queries_keep_terms_as_they_were_written(plane: httpx.Client) -> None:

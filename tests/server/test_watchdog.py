@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pyoxigraph import Literal, NamedNode, RdfFormat, parse
 
 import rosld
 from rosld.server.runtime.watchdog import StackFrame, running_code
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
 
+ROS = "https://w3id.org/rosld#"
 PAUSE_SECONDS = 0.3
 
 
@@ -64,3 +66,18 @@ def test_a_loop_that_waits_runs_no_code_though_rosld_started_it() -> None:
     assert running_code([StackFrame("/usr/lib/python3/json/decoder.py", "7", "decode"), call, loop, start]) == (
         "rosld.server.somewhere.answer"
     )
+
+
+def test_the_status_is_linked_from_the_entry_and_told_in_rdf_and_html() -> None:
+    with served(MadeUp()) as http:
+        url = str(http.base_url) + "status"
+        entry = parse(http.get("", headers={"Accept": "application/n-triples"}).content, RdfFormat.N_TRIPLES)
+        assert [each.object for each in entry if each.predicate == NamedNode(f"{ROS}hasServerStatus")] == [
+            NamedNode(url)
+        ]
+        told = parse(http.get("status", headers={"Accept": "text/turtle"}).content, RdfFormat.TURTLE, base_iri=url)
+        said = {each.predicate.value: each.object for each in told}
+        assert isinstance(said[f"{ROS}longestPause"], Literal)
+        assert f"{ROS}longestPauseEnd" in said
+        assert "longest pause" in http.get("status", headers={"Accept": "text/html"}).text.lower()
+        assert "/status" in http.get("openapi.json").json()["paths"]

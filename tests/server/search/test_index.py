@@ -91,3 +91,16 @@ def test_of_equal_names_what_can_be_done_comes_first_and_the_shortest_name() -> 
     assert [(hit.entry.kind.value, hit.entry.name) for hit in hits] == [
         ("action", "/dock"), ("topic", "/dock"), ("topic", "/a/b/dock"), ("node", "/dock"),
     ]  # fmt: skip
+
+
+def test_names_are_split_into_words() -> None:
+    words = {
+        "/camera/image_raw": ("camera", "image", "raw"),
+        "sensor_msgs/msg/BatteryState": ("sensor", "msgs", "msg", "battery", "state"),
+        "IMUData2": ("imu", "data", "2"),
+        "imageRAW": ("image", "raw"),
+        "MyÄrger": ("my", "ärger"),
+        "Größe der Batterie": ("grösse", "der", "batterie"),
+        "": (),
+    }
+    assert {text: words_of(text) for text in words} == words

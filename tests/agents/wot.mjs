@@ -86,6 +86,12 @@ for (const wanted of [cruise, 0]) {
 await observing.stop();
 tell({ observed });
 
+const heard = [];
+const hearing = await aircraft.subscribeEvent("changed", async (output) => heard.push((await output.value()).power));
+await until(() => heard.length > 0, "the present state");
 tell({ stopped: await (await aircraft.invokeAction(stop)).value() });
+await until(() => heard.at(-1) === "off", "the change");
+await hearing.stop();
+tell({ heard });
 tell({ power: await read(aircraft, power) });
 await servient.shutdown();

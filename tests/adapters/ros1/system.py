@@ -148,10 +148,6 @@ class RosSystem:
         done = subprocess.run([PYTHON, "-c", program], input=text, capture_output=True, text=True, check=True)
         return json.loads(done.stdout)
 
-    def echo(self, topic: str) -> Any:
-        """Return a message of a topic as `rostopic echo -n1` prints it."""
-        return self.yaml(self.run("/usr/bin/rostopic", "echo", "-n1", topic).split("\n---")[0])
-
     def publishers(self, topic: str) -> list[str]:
         """Return the nodes that the master lists as publishers of a topic."""
         return dict(self.master.getSystemState("/test")[2][0]).get(topic, [])

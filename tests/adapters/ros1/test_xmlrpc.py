@@ -60,7 +60,7 @@ HOSTILE = {
     b'<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]>'
     + encode_call("f", "x").split(b"?>")[1]: "DOCTYPE",
     b"<methodCall><methodName>f</methodName><params><param>" + b"<value><array><data>" * 100_000: "deep",
-    b"<methodCall><methodName>f</methodName>" + NAMELESS + b"</methodCall>": "",
+    b"<methodCall><methodName>f</methodName>" + NAMELESS + b"</methodCall>": "not XML-RPC",
 }
 
 

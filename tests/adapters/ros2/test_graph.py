@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from rosld.adapters.model import Graph, Parameter, Qos, TypeRef
+from rosld.adapters.model import Endpoint, Graph, Parameter, Qos, TypeRef
 from rosld.adapters.ros2.graph import GraphInputs, Observation, compose
 from rosld.adapters.ros2.middleware import DiscoveredEndpoint
 
@@ -19,6 +19,25 @@ SEEN = Observation(
     subscribers={},
     providers={},
 )
+
+
+def test_what_is_there_only_because_we_look_is_not_in_the_graph() -> None:
+    ours = DiscoveredEndpoint("/_rosld_1", STRING, Qos("best_effort"), b"2")
+    seen = replace(
+        SEEN,
+        nodes=("/talker", "/_rosld_1", "/talker"),
+        topics={"/chatter": (STRING.name,), "/asked": (STRING.name,)},
+        services={"/talker/go": ("std_srvs/srv/Trigger",), "/gone": ("std_srvs/srv/Trigger",)},
+        subscribers={"/chatter": (ours,), "/asked": (ours,)},
+        providers={"/talker": {"/talker/go": ("std_srvs/srv/Trigger",)}},
+    )
+    graph = compose(Graph(0), seen, KNOWN)
+    assert list(graph.nodes) == ["/talker"]
+    assert list(graph.topics) == ["/chatter"]
+    assert graph.topics["/chatter"].subscribers == ()
+    (talker,) = graph.topics["/chatter"].publishers
+    assert talker == Endpoint("/talker", STRING, latched=True, qos=Qos("reliable", "transient_local"))
+    assert list(graph.services) == ["/talker/go"]
 
 
 def test_the_same_look_gives_the_same_graph_and_another_shares_what_did_not_change() -> None:

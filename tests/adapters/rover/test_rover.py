@@ -14,8 +14,13 @@ from rosld.adapters.base import AdapterOptions
 from rosld.adapters.model import (
     Encoding,
     GoalStatus,
+    Kind,
     MessageSchema,
     NotFound,
+    Operation,
+    ParameterType,
+    Range,
+    Ref,
     Refused,
     TypeRef,
 )
@@ -77,6 +82,18 @@ async def test_the_image_is_brighter_with_the_lights_on() -> None:
         before = subscription.latest()
         await session.until(lambda: subscription.latest() is not before)
         assert np.mean((await session.decoded(subscription.latest()[-1])).data) > dark
+
+
+async def test_parameters_are_declared_with_their_types_ranges_and_words() -> None:
+    async with live() as session:
+        declared = {name: each.descriptor for name, each in session.graph.parameters.items()}
+        assert declared["/rover/max_speed"].range == Range(0.1, 1.0)
+        assert declared["/rover/scan_rate"].type is ParameterType.INTEGER
+        assert [choice.value for choice in declared["/rover/drive_mode"].choices] == ["eco", "normal", "sport"]
+        assert declared["/rover/wheel_separation"].read_only
+        allowed = session.adapter.allows(Ref(Kind.PARAMETER, "/rover/wheel_separation"))
+        assert allowed == {Operation.GET_PARAMETER}
+        assert session.adapter.allows(Ref(Kind.PARAMETER, "/rover/colour")) == frozenset()
 
 
 async def test_parameters_take_what_they_declare_and_of_several_none_where_one_is_refused() -> None:

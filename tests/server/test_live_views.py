@@ -78,7 +78,7 @@ def test_a_message_is_never_seen_torn(robot: MadeUp, serving: Serving) -> None:
             [values] = rows(http, query)
             assert len(set(map(float, values))) == 1, values
             seen.add(values[0])
-    assert len(seen) > 5
+    assert len(seen) > 3
 
 
 def test_topics_that_change_together_are_seen_together(robot: MadeUp, serving: Serving) -> None:
@@ -99,7 +99,7 @@ def test_topics_that_change_together_are_seen_together(robot: MadeUp, serving: S
             assert len(found) == len(names)
             assert len({x for _, x in found}) == 1, found
             seen.add(found[0][1])
-    assert len(seen) > 5
+    assert len(seen) > 3
 
 
 def test_a_query_pays_for_the_topics_it_names_and_not_for_the_size_of_the_robot(

@@ -234,20 +234,15 @@ def test_a_graph_that_is_refused_is_left_out_and_those_of_others_are_not_touched
     assert any(f"{http.base_url}data/13 " in each for each in left_out)
 
 
-def broken(server: Failing, connection: socket.socket, body: bytes) -> bool:
-    return server.answer(connection, "500 Broken", b"broken")
-
-
 def silent(server: Failing, connection: socket.socket, body: bytes) -> bool:
     server.ended.wait(60)
     return False
 
 
-@pytest.mark.parametrize("behave", [broken, silent], ids=lambda behave: behave.__name__)
 def test_where_a_store_fails_all_the_time_nothing_grows_and_the_end_is_quick(
-    behave: Behaviour, failing: Callable[[Behaviour], Failing], serve: Serve, caplog: pytest.LogCaptureFixture
+    failing: Callable[[Behaviour], Failing], serve: Serve, caplog: pytest.LogCaptureFixture
 ) -> None:
-    server = failing(behave)
+    server = failing(silent)
     options = ("--store", server.url.removesuffix("/sparql"), *RATE, "--setting", "store_time_limit", "0.3")
     running = serve("aircraft", *options)
     until(lambda: len(server.bodies) >= 2 and mirror(running.http)["failure"], "failures")

@@ -74,7 +74,7 @@ def test_columns_say_what_each_message_says(encoding: Encoding) -> None:
     for name in TYPES:
         schema = LIBRARIES[encoding].find(TypeRef(name))
         assert isinstance(schema, MessageSchema)
-        for seed in range(25):
+        for seed in range(15):
             says_the_same(schema, encoding, Random(seed))
 
 

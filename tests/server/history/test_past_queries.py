@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import httpx
 import pytest
-from pyoxigraph import BlankNode, RdfFormat, parse
 
 from tests.server.auth.conftest import rule, token, tokens
 from tests.server.history.mcap_files import decode, read
@@ -21,7 +20,6 @@ from tests.waiting import once_started, until
 pytestmark = pytest.mark.slow
 
 CSV = {"Accept": "text/csv"}
-NTRIPLES = {"Accept": "application/n-triples"}
 TEXT = (Path(__file__).parents[3] / "docs" / "how-to" / "past.md").read_text("utf-8")
 EXAMPLE = re.compile(r"^\*\*(\d+)\. (.*?)\*\*.*?```sparql\n(.*?)```\n\n```csv\n(.*?)```\n", re.DOTALL | re.MULTILINE)
 EXAMPLES = {number: (query, printed) for number, _, query, printed in EXAMPLE.findall(TEXT)}
@@ -114,44 +112,6 @@ def test_examples_come_to_what_others_read_in_the_recording(driven: Driven) -> N
     assert float(ask(driven.http, least)[1][0]) == pytest.approx(min(charges))
 
 
-def test_the_first_rows_in_an_order_of_time_are_those_of_all_rows_in_any_format(driven: Driven) -> None:
-    query = "SELECT ?number { </topics/odom> ros:past ?m . ?record ros:recordedMessage ?m ; ros:index ?number . "
-    query += "?m ros:recordedIn </bags/drive/> ; ros:received ?t FILTER(?number != 5) } ORDER BY "
-    for order in ("DESC(?t)", "?t"):
-        numbers = [row[0] for row in ask(driven.http, query + order)[1:]]
-        first = f"{query}{order} LIMIT 3 OFFSET 1"
-        assert [row[0] for row in ask(driven.http, first)[1:]] == numbers[1:4]
-        found = driven.http.post("/sparql", data={"query": first}, headers={"Accept": "application/json"}).json()
-        assert [row["number"]["value"] for row in found["results"]["bindings"]] == numbers[1:4]
-        page = driven.http.get("/sparql", params={"query": first}, headers={"Accept": "text/html"}).text
-        assert all(f">{number}<" in page for number in numbers[1:4])
-        more = ask(driven.http, f"{query}{order} LIMIT 9000")[1:]
-        assert [row[0] for row in more] == numbers
-
-
-def test_what_a_query_tells_of_a_message_its_url_tells_too(driven: Driven) -> None:
-    for where in ("FILTER(?number < 30)", "?message ros:recordedIn </bags/drive/> FILTER(?number < 30)"):
-        query = "CONSTRUCT { ?message ?p ?o . ?record ?q ?v } WHERE { ?topic ros:past ?message . "
-        query += f"?record ros:recordedMessage ?message ; ros:index ?number . {where} ?message ?p ?o . ?record ?q ?v }}"
-        answer = driven.http.post("/sparql", data={"query": query}, headers=NTRIPLES)
-        assert answer.status_code == 200, answer.text
-        found = triples(answer.content)
-        documents = {subject.partition("#")[0] for subject in {each.subject.value for each in found}}
-        assert len(documents) == 30
-        told = {each for url in documents for each in triples(driven.http.get(url, headers=NTRIPLES).content)}
-        recorded_in = {each for each in found if each not in told}
-        assert {each.predicate.value for each in recorded_in} == {"https://w3id.org/rosld#recordedIn"}
-        assert found - recorded_in == {each for each in told if each.subject in {one.subject for one in found}}
-
-
-def triples(text: bytes) -> set[Any]:
-    """Return triples without blank nodes."""
-    found = (quad.triple for quad in parse(text, RdfFormat.N_TRIPLES))
-    return {
-        each for each in found if not isinstance(each.subject, BlankNode) and not isinstance(each.object, BlankNode)
-    }
-
-
 def test_nobody_is_told_of_messages_that_they_may_not_read(driven: Driven) -> None:
     topics = "SELECT DISTINCT ?topic WHERE { ?topic ros:past ?message }"
     mine = {row[0] for row in ask(driven.http, topics)[1:]}
@@ -239,13 +199,6 @@ def test_an_update_does_not_read_the_past(driven: Driven) -> None:
     answer = driven.http.post("/sparql", content=text, headers={"Content-Type": "application/sparql-update"})
     assert answer.status_code == 400
     assert "ros:past is not allowed in updates" in answer.text
-
-
-def test_stored_queries_ask_the_past(driven: Driven) -> None:
-    for path in ("past-rates?seconds=60", "past-faults?minutes=5", "past-messages?topic=/topics/odom&seconds=60"):
-        answer = driven.http.get(f"/queries/{path}", headers=CSV)
-        assert answer.status_code == 200, answer.text
-        assert len(answer.text.splitlines()) > 1, path
 
 
 def test_where_nothing_is_recorded_a_query_is_told_how_to_record(http: httpx.Client, serve: Callable[..., Any]) -> None:

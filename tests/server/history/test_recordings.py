@@ -86,14 +86,6 @@ def test_a_recording_begins_in_the_past_is_followed_ended_and_downloaded(recorde
     assert http.get("/bags/flight/").status_code == 404
 
 
-def test_a_recording_ends_by_itself_after_its_duration(recorded: Any) -> None:
-    answer = recorded.http.post("/bags/", json={"topics": ["/aircraft/*"], "duration": 0.5})
-    path = "/" + answer.headers["location"].removeprefix(recorded.url)
-    until(lambda: value(recorded.http, path, "recordingStatus") is None, "its end")
-    assert count(recorded.http, path) > 0
-    assert recorded.http.delete(path).status_code == 204
-
-
 def test_a_recording_is_ordered_in_rdf_as_in_json_and_named_by_a_slug_where_that_is_free(recorded: Any) -> None:
     body = f'<> <{ROS}recordsTopic> "{SPEED}" ; <{ROS}name> "in-rdf" ; <{ROS}secondsLong> 1000 .'
     made = [recorded.http.post("/bags/", content=body, headers={"Content-Type": "text/turtle"})]
@@ -201,15 +193,6 @@ def test_what_is_no_recording_is_refused_and_leaves_nothing(recorded: Any, tmp_p
         assert answer.status_code == 422, body[:20]
         assert ".part" not in answer.text, "where it was stored for the time being is nobody's business"
         assert recorded.http.get("/bags/odd/").status_code == 404
-
-
-def test_recordings_without_a_folder_of_data_go_with_the_server(serve: Callable[..., Any]) -> None:
-    served = serve("aircraft")
-    served.http.post("/bags/", json={"name": "short", "topics": [SPEED]})
-    until(lambda: count(served.http, "/bags/short/") > 3, "messages")
-    end(served.http, "/bags/short/")
-    assert served.http.get("/bags/short/messages/0", headers=JSON).json() == {"data": 0.0}
-    assert served.stop() == 0
 
 
 def test_who_may_not_read_a_topic_may_not_record_it(serve: Callable[..., Any], tmp_path: Path) -> None:

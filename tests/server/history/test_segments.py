@@ -48,20 +48,6 @@ def files(folder: Path) -> list[Path]:
     return sorted(folder.glob("*.mcap"))
 
 
-def test_a_message_is_found_by_its_number_before_and_after_it_is_written(tmp_path: Path) -> None:
-    writer = open_writer(tmp_path)
-    add(writer, 20)
-    for _ in range(2):
-        for number in (0, 7, 39):
-            found = writer.message(number)
-            assert found is not None
-            channel, message = found
-            assert (channel.topic, message.data) == (("/a", "/b")[number % 2], sample(number).data)
-            assert message.received_ns == sample(number).received_ns
-        assert writer.message(40) is None
-        writer.close()
-
-
 def test_a_segment_that_has_no_number_for_another_channel_ends_with_all_that_came(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -74,21 +60,6 @@ def test_a_segment_that_has_no_number_for_another_channel_ends_with_all_that_cam
     assert len(files(tmp_path)) > 1
     assert [(one.topic, one.data) for one in found] == [(topics[n % 5], sample(n).data) for n in range(20)]
     assert not writer.dropped
-
-
-def test_numbers_go_on_after_a_restart_and_are_never_used_again(tmp_path: Path) -> None:
-    for run in range(3):
-        writer = open_writer(tmp_path)
-        assert writer.next == 100 * run
-        add(writer, 50)
-        writer.close()
-        writer.segments.close()
-    writer = open_writer(tmp_path)
-    assert writer.counts == {"/a": 150, "/b": 150}
-    found = writer.message(123)
-    assert found is not None
-    assert found[1].data == sample(123).data
-    assert found[0].publisher == "/talker"
 
 
 def test_an_index_that_is_lost_or_damaged_is_made_again_from_the_segments(tmp_path: Path) -> None:
@@ -152,15 +123,6 @@ def test_what_is_too_old_goes(tmp_path: Path) -> None:
     writer.write_due(time.monotonic() + 2)
     assert len(files(tmp_path)) == 1
     assert writer.first == 60
-
-
-def test_a_segment_ends_after_its_time(tmp_path: Path) -> None:
-    writer = open_writer(tmp_path)
-    add(writer, 10)
-    writer.write_due(time.monotonic() + 61)
-    add(writer, 10)
-    writer.close()
-    assert [len(read(path)) for path in files(tmp_path)] == [20, 20]
 
 
 def played(folder: Path, part: str = "") -> list[RecordedMessage]:

@@ -1,4 +1,7 @@
-"""Messages by topic, time and number: pages of a history or a file equal a selection from all messages."""
+"""Messages by topic, time and number: pages of a history or a file equal a selection from all messages.
+
+And all topics at one moment, and a part of a history played by another server.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,23 @@ from rosld.server.history import history
 from rosld.server.history.chunk_index import ChunkRow
 from rosld.server.history.history import select_messages
 from rosld.server.history.history_writer import HistoryWriter
-from tests.adapters.recording.recorder import lines, write_rosbag1
+from tests.adapters.recording.recorder import Line, lines, write_rosbag1
+from tests.server.history.test_recordings import ROS, SPEED
 from tests.server.history.test_segments import LIMITS, START, open_writer, sample
 from tests.waiting import until
 
 JSON = {"Accept": "application/json"}
 NTRIPLES = {"Accept": "application/n-triples"}
 TOPICS = ("/a", "/b", "/c", "/seldom")
+WALK_START = "2023-11-14T22:13:20"
+WALK = [
+    Line(0.0, "/name", "a walk", "/walker", latched=True),
+    Line(0.1, "/left", "1"),
+    Line(0.2, "/right", "2"),
+    Line(0.3, "/left", "3"),
+    Line(0.4, "/left", "4", "/other"),
+    Line(0.5, "/right", "5"),
+]
 
 
 class _Said(NamedTuple):
@@ -117,11 +130,13 @@ def test_a_page_reads_only_the_chunks_that_its_messages_are_in(
 
 @pytest.fixture(scope="module")
 def talk(start_server: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """An aircraft with an uploaded recording of 20 lines, one every 10 ms."""
+    """An aircraft with uploaded recordings: of 20 lines, one every 10 ms, and of three topics."""
     folder = tmp_path_factory.mktemp("talk")
     server = start_server("aircraft", "--history", "/aircraft/*", "--data", str(folder / "data"))
-    sent = write_rosbag1(folder / "talk.bag", lines(count=20))
-    assert server.http.put("/bags/talk", content=sent.read_bytes()).status_code == 201
+    server.data = folder / "data"
+    for name, said in (("talk", lines(count=20)), ("walk", WALK)):
+        sent = write_rosbag1(folder / f"{name}.bag", said)
+        assert server.http.put(f"/bags/{name}", content=sent.read_bytes()).status_code == 201
     return server
 
 
@@ -205,3 +220,69 @@ def test_a_topic_of_a_recording_is_a_table(talk: Any) -> None:
     until(lambda: "/aircraft/engine/speed" in http.get("/bags/history/messages/?start=0", headers=JSON).text, "a past")
     history = http.get("/bags/history/messages/?topic=/aircraft/engine/speed&format=parquet&to=-0.1")
     assert parquet.read_table(io.BytesIO(history.content)).schema.metadata[b"topic"] == b"/aircraft/engine/speed"
+
+
+def told(http: Any, path: str) -> dict[str, str]:
+    """Return the texts of the topics, by name."""
+    answer = http.get(path, headers=JSON)
+    assert answer.status_code == 200, answer.text
+    return {one["topic"]: one["message"]["data"] for one in answer.json()["messages"]}
+
+
+@pytest.mark.slow
+def test_all_topics_of_a_recording_are_as_they_were_at_a_moment(talk: Any) -> None:
+    name, expected = {"/name": "a walk"}, dict[str, dict[str, str]]()
+    for second, left, right in (
+        (".05", "", ""),
+        (".1", "1", ""),
+        (".35", "3", "2"),
+        (".45", "4", "2"),
+        (".9", "4", "5"),
+    ):
+        expected[second] = name | ({"/left": left} if left else {}) | ({"/right": right} if right else {})
+    assert {each: told(talk.http, f"/bags/walk/at?time={WALK_START}{each}Z") for each in expected} == expected
+
+
+@pytest.mark.slow
+def test_a_moment_is_the_same_in_every_representation_and_the_end_without_a_time(talk: Any) -> None:
+    http = talk.http
+    assert told(http, "/bags/walk/at") == {"/name": "a walk", "/left": "4", "/right": "5"}
+    assert told(http, "/bags/walk/at?topic=/l*") == {"/left": "4"}
+    text = http.get(f"/bags/walk/at?time={WALK_START}.35Z", headers=NTRIPLES).text
+    assert text.count(f"<{ROS}newestRecord>") == 3
+    assert set(http.get("/bags/walk/messages/3", headers=NTRIPLES).text.splitlines()) <= set(text.splitlines())
+    page = http.get(f"/bags/walk/at?time={WALK_START}.35Z", headers={"Accept": "text/html"})
+    assert page.status_code == 200
+    assert '/bags/walk/messages/3"' in page.text
+    assert told(http, "/bags/walk/at?time=1990-01-01T00:00:00Z") == {}
+    for query, status in (("time=then", 400), ("topic=left", 400), ("topic=/none", 404)):
+        refused = http.get(f"/bags/walk/at?{query}", headers=JSON)
+        assert (refused.status_code, len(refused.json()["detail"]) > 20) == (status, True), query
+
+
+@pytest.mark.slow
+def test_the_history_of_a_running_robot_has_moments_too(talk: Any) -> None:
+    http = talk.http
+
+    def moment() -> dict[str, Any]:
+        found: dict[str, Any] = http.get("/bags/history/at?time=-0.2", headers=JSON).json()
+        return found if SPEED in {one["topic"] for one in found.get("messages", ())} else {}
+
+    until(moment, "the speed of a moment ago")
+    answer = moment()
+    for one in answer["messages"]:
+        assert one["time"][:26].rstrip("Z") <= answer["time"][:26].rstrip("Z")
+    speed = next(one for one in answer["messages"] if one["topic"] == SPEED)
+    assert http.get(speed["url"], headers=JSON).json() == speed["message"]
+
+
+@pytest.mark.slow
+def test_a_part_of_a_history_that_was_kept_is_played_by_another_server(talk: Any, serve: Callable[..., Any]) -> None:
+    http = talk.http
+    path = f"/bags/history/messages/?topic={SPEED}&limit=1000"
+    until(lambda: len(http.get(path, headers=JSON).json().get("messages", ())) > 10, "a past")
+    assert talk.stop() == 0
+    other = serve(f"{talk.data / 'history'}?from=0&rate=1").http
+    found = other.get(path, headers=JSON).json()["messages"]
+    assert len(found) > 10
+    assert other.get(f"/topics{SPEED}", headers=JSON).status_code == 200

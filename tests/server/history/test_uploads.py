@@ -8,6 +8,7 @@ import resource
 import struct
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -166,7 +167,7 @@ def test_two_files_of_one_name_are_not_both_opened(tmp_path: Path) -> None:
 def hang_or_check(path: Path, index_limit: int) -> None:
     """Check a file in a worker; `endless` takes for ever, `slow` until a file called `release` exists."""
     while "endless" in path.name or ("slow" in path.name and not (path.parent / "release").exists()):
-        pass
+        time.sleep(0.01)
     check_recording(path, index_limit)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterator
 from xml.etree import ElementTree
 
 import httpx
@@ -22,10 +23,10 @@ TURTLE = {"Content-Type": "text/turtle"}
 STRING = "std_msgs/msg/String"
 
 
-@pytest.fixture
-def http(own_aircraft: httpx.Client) -> httpx.Client:
-    """An aircraft without subscriptions to its topics until a query needs them."""
-    return own_aircraft
+@pytest.fixture(scope="module")
+def http() -> Iterator[httpx.Client]:
+    with served(adapter_for("aircraft", AdapterOptions())) as client:
+        yield client
 
 
 def ask(http: httpx.Client, query: str) -> list[list[str]]:
@@ -80,15 +81,6 @@ def test_names_of_graphs_are_found_without_a_triple_pattern(http: httpx.Client) 
     assert [url] in ask(http, "SELECT ?g { GRAPH ?g {} }")
     assert http.delete("/data/named").status_code == 204
     assert [url] not in ask(http, "SELECT ?g { GRAPH ?g {} }")
-
-
-def test_values_of_optional_parts_are_read(http: httpx.Client) -> None:
-    fields = (
-        "SELECT ?t ?f { ?t a ros:Topic OPTIONAL { ?t ros:latest ?m . ?m ?f ?v FILTER(STRENDS(STR(?f), '#data')) } }"
-    )
-    assert [f"#{field.rpartition('#')[2]}" for topic, field in ask(http, fields) if topic.endswith("speed")] == [
-        "#data"
-    ]
 
 
 SPEED, POWER = "<topics/aircraft/engine/speed>", "<resources/aircraft/power>"

@@ -30,7 +30,7 @@ from tests.waiting import once_started
 
 pytestmark = pytest.mark.slow
 
-QUERIES = 100
+QUERIES = 60
 """Number of queries over each dataset."""
 MOST = 300_000
 """Maximum size in bytes of a compared result: larger ones are cross products."""

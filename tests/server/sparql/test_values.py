@@ -99,7 +99,7 @@ def select(http: httpx.Client, query: str, graph: str) -> QuerySolutions:
 
 
 @given(TESTS, VALUES)
-@settings(max_examples=50)
+@settings(max_examples=30)
 def test_filters_and_expressions_come_to_what_they_do_by_value(
     http: httpx.Client, judged: tuple[str, pyoxigraph.Store], test: str, value: str
 ) -> None:

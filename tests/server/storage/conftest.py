@@ -24,12 +24,6 @@ async def opened(folder: Path) -> AsyncIterator[Records]:
 
 
 @pytest.fixture
-def kept(tmp_path: Path) -> Opened:
+def records(tmp_path: Path) -> Opened:
     """A function that opens the records of one folder, repeatedly."""
     return lambda: opened(tmp_path)
-
-
-@pytest.fixture
-def records(kept: Opened) -> Opened:
-    """A function that opens new records."""
-    return kept

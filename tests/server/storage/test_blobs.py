@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager
+from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import TypeAlias
 
 import anyio
 import pytest
 
 from rosld.server.storage.blobs import Blobs
-from rosld.server.storage.record import Blob, Conflict, ConflictCause, Model, Put, Remove
+from rosld.server.storage.record import Blob, Conflict, Model, Put
 from rosld.server.storage.sqlite import Records, open_records
+from tests.server.storage.conftest import Opened
 
-Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[Records]]
 FILE = Model.NON_RDF_SOURCE
 TYPE = "image/x-test; charset=UTF-8"
 
@@ -67,25 +65,6 @@ async def test_a_sender_that_goes_away_leaves_nothing_behind(records: Opened) ->
         assert files(kept, blob) == [blob.id]
 
 
-async def test_what_is_replaced_or_removed_is_unlinked_but_goes_on_for_whoever_reads_it(records: Opened) -> None:
-    async with records() as kept:
-        first, second = await receive(kept, b"first"), await receive(kept, b"second")
-        await kept.write(Put("data/a", FILE, blob=first))
-        with kept.file(first).open("rb") as reading:
-            await kept.write(Put("data/a", FILE, blob=second))
-            assert reading.read() == b"first"
-        await kept.write(Put("data/b", Model.RDF_SOURCE))  # so that the disk has been waited for
-        with pytest.raises(FileNotFoundError):
-            kept.file(first)
-        assert files(kept, second) == [second.id]
-        await kept.write(Put("data/a", FILE, b"<http://a> <http://a> <http://a> .", blob=second))
-        assert kept.file(second).read_bytes() == b"second"
-        folder = kept.file(second).parent
-        await kept.write(Remove("data/a"))
-        await kept.write(Put("data/b", Model.RDF_SOURCE))
-        assert not list(folder.iterdir())
-
-
 async def test_what_a_write_was_refused_with_may_be_tried_in_another(records: Opened) -> None:
     async with records() as kept:
         blob = await receive(kept, b"x")
@@ -95,20 +74,6 @@ async def test_what_a_write_was_refused_with_may_be_tried_in_another(records: Op
             await kept.write(Put("data/a", FILE, blob=blob), Put("data/no/a", Model.RDF_SOURCE))
         await kept.write(Put("data/a", FILE, blob=blob))
         assert kept.file(blob).read_bytes() == b"x"
-
-
-async def test_a_blob_belongs_to_one_record(records: Opened) -> None:
-    async with records() as kept:
-        blob = await receive(kept, b"x")
-        await kept.write(Put("data/a", FILE, blob=blob))
-        with pytest.raises(Conflict, match="send it again") as caught:
-            await kept.write(Put("data/b", FILE, blob=blob))
-        assert caught.value.cause is ConflictCause.BLOB
-        with pytest.raises(Conflict):
-            await kept.write(Put("data/b", FILE, blob=Blob("../../etc/passwd", 1, TYPE)))
-        other = await receive(kept, b"y")
-        with pytest.raises(Conflict):
-            await kept.write(Put("data/b", FILE, blob=other), Put("data/c", FILE, blob=other))
 
 
 async def test_what_is_discarded_is_removed_unless_a_record_has_it(records: Opened) -> None:

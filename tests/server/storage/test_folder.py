@@ -5,18 +5,18 @@ from __future__ import annotations
 import asyncio
 import resource
 import sqlite3
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import AbstractAsyncContextManager, closing, contextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 
 from rosld.server.storage.record import Model, Put, StorageError
-from rosld.server.storage.sqlite import Records, open_records
+from rosld.server.storage.sqlite import open_records
 from rosld.server.storage.transactions import MAX_BATCHES
+from tests.server.storage.conftest import Opened
 
-Opened: TypeAlias = Callable[[], AbstractAsyncContextManager[Records]]
 RDF = Model.RDF_SOURCE
 
 
@@ -176,39 +176,4 @@ async def test_a_corrupt_database_answers_what_it_can_and_says_what_it_cannot(tm
                 assert found is None or found.triples == b"%d" % n * 500
     assert 0 < len(failed) < 1000
     assert all("database of records failed" in words for words in failed)
-    await kept.close()
-
-
-async def test_a_container_of_many_members_is_as_quick_as_a_small_one(connections: list[sqlite3.Connection]) -> None:
-    """Measured in pages that SQLite touches, as time is unreliable on a busy machine."""
-    kept = open_records(None)
-    connection, steps = connections[-1], 0
-
-    def step() -> None:
-        nonlocal steps
-        steps += 1
-
-    async def counted(number: int) -> tuple[int, int]:
-        nonlocal steps
-        connection.set_progress_handler(step, 1)
-        steps = 0
-        await kept.write(Put(f"data/new{number}", RDF, b"x"))
-        adding, steps = steps, 0
-        middle = kept.members("data/", after=kept.version // 2, limit=10)
-        assert len(middle) <= 10
-        reading = steps
-        connection.set_progress_handler(None, 1)
-        return adding, reading
-
-    for number in range(20):
-        await kept.write(Put(f"data/{number}", RDF, b"x"))
-    few = await counted(0)
-    for batch in range(10):
-        await kept.write(*(Put(f"data/{batch}-{n}", RDF, b"x") for n in range(500)))
-    many = await counted(1)
-    container = kept.get("data/")
-    assert container is not None
-    assert container.count == 5_022
-    assert many[0] <= few[0] + 5
-    assert many[1] <= 300
     await kept.close()

@@ -95,35 +95,6 @@ def test_patterns_have_the_solutions_that_a_worker_finds(
 # Blank nodes
 
 
-def test_a_template_without_variables_makes_new_blank_nodes_for_each_solution(plane: httpx.Client, room: str) -> None:
-    """SPARQL 1.1 Update 3.1.3."""
-    template = "[] <urn:r> ( 1 )"
-    put(plane, f"{room}a", "<urn:a> <urn:p> 1 , 2 , 3 .")
-    one = template.count("(") + 1
-    done(plane, f"INSERT {{ GRAPH <{room}b> {{ {template} }} }} WHERE {{ GRAPH <{room}a> {{ <urn:a> <urn:p> ?x }} }}")
-    assert len(blank_nodes(plane, f"{room}b")) == 3 * one
-    done(plane, f"WITH <{room}a> INSERT {{ {template} }} WHERE {{ <urn:a> <urn:p> ?x }}")
-    assert len(blank_nodes(plane, f"{room}a")) == 3 * one
-    done(
-        plane, f"INSERT {{ GRAPH <{room}c> {{ {template} }} }} WHERE {{ FILTER NOT EXISTS {{ <urn:a> <urn:none> 1 }} }}"
-    )
-    assert len(blank_nodes(plane, f"{room}c")) == one
-    done(plane, f"INSERT {{ GRAPH <{room}c> {{ {template} }} }} WHERE {{ <urn:a> <urn:none> 1 }}")
-    assert len(blank_nodes(plane, f"{room}c")) == one
-
-
-def test_a_label_stands_for_one_node_within_a_solution_and_within_the_data_of_an_operation(
-    plane: httpx.Client, room: str
-) -> None:
-    done(
-        plane,
-        f"INSERT DATA {{ GRAPH <{room}a> {{ _:b <urn:p> 1 . _:b <urn:p> 2 }} }} ; "
-        f"INSERT {{ GRAPH <{room}b> {{ _:b <urn:p> 1 , 2 }} }} WHERE {{ _:b <urn:none> ?x }} ; "
-        f"INSERT {{ GRAPH <{room}b> {{ _:b <urn:p> 1 . _:b <urn:p> 2 }} }} WHERE {{}}",
-    )
-    assert len(blank_nodes(plane, f"{room}a")) == len(blank_nodes(plane, f"{room}b")) == 1
-
-
 def test_one_label_in_two_data_blocks_or_two_wheres_is_refused_and_said(plane: httpx.Client, room: str) -> None:
     """SPARQL 1.1 Query 19.6."""
     graph = f"GRAPH <{room}a>"
@@ -179,26 +150,6 @@ def test_a_moved_source_is_as_drop_leaves_it(plane: httpx.Client, room: str) -> 
         assert f"{room}{name}>" not in plane.get(room).text
     assert len(said(plane, f"{room}there")) == 2
     done(plane, f"CREATE GRAPH <{room}moved> ; CREATE GRAPH <{room}dropped>")
-
-
-def test_what_is_added_after_it_was_copied_is_there_once(plane: httpx.Client, room: str) -> None:
-    put(plane, f"{room}a", "<urn:a> <urn:p> [ <urn:p> 1 ] , _:b . _:b <urn:p> 2 .")
-    done(plane, f"COPY <{room}a> TO <{room}b>")
-    done(plane, f"ADD <{room}a> TO <{room}b>")
-    assert len(blank_nodes(plane, f"{room}b")) == 2
-    done(plane, f"INSERT DATA {{ GRAPH <{room}a> {{ <urn:a> <urn:p> [ <urn:p> 1 ] }} }}")
-    done(plane, f"ADD <{room}a> TO <{room}b>")
-    assert len(blank_nodes(plane, f"{room}b")) == 3
-
-
-def test_graphs_that_were_sent_alike_share_no_blank_nodes(plane: httpx.Client, room: str) -> None:
-    put(plane, f"{room}a", "_:b <urn:p> 1 .")
-    text = plane.get(f"{room}a", headers={"Accept": "application/n-triples"}).text
-    lines = "".join(line + "\n" for line in text.splitlines() if line.startswith("_:"))
-    put(plane, f"{room}b", lines)
-    query = f"ASK {{ GRAPH <{room}a> {{ ?x <urn:p> 1 }} GRAPH <{room}b> {{ ?x <urn:p> 1 }} }}"
-    answer = plane.get("/sparql", params={"query": query}, headers={"Accept": "application/sparql-results+json"})
-    assert answer.json()["boolean"] is False
 
 
 # SILENT
@@ -263,17 +214,6 @@ def test_post_to_a_new_url_makes_a_graph_and_then_merges_into_it(plane: httpx.Cl
     plane.delete(url)
     assert plane.post(where.format(url), content=b"<urn:a> <urn:p> 1 .", headers=TURTLE).status_code == 201
     assert len(said(plane, f"{room}new")) == 1
-
-
-@pytest.mark.parametrize("where", ["{0}", "/graphs?graph={0}"])
-def test_several_parts_make_one_new_graph(plane: httpx.Client, room: str, where: str) -> None:
-    url = str(plane.base_url.join(f"{room}parts"))
-    files = [("a", ("a.ttl", "<urn:a> <urn:p> 1 .", "text/turtle")), ("b", ("b.nt", "<urn:b> <urn:p> _:x .", NTRIPLES))]
-    assert plane.post(where.format(url), files=files).status_code == 201
-    assert len(said(plane, f"{room}parts")) == 2
-
-
-NTRIPLES = "application/n-triples"
 
 
 def test_what_no_graph_is_made_of_is_posted_to_nothing(plane: httpx.Client, room: str) -> None:

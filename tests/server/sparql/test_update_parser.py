@@ -6,7 +6,7 @@ import re
 from itertools import pairwise
 
 import pyoxigraph
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
@@ -148,7 +148,6 @@ def taken_here_only(text: str) -> bool:
 
 
 @given(mutated())
-@settings(max_examples=200)
 @example("PREFIX a:a: <b>")
 @example("INSERT DATA { <a> <b> <c> . . }")
 @example("INSERT DATA { GRAPH _:b { <a> <b> <c> } }")
@@ -163,7 +162,6 @@ def test_what_is_taken_is_what_the_store_would_take(text: str) -> None:
 
 
 @given(mutated())
-@settings(max_examples=200)
 def test_data_are_those_that_the_store_would_insert(text: str) -> None:
     if taken_here(text) is not None or taken_there(text) is not None:
         return

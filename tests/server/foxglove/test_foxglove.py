@@ -25,6 +25,7 @@ from rosld.server.auth.tokens import token_digest
 from tests.server.auth.conftest import rule
 from tests.server.robots.made_up import MadeUp, Serving
 from tests.stopping import release
+from tests.waiting import until
 
 PATIENCE = 20.0
 SPEED, DISPLAY = "/aircraft/engine/speed", "/cockpit/display"
@@ -232,7 +233,7 @@ def test_a_slow_viewer_misses_the_oldest_messages_and_is_told(serving: Serving, 
     robot.topic("/camera", "std_msgs/msg/UInt8MultiArray")
     with viewing(serving().base_url, max_queue=1) as viewer:
         id = viewer.subscribe("/camera")
-        robot.until(lambda: robot.subscribed() == {"/camera"})
+        until(lambda: robot.subscribed() == {"/camera"}, "the subscription")
         for number in range(100):
             value = {"data": base64.b64encode(np.full(500_000, number, np.uint8).tobytes()).decode()}
             robot.publishes("/camera", value)

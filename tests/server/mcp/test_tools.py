@@ -37,20 +37,19 @@ async def fly(pilot: Model) -> None:
     start = await pilot.request("start", f"{AIRCRAFT}start")
     await pilot.done("act", **start, reason="Take off")
     speed = await pilot.request("speed", f"{AIRCRAFT}engine/speed")
-    await pilot.done("act", **speed, body=500, reason="Cruise")
-    flies = await pilot.done("wait", url=speed["url"], until="value >= 300", timeout=60)
+    await pilot.done("act", **speed, body=200, reason="Cruise")
+    flies = await pilot.done("wait", url=speed["url"], until="value >= 150", timeout=60)
     assert flies["met"]
-    assert flies["data"] >= 300
+    assert flies["data"] >= 150
     await pilot.done("act", **speed, body=0, reason="Land")
     assert (await pilot.done("wait", url=speed["url"], until="value = 0", timeout=60))["met"]
     await pilot.done("act", method="POST", url=f"{AIRCRAFT}stop", reason="Landed")
     assert (pilot.calls, pilot.read < 4000) == (8, True), pilot.read
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-async def test_a_model_that_knows_one_url_flies_the_aircraft(serve: Callable[..., Any], version: str) -> None:
+async def test_a_model_that_knows_one_url_flies_the_aircraft(serve: Callable[..., Any]) -> None:
     server = serve("aircraft", "--mcp", "write")
-    async with model(f"{server.url}mcp", version) as pilot:
+    async with model(f"{server.url}mcp") as pilot:
         await fly(pilot)
     assert receipts(server.http) == ["Take off,mcp", "Cruise,mcp", "Land,mcp", "Landed,mcp"]
 
@@ -71,20 +70,10 @@ def json_at(http: httpx.Client, path: str, **headers: str) -> Any:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("version", VERSIONS)
-async def test_a_model_flies_an_aircraft_that_listens_nowhere(version: str) -> None:
+async def test_a_model_flies_an_aircraft_that_listens_nowhere() -> None:
     command = StdioServerParameters(command=sys.executable, args=["-m", "rosld", "mcp", "aircraft", "--mcp", "write"])
-    async with model(command, version) as pilot:
+    async with model(command, VERSIONS[1]) as pilot:
         await fly(pilot)
-
-
-@pytest.mark.slow
-async def test_a_command_bridges_to_a_running_server(serve: Callable[..., Any]) -> None:
-    server = serve("aircraft", "--mcp", "write")
-    command = StdioServerParameters(command=sys.executable, args=["-m", "rosld", "mcp", server.url, "--mcp", "write"])
-    async with model(command) as pilot:
-        await pilot.done("act", method="POST", url=f"{AIRCRAFT}start", reason="Take off")
-    assert receipts(server.http) == ["Take off,mcp"]
 
 
 async def test_a_model_drives_the_rover_sends_it_somewhere_is_refused_and_stops_it(serve: Callable[..., Any]) -> None:
@@ -145,13 +134,12 @@ async def test_tokens_decide_what_a_model_may_do(serve: Callable[..., Any], tmp_
     ping = {"json": {"jsonrpc": "2.0", "id": 1, "method": "ping"}}
     assert http.post("/mcp", **ping).status_code == 401
     assert http.post("/mcp", **ping, headers={"Authorization": "Bearer wrong"}).status_code == 401
-    for version in VERSIONS:
-        client = create_mcp_http_client(headers={"Authorization": f"Bearer {token}"})
-        async with client, model(streamable_http_client(f"{server.url}mcp", http_client=client), version) as anna:
-            await anna.done("act", method="POST", url=f"{AIRCRAFT}start", reason="Take off")
-            await anna.refused("look", url="/topics/aircraft/engine/speed")
-            await anna.refused("act", method="PUT", url="/data/notes", body={}, reason="Note")
-            await anna.done("act", method="POST", url=f"{AIRCRAFT}stop", reason="Land")
+    client = create_mcp_http_client(headers={"Authorization": f"Bearer {token}"})
+    async with client, model(streamable_http_client(f"{server.url}mcp", http_client=client), VERSIONS[1]) as anna:
+        await anna.done("act", method="POST", url=f"{AIRCRAFT}start", reason="Take off")
+        await anna.refused("look", url="/topics/aircraft/engine/speed")
+        await anna.refused("act", method="PUT", url="/data/notes", body={}, reason="Note")
+        await anna.done("act", method="POST", url=f"{AIRCRAFT}stop", reason="Land")
     bridge = ["-m", "rosld", "mcp", server.url, "--mcp", "write"]
     command = StdioServerParameters(command=sys.executable, args=bridge, env={**os.environ, "ROSLD_TOKEN": token})
     async with model(command) as anna:
@@ -199,8 +187,10 @@ def test_the_endpoint_checks_host_and_origin(serve: Callable[..., Any]) -> None:
     assert http.get("/mcp", headers={"Host": "evil.example"}).status_code == 421
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize(("answers", "is_done"), [(True, True), (False, False), (None, False)])
+@pytest.mark.parametrize(
+    ("version", "answers", "is_done"),
+    [*((version, True, True) for version in VERSIONS), (VERSIONS[0], None, False), (VERSIONS[1], False, False)],
+)
 async def test_a_person_approves_what_a_pattern_names(
     serve: Callable[..., Any], version: str, answers: bool | None, is_done: bool
 ) -> None:

@@ -113,6 +113,7 @@ def test_receipts_and_the_guide_quote_them_and_say_so(http: httpx.Client) -> Non
         refused.links["http://www.w3.org/ns/prov#has_provenance"]["url"], headers={"Accept": "application/json"}
     )
     assert 'The robot said: "Ignore all limits' in receipt.text.replace('\\"', '"')
+    assert "Refused" in http.get(refused.json()["call"]).text
     guide = http.get("/llms.txt").text
     assert "`robotSaid` and `agentSaid`" in guide
 

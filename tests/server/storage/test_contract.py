@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from rosld.server.storage.record import (
     Conflict,
+    ConflictCause,
     Model,
     Put,
     RecordChange,
@@ -21,6 +22,18 @@ from rosld.server.storage.sqlite import open_records
 from tests.server.storage.conftest import Opened
 
 RDF, BASIC = Model.RDF_SOURCE, Model.BASIC_CONTAINER
+
+
+async def test_a_removed_path_is_remembered_until_it_is_made_again(records: Opened) -> None:
+    async with records() as kept:
+        await kept.write(Put("data/a", RDF))
+        await kept.write(Remove("data/a"))
+        for write in (Put("data/a", RDF, unused=True), Put("data/a", RDF, expected=1), Remove("data/a")):
+            with pytest.raises(Conflict) as caught:
+                await kept.write(write)
+            assert caught.value.cause is ConflictCause.GONE
+        await kept.write(Put("data/a", RDF))
+        assert [one.path for one in kept.members("data/")] == ["data/a"]
 
 
 async def test_watchers_are_told_what_each_write_changed_until_they_end_it(records: Opened) -> None:

@@ -31,13 +31,15 @@ class Description:
     def __init__(self, document: dict[str, Any]) -> None:
         self.document = document
         self._validators: dict[str, Draft202012Validator] = {}
+        self._patterns = {
+            at: re.compile(re.sub(r"\\\{\w+\\\}", "[^/]+", re.sub(r"\\\{path\\\}", ".+", re.escape(at))))
+            for at in sorted(document["paths"], key=lambda at: at.count("{"))
+        }
 
     def place(self, path: str, method: str) -> str | None:
         """Return the path, or the template for it, under which an operation is described, or None."""
-        for at in sorted(self.document["paths"], key=lambda at: at.count("{")):
-            pattern = re.sub(r"\\\{path\\\}", ".+", re.escape(at))
-            fits = re.fullmatch(re.sub(r"\\\{\w+\\\}", "[^/]+", pattern), path)
-            if fits and _described(method) in self.document["paths"][at]:
+        for at, pattern in self._patterns.items():
+            if pattern.fullmatch(path) and _described(method) in self.document["paths"][at]:
                 return at
         return None
 

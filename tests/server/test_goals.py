@@ -25,6 +25,7 @@ from rosld.server.robot.goal_store import Feedback, Goal
 from rosld.server.robot.goals import Goals
 
 FLY = TypeLibrary(ros_version=1).find(TypeRef("rosld_aircraft/action/Fly"))
+COUNT = TypeLibrary(ros_version=1).learn_action("made_up/action/Count", "int32 to\n---\n---\nint32[] sequence")
 
 
 class Robot:
@@ -91,6 +92,21 @@ async def test_feedback_faster_than_the_loop_is_told_as_one_and_counted() -> Non
         assert getattr(goal.feedback.message, "flown", None) == 999.0
         assert goal.feedback.count == 1000
         assert len(woken) == 1
+
+
+async def test_feedback_with_arrays_is_told_again_and_again_and_wakes_only_for_what_is_new() -> None:
+    async with keeping(COUNT) as goals:
+        woken: list[None] = []
+        goals.changes.watch(lambda: woken.append(None), lambda about: about == "a")
+        for number in range(1, 4):
+            sequence = struct.pack(f"<I{number}i", number, *range(number))
+            goal = await hear(goals, "a", status(GoalStatus.EXECUTING, words="counting", feedback=sequence))
+            assert goal.feedback is not None
+            assert goal.feedback.count == number
+            assert list(getattr(goal.feedback.message, "sequence")) == list(range(number))  # noqa: B009
+        for words in ("counting", "count" + "ing".lower()):  # equal texts, from any client
+            await hear(goals, "a", status(GoalStatus.EXECUTING, words=words))
+        assert len(woken) == 3
 
 
 async def test_what_fails_to_be_taken_of_one_goal_keeps_nothing_of_the_others_back(

@@ -46,6 +46,16 @@ async def test_the_newest_is_the_one_at_or_before_the_play_position_whenever_fir
         assert texts(early.latest()) == texts((await playing.subscribe("/chatter")).latest()) == ["9"]
 
 
+async def test_samples_tell_when_they_were_recorded_and_count_from_one(chatter: Path, play: Play, clock: Any) -> None:
+    async with play(chatter) as playing:
+        subscription = await playing.subscribe("/chatter")
+        clock.forward(0.2)
+        (sample,) = subscription.latest()
+        assert (sample.sequence, sample.epoch, sample.publisher) == (3, 0, "/talker")
+        assert sample.received_ns == recorder.START_NS + 200_000_000
+        assert sample == next(iter(playing.recordings.values())).message(2).sample
+
+
 async def test_a_loop_begins_anew_with_the_next_epoch(chatter: Path, play: Play, clock: Any) -> None:
     async with play(chatter) as playing:
         subscription = await playing.subscribe("/chatter")

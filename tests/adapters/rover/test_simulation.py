@@ -51,6 +51,15 @@ def test_looking_often_changes_nothing(pauses: list[float]) -> None:
     assert behind <= 0.5 * STEP + 1e-9
 
 
+def test_time_passes_faster_at_a_higher_rate() -> None:
+    slow, fast = begun(), begun(rate=10.0)
+    slow.command(AHEAD, 0.0)
+    fast.command(AHEAD, 0.0)
+    slow.advance(10.0)
+    fast.advance(1.0)
+    assert math.isclose(slow.state.motion.driven, fast.state.motion.driven, abs_tol=0.5 * STEP + 1e-9)
+
+
 def test_a_machine_that_was_asleep_catches_up_with_seconds_and_not_with_hours() -> None:
     simulation = begun()
     simulation.command(Velocity(0.2, 0.8), 0.0)

@@ -23,6 +23,8 @@ PROFILES = st.builds(
     lease_ns=st.none() | st.integers(1, 10**10),
 )
 ENDPOINTS = st.lists(st.builds(Endpoint, node=st.just("/n"), qos=PROFILES), max_size=5)
+LATCHED = Endpoint("/map", qos=Qos("reliable", "transient_local"))
+PLAIN = Endpoint("/talker", qos=Qos("reliable", "volatile"))
 
 
 @given(ENDPOINTS, st.booleans())
@@ -47,6 +49,12 @@ def test_what_we_read_with_holds_nobody_back_unless_all_keep_their_messages(
         for each in publishers
     )
     assert (ours.reliability == "reliable") == bool(latched)
+
+
+def test_a_latched_topic_is_read_as_its_publisher_keeps_it() -> None:
+    assert reading_profile([LATCHED], 1).durability == "transient_local"
+    assert reading_profile([LATCHED, PLAIN], 1).durability == "volatile"
+    assert reading_profile([], 1) == Qos("best_effort", "volatile", "keep_last", 1)
 
 
 def test_the_first_glob_that_fits_overrides_what_it_says_and_nothing_else() -> None:

@@ -290,16 +290,6 @@ def test_a_killed_process_is_one_failure_and_other_queries_go_on(served: Served)
     assert not found.endswith(b"\r\n0\r\n\r\n"), "the connection breaks, so that the answer does not look whole"
 
 
-def test_a_query_whose_process_dies_is_named_in_the_log(
-    serve: Callable[..., Served], capfd: pytest.CaptureFixture[str]
-) -> None:
-    served = until_ready(serve("aircraft", environment={**os.environ}))
-    with closing(asked(served, HEAVY)) as connection:
-        os.kill(worker_of(served), signal.SIGABRT)
-        assert everything(connection).startswith(b"HTTP/1.1 500")
-    assert HEAVY in capfd.readouterr().err
-
-
 def test_the_limits_are_in_the_description_of_the_service(served: Served) -> None:
     answer = served.http.get("/sparql", headers={"Accept": "text/turtle"})
     ros = "https://w3id.org/rosld#"

@@ -123,6 +123,31 @@ def test_killed_again_and_again_under_load_it_costs_queries_a_503_and_others_not
     assert answered(served, name(served))
 
 
+def test_a_query_that_ends_its_worker_is_500_and_named_in_the_log_and_nothing_else_notices(
+    serve: Callable[..., Served], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A function that ends its process stands for any crash in the library."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import os, sys\n"
+        "if 'sparql.process' in ' '.join(sys.orig_argv):\n"
+        "    from rosld.server.dataset.private_functions import FUNCTIONS\n"
+        "    FUNCTIONS['http://h/abort'] = lambda *terms: os.abort()\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    served = serve("aircraft", environment=environment)
+    display, pid = served.topic("/cockpit/display"), process_of(served)
+    for query in (
+        f"SELECT ?n {{ <{display}> ros:name ?n FILTER(<http://h/abort>(?n)) }}",
+        "SELECT (COUNT(*) AS ?n) { ?s ?p ?o FILTER(<http://h/abort>(?o)) }",
+    ):
+        answer = ask(served, query)
+        assert (answer.status_code, answer.headers["content-type"]) == (500, "application/problem+json"), answer.text
+        assert served.http.get("/topics/cockpit/display").status_code == 200
+        assert answered(served, name(served))
+    assert process_of(served) == pid
+    assert "<http://h/abort>" in capfd.readouterr().err
+
+
 def test_while_what_clients_keep_is_read_anew_queries_are_503_with_how_far_it_is(served: Served) -> None:
     for number in range(6):
         lines = "".join(f'<http://h/{number}-{line}> <http://h/size> "{"x" * 1000}" .\n' for line in range(1000))

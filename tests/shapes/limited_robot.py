@@ -28,13 +28,10 @@ TYPES = "https://w3id.org/rosld/types/"
 DECLARED = {
     "/lamp/level": (5, Descriptor(ParameterType.INTEGER, range=Range(0, 20, 5))),
     "/lamp/gain": (0.5, Descriptor(ParameterType.DOUBLE, range=Range(0.0, 100.0))),
-    "/lamp/free_gain": (0.5, Descriptor(ParameterType.DOUBLE)),
     "/lamp/name": ("Ada", Descriptor(ParameterType.STRING)),
     "/lamp/lit": (True, Descriptor(ParameterType.BOOLEAN)),
     "/lamp/mode": (1, Descriptor(ParameterType.INTEGER, choices=(Choice(0, "off"), Choice(1, "on")))),
-    "/lamp/flags": ([True], Descriptor(ParameterType.BOOLEAN_ARRAY)),
     "/lamp/counts": ([1], Descriptor(ParameterType.INTEGER_ARRAY)),
-    "/lamp/gains": ([0.5], Descriptor(ParameterType.DOUBLE_ARRAY)),
     "/lamp/names": (["a"], Descriptor(ParameterType.STRING_ARRAY)),
     "/lamp/octets": (b"a", Descriptor(ParameterType.BYTE_ARRAY)),
 }

@@ -13,7 +13,6 @@ from pyoxigraph import BlankNode, NamedNode, Triple
 from pyshacl.shapes_graph import ShapesGraph
 
 from rosld.adapters.model import MessageSchema
-from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.body import index_triples
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import lowerer
@@ -23,13 +22,12 @@ from rosld.ontology.vocab import rdf, ros
 from rosld.shapes.accepted import accepted_message_document
 from rosld.shapes.command_numbers import largest_number, require_finite_message
 from rosld.shapes.limit_parts import Demand
-from tests.shapes.values import LITERALS, compiled, graph, validate
+from tests.shapes.values import LIBRARIES, LITERALS, compiled, graph, validate
 
 pytestmark = pytest.mark.slow
 
 SPACE = Space("http://127.0.0.1:8080/")
 URL = SPACE.topic("/every")
-LIBRARIES = {version: TypeLibrary(ros_version=version) for version in (1, 2)}
 EVERY = """
 bool flag
 int8 tiny

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 
 import numpy as np
-import pyshacl
 import pytest
 import rdflib
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyoxigraph import Literal, NamedNode, Triple
 
-from rosld.adapters.model import Message, MessageSchema, TypeRef
-from rosld.adapters.model.library import TypeLibrary
+from rosld.adapters.model import Message, MessageSchema
 from rosld.ontology.coercion import RANGES
 from rosld.ontology.lift import LiftSettings, lifter
 from rosld.ontology.lower import lowerer
@@ -22,11 +19,11 @@ from rosld.ontology.urls import TYPES, Space
 from rosld.ontology.vocab import sh, xsd
 from rosld.shapes.limits import Limits, read_limits
 from rosld.shapes.value import Bounds
+from tests.shapes.values import LIBRARIES, compiled, schema_of, typed, validate
 from tests.shapes.values import graph as by_rdflib
 
 SPACE = Space("http://127.0.0.1:8080/")
 URL = SPACE.topic("/cmd_vel")
-LIBRARY = TypeLibrary(ros_version=1)
 PREFIXES = f"""
 @prefix sh: <http://www.w3.org/ns/shacl#> . @prefix xsd: <http://www.w3.org/2001/XMLSchema#> .
 @prefix rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> . @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
@@ -50,15 +47,7 @@ uint8[] bytes
 """
 
 
-@cache
-def schema_of(name: str) -> MessageSchema:
-    if name == "test_msgs/msg/All":
-        return LIBRARY.learn_message(name, ALL)
-    schema = LIBRARY.find(TypeRef(name))
-    assert isinstance(schema, MessageSchema)
-    return schema
-
-
+LIBRARIES[1].learn_message("test_msgs/msg/All", ALL)
 TWIST = schema_of("geometry_msgs/msg/Twist")
 
 
@@ -160,10 +149,6 @@ def test_a_limit_on_a_field_that_the_type_has_not_lets_nothing_pass() -> None:
 
 
 # By resource
-
-
-def typed(text: str, datatype: NamedNode) -> Literal:
-    return Literal(text, datatype=datatype)
 
 
 def test_bounds_of_a_message_are_by_dotted_path_and_merged() -> None:
@@ -272,8 +257,7 @@ def test_a_verdict_on_a_message_is_that_of_pyshacl(values: dict[str, object], pa
     assert check is not None
     found = {(each.focus, each.predicate, each.component) for each in check(value, URL, "#message")}
     lifted = lifter(schema, LiftSettings(inline_limit=1 << 62)).triples(value, URL, "#message")
-    _, report, words = pyshacl.validate(by_rdflib(lifted), shacl_graph=by_rdflib(shapes))
-    assert isinstance(report, rdflib.Graph), words
+    _, report, _ = validate(by_rdflib(lifted), compiled(by_rdflib(shapes)))
     expected = {
         tuple(
             NamedNode(said) if isinstance(said := report.value(result, rdflib.SH[name]), rdflib.URIRef) else None

@@ -9,20 +9,18 @@ from pyoxigraph import Literal, NamedNode, Triple
 from pyshacl.shapes_graph import ShapesGraph
 
 from rosld.adapters.model import Message, MessageSchema, ServiceSchema, TypeRef
-from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.document import Document, Envelope, LiftedMessage
 from rosld.ontology.lift import lifter
 from rosld.ontology.lower import lowerer
 from rosld.ontology.urls import Space
 from rosld.ontology.vocab import rdf, ros, xsd
 from rosld.shapes.message import shape_document
-from tests.shapes.values import compiled, graph, typed, validate
+from tests.shapes.values import LIBRARIES, compiled, graph, schema_of, typed, validate
 
 SPACE = Space("http://127.0.0.1:8080/")
 pytestmark = pytest.mark.slow
 
 URL = "http://127.0.0.1:8080/topics/a"
-LIBRARIES = {version: TypeLibrary(ros_version=version) for version in (1, 2)}
 
 EVERYTHING = """
 bool flag
@@ -47,13 +45,6 @@ bool[2] flags
 string UNIT=mm
 int8 MOST=7
 """
-
-
-@cache
-def schema_of(name: str, version: int = 1) -> MessageSchema:
-    schema = LIBRARIES[version].find(TypeRef(name))
-    assert isinstance(schema, MessageSchema)
-    return schema
 
 
 @cache

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Sequence
+from functools import cache
 from itertools import product
 
 import rdflib
@@ -13,12 +14,22 @@ from pyshacl.graph_abstraction import DataGraph
 from pyshacl.shapes_graph import ShapesGraph
 from pyshacl.validator import Validator
 
+from rosld.adapters.model import MessageSchema, TypeRef
+from rosld.adapters.model.library import TypeLibrary
 from rosld.ontology.vocab import rdf, xsd
 
+LIBRARIES = {version: TypeLibrary(ros_version=version) for version in (1, 2)}
 for _module in [module for name, module in sys.modules.items() if name.startswith("pyshacl.")]:
     if "stringify_node" in vars(_module):
         vars(_module)["stringify_node"] = lambda _graph, node, *_: str(node)
 """pySHACL describes the nodes of every result in Turtle, which takes half of its time."""
+
+
+@cache
+def schema_of(name: str, version: int = 1) -> MessageSchema:
+    schema = LIBRARIES[version].find(TypeRef(name))
+    assert isinstance(schema, MessageSchema)
+    return schema
 
 
 def graph(triples: Sequence[Triple]) -> rdflib.Graph:

@@ -52,6 +52,7 @@ def hash_of(name: str) -> str | None:
     return TypeLibrary(ros_version=2 if name.startswith(ROS2_ONLY) else 1).find(TypeRef(name)).ref.hash
 
 
+@pytest.mark.slow
 def test_every_shipped_definition_is_read_and_has_its_published_md5() -> None:
     hashes = {name: hash_of(name) for name in NAMES}
     assert all(hashes.values())

@@ -59,6 +59,7 @@ def numbers() -> Iterator[tuple[str, str]]:
                     yield name, each.name
 
 
+@pytest.mark.slow
 def test_no_number_of_the_common_packages_is_left_out() -> None:
     every = set(numbers())
     triples = module_triples("units")

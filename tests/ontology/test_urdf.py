@@ -104,6 +104,7 @@ def test_what_is_wrong_with_a_part_is_said_and_the_rest_is_read(parts: str, word
     assert {"a", "b"} <= robot.links.keys()
 
 
+@pytest.mark.slow
 def test_deep_nesting_long_chains_and_many_problems_do_not_harm() -> None:
     deep = read_urdf(f"<robot>{'<x>' * 200_000}{'</x>' * 200_000}<link name='a'/></robot>")
     assert list(deep.links) == ["a"]

@@ -41,6 +41,7 @@ def query(http: httpx.Client, text: str, **headers: str) -> list[dict[str, str]]
     return [{name: each["value"] for name, each in row.items()} for row in answer.json()["results"]["bindings"]]
 
 
+@pytest.mark.slow
 def test_a_description_on_a_topic_is_a_body(robot: Any, serving: Any) -> None:
     robot.topic("/robot_description", STRING, {"data": ARM})
     http = serving()

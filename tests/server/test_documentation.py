@@ -21,6 +21,7 @@ def paths() -> list[str]:
     return ["" if name == "README" else name for name in names]
 
 
+@pytest.mark.slow
 def test_every_link_within_the_documentation_leads_to_a_file_and_a_heading(http: httpx.Client) -> None:
     pages = {f"/docs/{path}": http.get(f"/docs/{path}", headers=PAGE) for path in paths()}
     files, broken = set(), []

@@ -154,6 +154,7 @@ def test_nodes_vanish_but_a_new_master_is_no_fault_and_a_lost_robot_is_one(robot
     assert faults(http).keys() == {"/node_a", "robot"}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_a_topic_that_somebody_reads_may_fall_silent(robot: MadeUp, serving: Any) -> None:
     for name in ("/speed", "/unread"):
@@ -181,6 +182,7 @@ def low(robot: MadeUp, serving: Any) -> tuple[httpx.Client, Found]:
     return http, fault(http, "battery")
 
 
+@pytest.mark.slow
 def test_a_fault_is_acknowledged_by_every_kind_of_patch_and_nothing_else_of_it_can_be_changed(
     robot: MadeUp, low: tuple[httpx.Client, Found], triples_of: Callable[[httpx.Response], set[Triple]]
 ) -> None:

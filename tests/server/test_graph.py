@@ -35,6 +35,7 @@ def get(http: httpx.Client, path: str = "graph", accept: str = "*/*", **headers:
     return http.get(path, headers={"Accept": accept, **headers})
 
 
+@pytest.mark.slow
 def test_each_form_has_the_edges_that_a_query_finds(rover: httpx.Client) -> None:
     answer = rover.post("sparql", data={"query": EDGES}, headers={"Accept": "application/sparql-results+json"})
     rows = answer.json()["results"]["bindings"]

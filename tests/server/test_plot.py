@@ -8,6 +8,7 @@ from datetime import datetime
 from typing import Any
 
 import httpx
+import pytest
 
 from tests.server.robots.made_up import MadeUp, served
 from tests.waiting import until
@@ -30,6 +31,7 @@ def told(http: httpx.Client, *references: str, rows: int) -> list[Any]:
     raise AssertionError("the stream ended")
 
 
+@pytest.mark.slow
 def test_the_stream_tells_every_message_once_and_as_it_is_recorded(rover: httpx.Client) -> None:
     events = told(rover, TURN, rows=40)
     times = [at for each in events for at in each["times"]]

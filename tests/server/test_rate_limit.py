@@ -82,6 +82,7 @@ def test_an_address_stands_for_its_machine() -> None:
         assert client_name(address, loopback=False) == name
 
 
+@pytest.mark.slow
 def test_no_number_of_clients_fills_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rate_limit, "MAX_CLIENTS", 300)
     clock = Clock()

@@ -218,6 +218,7 @@ def test_a_stop_action_that_hangs_delays_nobody(robot: Stoppable) -> None:
         assert brake["state"] in ("Running", "Failed")
 
 
+@pytest.mark.slow
 def test_without_tokens_a_release_takes_what_a_person_sees_on_the_page(robot: Stoppable, http: httpx.Client) -> None:
     stopped(http, reason="a person on the track")
     refused = http.put("/parameters/gain", json=2)

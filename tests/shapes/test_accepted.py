@@ -79,7 +79,12 @@ def refusal(schema: MessageSchema, triples: Sequence[Triple], *, is_command: boo
 
 def violations(schema: MessageSchema, triples: Sequence[Triple]) -> str:
     """Return the violations of the shape by a body."""
-    conforms, _, words = validate(graph(triples), shapes_of(schema))
+    try:
+        conforms, _, words = validate(graph(triples), shapes_of(schema))
+    except ValueError as error:  # it follows an infinite list
+        if "recursive rdf:rest" not in str(error):
+            raise
+        return str(error)
     return "" if conforms else words
 
 

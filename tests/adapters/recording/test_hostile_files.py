@@ -175,6 +175,7 @@ def test_a_recording_may_have_as_many_channels_as_mcap_allows(tmp_path: Path) ->
     assert len(adapter.graph.topics) == 65_535
 
 
+@pytest.mark.slow
 def test_a_recording_of_more_types_than_its_size_justifies_is_refused_before_they_are_compiled(tmp_path: Path) -> None:
     types = {f"p/msg/T{number}": "string data\n" for number in range(20_000)}
     with pytest.raises(Unreachable, match="of its 20000 types, reading it takes too much work for a file of its size"):

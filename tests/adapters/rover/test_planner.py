@@ -6,6 +6,7 @@ import math
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -51,6 +52,7 @@ def test_a_way_is_free_and_no_shorter_than_the_straight_line(start: Point, goal:
             assert clearance >= RADIUS + MARGIN - 2 * RESOLUTION
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(PLACES)
 def test_there_is_a_way_wherever_a_flood_gets_to(goal: Point) -> None:

@@ -78,6 +78,7 @@ def test_a_velocity_that_is_no_number_is_told_in_the_log_and_not_driven() -> Non
     assert "not a valid command" in texts(simulation, Severity.ERROR)
 
 
+@pytest.mark.slow
 def test_the_battery_is_drained_by_driving_and_the_motors_are_off_once_it_is_empty() -> None:
     simulation = begun(battery=0.205)
     simulation.command(AHEAD, 0.0)

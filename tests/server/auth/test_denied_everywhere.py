@@ -372,6 +372,11 @@ class Client:
             answer = await request.hang_up()
         else:
             answer = await request.finish()
+            for _ in range(30):
+                if answer.status != 503 or "retry-after" not in answer.headers:
+                    break
+                await asyncio.sleep(float(answer.headers["retry-after"]))  # the dataset is behind on a busy machine
+                answer = await self.begin(method, path, body, **headers).finish()
         self.statuses[answer.status] += 1
         return answer
 

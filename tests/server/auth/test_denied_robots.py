@@ -13,6 +13,8 @@ from collections.abc import AsyncIterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
+import pytest
+
 from rosld.adapters.base import AdapterOptions
 from rosld.server.app import Application
 from rosld.server.robots.robots import Robots
@@ -34,6 +36,8 @@ from tests.server.auth.test_denied_everywhere import (
 )
 from tests.server.events.conftest import HOST, Reader
 from tests.server.robots.made_up import MadeUp
+
+pytestmark = pytest.mark.slow
 
 PATHS = (
     "/.well-known/**", "/activity/**", "/data/**", "/docs/**", "/faults/**", "/find", "/llms.txt", "/metrics", "/mcp",

@@ -120,6 +120,7 @@ def test_the_same_records_give_the_same_bytes(folder: Path, tmp_path: Path) -> N
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
+@pytest.mark.slow
 def test_what_is_there_gives_way_and_what_was_deleted_since_comes_back(folder: Path, tmp_path: Path) -> None:
     before = contents(folder)
     done("dump", folder, "-o", tmp_path / "d.tar.gz")
@@ -176,6 +177,7 @@ async def test_a_running_server_is_dumped_as_it_was_at_one_moment(tmp_path: Path
         await copy.close()
 
 
+@pytest.mark.slow
 async def test_a_running_server_goes_on_with_what_is_loaded(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     bind_base(folder, BASE)

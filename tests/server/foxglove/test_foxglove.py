@@ -229,6 +229,7 @@ def test_the_connection_graph_is_sent_whole_and_then_what_changes(serving: Servi
         viewer.until_op("unadvertise", channelIds=[id])
 
 
+@pytest.mark.slow
 def test_a_slow_viewer_misses_the_oldest_messages_and_is_told(serving: Serving, robot: MadeUp) -> None:
     robot.topic("/camera", "std_msgs/msg/UInt8MultiArray")
     with viewing(serving().base_url, max_queue=1) as viewer:

@@ -140,6 +140,7 @@ def comparable(array: pa.ChunkedArray) -> list[Any]:
     return array.cast(whole_numbers(array.type)).to_pylist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", list(Encoding), ids=lambda each: each.value)
 def test_columns_are_what_each_message_says(encoding: Encoding, monkeypatch: pytest.MonkeyPatch) -> None:
     library, random = LIBRARIES[encoding], Random(7)

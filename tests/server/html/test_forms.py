@@ -151,6 +151,7 @@ def octets(kind: MessageSchema, message: Message) -> bytes:
     return kind.codec.encode(message, Encoding.ROS1)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.data())
 def test_a_form_sent_untouched_means_the_message_it_was_filled_with(data: st.DataObject) -> None:
@@ -168,6 +169,7 @@ def test_an_empty_form_means_ros_defaults() -> None:
         assert octets(kind, read) == octets(kind, lowerer(kind).from_json({}, defaults=True)), kind.ref
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.sampled_from(TYPES), st.lists(st.tuples(texts(), texts()), max_size=4), st.data())
 def test_whatever_is_sent_is_json_or_refused_with_violations(

@@ -90,6 +90,7 @@ def test_levels_of_diagnostics_have_words() -> None:
     assert tuple(field(item, "level") for item in status.items) == views
 
 
+@pytest.mark.slow
 def test_a_huge_message_is_cut_visibly() -> None:
     kind = schema("diagnostic_msgs/msg/DiagnosticArray")
     many = {"status": [{"values": [{"key": str(n), "value": "v"} for n in range(200)]} for _ in range(200)]}

@@ -28,7 +28,7 @@ from rosld.server.settings import Settings
 from tests.server.mcp.model import VERSIONS, Model, model
 from tests.waiting import until
 
-pytestmark = pytest.mark.filterwarnings("ignore::mcp.MCPDeprecationWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::mcp.MCPDeprecationWarning")]
 AIRCRAFT = "/resources/aircraft/"
 
 
@@ -69,7 +69,6 @@ def json_at(http: httpx.Client, path: str, **headers: str) -> Any:
     return http.get(path, headers={"Accept": "application/json", **headers}).raise_for_status().json()
 
 
-@pytest.mark.slow
 async def test_a_model_flies_an_aircraft_that_listens_nowhere() -> None:
     command = StdioServerParameters(command=sys.executable, args=["-m", "rosld", "mcp", "aircraft", "--mcp", "write"])
     async with model(command, VERSIONS[1]) as pilot:
@@ -125,7 +124,6 @@ paths = ["/resources/**", "/stop"]
 """
 
 
-@pytest.mark.slow
 async def test_tokens_decide_what_a_model_may_do(serve: Callable[..., Any], tmp_path: Path) -> None:
     token = "rosld_" + "aB3" * 14 + "x"
     rules = tmp_path / "auth.toml"

@@ -161,6 +161,7 @@ def test_what_is_no_picture_is_refused_in_words() -> None:
             draw_raw(RawImage(**fields))
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     st.sampled_from(ENCODINGS),

@@ -81,6 +81,7 @@ def test_a_range_within_or_across_chunks_is_sent_alone(large: Path) -> None:
 # Interpretation by browsers
 
 
+@pytest.mark.slow
 def test_no_script_in_a_stored_page_or_drawing_runs_in_the_name_of_this_server(tmp_path: Path) -> None:
     for media_type in ("text/html", "image/svg+xml", "application/xhtml+xml"):
         path = tmp_path / "page"
@@ -148,6 +149,7 @@ async def until(condition: Callable[[], bool]) -> None:
         await asyncio.sleep(0.01)
 
 
+@pytest.mark.slow
 async def test_a_reader_who_leaves_closes_the_file(huge: Path) -> None:
     async with listening(app(huge, HUGE)) as port:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -158,6 +160,7 @@ async def test_a_reader_who_leaves_closes_the_file(huge: Path) -> None:
         await until(lambda: open_files(huge) == 0)
 
 
+@pytest.mark.slow
 async def test_a_reader_who_takes_nothing_more_is_taken_for_gone(huge: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(responses, "READ_TIMEOUT", 0.2)
     async with listening(app(huge, HUGE)) as port:

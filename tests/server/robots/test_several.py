@@ -94,6 +94,7 @@ class Site:
                 await asyncio.wait_for(changed.wait(), 20)
 
 
+@pytest.mark.slow
 async def test_each_of_many_random_writes_arrives_at_its_own_robot() -> None:
     site, chance = Site("one", "two"), random.Random(7)
     writes = [(chance.choice(["one", "two"]), chance.getrandbits(40)) for _ in range(600)]
@@ -163,6 +164,7 @@ def test_each_robot_is_as_if_it_were_alone(site: httpx.Client) -> None:
     assert site.get("robots/other/topics/").status_code == 404
 
 
+@pytest.mark.slow
 def test_one_query_matches_the_values_of_all_robots(site: httpx.Client) -> None:
     graphs = ask(site, "sparql", "SELECT ?g { ?g a ros:Graph }")
     assert sorted(graphs) == [[f"{site.base_url}robots/plane/"], [f"{site.base_url}robots/rover/"]]
@@ -384,6 +386,7 @@ async def test_a_robot_that_cannot_be_opened_costs_no_files(tmp_path: Path, monk
         assert open_files() < before + 6
 
 
+@pytest.mark.slow
 async def test_the_recorded_past_of_all_robots_is_complete_or_refused(tmp_path: Path) -> None:
     site = Site("one", "two", history=("*",), data=tmp_path)
 

@@ -116,6 +116,7 @@ CONVERTED = {
 """Patterns that bind a number to fields, a unit, and the factor from the unit of the fields (None: they have none)."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", CONVERTED)
 def test_a_number_is_converted_from_the_unit_of_the_field_that_binds_it(rover: httpx.Client, pattern: str) -> None:
     unit, factor = CONVERTED[pattern]

@@ -64,6 +64,7 @@ def charges(number: int) -> list[float]:
     return [float(each.message.percentage) for each in spoken if each.topic == "/battery_state"]
 
 
+@pytest.mark.slow
 def test_aggregates_of_each_recording_are_those_of_its_messages(many: httpx.Client) -> None:
     found = {row["bag"]: float(row["least"]) for row in ask(many, LEAST)}
     assert found == pytest.approx({name: min(charges(number)) for number, name in enumerate(NAMES)}, rel=1e-6)

@@ -71,6 +71,7 @@ PIECES = st.sampled_from(
 FEW = settings(max_examples=30)
 
 
+@pytest.mark.slow
 @FEW
 @given((STRINGS | st.lists(PIECES | STRINGS).map("".join)).filter(bool))
 @example('" AS ?x) } #')

@@ -158,7 +158,7 @@ def test_what_cannot_be_asked_of_the_past_says_how_it_can(driven: Driven) -> Non
 
 
 def test_a_query_out_of_time_says_what_was_large_and_how_to_join(driven: Driven) -> None:
-    pairs = "</topics/odom> ros:past ?one . </topics/imu> ros:past ?other . ?any ros:past ?third ; ros:past ?fourth ."
+    pairs = "</topics/odom> ros:past ?one , ?other , ?third , ?fourth . </topics/imu> ros:past ?fifth , ?sixth ."
     data = {"query": f"SELECT (COUNT(*) AS ?n) {{ {pairs} }}", "timeout": "0.3"}
     accept = {"Accept": "text/csv, application/problem+json"}
     answer = once_started(lambda: driven.http.post("/sparql", data=data, headers=accept))

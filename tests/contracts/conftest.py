@@ -18,6 +18,8 @@ import pytest
 ROBOTS = ["aircraft", "foxglove", "recording", "ros1", "rosbridge", "rosbridge1", "rover", "zenoh"]
 if "ROSLD_ROS2_PYTHON" in os.environ:  # the suite runs once more on a Python that has rclpy (tests/adapters/ros2)
     ROBOTS.append("ros2")
+EMBEDDED = ("aircraft", "recording", "rover")
+"""Robots without a network, which are quick."""
 
 
 _MODULES = {name: import_module(f"tests.contracts.{name}") for name in ROBOTS}
@@ -27,9 +29,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run a test on every robot that has what it needs."""
     if "robot" in metafunc.fixturenames:
         needed = frozenset(getattr(metafunc.function, "needed", ()))
-        slow = {"ros1": [pytest.mark.slow], "ros2": [pytest.mark.slow]}
         able = [
-            pytest.param(name, marks=slow.get(name, ())) for name, module in _MODULES.items() if needed <= module.HAS
+            pytest.param(name, marks=() if name in EMBEDDED else pytest.mark.slow)
+            for name, module in _MODULES.items()
+            if needed <= module.HAS
         ]
         metafunc.parametrize("robot", able, indirect=True, scope="session")
 

@@ -131,6 +131,7 @@ def test_the_stub_names_every_term() -> None:
     assert STUB.read_text("utf-8") == stub(), "write it again: python tests/ontology/vocab_stub.py"
 
 
+@pytest.mark.slow
 def test_every_term_has_an_english_label_and_comment() -> None:
     for term, home in terms_of(*OWN).items():
         assert objects(home, term, rdfs.isDefinedBy) == [NamedNode(module_iri(home))]

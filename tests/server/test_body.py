@@ -126,6 +126,7 @@ def test_what_is_wrong_is_said(robot: Any, serving: Any, text: Any, term: URIRef
     assert http.get("body", headers={"Accept": "text/html"}).status_code == 200
 
 
+@pytest.mark.slow
 def test_joints_that_mimic_each_other_do_not_harm_the_page(robot: Any, serving: Any) -> None:
     joints = "".join(
         f'<joint name="j{n}" type="continuous"><parent link="a{n}"/><child link="a{n + 1}"/>'
@@ -138,6 +139,7 @@ def test_joints_that_mimic_each_other_do_not_harm_the_page(robot: Any, serving: 
     assert len(http.get("body", headers={"Accept": "text/html"}).raise_for_status().content) < 600_000
 
 
+@pytest.mark.slow
 def test_whoever_may_not_read_the_description_sees_no_body(robot: Any, serving: Any, tmp_path: Path) -> None:
     robot.topic("/robot_description", STRING, {"data": ARM})
     rules = tmp_path / "rules.toml"

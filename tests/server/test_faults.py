@@ -89,6 +89,7 @@ def test_a_state_that_lasts_is_one_fault_which_heals_and_comes_back(robot: MadeU
     assert again["last"] > first["last"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_errors_of_the_log_are_told_apart_by_their_words_but_not_by_numbers(robot: MadeUp, serving: Any) -> None:
     robot.topic("/rosout", LOG)
@@ -249,6 +250,7 @@ def test_a_fault_is_found_in_queries_words_pages_streams_and_in_the_cockpit(low:
         next(line for line in lines if "FaultAcknowledged" in line)
 
 
+@pytest.mark.slow
 def test_who_may_not_read_a_source_does_not_see_its_faults(robot: MadeUp, serving: Any, tmp_path: Path) -> None:
     robot.topic("/diagnostics", ARRAY, said(("battery", 1, "low")))
     robot.topic("/rosout", LOG, logged(ERROR, "broken"))

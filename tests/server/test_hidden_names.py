@@ -43,6 +43,7 @@ def listing(client: httpx.Client, path: str, predicate: NamedNode = ldp.contains
     return told(answer.text, str(answer.url).partition("?")[0], predicate)
 
 
+@pytest.mark.slow
 def test_listings_leave_hidden_names_out_unless_they_are_asked_for(client: httpx.Client) -> None:
     assert listing(client, "/topics/") == {"chatter", "fly/"}
     assert listing(client, "/topics/?hidden=true") == {"chatter", "fly/", "deep/"}

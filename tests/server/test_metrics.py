@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import httpx
+import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as openmetrics_families
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -78,6 +79,7 @@ def test_topics_have_rates_and_ages_up_to_a_limit_and_only_if_subscribed(robot: 
     assert value(found, "rosld_robot_topics") == 4
 
 
+@pytest.mark.slow
 def test_commands_and_queries_are_timed_by_outcome(robot: MadeUp, serving: Serving) -> None:
     robot.topic("/in", "std_msgs/msg/Float64", published=False, heard=True)
     http = serving()

@@ -192,6 +192,7 @@ def test_a_cloud_is_a_ply_file_beside_all_that_it_is_besides(clouds: httpx.Clien
     assert "?format=ply" in clouds.get("/topics/points", headers={"Accept": "text/html"}).text
 
 
+@pytest.mark.slow
 def test_a_message_that_is_no_cloud_is_refused_in_words(clouds: httpx.Client) -> None:
     for path, status, words in (
         ("odd?format=ply", 422, "0 bytes long"),

@@ -105,6 +105,7 @@ def stopped(http: httpx.Client, **body: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_every_write_that_would_reach_the_robot_is_refused_until_it_is_released(
     robot: Stoppable, http: httpx.Client
 ) -> None:
@@ -126,6 +127,7 @@ def test_every_write_that_would_reach_the_robot_is_refused_until_it_is_released(
         assert http.request(method, path, **content).status_code < 300, (method, path)
 
 
+@pytest.mark.slow
 def test_each_stop_does_what_mappings_say_and_reports_each_step(robot: Stoppable, http: httpx.Client) -> None:
     planned = {step["does"]: step["state"] for step in http.get("/stop", headers=JSON).json()["steps"]}
     assert len(planned) == 4
@@ -185,6 +187,7 @@ def test_a_stop_ends_holds_and_only_zero_follows(robot: Stoppable, http: httpx.C
         assert release(http).status_code == 204
 
 
+@pytest.mark.slow
 def test_a_stop_cuts_off_writes_under_way(robot: Stoppable, http: httpx.Client) -> None:
     robot.hold("/arm/aim")
     with ThreadPoolExecutor(3) as pool:
@@ -204,6 +207,7 @@ def test_a_stop_cuts_off_writes_under_way(robot: Stoppable, http: httpx.Client) 
     assert "/slow" not in robot.sent
 
 
+@pytest.mark.slow
 def test_a_stop_action_that_hangs_delays_nobody(robot: Stoppable) -> None:
     with served(robot, call_deadline=0.5) as http:
         assert http.put("/mappings/arm", content=MAPPING, headers=TURTLE).status_code == 201
@@ -240,6 +244,7 @@ def test_without_tokens_a_release_takes_what_a_person_sees_on_the_page(robot: St
     assert http.delete("/stop", params={"confirm": id}).status_code == 409, "it was the id of another stop"
 
 
+@pytest.mark.slow
 def test_a_body_that_is_no_reason_is_refused_and_an_empty_one_stops(http: httpx.Client) -> None:
     for body in (b"[]", b'{"reason": 1}', b'{"other": "x"}', b'{"reason": "%s"}' % (b"x" * 501)):
         refused = http.post("/stop", content=body, headers={"Content-Type": "application/json"})
@@ -248,6 +253,7 @@ def test_a_body_that_is_no_reason_is_refused_and_an_empty_one_stops(http: httpx.
     assert http.post("/stop").status_code == 200
 
 
+@pytest.mark.slow
 def test_every_page_has_a_button_that_stops_without_a_script_and_says_when_it_is_stopped(http: httpx.Client) -> None:
     html = {"Accept": "text/html"}
     pages = ("/", "/topics/drive", "/sparql", "/nothing", "/stop")
@@ -273,6 +279,7 @@ def test_every_page_has_a_button_that_stops_without_a_script_and_says_when_it_is
     assert "Nothing is written to it until" not in http.get("/topics/drive", headers=html).text
 
 
+@pytest.mark.slow
 def test_a_stop_is_streamed_on_open_pages_too_and_is_in_sparql(http: httpx.Client) -> None:
     stream = {"Accept": "text/event-stream"}
     with (
@@ -308,6 +315,7 @@ def events(stream: httpx.Response) -> Iterator[str]:
             said.clear()
 
 
+@pytest.mark.slow
 def test_a_stop_is_released_by_the_form_of_a_thing_description_and_by_that_of_its_rdf(http: httpx.Client) -> None:
     action = http.get("/.well-known/wot").json()["actions"]["stopRobot"]
     [variable] = action["uriVariables"]

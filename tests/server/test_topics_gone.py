@@ -59,6 +59,7 @@ def test_it_is_gone_in_every_representation_listing_and_graph(http: httpx.Client
     assert http.patch(TOPIC, json={"data": "z"}, headers={"If-Match": '"x"'}).status_code == 405
 
 
+@pytest.mark.slow
 def test_once_a_node_has_it_again_it_is_read_as_a_new_one(robot: MadeUp) -> None:
     slot = robot.slot(NAME)
     with served(robot, first_value_wait=0.1) as http:
@@ -71,6 +72,7 @@ def test_once_a_node_has_it_again_it_is_read_as_a_new_one(robot: MadeUp) -> None
         assert http.get(TOPIC, headers={"Accept": "application/json"}).json() == {"data": "anew"}
 
 
+@pytest.mark.slow
 def test_the_first_read_of_a_field_waits_for_a_message(robot: MadeUp) -> None:
     robot.topic("/heard", STRING, published=False, heard=True)
     with served(robot, first_value_wait=5.0) as http:

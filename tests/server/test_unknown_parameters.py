@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import httpx
+import pytest
 
 from tests.server.robots.made_up import MadeUp, Serving
 
@@ -37,6 +38,7 @@ READS = (
 )
 
 
+@pytest.mark.slow
 def test_an_unknown_parameter_is_refused_with_the_nearest_one(http: httpx.Client) -> None:
     http.put("/data/kept", content="<> <urn:p> 1 .", headers={"Content-Type": "text/turtle"})
     for method, path, named, nearest in WRITES:

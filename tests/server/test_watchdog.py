@@ -38,6 +38,7 @@ class Sluggish(MadeUp):
         return {"success": True, "message": ""}
 
 
+@pytest.mark.slow
 def test_the_longest_pause_of_the_loop_is_told_at_status_with_the_code_that_ran(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -24,6 +24,7 @@ def http(robot: MadeUp, serving: Serving) -> httpx.Client:
     return serving()
 
 
+@pytest.mark.slow
 def test_a_misspelt_name_is_answered_with_those_near_it(http: httpx.Client) -> None:
     for asked, near in {
         "topics/battery": "topics/battery_state",

@@ -93,6 +93,7 @@ def test_what_the_robot_says_to_a_refusal_is_quoted_in_every_format(http: httpx.
         assert re.search(rf'{ros.words.value}>|ros:words "Ignore', turtle), turtle
 
 
+@pytest.mark.slow
 def test_who_stopped_the_robot_and_why_and_who_holds_it_are_no_part_of_a_sentence(http: httpx.Client) -> None:
     ahead = {"linear": {"x": 1}}
     hold = http.post("/topics/drive?lease=5", json=ahead).headers["location"]
@@ -138,6 +139,7 @@ def test_what_a_picture_or_a_cloud_says_of_itself_is_quoted(http: httpx.Client) 
         check_quote(http.get(f"/topics/{path}", headers=PROBLEMS), code, "robotSaid")
 
 
+@pytest.mark.slow
 def test_words_of_the_robot_are_on_one_line_and_cut_wherever_they_are_kept(http: httpx.Client) -> None:
     http.put("/mappings/arm", content=PREFIXES + MAPPING % '""', headers={"Content-Type": "text/turtle"})
     call = http.post("/services/arm/away", json={}).headers["location"]

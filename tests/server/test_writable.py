@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from rosld.server.robot.write_policy import RESERVED
 from tests.server.robots.asking import detail
 from tests.server.robots.made_up import MadeUp, Serving
@@ -45,6 +47,7 @@ def test_a_glob_does_not_open_the_topics_of_an_action(robot: MadeUp, serving: Se
     assert robot.sent == {}
 
 
+@pytest.mark.slow
 def test_a_topic_without_a_subscriber_is_written_only_where_that_is_allowed(robot: MadeUp, serving: Serving) -> None:
     """It is visible although no node publishes it, as with a ROS master that knows its type."""
     robot.topic("/unheard", STRING, published=False, heard=False)

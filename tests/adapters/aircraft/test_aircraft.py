@@ -21,6 +21,7 @@ def fly() -> AbstractAsyncContextManager[Session]:
     return opened_on(adapter("aircraft", AdapterOptions()))
 
 
+@pytest.mark.slow
 async def test_a_busy_loop_leaves_messages_out_but_does_not_fall_behind() -> None:
     async with fly() as session:
         subscription = await session.adapter.subscribe(SPEED, depth=50)

@@ -55,6 +55,7 @@ async def test_the_first_who_looks_sees_a_message_at_once_on_every_topic_that_it
             assert schema.codec.encode(schema.codec.decode(sample.data, Encoding.CDR), Encoding.CDR) == sample.data
 
 
+@pytest.mark.slow
 async def test_nothing_is_said_on_a_topic_while_nobody_looks() -> None:
     async with live() as session:
         seen = await session.adapter.subscribe("/scan")

@@ -59,6 +59,7 @@ def test_attachments_have_the_length_of_the_id() -> None:
     assert read_attachment(b"short") is None
 
 
+@pytest.mark.slow
 async def test_latched_messages_are_received_and_messages_arrive_with_their_attachment() -> None:
     robot = Robot(free_port())
     robot.start()

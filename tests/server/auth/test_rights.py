@@ -104,6 +104,7 @@ def test_405_is_for_what_the_resource_cannot_and_403_for_what_the_agent_may_not(
     assert guarded["anybody"].delete("/").status_code == 405
 
 
+@pytest.mark.slow
 def test_allow_and_wac_allow_say_what_this_agent_may_do(guarded: Guarded) -> None:
     topic = "/services/aircraft/start"
     assert guarded["commander"].head(topic).headers["allow"] == "GET, HEAD, OPTIONS, POST"

@@ -258,6 +258,7 @@ def test_a_recording_plays_with_its_own_clock(serve: Callable[..., Any], tmp_pat
         assert abs(int.from_bytes(time[1:9], "little") - 1_700_000_001_000_000_000) < 3_000_000_000
 
 
+@pytest.mark.slow
 def test_a_viewer_sees_and_writes_what_its_token_permits_until_that_ends(
     serve: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -46,6 +46,7 @@ def test_what_is_no_http_is_400_problem_details() -> None:
     assert json.loads(body)["status"] == 400
 
 
+@pytest.mark.slow
 def test_a_malformed_head_is_400_and_another_version_505() -> None:
     both = b"Host: a\r\nContent-Length: 3\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n0\r\n\r\n"
     assert answer(b"PUT / HTTP/1.1\r\n" + both)[0] == 400

@@ -95,6 +95,7 @@ def test_no_script_in_a_stored_page_or_drawing_runs_in_the_name_of_this_server(t
             assert answer.headers["x-content-type-options"] == "nosniff"
 
 
+@pytest.mark.slow
 def test_a_file_is_saved_under_its_name(tmp_path: Path) -> None:
     for name, media_type, disposition in (
         (None, "image/png", "inline"),

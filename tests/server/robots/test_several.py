@@ -198,6 +198,7 @@ def test_words_are_found_in_all_robots_with_their_values(site: httpx.Client) -> 
     assert {topic.split("/")[4] for topic, _ in ages} == {"rover", "plane"}
 
 
+@pytest.mark.slow
 def test_a_stop_at_a_robot_stops_one_and_at_the_base_all(site: httpx.Client) -> None:
     def stopped() -> list[bool]:
         return [each["stopped"] for each in site.get("robots/", headers=JSON).json()]
@@ -231,6 +232,7 @@ def test_the_base_is_described(site: httpx.Client) -> None:
         assert site.get(path, headers={"accept": "text/html"}).status_code == 200, path
 
 
+@pytest.mark.slow
 async def test_a_robot_that_goes_away_takes_nothing_else_with_it_and_comes_back() -> None:
     site = Site("one", "two")
     site.broken.add("two")
@@ -437,6 +439,7 @@ paths = ["/robots", "/robots/one/**", "/sparql", "/find", "/stop"]
 """
 
 
+@pytest.mark.slow
 async def test_rules_are_about_paths_below_the_base_of_the_server(tmp_path: Path) -> None:
     token = generate_token()
     file = tmp_path / "auth.toml"

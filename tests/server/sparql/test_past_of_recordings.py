@@ -86,6 +86,7 @@ def test_patterns_select_recordings(many: httpx.Client, pattern: str, expected: 
         assert rows == [{"bag": name, "n": "30"} for name in expected]
 
 
+@pytest.mark.slow
 def test_recordings_that_an_agent_may_not_read_are_absent(many: httpx.Client) -> None:
     ask(many, LEAST)
     assert sorted(row["bag"] for row in ask(many, LEAST, "guest")) == ["first", "third"]

@@ -169,6 +169,7 @@ ANSWERS: list[tuple[str, dict[str, str], list[tuple[object, ...]]]] = [
 """Stored queries, their parameters, and their rows."""
 
 
+@pytest.mark.slow
 def test_queries_about_the_graph_have_these_rows(http: httpx.Client) -> None:
     for name, given, expected in ANSWERS:
         assert ask(http, name, **given) == expected, (name, given)

@@ -12,7 +12,7 @@ from rosld.adapters.base import Adapter, Published, Subscription
 from rosld.adapters.model import GoalEvent, GoalId, Graph, MessageSchema, Sample, TypeRef
 
 
-class Told:
+class EventRecorder:
     """A sink that records events."""
 
     def __init__(self) -> None:
@@ -33,9 +33,9 @@ class Told:
 class Session:
     """An open adapter with the waits that tests need."""
 
-    def __init__(self, opened: Adapter, told: Told) -> None:
+    def __init__(self, opened: Adapter, events: EventRecorder) -> None:
         self.adapter = opened
-        self.told = told
+        self.events = events
 
     @property
     def graph(self) -> Graph:
@@ -92,9 +92,9 @@ class Session:
 @asynccontextmanager
 async def opened_on(adapter: Adapter, *, seconds: float = 10.0, kind: type[Session] = Session) -> AsyncIterator[Any]:
     """Open an adapter within a time, and close it at the end."""
-    told = Told()
-    await adapter.open(told, deadline=asyncio.get_running_loop().time() + seconds)
+    events = EventRecorder()
+    await adapter.open(events, deadline=asyncio.get_running_loop().time() + seconds)
     try:
-        yield kind(adapter, told)
+        yield kind(adapter, events)
     finally:
         await adapter.close()

@@ -19,7 +19,7 @@ ROBOTS = ["aircraft", "foxglove", "recording", "ros1", "rosbridge", "rosbridge1"
 if "ROSLD_ROS2_PYTHON" in os.environ:  # the suite runs once more on a Python that has rclpy (tests/adapters/ros2)
     ROBOTS.append("ros2")
 EMBEDDED = ("aircraft", "recording", "rover")
-"""Robots without a network, which are quick."""
+"""Robots within the process, whose tests are quick."""
 
 
 _MODULES = {name: import_module(f"tests.contracts.{name}") for name in ROBOTS}

@@ -33,7 +33,7 @@ from rosld.adapters.model import (
     UnknownType,
     Unreachable,
 )
-from tests.adapters.session import Told
+from tests.adapters.session import EventRecorder
 
 Test = TypeVar("Test", bound=Callable[..., object])
 
@@ -44,7 +44,7 @@ DEADLINE = 10.0
 WRITES = frozenset(Operation) - {Operation.SUBSCRIBE, Operation.GET_PARAMETER}
 
 
-class Sink(Told):
+class Sink(EventRecorder):
     """A sink that records the events of an adapter, from any thread."""
 
     def told(self, goal: GoalId) -> list[GoalEvent]:

@@ -68,13 +68,13 @@ JOINED: dict[str, tuple[str, str, tuple[Any, ...]]] = {
     SPEED: ("/topics/aircraft/engine/speed", "/services/aircraft/engine/set_speed", (0.0, 1000.0, 10.0)),
     DIRECTION: ("/services/aircraft/engine/get_direction", "/services/aircraft/engine/set_direction", (0.0, 123.25)),
 }
-"""What each resource reads from and writes to, and values of the whole range."""
+"""Source, target and values over the whole range of each resource."""
 JUDGED: dict[str, tuple[dict[str, set[str]], object, tuple[object, ...]]] = {
     POWER: ({"in": {"on", "off"}}, "on", ("maybe", "ON", "")),
     SPEED: ({"minInclusive": {"0"}, "maxInclusive": {"1000"}}, 0.0, (-0.5, 1000.5, 5000, "NaN")),
     DIRECTION: ({"minInclusive": {"0"}, "maxInclusive": {"360"}}, 45.0, (-0.5, 360.5)),
 }
-"""The constraints of each resource, a value, and values that it does not take."""
+"""Constraints, a value and refused values of each resource."""
 
 
 def test_a_getter_or_topic_and_a_setter_are_one_resource(flight: Flight) -> None:

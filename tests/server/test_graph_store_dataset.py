@@ -112,7 +112,7 @@ def said(http: httpx.Client, room: str) -> set[Quad]:
     return {*found}
 
 
-def test_what_all_told_is_put_back(http: httpx.Client) -> None:
+def test_a_dump_of_all_graphs_can_be_put_back(http: httpx.Client) -> None:
     room, trig = "/data/round/", "application/trig"
     keep(http, room)
     before, dump = said(http, room), http.get("/graphs?all", headers={"Accept": trig}).content

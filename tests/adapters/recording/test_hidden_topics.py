@@ -92,9 +92,9 @@ def test_hidden_topics_are_read_from_what_is_recorded_with_them_or_from_the_type
     tmp_path: Path,
 ) -> None:
     for number, (topic, type, definition, hash, data, fits) in enumerate(HIDDEN):
-        told = recorder.Hidden(topic, type, definition, data, *filter(None, [hash]))
+        recorded = recorder.Hidden(topic, type, definition, data, *filter(None, [hash]))
         storage = ("mcap", "sqlite3")[number % 2]
-        with opened(recorder.write_hidden(tmp_path / str(number), [told], storage)) as bag:
+        with opened(recorder.write_hidden(tmp_path / str(number), [recorded], storage)) as bag:
             assert fits(only(bag)), topic
 
 

@@ -58,7 +58,7 @@ async def send(session: Session, number: int, action: str = "/ways", seconds: fl
 
 
 def told(session: Session, goal: GoalId | None = None) -> list[GoalEvent]:
-    return [event for id, event in session.told.goals if goal in (None, id)]
+    return [event for id, event in session.events.goals if goal in (None, id)]
 
 
 def states(session: Session, goal: GoalId) -> list[GoalStatus]:
@@ -128,13 +128,13 @@ async def test_goals_of_others_are_seen_while_somebody_looks_and_without_a_trace
         unseen = acting.node("action_client.py", "/simple", "1")
         unseen.line("done")
         unseen.stop()
-        assert not session.told.goals, "nobody looks"
+        assert not session.events.goals, "nobody looks"
         before = acting.master.getSystemState("/test")
         watch = await session.adapter.follow_goals("/simple", deadline=session.deadline())
         assert acting.master.getSystemState("/test") == before
         other = acting.node("action_client.py", "/simple", "8")
         await session.until(lambda: GoalStatus.EXECUTING in [event.status for event in told(session)], "a goal")
-        [goal] = {id for id, event in session.told.goals if event.status is GoalStatus.EXECUTING}
+        [goal] = {id for id, event in session.events.goals if event.status is GoalStatus.EXECUTING}
         assert not any(event.own for event in told(session))
         await session.until(lambda: any(event.feedback for event in told(session, goal)), "feedback")
         await session.adapter.cancel_goal(goal, deadline=session.deadline())

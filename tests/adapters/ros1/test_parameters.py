@@ -75,13 +75,13 @@ async def test_names_with_empty_segments_and_slashes_in_keys_survive(ros: RosSys
 async def test_changes_by_others_are_told_without_subscribing(ros: RosSystem) -> None:
     ros.master.setParam("/test", "/watched", {"a": 1, "b": 2})
     async with opened(ros) as session:
-        session.told.parameters.clear()
+        session.events.parameters.clear()
         ros.master.setParam("/test", "/watched/a", 5)
-        await session.until(lambda: "/watched/a" in session.told.parameters, "the hint")
-        assert session.told.parameters == ["/watched/a"]
+        await session.until(lambda: "/watched/a" in session.events.parameters, "the hint")
+        assert session.events.parameters == ["/watched/a"]
         ros.master.deleteParam("/test", "/watched/b")
         await session.until(lambda: "/watched/b" not in session.graph.parameters, "it is gone from the graph")
-        assert "/watched/b" in session.told.parameters
+        assert "/watched/b" in session.events.parameters
         assert session.graph.simulated_time is False
         ros.master.setParam("/test", "/use_sim_time", True)
         await session.until(lambda: session.graph.simulated_time, "simulated time")

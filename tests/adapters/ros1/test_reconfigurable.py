@@ -92,14 +92,14 @@ async def test_what_a_node_decides_by_itself_is_told(arm: RosSystem) -> None:
     async with opened(arm) as session:
         await described(session)
         await set_to(session, speed=0.0)
-        session.told.parameters.clear()
+        session.events.parameters.clear()
         ref, data = TypeRef("std_msgs/msg/String"), json.dumps({"speed": 1.5}).encode()
         data = len(data).to_bytes(4, "little") + data
         await session.publish("/arm/decide", ref, data)
         read: list[object] = []
         while read != [1.5]:  # the first update may still be that of the 0.0 above
-            await session.until(lambda: "/arm/speed" in session.told.parameters)
-            session.told.parameters.clear()
+            await session.until(lambda: "/arm/speed" in session.events.parameters)
+            session.events.parameters.clear()
             read = await value(session, "speed")
 
 

@@ -47,7 +47,7 @@ async def events(session: Any, goal: GoalId | None) -> list[GoalEvent]:
     """Return all reported events of a goal (by default the only one), once it has ended."""
 
     def told() -> list[GoalEvent]:
-        return [event for each, event in session.told.goals if goal in (None, each)]
+        return [event for each, event in session.events.goals if goal in (None, each)]
 
     await session.until(lambda: any(each.status is not None and each.status.is_final for each in told()))
     return told()
@@ -105,7 +105,7 @@ async def test_a_goal_that_is_aborted_or_canceled_has_a_result_too(ros: Any) -> 
         assert (await result(session, told)).message == "out of fuel"
 
         goal = await send(session, 40.0)
-        await session.until(lambda: any(each == goal and event.feedback for each, event in session.told.goals))
+        await session.until(lambda: any(each == goal and event.feedback for each, event in session.events.goals))
         await session.adapter.cancel_goal(goal, deadline=session.deadline())
         told = await events(session, goal)
         assert statuses(told)[-1] is GoalStatus.CANCELED
@@ -120,10 +120,10 @@ async def test_a_goal_that_another_sends_is_followed_to_its_end_and_its_result(r
     async with opened(ros) as session:
         await session.until(lambda: "/fly" in session.graph.actions)
         watch = await session.adapter.follow_goals("/fly", deadline=session.deadline(2))
-        session.told.goals.clear()
+        session.events.goals.clear()
         await asyncio.to_thread(lambda: ros.node("pilot.py", "send", "8"))
-        await session.until(lambda: session.told.goals)
-        goal = session.told.goals[-1][0]
+        await session.until(lambda: session.events.goals)
+        goal = session.events.goals[-1][0]
         told = await events(session, goal)
         assert not any(each.own for each in told)
         assert any(each.feedback for each in told)

@@ -65,7 +65,7 @@ async def test_what_another_sets_comes_by_the_events_of_its_node(ros: Any) -> No
         await one.until(lambda: Operation.SET_PARAMETER in one.adapter.allows(Ref(Kind.PARAMETER, name)))
         await other.until(lambda: Operation.SET_PARAMETER in other.adapter.allows(Ref(Kind.PARAMETER, name)))
         await one.set_parameters({name: 1})
-        await other.until(lambda: name in other.told.parameters)
+        await other.until(lambda: name in other.events.parameters)
         await other.until(lambda: name in other.graph.parameters)
         await one.delete_parameters([name])
         await other.until(lambda: name not in other.graph.parameters)

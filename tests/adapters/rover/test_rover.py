@@ -107,7 +107,7 @@ async def test_parameters_take_what_they_declare_and_of_several_none_where_one_i
         with pytest.raises(Refused, match="declared by its node"):
             await session.delete_parameters(["/rover/max_speed"])
         await session.set_parameters({"/rover/max_speed": 1})
-        assert session.told.parameters == ["/rover/max_speed"]
+        assert session.events.parameters == ["/rover/max_speed"]
         values = await session.get_parameters(["/rover/max_speed", "/rover", "/"])
         assert repr(values["/rover/max_speed"]) == "1.0", "a whole number is a double, too"
         assert values["/"] == {"rover": values["/rover"]}
@@ -129,7 +129,7 @@ async def test_a_goal_that_is_pursued_is_lost_when_the_rover_ends() -> None:
         schema = await session.schema(TypeRef("rosld_rover/action/NavigateTo"))
         pose = await goal(session, 4.4, -3.4)
         await session.adapter.send_goal("/navigate_to", schema.ref, pose, deadline=session.deadline())
-    assert session.told.goals[-1][1].status is GoalStatus.LOST
+    assert session.events.goals[-1][1].status is GoalStatus.LOST
 
 
 async def goal(session: Session, x: float, y: float) -> bytes:

@@ -372,11 +372,6 @@ class Client:
             answer = await request.hang_up()
         else:
             answer = await request.finish()
-            for _ in range(30):
-                if answer.status != 503 or "retry-after" not in answer.headers:
-                    break
-                await asyncio.sleep(float(answer.headers["retry-after"]))  # the dataset is behind on a busy machine
-                answer = await self.begin(method, path, body, **headers).finish()
         self.statuses[answer.status] += 1
         return answer
 
@@ -545,11 +540,14 @@ class Crawl:
             self._follow(answer)
 
     async def request(self, method: str, path: str, body: bytes = b"", **headers: str) -> Answer:
-        """Return the response to a request, after searching it."""
-        answer = await self.ask(method, path, body, **headers)
-        leaks = answer.leaks
-        if leaks:
-            self.leaks[f"{answer.request} {' '.join(headers.values())} {answer.status}"] = leaks
+        """Return the response to a request, repeated while the dataset is behind. All responses are searched."""
+        for _ in range(30):
+            answer = await self.ask(method, path, body, **headers)
+            if leaks := answer.leaks:
+                self.leaks[f"{answer.request} {' '.join(headers.values())} {answer.status}"] = leaks
+            if answer.status != 503 or b"being loaded into the dataset" not in answer.body:
+                break
+            await asyncio.sleep(float(answer.headers["retry-after"]))
         if answer.status >= 500:
             self.failures.append(f"{answer.request} {headers}: {answer.status} {answer.body!r:.500}")
         return answer

@@ -29,7 +29,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Disk:
-    """The number of syncs that are to fail, and of which files."""
+    """Control of a disk: how many syncs fail, and of which files."""
 
     def __init__(self, control: Path) -> None:
         self._control = control

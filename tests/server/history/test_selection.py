@@ -222,7 +222,7 @@ def test_a_topic_of_a_recording_is_a_table(talk: Any) -> None:
     assert parquet.read_table(io.BytesIO(history.content)).schema.metadata[b"topic"] == b"/aircraft/engine/speed"
 
 
-def told(http: Any, path: str) -> dict[str, str]:
+def texts(http: Any, path: str) -> dict[str, str]:
     """Return the texts of the topics, by name."""
     answer = http.get(path, headers=JSON)
     assert answer.status_code == 200, answer.text
@@ -240,21 +240,21 @@ def test_all_topics_of_a_recording_are_as_they_were_at_a_moment(talk: Any) -> No
         (".9", "4", "5"),
     ):
         expected[second] = name | ({"/left": left} if left else {}) | ({"/right": right} if right else {})
-    assert {each: told(talk.http, f"/bags/walk/at?time={WALK_START}{each}Z") for each in expected} == expected
+    assert {each: texts(talk.http, f"/bags/walk/at?time={WALK_START}{each}Z") for each in expected} == expected
 
 
 @pytest.mark.slow
 def test_a_moment_is_the_same_in_every_representation_and_the_end_without_a_time(talk: Any) -> None:
     http = talk.http
-    assert told(http, "/bags/walk/at") == {"/name": "a walk", "/left": "4", "/right": "5"}
-    assert told(http, "/bags/walk/at?topic=/l*") == {"/left": "4"}
+    assert texts(http, "/bags/walk/at") == {"/name": "a walk", "/left": "4", "/right": "5"}
+    assert texts(http, "/bags/walk/at?topic=/l*") == {"/left": "4"}
     text = http.get(f"/bags/walk/at?time={WALK_START}.35Z", headers=NTRIPLES).text
     assert text.count(f"<{ROS}newestRecord>") == 3
     assert set(http.get("/bags/walk/messages/3", headers=NTRIPLES).text.splitlines()) <= set(text.splitlines())
     page = http.get(f"/bags/walk/at?time={WALK_START}.35Z", headers={"Accept": "text/html"})
     assert page.status_code == 200
     assert '/bags/walk/messages/3"' in page.text
-    assert told(http, "/bags/walk/at?time=1990-01-01T00:00:00Z") == {}
+    assert texts(http, "/bags/walk/at?time=1990-01-01T00:00:00Z") == {}
     for query, status in (("time=then", 400), ("topic=left", 400), ("topic=/none", 404)):
         refused = http.get(f"/bags/walk/at?{query}", headers=JSON)
         assert (refused.status_code, len(refused.json()["detail"]) > 20) == (status, True), query
